@@ -1,0 +1,97 @@
+"""Refusals: bad input meets a `ValueError` that says argument, expected, got and remedy.
+
+Every check looks at concrete values only. A traced value passes, because what it will be is not known yet.
+"""
+
+import difflib
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+
+def refuse(argument, expected, got, remedy=""):
+    """Raise the one kind of error that granjax raises for bad input.
+
+    ValueError: `argument: expected ..., got .... remedy`
+    """
+    raise ValueError(f"{argument}: expected {expected}, got {got}." + (f" {remedy}" if remedy else ""))
+
+
+def concrete(x):
+    """`x` as a NumPy array, or `None` where it is traced."""
+    return None if isinstance(x, jax.core.Tracer) else np.asarray(x)
+
+
+def show(x):
+    """A value for an error message, short."""
+    x = np.asarray(x)
+    return np.array2string(x, threshold=6, edgeitems=2, precision=6) if x.ndim else repr(x.item())
+
+
+def parameter(argument, x):
+    """`x` as a floating array: finite real numbers, of any shape.
+
+    A NumPy or Python number takes the default dtype; a floating JAX array keeps its own.
+    """
+    if isinstance(x, jax.Array) and jnp.issubdtype(x.dtype, jnp.floating):
+        array = x
+    else:
+        try:
+            raw = x if isinstance(x, jax.Array) else np.asarray(x)
+            if raw.dtype.kind not in "fiu":
+                raise TypeError
+            array = jnp.asarray(raw, dtype=float)
+        except (TypeError, ValueError):
+            refuse(argument, "real numbers", f"{x!r} of type {type(x).__name__}", "Give a number or an array of numbers.")
+    value = concrete(array)
+    if value is not None and not np.all(np.isfinite(value)):
+        refuse(argument, "finite numbers", show(value), "Look for NaN or infinity in what you pass.")
+    return array
+
+
+def positive(argument, x, remedy=""):
+    """A parameter that is finite and above zero."""
+    array = parameter(argument, x)
+    value = concrete(array)
+    if value is not None and not np.all(value > 0):
+        refuse(argument, "numbers above zero", show(value), remedy)
+    return array
+
+
+def non_negative(argument, x, remedy=""):
+    """A parameter that is finite and not below zero."""
+    array = parameter(argument, x)
+    value = concrete(array)
+    if value is not None and not np.all(value >= 0):
+        refuse(argument, "numbers not below zero", show(value), remedy)
+    return array
+
+
+def within(argument, x, low, high, *, open_low=False, open_high=False, remedy=""):
+    """A parameter inside an interval; a bracket that is open excludes its end."""
+    array = parameter(argument, x)
+    value = concrete(array)
+    if value is not None:
+        above = value > low if open_low else value >= low
+        below = value < high if open_high else value <= high
+        if not np.all(above & below):
+            interval = f"{'(' if open_low else '['}{low}, {high}{')' if open_high else ']'}"
+            refuse(argument, f"numbers in {interval}", show(value), remedy)
+    return array
+
+
+def one_of(argument, name, options):
+    """One of some names; the nearest are suggested."""
+    if name in options:
+        return name
+    near = difflib.get_close_matches(str(name), [str(o) for o in options], n=3, cutoff=0.4)
+    remedy = f"Did you mean {' or '.join(map(repr, near))}?" if near else ""
+    refuse(argument, "one of " + ", ".join(repr(o) for o in options), repr(name), remedy)
+
+
+def whole(argument, x, at_least=0, remedy=""):
+    """A Python integer, not below a least value."""
+    if isinstance(x, bool) or not isinstance(x, (int, np.integer)) or x < at_least:
+        refuse(argument, f"a whole number not below {at_least}", repr(x), remedy)
+    return int(x)

@@ -1,0 +1,320 @@
+"""The lattice: masses and terms, the equation of motion, and its split form."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .checks import concrete, positive, refuse, whole
+from .terms import Damping, Term
+
+
+class State(NamedTuple):
+    """Displacements and velocities, arrays (or dicts of arrays) of one shape: a diffrax state."""
+
+    u: object
+    v: object
+
+
+class Lattice(eqx.Module):
+    r"""Masses and terms: m_i a_i = sum over terms of force_i(t, u, v).
+
+    **Arguments:**
+
+    - `mass`: m > 0 [kg], one per site, an array (N,) or (N1, N2) on a grid; or a number together with `sites`; or a
+      dict of those, one per named field of a cell (`{"bead": ..., "resonator": ...}`).
+    - `terms`: a tuple of `Bond`, `OnSite`, `Damping`, `Dashpot`, `Drive`, `Wall`, `Modulated`.
+    - `sites`: number of sites (a tuple on a grid), where `mass` is a number.
+    - `dimension`: `None` for scalar displacements, 2 or 3 for vectors, in a trailing axis of `u`.
+
+    Displacements `u` have the shape `lattice.shape`: (N,), (N1, N2, d), or a dict of such. A batch of lattices is
+    `jax.vmap(make, out_axes=-1)(parameters)`; its lanes are trailing axes of everything.
+
+    **Raises** ValueError for a mass that is not positive and finite, fewer than two sites, a term that is none, or
+    parameters that do not fit the number of bonds or sites, naming the term.
+    """
+
+    mass: object
+    terms: tuple[Term, ...]
+    _sites: object = eqx.field(static=True)
+    _per_site: object = eqx.field(static=True)
+    dimension: int | None = eqx.field(static=True)
+
+    def __init__(self, mass, terms, *, sites=None, dimension=None):
+        self.dimension = None if dimension is None else whole("dimension", dimension, 1)
+        if isinstance(mass, dict):
+            built = {name: self._one_mass(f"mass[{name!r}]", m, sites) for name, m in mass.items()}
+            self.mass = {name: b[0] for name, b in built.items()}
+            self._sites = tuple((name, b[1]) for name, b in sorted(built.items()))
+            self._per_site = tuple((name, b[2]) for name, b in sorted(built.items()))
+        else:
+            self.mass, self._sites, self._per_site = self._one_mass("mass", mass, sites)
+        self.terms = (terms,) if isinstance(terms, Term) else tuple(terms)
+        self._check_terms()
+
+    def _one_mass(self, name, mass, sites):
+        mass = positive(name, mass, "A site needs a mass.")
+        per_site = mass.ndim > 0
+        if sites is None and not per_site:
+            refuse(name, "an array, one mass per site", "one number", "Or say how many sites: Lattice(..., sites=N).")
+        shape = mass.shape if sites is None else tuple(np.atleast_1d(sites).tolist())
+        shape = tuple(whole("sites", n, 1) for n in shape)
+        if per_site and mass.shape != shape:
+            refuse(name, f"shape {shape}, one mass per site", f"shape {mass.shape}")
+        if int(np.prod(shape)) < 2:
+            refuse(name, "at least two sites", f"{int(np.prod(shape))}", "A lattice has bonds.")
+        if per_site and self.dimension is not None:
+            mass = mass[..., None]
+        return mass, shape, per_site
+
+    def _check_terms(self):
+        u = self.template()
+        for i, term in enumerate(self.terms):
+            name = f"terms[{i}] ({type(term).__name__})"
+            if not isinstance(term, Term):
+                refuse(f"terms[{i}]", "a term, such as Bond(Shift(1), Hertz())", repr(term))
+            try:
+                got = jax.eval_shape(lambda u: term.force(jnp.zeros(()), u, u, self.mass), u)
+            except KeyError as error:
+                refuse(name, f"fields among {sorted(self.fields or ())}", str(error), "Check the names of the fields.")
+            except (TypeError, ValueError, IndexError) as error:
+                refuse(name, f"parameters that fit a lattice of shape {self.shape}", f"an error: {error}")
+            wanted = u if not isinstance(got, dict) or self.fields is None else {k: u[k] for k in got}
+            same = jax.tree.structure(got) == jax.tree.structure(wanted)
+            if not same or any(a.shape != b.shape for a, b in zip(jax.tree.leaves(got), jax.tree.leaves(wanted))):
+                shapes = jax.tree.map(lambda x: x.shape, got)
+                refuse(name, f"a force of shape {self.shape}", f"{shapes}", "Its parameters do not fit the lattice.")
+
+    @property
+    def fields(self):
+        """Names of the fields of a cell, or `None` for a plain array."""
+        return tuple(self.mass) if isinstance(self.mass, dict) else None
+
+    @property
+    def sites(self):
+        """Shape of the sites without vectors and lanes: (N,), (N1, N2), or a dict of such."""
+        return dict(self._sites) if isinstance(self.mass, dict) else self._sites
+
+    @property
+    def axes(self):
+        """Number of leading axes that count sites."""
+        return len(self._sites[0][1]) if isinstance(self.mass, dict) else len(self._sites)
+
+    @property
+    def lanes(self):
+        """Trailing shape of a batch of lattices; () for one."""
+        if isinstance(self.mass, dict):
+            name, per_site = self._per_site[0]
+            mass = self.mass[name]
+        else:
+            mass, per_site = self.mass, self._per_site
+        own = self.axes + (self.dimension is not None) if per_site else 0
+        return mass.shape[own:]
+
+    @property
+    def shape(self):
+        """Shape of the displacements of one lattice (a dict of shapes where a cell holds several fields)."""
+        vector = () if self.dimension is None else (self.dimension,)
+        if isinstance(self.mass, dict):
+            return {name: shape + vector for name, shape in self._sites}
+        return self._sites + vector
+
+    @property
+    def dtype(self):
+        """Floating type of the lattice's parameters."""
+        return jnp.result_type(*[x for x in jax.tree.leaves(self) if jnp.issubdtype(jnp.result_type(x), jnp.floating)])
+
+    def template(self):
+        """`jax.ShapeDtypeStruct`s of the displacements, lanes included."""
+        dtype = jnp.result_type(*jax.tree.leaves(self.mass))
+        return jax.tree.map(
+            lambda shape: jax.ShapeDtypeStruct(shape + self.lanes, dtype), self.shape, is_leaf=_is_shape
+        )
+
+    def zeros(self):
+        """Displacements (or velocities) that are zero, lanes included."""
+        return jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), self.template())
+
+    def astype(self, dtype):
+        """The lattice with every floating parameter in another type, for a float32 run."""
+        def cast(x):
+            return x.astype(dtype) if eqx.is_inexact_array(x) else x
+
+        return jax.tree.map(cast, self)
+
+    def force(self, t, u, v):
+        """Sum of the forces on the sites, of the structure of `u`."""
+        return self._sum(t, u, v, self.terms)
+
+    def _sum(self, t, u, v, terms):
+        total = None
+        for term in terms:
+            f = term.force(t, u, v, self.mass)
+            if isinstance(u, dict):
+                total = {**(total or {})}
+                for name, part in f.items():
+                    total[name] = total[name] + part if name in total else part
+            else:
+                total = f if total is None else total + f
+        if isinstance(u, dict):
+            return {name: (total or {}).get(name, jnp.zeros_like(u[name])) for name in u}
+        return jnp.zeros_like(u) if total is None else total
+
+    def acceleration(self, t, u, v):
+        """a = force/m."""
+        return jax.tree.map(jnp.divide, self.force(t, u, v), self.mass)
+
+    def potential_energy(self, t, u):
+        """Potential energy of the whole lattice, from equilibrium; shape of the lanes."""
+        total = 0.0
+        for term in self.terms:
+            energy = term.energy(t, u)
+            if energy is not None:
+                lanes = len(self.lanes)
+                total = total + sum(e.sum(tuple(range(e.ndim - lanes))) for e in jax.tree.leaves(energy))
+        return total
+
+    def kinetic_energy(self, v):
+        """Sum of m v^2/2; shape of the lanes."""
+        def kinetic(m, v):
+            return (m * v * v / 2).sum(tuple(range(v.ndim - len(self.lanes))))
+
+        return sum(jax.tree.leaves(jax.tree.map(kinetic, self.mass, v)))
+
+    def energy(self, t, u, v):
+        """Kinetic and potential energy of the whole lattice, from equilibrium; shape of the lanes."""
+        return self.kinetic_energy(v) + self.potential_energy(t, u)
+
+    @property
+    def conserves(self):
+        """Whether every term keeps the energy."""
+        return all(term.conserves for term in self.terms)
+
+    def unbalanced(self):
+        """Force on each site at rest, from the total contact forces (preloads included).
+
+        Zero where the preloads balance. At an end that a static load holds, such as F0 of a free end, it shows that
+        load: +-F0 there and zero elsewhere is a scene in equilibrium.
+        """
+        u = self.zeros()
+        total = jax.tree.map(jnp.negative, self.force(jnp.zeros(()), u, u))
+        for term in self.terms:
+            law = getattr(term, "law", None)
+            if hasattr(term, "strain_map") and law is not None:
+                e, transpose = jax.vjp(term.strain_map.strain, u)
+                (load,) = transpose(jnp.broadcast_to(law.preload, e.shape).astype(e.dtype))
+                total = jax.tree.map(jnp.add, total, load)
+        return jax.tree.map(jnp.negative, total)
+
+
+def _is_shape(x):
+    return isinstance(x, tuple) and all(isinstance(n, int) for n in x)
+
+
+def vector_field(t, y, lattice):
+    """dy/dt = (v, a): the right-hand side of diffrax's form f(t, y, args), with the lattice as `args`.
+
+    `y` is a `State` (or a pair (u, v)); the result has its structure.
+    """
+    u, v = y
+    a = lattice.acceleration(t, u, v)
+    return State(v, a) if isinstance(y, State) else type(y)((v, a))
+
+
+class PlainSplit(eqx.Module):
+    """A lattice as a split system: H = T(v) + V(t, u), with linear damping of the sites exactly in the drift.
+
+    What a splitting solver sees, and all it knows: `start` evaluates the force, `enter` and `leave` change between
+    the state and the working form w, `kick` and `drift` are the two exact flows, `refresh` evaluates the force at a
+    new place and time, `acceleration` reads it off for dense output. The force that ends one step opens the next.
+    """
+
+    lattice: Lattice
+
+    def _forces(self):
+        return tuple(term for term in self.lattice.terms if not term.reads_velocity)
+
+    def _rates(self):
+        return [(term.field, term.rate) for term in self.lattice.terms if isinstance(term, Damping)]
+
+    def start(self, t, y):
+        u, v = y
+        return jax.tree.map(jnp.divide, self.lattice._sum(t, u, v, self._forces()), self.lattice.mass)
+
+    def enter(self, y, cache):
+        u, v = y
+        return u, v, cache
+
+    def leave(self, w, like):
+        u, v, a = w
+        return (State(u, v) if isinstance(like, State) else type(like)((u, v))), a
+
+    def refresh(self, w, t):
+        u, v, _ = w
+        return u, v, self.start(t, (u, v))
+
+    def kick(self, w, bh):
+        u, v, a = w
+        return u, jax.tree.map(lambda v, a: v + bh.astype(v.dtype) * a, v, a), a
+
+    def drift(self, w, ah):
+        u, v, a = w
+        for name, rate in self._merged_rates(u):
+            moved = decay(_at(u, name), _at(v, name), rate, ah)
+            u, v = _with(u, name, moved[0]), _with(v, name, moved[1])
+        return u, v, a
+
+    def _merged_rates(self, u):
+        names = tuple(u) if isinstance(u, dict) else (None,)
+        rates = self._rates()
+        for name in names:
+            own = [rate for field, rate in rates if field is None or field == name]
+            yield name, (sum(own[1:], own[0]) if own else None)
+
+    def acceleration(self, y, cache):
+        _, v = y
+        a = cache
+        for name, rate in self._merged_rates(v):
+            if rate is not None:
+                a = _with(a, name, _at(a, name) - rate * _at(v, name))
+        return a
+
+
+def decay(u, v, rate, ah):
+    """Exact flow of u' = v, v' = -rate v over ah (of any sign); rate `None` is free flight."""
+    ah = ah.astype(v.dtype)
+    if rate is None:
+        return u + ah * v, v
+    x = rate * ah
+    small = jnp.abs(x) < 1e-8
+    weight = jnp.where(small, 1 - x / 2, -jnp.expm1(-x) / jnp.where(small, 1, x))
+    return u + ah * weight * v, jnp.exp(-x) * v
+
+
+def _at(x, name):
+    return x if name is None else x[name]
+
+
+def _with(x, name, value):
+    return value if name is None else {**x, name: value}
+
+
+def split_system(lattice):
+    """The lattice as kicks and drifts for a splitting solver.
+
+    **Raises** ValueError naming the term where a force reads the velocity in another way than linear damping of each
+    site, which no splitting into exact flows takes.
+    """
+    for i, term in enumerate(lattice.terms):
+        if term.reads_velocity and not isinstance(term, Damping):
+            refuse(
+                "solver", "forces that depend on positions and time, beside linear Damping of each site",
+                f"terms[{i}] ({type(term).__name__}), which reads the velocity",
+                "Use solver=diffrax.Tsit5() or diffrax.Dopri8() with tolerance=..., or replace the term by Damping.",
+            )
+    return PlainSplit(lattice)
+
+
+vector_field.split_system = split_system

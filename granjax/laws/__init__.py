@@ -1,0 +1,13 @@
+"""Force laws: one bond or one site, elementwise, measured from static equilibrium."""
+
+from .base import Law, Scaled, Sum
+from .contact import Hertz, PowerLaw
+from .power import plus_power
+from .smooth import Linear, Polynomial, Sine, Toda
+from .taylor import Taylor, taylor
+from .yielding import Yielding
+
+__all__ = [
+    "Hertz", "Law", "Linear", "Polynomial", "PowerLaw", "Scaled", "Sine", "Sum", "Taylor", "Toda", "Yielding",
+    "plus_power", "taylor",
+]

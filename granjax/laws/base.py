@@ -1,0 +1,96 @@
+"""What every force law is."""
+
+import abc
+
+import equinox as eqx
+import jax.numpy as jnp
+
+
+class Law(eqx.Module):
+    """A force law of one bond or one site: force against compression, measured from static equilibrium.
+
+    `force(e)` is positive in compression and `force(0) = 0`; `energy(e)` is its integral with `energy(0) = 0`. The
+    force that the bond carries in equilibrium is `preload`; the total contact force is `preload + force(e)`.
+    `overlap(e)` is what must stay positive for the law to hold as one smooth branch (an open contact, magnets that
+    met), or `None` where nothing can open.
+
+    Everything is elementwise: `e` has the shape of the bonds (then lanes), parameters are scalars or arrays over them.
+    To add a law write `force` and `energy`, and one line in the tests' list of cases. `law + law` is their sum.
+    """
+
+    @abc.abstractmethod
+    def force(self, e):
+        """Force beyond the preload at compression `e`."""
+
+    @abc.abstractmethod
+    def energy(self, e):
+        """Potential energy at compression `e`, without the work of the preload."""
+
+    @property
+    def preload(self):
+        """Force at equilibrium, F0."""
+        return 0.0
+
+    def overlap(self, e):
+        """Length that is positive while the contact is closed, or `None` where the law has no such limit."""
+        return None
+
+    def __add__(self, other):
+        return Sum(parts_of(self) + parts_of(other))
+
+
+class Sum(Law):
+    """Laws in parallel: F = sum of F_k. Write `law + law`.
+
+    Typical: a coated bead or an O-ring as a double power law, `Hertz(1.0) + PowerLaw(0.2, 2.5)`; a nonlinear site
+    potential on a linear one. The overlap is the smallest of the parts'.
+    """
+
+    parts: tuple[Law, ...]
+
+    def force(self, e):
+        return sum(part.force(e) for part in self.parts)
+
+    def energy(self, e):
+        return sum(part.energy(e) for part in self.parts)
+
+    @property
+    def preload(self):
+        return sum(part.preload for part in self.parts)
+
+    def overlap(self, e):
+        overlaps = [s for s in (part.overlap(e) for part in self.parts) if s is not None]
+        if not overlaps:
+            return None
+        smallest = overlaps[0]
+        for s in overlaps[1:]:
+            smallest = jnp.minimum(smallest, s)
+        return smallest
+
+
+def parts_of(law):
+    """The laws that a law is the sum of."""
+    return law.parts if isinstance(law, Sum) else (law,)
+
+
+class Scaled(Law):
+    """A law times a factor: F = g F_law(e), for stiffness that changes in time or along the chain.
+
+    **Arguments:** `law`; `factor`: number or array over bonds.
+    """
+
+    law: Law
+    factor: object
+
+    def force(self, e):
+        return self.factor * self.law.force(e)
+
+    def energy(self, e):
+        return self.factor * self.law.energy(e)
+
+    @property
+    def preload(self):
+        return self.factor * self.law.preload
+
+    def overlap(self, e):
+        return self.law.overlap(e)

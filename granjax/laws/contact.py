@@ -1,0 +1,164 @@
+"""Contacts: the power law A [d0 + y]_+^p and its special case, Hertz."""
+
+import abc
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from ..checks import concrete, non_negative, parameter, positive, refuse, show
+from .base import Law
+from .power import plus_power
+
+
+def _precompression(F0):
+    """`None` for a plain zero, so that a contact without preload costs no operation; else a checked array."""
+    if isinstance(F0, (int, float)) and F0 == 0:
+        return None
+    return non_negative("precompression", F0, "The static force F0 pushes; a chain under tension falls apart.")
+
+
+class _Contact(Law):
+    """F(e) = A ([d0 + e]_+^p - d0^p) for p > 0; F(e) = A ((d0 - e)^p - d0^p), without plus part, for p < 0."""
+
+    stiffness: eqx.AbstractVar[jax.Array]
+    precompression: eqx.AbstractVar[jax.Array | None]
+
+    @property
+    @abc.abstractmethod
+    def exponent(self):
+        """The exponent p."""
+
+    @property
+    def repels(self):
+        """Whether p < 0; known before tracing, see `PowerLaw`."""
+        return False
+
+    @property
+    def preload(self):
+        return 0.0 if self.precompression is None else self.precompression
+
+    @property
+    def rest_overlap(self):
+        """d0 = (F0/A)^(1/p)."""
+        if self.precompression is None:
+            return None
+        ratio = self.precompression / self.stiffness
+        if self.exponent is _HERTZ:
+            return jnp.cbrt(ratio) * jnp.cbrt(ratio)
+        return plus_power(ratio, 1 / self.exponent)
+
+    def overlap(self, e):
+        if self.precompression is None:
+            return e
+        return self.rest_overlap - e if self.repels else self.rest_overlap + e
+
+    def _difference(self, e, p):
+        power = self._power(self.overlap(e), p)
+        return power if self.precompression is None else power - self._power(self.rest_overlap, p)
+
+    def _power(self, s, p):
+        if self.repels:
+            s = jnp.where(s <= 0, jnp.nan, s)
+        return plus_power(s, p)
+
+    def force(self, e):
+        return self.stiffness * self._difference(e, self.exponent)
+
+    def energy(self, e):
+        p = self.exponent
+        if self.repels:
+            return self._repulsion_energy(e)
+        work = self.stiffness / (p + 1) * self._difference(e, p + 1)
+        return work if self.precompression is None else work - self.precompression * e
+
+    def _repulsion_energy(self, e):
+        q = self.exponent + 1
+        d0, s = self.rest_overlap, self.overlap(e)
+        s = jnp.where(s <= 0, jnp.nan, s)
+        if isinstance(q, float):
+            work = -jnp.log(s / d0) if q == 0 else -self._difference(e, q) / q
+        else:
+            at_one = q == 0
+            work = jnp.where(at_one, -jnp.log(s / d0), -self._difference(e, q) / jnp.where(at_one, 1, q))
+        return self.stiffness * work - self.precompression * e
+
+
+_HERTZ = 1.5
+
+
+class Hertz(_Contact):
+    r"""Hertz contact of elastic spheres.
+
+    F(e) = A ([d0 + e]_+^{3/2} - d0^{3/2}),   d0 = (F0/A)^{2/3};   energy A (2/5) [d0 + e]_+^{5/2}, from equilibrium.
+
+    **Arguments:** `stiffness`: A > 0 [N/m^{3/2}], scalar or one per contact (`granjax.materials.hertz_coefficient`
+    gives it). `precompression`: static force F0 >= 0 [N]; the plain number 0 is a contact without preload, which
+    costs nothing.
+
+    Typical: steel beads of 9.53 mm radius A = 9.8e9 N/m^{3/2}, F0 = 1 ... 20 N; scaled A = 1, F0 = 0 or 1.
+    **Raises** ValueError for A <= 0, F0 < 0 or values that are not finite.
+    Source: H. Hertz, J. reine angew. Math. 92, 156 (1881); Nesterenko, Dynamics of Heterogeneous Materials (2001).
+    """
+
+    stiffness: jax.Array
+    precompression: jax.Array | None
+
+    def __init__(self, stiffness=1.0, precompression=0.0):
+        self.stiffness = positive("stiffness", stiffness, "The contact coefficient A is positive.")
+        self.precompression = _precompression(precompression)
+
+    @property
+    def exponent(self):
+        return _HERTZ
+
+
+class PowerLaw(_Contact):
+    r"""Power law of any exponent p != 0.
+
+    p > 0:  F(e) = A ([d0 + e]_+^p - d0^p), a contact that opens;
+    p < 0:  F(e) = A ((d0 - e)^p - d0^p), repelling magnets at rest distance d0, without a plus part;
+    d0 = (F0/A)^{1/p}.
+
+    Where magnets meet (d0 - e <= 0) force and energy are NaN: an outcome, not a number. For 0 < p < 1 a contact that
+    re-opens is infinitely stiff, so that no step is small enough there.
+
+    **Arguments:** `stiffness`: A > 0. `exponent`: p; a Python number is static (and 1, 3/2, 2, 5/2, 3 are fast), an
+    array, of any shape that broadcasts over the bonds, can be swept and differentiated. `precompression`: F0 >= 0;
+    F0 > 0 is needed for p < 0, which has no equilibrium without it.
+
+    Typical: p = 3/2 spheres, 3 ... 4 cylinders and O-rings, 1/2 strain softening, -3 dipole ring magnets.
+    **Raises** ValueError for p = 0 or not finite, A <= 0, F0 < 0, F0 = 0 with p < 0, or signs of p that differ.
+    Source: Chong & Kevrekidis, Dynamics of Nonlinear Lattices, and references there.
+    """
+
+    stiffness: jax.Array
+    precompression: jax.Array | None
+    _fixed_exponent: float | None = eqx.field(static=True)
+    _free_exponent: jax.Array | None
+    _repels: bool = eqx.field(static=True)
+
+    def __init__(self, stiffness=1.0, exponent=1.5, precompression=0.0):
+        self.stiffness = positive("stiffness", stiffness, "The contact coefficient A is positive.")
+        self.precompression = _precompression(precompression)
+        array = parameter("exponent", exponent)
+        value = concrete(array)
+        if value is not None and not (abs(value) > 0).all():
+            refuse("exponent", "p != 0", show(value), "p = 1 is a linear spring, p = 3/2 Hertz, p < 0 magnets.")
+        if value is not None and (value < 0).any() != (value < 0).all():
+            refuse("exponent", "values of one sign", show(value), "Contacts and magnets are two laws; use two bonds.")
+        self._repels = value is not None and bool((value < 0).all())
+        self._fixed_exponent = float(exponent) if isinstance(exponent, (int, float)) else None
+        self._free_exponent = None if isinstance(exponent, (int, float)) else array
+        if self._repels:
+            F0 = None if self.precompression is None else concrete(self.precompression)
+            if self.precompression is None or (F0 is not None and not (F0 > 0).all()):
+                refuse("precompression", "F0 > 0 for p < 0", "0", "Repelling magnets rest only under a static force.")
+
+    @property
+    def exponent(self):
+        return self._free_exponent if self._fixed_exponent is None else self._fixed_exponent
+
+    @property
+    def repels(self):
+        return self._repels

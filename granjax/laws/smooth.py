@@ -1,0 +1,113 @@
+"""Laws without a contact: polynomial (FPUT), Toda, linear, sine."""
+
+import jax
+import jax.numpy as jnp
+
+from ..checks import parameter, positive, refuse
+from .base import Law
+
+
+def _optional(name, x):
+    return None if isinstance(x, (int, float)) and x == 0 else parameter(name, x)
+
+
+class Polynomial(Law):
+    r"""Fermi-Pasta-Ulam-Tsingou law: F(e) = K2 e + K3 e^2 + K4 e^3, energy K2 e^2/2 + K3 e^3/3 + K4 e^4/4.
+
+    **Arguments:** `K2`, `K3`, `K4`: scalars or one per bond; a plain 0 is a term that is not there. Compression is
+    positive, so K3 > 0 stiffens under compression, as Hertz does.
+
+    Typical: alpha chain K2 = 1, K3 = 1/4; beta chain K2 = 1, K4 = 1. **Raises** ValueError for values not finite.
+    Source: Fermi, Pasta, Ulam (with Tsingou), Los Alamos report LA-1940 (1955).
+    """
+
+    K2: jax.Array | None
+    K3: jax.Array | None
+    K4: jax.Array | None
+
+    def __init__(self, K2=1.0, K3=0.0, K4=0.0):
+        self.K2, self.K3, self.K4 = _optional("K2", K2), _optional("K3", K3), _optional("K4", K4)
+        if self.K2 is None and self.K3 is None and self.K4 is None:
+            refuse("K2, K3, K4", "at least one coefficient that is not zero", "0, 0, 0", "Leave the bond out instead.")
+
+    def _horner(self, e, divisors):
+        value = None
+        for K, divisor in zip((self.K4, self.K3, self.K2), divisors):
+            value = None if value is None else value * e
+            if K is not None:
+                K = K if divisor == 1 else K / divisor
+                value = K if value is None else value + K
+        return value
+
+    def force(self, e):
+        return self._horner(e, (1, 1, 1)) * e
+
+    def energy(self, e):
+        return self._horner(e, (4, 3, 2)) * e * e
+
+
+class Toda(Law):
+    r"""Toda lattice: F(e) = a (exp(b e) - 1), preload a; energy a ((exp(b e) - 1)/b - e).
+
+    **Arguments:** `strength`: a > 0; `rate`: b > 0. With a = b = 1 and unit masses
+    u_n'' = exp(u_{n-1} - u_n) - exp(u_n - u_{n+1}). **Raises** ValueError for a, b not positive.
+    Source: M. Toda, J. Phys. Soc. Jpn. 22, 431 (1967).
+    """
+
+    strength: jax.Array
+    rate: jax.Array
+
+    def __init__(self, strength=1.0, rate=1.0):
+        self.strength, self.rate = positive("strength", strength), positive("rate", rate)
+
+    @property
+    def preload(self):
+        return self.strength
+
+    def force(self, e):
+        return self.strength * jnp.expm1(self.rate * e)
+
+    def energy(self, e):
+        x = self.rate * e
+        series = x * x * (1 / 2 + x * (1 / 6 + x * (1 / 24 + x * (1 / 120 + x * (1 / 720 + x / 5040)))))
+        return self.strength / self.rate * jnp.where(jnp.abs(x) < 0.02, series, jnp.expm1(x) - x)
+
+
+class Linear(Law):
+    """Linear spring: F(e) = K e, energy K e^2/2.
+
+    **Arguments:** `stiffness`: K [N/m], not negative for a stable lattice (a negative one is allowed, as an inverted
+    site potential). **Raises** ValueError for values not finite.
+    """
+
+    stiffness: jax.Array
+
+    def __init__(self, stiffness=1.0):
+        self.stiffness = parameter("stiffness", stiffness)
+
+    def force(self, e):
+        return self.stiffness * e
+
+    def energy(self, e):
+        return self.stiffness / 2 * e * e
+
+
+class Sine(Law):
+    """Sine law, as a rule on-site (sine-Gordon, Frenkel-Kontorova, pendula): F(u) = (K/q) sin(q u).
+
+    Energy (2K/q^2) sin^2(q u/2). **Arguments:** `stiffness`: K, the linear stiffness; `wavenumber`: q > 0, so that
+    the potential has period 2 pi/q. Typical: K = q = 1. **Raises** ValueError for values not finite, q <= 0.
+    """
+
+    stiffness: jax.Array
+    wavenumber: jax.Array
+
+    def __init__(self, stiffness=1.0, wavenumber=1.0):
+        self.stiffness, self.wavenumber = parameter("stiffness", stiffness), positive("wavenumber", wavenumber)
+
+    def force(self, e):
+        return self.stiffness / self.wavenumber * jnp.sin(self.wavenumber * e)
+
+    def energy(self, e):
+        half = jnp.sin(self.wavenumber * e / 2) / self.wavenumber
+        return 2 * self.stiffness * half * half

@@ -1,0 +1,34 @@
+"""Taylor coefficients of any law."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+
+class Taylor(NamedTuple):
+    """F(e) = K2 e + K3 e^2 + K4 e^3 + ..."""
+
+    K2: jax.Array
+    K3: jax.Array
+    K4: jax.Array
+
+
+def taylor(law, e=0.0):
+    """Taylor coefficients of a law about a compression, by nested derivatives.
+
+    K2 = F'(e), K3 = F''(e)/2, K4 = F'''(e)/6. For Hertz with d0 = A = 1: 3/2, 3/8, -1/16.
+
+    **Arguments:** `law`; `e`: compression about which to expand, 0 is equilibrium.
+    **Returns:** `Taylor(K2, K3, K4)`, arrays of the shape of the law's parameters. In a sonic vacuum (Hertz without
+    precompression) all three are zero: such a contact has no linear limit.
+    """
+    at = jnp.zeros(jax.eval_shape(law.force, jnp.asarray(e, float)).shape) + e
+
+    def slope(f):
+        return lambda x: jax.jvp(f, (x,), (jnp.ones_like(x),))[1]
+
+    first = slope(law.force)
+    second = slope(first)
+    third = slope(second)
+    return Taylor(first(at), second(at) / 2, third(at) / 6)
