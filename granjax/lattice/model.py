@@ -1,4 +1,4 @@
-"""The lattice: masses and terms, the equation of motion, and its split form."""
+"""The lattice: masses and terms, and the equation of motion that they make."""
 
 from typing import NamedTuple
 
@@ -7,8 +7,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .checks import concrete, positive, refuse, whole
-from .terms import Damping, Term
+from ..checks import positive, refuse, whole
+from ..terms import Term
 
 
 class State(NamedTuple):
@@ -146,9 +146,10 @@ class Lattice(eqx.Module):
 
     def force(self, t, u, v):
         """Sum of the forces on the sites, of the structure of `u`."""
-        return self._sum(t, u, v, self.terms)
+        return self.sum_forces(t, u, v, self.terms)
 
-    def _sum(self, t, u, v, terms):
+    def sum_forces(self, t, u, v, terms):
+        """Sum of the forces of some terms, of the structure of `u`."""
         total = None
         for term in terms:
             f = term.force(t, u, v, self.mass)
@@ -211,110 +212,3 @@ class Lattice(eqx.Module):
 
 def _is_shape(x):
     return isinstance(x, tuple) and all(isinstance(n, int) for n in x)
-
-
-def vector_field(t, y, lattice):
-    """dy/dt = (v, a): the right-hand side of diffrax's form f(t, y, args), with the lattice as `args`.
-
-    `y` is a `State` (or a pair (u, v)); the result has its structure.
-    """
-    u, v = y
-    a = lattice.acceleration(t, u, v)
-    return State(v, a) if isinstance(y, State) else type(y)((v, a))
-
-
-class PlainSplit(eqx.Module):
-    """A lattice as a split system: H = T(v) + V(t, u), with linear damping of the sites exactly in the drift.
-
-    What a splitting solver sees, and all it knows: `start` evaluates the force, `enter` and `leave` change between
-    the state and the working form w, `kick` and `drift` are the two exact flows, `refresh` evaluates the force at a
-    new place and time, `acceleration` reads it off for dense output. The force that ends one step opens the next.
-    """
-
-    lattice: Lattice
-
-    def _forces(self):
-        return tuple(term for term in self.lattice.terms if not term.reads_velocity)
-
-    def _rates(self):
-        return [(term.field, term.rate) for term in self.lattice.terms if isinstance(term, Damping)]
-
-    def start(self, t, y):
-        u, v = y
-        return jax.tree.map(jnp.divide, self.lattice._sum(t, u, v, self._forces()), self.lattice.mass)
-
-    def enter(self, y, cache):
-        u, v = y
-        return u, v, cache
-
-    def leave(self, w, like):
-        u, v, a = w
-        return (State(u, v) if isinstance(like, State) else type(like)((u, v))), a
-
-    def refresh(self, w, t):
-        u, v, _ = w
-        return u, v, self.start(t, (u, v))
-
-    def kick(self, w, bh):
-        u, v, a = w
-        return u, jax.tree.map(lambda v, a: v + bh.astype(v.dtype) * a, v, a), a
-
-    def drift(self, w, ah):
-        u, v, a = w
-        for name, rate in self._merged_rates(u):
-            moved = decay(_at(u, name), _at(v, name), rate, ah)
-            u, v = _with(u, name, moved[0]), _with(v, name, moved[1])
-        return u, v, a
-
-    def _merged_rates(self, u):
-        names = tuple(u) if isinstance(u, dict) else (None,)
-        rates = self._rates()
-        for name in names:
-            own = [rate for field, rate in rates if field is None or field == name]
-            yield name, (sum(own[1:], own[0]) if own else None)
-
-    def acceleration(self, y, cache):
-        _, v = y
-        a = cache
-        for name, rate in self._merged_rates(v):
-            if rate is not None:
-                a = _with(a, name, _at(a, name) - rate * _at(v, name))
-        return a
-
-
-def decay(u, v, rate, ah):
-    """Exact flow of u' = v, v' = -rate v over ah (of any sign); rate `None` is free flight."""
-    ah = ah.astype(v.dtype)
-    if rate is None:
-        return u + ah * v, v
-    x = rate * ah
-    small = jnp.abs(x) < 1e-8
-    weight = jnp.where(small, 1 - x / 2, -jnp.expm1(-x) / jnp.where(small, 1, x))
-    return u + ah * weight * v, jnp.exp(-x) * v
-
-
-def _at(x, name):
-    return x if name is None else x[name]
-
-
-def _with(x, name, value):
-    return value if name is None else {**x, name: value}
-
-
-def split_system(lattice):
-    """The lattice as kicks and drifts for a splitting solver.
-
-    **Raises** ValueError naming the term where a force reads the velocity in another way than linear damping of each
-    site, which no splitting into exact flows takes.
-    """
-    for i, term in enumerate(lattice.terms):
-        if term.reads_velocity and not isinstance(term, Damping):
-            refuse(
-                "solver", "forces that depend on positions and time, beside linear Damping of each site",
-                f"terms[{i}] ({type(term).__name__}), which reads the velocity",
-                "Use solver=diffrax.Tsit5() or diffrax.Dopri8() with tolerance=..., or replace the term by Damping.",
-            )
-    return PlainSplit(lattice)
-
-
-vector_field.split_system = split_system

@@ -1,0 +1,209 @@
+"""The lattice as a split system: what the splitting solvers see.
+
+H = T(v) + V(t, u), with linear damping of the sites exactly in the drift. A split system offers `start` (evaluate the
+force), `enter` and `leave` (between the state and the working form w), `kick` and `drift` (the two exact flows),
+`refresh` (evaluate the force at a new place and time) and `acceleration` (read it off, for dense output). The force
+that ends one step opens the next.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from ..checks import refuse
+from ..strains import Shift
+from ..terms import Bond, Damping
+from .model import Lattice
+
+
+class PlainSplit(eqx.Module):
+    """Any lattice: w = (u, v, a)."""
+
+    lattice: Lattice
+
+    def start(self, t, y):
+        u, v = y
+        return jax.tree.map(jnp.divide, self.lattice.sum_forces(t, u, v, _without_velocity(self.lattice)), self.lattice.mass)
+
+    def enter(self, y, cache):
+        u, v = y
+        return u, v, cache
+
+    def leave(self, w, like):
+        u, v, a = w
+        return _pair(like, u, v), a
+
+    def refresh(self, w, t):
+        u, v, _ = w
+        return u, v, self.start(t, (u, v))
+
+    def kick(self, w, bh):
+        u, v, a = w
+        return u, jax.tree.map(lambda v, a: v + bh.astype(v.dtype) * a, v, a), a
+
+    def drift(self, w, ah):
+        u, v, a = w
+        for name, rate in _damping_rates(self.lattice, u):
+            moved, slowed = damped_flight(_at(u, name), _at(v, name), rate, ah)
+            u, v = _with(u, name, moved), _with(v, name, slowed)
+        return u, v, a
+
+    def acceleration(self, y, cache):
+        _, v = y
+        a = cache
+        for name, rate in _damping_rates(self.lattice, v):
+            if rate is not None:
+                a = _with(a, name, _at(a, name) - rate * _at(v, name))
+        return a
+
+
+class ChainSplit(eqx.Module):
+    """A chain of one bond to the next site, with rigid walls or free ends, and damping: w = (u, v, f), the fast form.
+
+    XLA evaluates a fused force once per reader, twice a bond. Written by `dynamic_update_slice` into a buffer that the
+    loop carries, it is evaluated once. `u` keeps a resting ghost at each rigid wall; `f` has one entry more than there
+    are bonds (walls), or a zero at each end (free ends), so that the update never covers the whole buffer.
+    """
+
+    lattice: Lattice
+    bond: Bond
+
+    @property
+    def _walls(self):
+        return self.bond.strain_map.boundary[0] == "fixed"
+
+    def _write(self, f, u):
+        force = self.bond.law.force(u[:-1] - u[1:]).astype(f.dtype)
+        return jax.lax.dynamic_update_slice(f, force, (0 if self._walls else 1,) + (0,) * (u.ndim - 1))
+
+    def _pull(self, f):
+        n = f.shape[0] - 1
+        return (f[: n - 1] - f[1:n]) if self._walls else f[:-1] - f[1:]
+
+    def _padded(self, u):
+        return jnp.pad(u, [(1, 1)] + [(0, 0)] * (u.ndim - 1)) if self._walls else u
+
+    def start(self, t, y):
+        u, _ = y
+        return self._write(jnp.zeros((u.shape[0] + (2 if self._walls else 1),) + u.shape[1:], u.dtype), self._padded(u))
+
+    def enter(self, y, cache):
+        u, v = y
+        return self._padded(u), v, cache
+
+    def leave(self, w, like):
+        u, v, f = w
+        return _pair(like, u[1:-1] if self._walls else u, v), f
+
+    def refresh(self, w, t):
+        u, v, f = w
+        return u, v, self._write(f, u)
+
+    def kick(self, w, bh):
+        u, v, f = w
+        return u, v + bh.astype(v.dtype) * (1 / self.lattice.mass) * self._pull(f), f
+
+    def drift(self, w, ah):
+        u, v, f = w
+        ((_, rate),) = _damping_rates(self.lattice, u)
+        inner = u[1:-1] if self._walls else u
+        inner, v = damped_flight(inner, v, rate, ah)
+        u = jax.lax.dynamic_update_slice(u, inner, (1,) + (0,) * (u.ndim - 1)) if self._walls else inner
+        return u, v, f
+
+    def acceleration(self, y, cache):
+        _, v = y
+        ((_, rate),) = _damping_rates(self.lattice, v)
+        a = self._pull(cache) / self.lattice.mass
+        return a if rate is None else a - rate * v
+
+
+def split_system(lattice):
+    """The lattice as kicks and drifts for a splitting solver.
+
+    **Raises** ValueError naming the term where a force reads the velocity in another way than linear damping of each
+    site, which no splitting into exact flows takes.
+    """
+    for i, term in enumerate(lattice.terms):
+        if term.reads_velocity and not isinstance(term, Damping):
+            refuse(
+                "solver", "forces that depend on positions and time, beside linear Damping of each site",
+                f"terms[{i}] ({type(term).__name__}), which reads the velocity",
+                "Use solver=diffrax.Tsit5() or diffrax.Dopri8() with tolerance=..., or replace the term by Damping.",
+            )
+    forces = _without_velocity(lattice)
+    if len(forces) == 1 and _is_plain_chain(lattice, forces[0]):
+        return ChainSplit(lattice, forces[0])
+    return PlainSplit(lattice)
+
+
+def acceleration_only(lattice):
+    """The acceleration a(t, u) alone, for Nystrom pairs.
+
+    **Raises** ValueError naming the term where a force reads the velocity.
+    """
+    for i, term in enumerate(lattice.terms):
+        if term.reads_velocity:
+            refuse(
+                "solver", "forces that depend on positions and time alone",
+                f"terms[{i}] ({type(term).__name__}), which reads the velocity",
+                "Use solver=diffrax.Dopri8() with tolerance=..., or a splitting solver if the term is Damping.",
+            )
+    return lambda t, u: lattice.acceleration(t, u, jax.tree.map(jnp.zeros_like, u))
+
+
+def vector_field(t, y, lattice):
+    """dy/dt = (v, a): the right-hand side of diffrax's form f(t, y, args), with the lattice as `args`.
+
+    `y` is a `State` (or a pair (u, v)); the result has its structure.
+    """
+    u, v = y
+    return _pair(y, v, lattice.acceleration(t, u, v))
+
+
+vector_field.split_system = split_system
+vector_field.acceleration_only = acceleration_only
+
+
+def damped_flight(u, v, rate, ah):
+    """Exact flow of u' = v, v' = -rate v over ah, of any sign; rate `None` is free flight."""
+    ah = ah.astype(v.dtype)
+    if rate is None:
+        return u + ah * v, v
+    x = rate * ah
+    small = jnp.abs(x) < 1e-8
+    weight = jnp.where(small, 1 - x / 2, -jnp.expm1(-x) / jnp.where(small, 1, x))
+    return u + ah * weight * v, jnp.exp(-x) * v
+
+
+def _is_plain_chain(lattice, term):
+    pairs = getattr(term, "strain_map", None)
+    return (
+        isinstance(term, Bond) and isinstance(pairs, Shift) and pairs.offset == (1,) and pairs.fields is None
+        and pairs.boundary[0] != "periodic" and lattice.fields is None and lattice.dimension is None
+        and lattice.axes == 1
+    )
+
+
+def _without_velocity(lattice):
+    return tuple(term for term in lattice.terms if not term.reads_velocity)
+
+
+def _damping_rates(lattice, u):
+    """Pairs (field, total rate or `None`) for every field of the displacements."""
+    damping = [term for term in lattice.terms if isinstance(term, Damping)]
+    for name in tuple(u) if isinstance(u, dict) else (None,):
+        rates = [term.rate for term in damping if term.field is None or term.field == name]
+        yield name, (sum(rates[1:], rates[0]) if rates else None)
+
+
+def _pair(like, u, v):
+    return type(like)(u, v) if hasattr(like, "_fields") else type(like)((u, v))
+
+
+def _at(x, name):
+    return x if name is None else x[name]
+
+
+def _with(x, name, value):
+    return value if name is None else {**x, name: value}

@@ -1,0 +1,100 @@
+"""Energies and momentum of a state, of the whole lattice and site by site."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..checks import refuse
+from ..terms import Bond, Modulated
+from .states_of import displacements, parts, velocities
+
+
+def energy(lattice, y, t=0.0):
+    """Kinetic and potential energy of the whole lattice, from equilibrium [J]; shape of the lanes.
+
+    **Raises** ValueError for a state of another shape than the lattice's.
+    """
+    u, v = parts(lattice, y)
+    return lattice.energy(t, u, v)
+
+
+def potential_energy(lattice, y, t=0.0):
+    """Potential energy of all bonds, walls and sites, from equilibrium [J]; shape of the lanes."""
+    u = displacements(lattice, y)
+    return lattice.potential_energy(t, u) + jnp.zeros(lattice.lanes, lattice.dtype)
+
+
+def kinetic_energy(lattice, y, t=0.0):
+    """Sum of m v^2/2 [J]; shape of the lanes. `t` is not read."""
+    return lattice.kinetic_energy(velocities(lattice, y))
+
+
+def momentum(lattice, y, t=0.0):
+    """Total momentum, sum of m v [kg m/s]; shape of the lanes, after (d,) for vectors. `t` is not read."""
+    v = velocities(lattice, y)
+    axes = tuple(range(lattice.axes))
+    return sum(jax.tree.leaves(jax.tree.map(lambda m, v: (m * v).sum(axes), lattice.mass, v)))
+
+
+def site_energy(lattice, y, t=0.0):
+    """Energy of every site: m v^2/2, its on-site energy, and half of each of its bonds' [J].
+
+    A bond to a rigid wall belongs wholly to its one site, so that the sum over the sites is `energy`.
+
+    **Shapes:** (N,) or (N1, N2), then lanes; a dict of such where a cell holds several fields. Components of a vector
+    are summed. **Raises** ValueError for a state of another shape than the lattice's.
+    """
+    u, v = parts(lattice, y)
+    shapes = dict(lattice.sites) if isinstance(u, dict) else {None: lattice.sites}
+    total = {name: _per_site(lattice, m * v * v / 2) for name, m, v in _fields(lattice.mass, v)}
+    for term in lattice.terms:
+        shared = _shared(term, t, u)
+        if shared is None:
+            continue
+        for name, part in (shared.items() if isinstance(shared, dict) else ((None, shared),)):
+            total[name] = total[name] + _per_site(lattice, part)
+    total = {name: jnp.broadcast_to(e, tuple(shapes[name]) + lattice.lanes) for name, e in total.items()}
+    return total if isinstance(u, dict) else total[None]
+
+
+def _fields(mass, x):
+    return [(name, mass[name], x[name]) for name in x] if isinstance(x, dict) else [(None, mass, x)]
+
+
+def _per_site(lattice, x):
+    """Sum over the components of a vector, where the array has them."""
+    if lattice.dimension is not None and x.ndim == lattice.axes + 1 + len(lattice.lanes):
+        return x.sum(lattice.axes)
+    return x
+
+
+def _shared(term, t, u):
+    if isinstance(term, Modulated):
+        term = term.at(t)
+    if not isinstance(term, Bond):
+        return term.site_energy(t, u)
+    bonds = term.energy(t, u)
+    # what of each bond arrives at a site: 1, or 1/2 where the other end is a wall
+    sites, back = jax.vjp(lambda b: term.strain_map.split(b, u), bonds)
+    (arrives,) = back(jax.tree.map(jnp.ones_like, sites))
+    return term.strain_map.split(bonds / arrives, u)
+
+
+def species_energy(lattice, y, species=None, t=0.0):
+    """Energy of each kind of site, from `site_energy` [J]: who holds it, the heavy or the light.
+
+    **Arguments:** `species`: one label per site, numbers or names (`["heavy", "light"] * 50`, a mask); `None` for the
+    fields of a cell. **Returns:** a dict from label to energy, of the shape of the lanes; the values sum to `energy`.
+    **Raises** ValueError for labels that are not one per site, or fields together with labels.
+    """
+    share = site_energy(lattice, y, t)
+    axes = tuple(range(lattice.axes))
+    if isinstance(share, dict):
+        if species is not None:
+            refuse("species", "None, as the cells' fields are the species", f"{type(species).__name__}")
+        return {name: e.sum(axes) for name, e in share.items()}
+    if species is None or isinstance(species, jax.core.Tracer) or np.shape(species) != lattice.sites:
+        got = "None" if species is None else f"shape {np.shape(species)}"
+        refuse("species", f"labels of shape {lattice.sites}, one per site", got, "Labels must be known before tracing.")
+    labels = np.asarray(species)
+    return {label.item(): share[labels == label].sum(0) for label in np.unique(labels)}

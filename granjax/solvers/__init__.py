@@ -1,0 +1,15 @@
+"""Integrators as diffrax solvers on y = (u, v): a solver is a table, a class and prose."""
+
+from .splitting import (
+    AbstractSplitting,
+    KahanLi8,
+    SofroniouSpaletta10,
+    SRKN6b,
+    SRKN11b,
+    SRKN14a,
+    VelocityVerlet,
+)
+
+__all__ = [
+    "AbstractSplitting", "KahanLi8", "SRKN11b", "SRKN14a", "SRKN6b", "SofroniouSpaletta10", "VelocityVerlet",
+]

@@ -1,0 +1,179 @@
+"""Symplectic splitting methods as diffrax solvers.
+
+The equation is m a = F(t, u), H = T(v) + V(t, u). One step composes the two exact flows, kick (v += b h a) and drift
+(u += a h v), with a table of coefficients. A solver sees a *split system* and no physics: the vector field offers it
+as an attribute `split_system(args)`; any other f(t, (u, v), args) = (v, a(t, u)) gets `FieldSplit`.
+"""
+
+from functools import cache
+from typing import ClassVar
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from . import tables
+from .interpolation import QuinticHermite
+
+
+class FieldSplit(eqx.Module):
+    """The split system of a plain vector field f(t, (u, v), args) = (v, a(t, u)); a must not depend on v."""
+
+    field: object = eqx.field(static=True)
+    args: object
+
+    def start(self, t, y):
+        return self.field(t, y, self.args)[1]
+
+    def enter(self, y, cache):
+        u, v = y
+        return u, v, cache
+
+    def leave(self, w, like):
+        u, v, a = w
+        return _pair(like, u, v), a
+
+    def refresh(self, w, t):
+        u, v, _ = w
+        return u, v, self.start(t, (u, v))
+
+    def kick(self, w, bh):
+        u, v, a = w
+        return u, jax.tree.map(lambda v, a: v + bh.astype(v.dtype) * a, v, a), a
+
+    def drift(self, w, ah):
+        u, v, a = w
+        return jax.tree.map(lambda u, v: u + ah.astype(u.dtype) * v, u, v), v, a
+
+    def acceleration(self, y, cache):
+        return cache
+
+
+def _pair(like, u, v):
+    return type(like)(u, v) if hasattr(like, "_fields") else type(like)((u, v))
+
+
+def unwrap(terms):
+    """The vector field inside diffrax's terms, and the direction of time that diffrax wraps around it."""
+    direction = 1
+    while hasattr(terms, "term"):
+        direction = direction * terms.direction
+        terms = terms.term
+    return terms.vector_field, direction
+
+
+class AbstractSplitting(diffrax.AbstractSolver):
+    """A symmetric composition of kicks and drifts; a subclass is a name, a table and prose."""
+
+    term_structure: ClassVar = diffrax.AbstractTerm
+    interpolation_cls: ClassVar = QuinticHermite
+
+    @classmethod
+    def table(cls):
+        """The method's coefficients, `granjax.solvers.tables.Splitting`."""
+        return tables.splitting(cls.__name__)
+
+    @classmethod
+    def stability_limit(cls):
+        """Largest h omega at which the method is stable on u'' = -omega^2 u, from zero up.
+
+        The trace of one step's matrix is a polynomial in (h omega)^2; the interval ends where it leaves [-2, 2].
+        """
+        return _stability_limit(cls)
+
+    @classmethod
+    def evaluations(cls):
+        """Force evaluations per step, with the last kick's force kept for the next step's first."""
+        return int(np.count_nonzero(cls.table().b)) - (cls.table().b[0] != 0)
+
+    def order(self, terms):
+        return self.table().order
+
+    def _system(self, terms, args):
+        field, direction = unwrap(terms)
+        offer = getattr(field, "split_system", None)
+        return (FieldSplit(field, args) if offer is None else offer(args)), direction
+
+    def init(self, terms, t0, t1, y0, args):
+        system, direction = self._system(terms, args)
+        return system.start(t0 * direction, y0)
+
+    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
+        # fixed steps: no controller that these methods accept reports a jump, so the kept force is never stale
+        del made_jump
+        system, direction = self._system(terms, args)
+        table = self.table()
+        h, t = (t1 - t0) * direction, t0 * direction
+        ah, bh = table.a * h, table.b * h
+        times = t + np.cumsum(table.a) * h
+        w = system.enter(y0, solver_state)
+        kicks_last = table.b[-1] != 0
+        if table.b[0] != 0:
+            w = system.kick(w, bh[0])
+
+        def stage(w, x):
+            ah, bh, time = x
+            return system.kick(system.refresh(system.drift(w, ah), time), bh), None
+
+        count = len(ah) if kicks_last else len(ah) - 1
+        w, _ = jax.lax.scan(stage, w, (ah[:count], bh[1 : count + 1], times[:count]))
+        if not kicks_last:
+            w = system.drift(w, ah[-1])
+        y1, kept = system.leave(w, y0)
+        a0 = system.acceleration(y0, solver_state if kicks_last else system.start(t, y0))
+        a1 = system.acceleration(y1, kept if kicks_last else system.start(t + h, y1))
+        return y1, None, dict(y0=y0, y1=y1, a0=a0, a1=a1), kept, diffrax.RESULTS.successful
+
+    def func(self, terms, t0, y0, args):
+        return terms.vf(t0, y0, args)
+
+
+@cache
+def _stability_limit(cls):
+    table = cls.table()
+
+    def half_trace(z):
+        m = np.eye(2)
+        for i, b in enumerate(table.b):
+            m = np.array([[1.0, 0.0], [-b * z * z, 1.0]]) @ m
+            if i < len(table.a):
+                m = np.array([[1.0, table.a[i]], [0.0, 1.0]]) @ m
+        return np.trace(m) / 2
+
+    grid = np.linspace(0, 40, 40001)[1:]
+    # touching 1 in modulus to rounding is the edge of a resonance of zero width, not an end of the interval
+    outside = next(z for z in grid if abs(half_trace(z)) > 1 + 1e-9)
+    low, high = outside - grid[0], outside
+    for _ in range(60):
+        middle = (low + high) / 2
+        low, high = (low, middle) if abs(half_trace(middle)) > 1 + 1e-9 else (middle, high)
+    return float(low)
+
+
+class VelocityVerlet(AbstractSplitting):
+    """Velocity Verlet, order 2, one force a step. Robust and cheap for rough answers; source: Verlet (1967)."""
+
+
+class SRKN6b(AbstractSplitting):
+    """Blanes and Moan's SRKN6b, order 4, six forces a step; source: J. Comput. Appl. Math. 142, 313 (2002)."""
+
+
+class SRKN11b(AbstractSplitting):
+    """Blanes and Moan's SRKN11b, order 6, eleven forces a step: the default of `simulate`. Source: as SRKN6b."""
+
+
+class SRKN14a(AbstractSplitting):
+    """Blanes and Moan's SRKN14a, order 6, fourteen forces a step, drift first. Source: as SRKN6b."""
+
+
+class KahanLi8(AbstractSplitting):
+    """Kahan and Li's composition, order 8, seventeen forces a step; source: Math. Comput. 66, 1089 (1997)."""
+
+
+class SofroniouSpaletta10(AbstractSplitting):
+    """Sofroniou and Spaletta's composition, order 10, 35 forces a step, for errors near rounding.
+
+    Source: Optim. Methods Softw. 20, 597 (2005).
+    """

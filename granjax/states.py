@@ -1,0 +1,97 @@
+"""Initial states: each function returns a `State(u, v)` of the lattice's shape, lanes included."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .checks import non_negative, one_of, parameter, refuse
+from .lattice import State
+
+
+def rest(lattice):
+    """Every site at rest in equilibrium: u = v = 0."""
+    return State(lattice.zeros(), lattice.zeros())
+
+
+def impact(lattice, velocity=1.0, site=0, field=None):
+    """One site moves, all else is at rest in equilibrium: what a striker leaves behind.
+
+    **Arguments:**
+
+    - `velocity`: of that site [m/s]; a number, or one per lane. In the plane a vector (d,), lanes after it.
+    - `site`: index, negative from the end; a tuple on a grid.
+    - `field`: name of the field where a cell holds several; `None` is the one called `"bead"`.
+
+    **Raises** ValueError for a site or field that is not there, or a velocity that is not finite or of another shape.
+    """
+    index = _site(lattice, site, field := _field(lattice, field))
+    velocity = parameter("velocity", velocity)
+    v = lattice.zeros()
+    x = v if field is None else v[field]
+    wanted = x[index].shape
+    vector = () if lattice.dimension is None else (lattice.dimension,)
+    if velocity.shape == vector and vector != wanted:
+        velocity = velocity.reshape(vector + (1,) * len(lattice.lanes))
+    elif velocity.shape not in ((), wanted) or (velocity.shape != wanted and vector):
+        one = "a number" if not vector else f"a vector of shape {vector}"
+        also = f", or shape {wanted} with lanes" if lattice.lanes else ""
+        refuse("velocity", one + also, f"shape {velocity.shape}")
+    x = x.at[index].set(velocity.astype(x.dtype))
+    return State(lattice.zeros(), x if field is None else {**v, field: x})
+
+
+def random(lattice, seed=0, displacement=0.1, velocity=0.0):
+    """Displacements and velocities uniform in [-displacement, displacement) and [-velocity, velocity), seeded.
+
+    **Arguments:** `seed`: a whole number or a `jax.random` key; the same seed gives the same state. `displacement` [m]
+    and `velocity` [m/s]: amplitudes, not negative. Every lane draws its own numbers.
+    **Raises** ValueError for a seed that is neither, or amplitudes that are negative or not finite.
+    """
+    keys = jax.random.split(_key(seed), 2)
+    amplitudes = non_negative("displacement", displacement), non_negative("velocity", velocity)
+    return State(*(_draw(lattice, key, a, _uniform) for key, a in zip(keys, amplitudes)))
+
+
+def _uniform(key, shape, dtype):
+    return jax.random.uniform(key, shape, dtype, -1, 1)
+
+
+def _draw(lattice, key, amplitude, distribution):
+    template = lattice.template()
+    leaves, structure = jax.tree.flatten(template)
+    keys = jax.random.split(key, len(leaves))
+    drawn = [distribution(k, s.shape, s.dtype) * jnp.asarray(amplitude, s.dtype) for k, s in zip(keys, leaves)]
+    return jax.tree.unflatten(structure, drawn)
+
+
+def _key(seed):
+    if isinstance(seed, (int, np.integer)) and not isinstance(seed, bool):
+        return jax.random.key(int(seed))
+    if isinstance(seed, jax.Array) and jnp.issubdtype(seed.dtype, jax.dtypes.prng_key) and seed.ndim == 0:
+        return seed
+    if isinstance(seed, jax.Array) and seed.dtype == jnp.uint32 and seed.shape == (2,):
+        return jax.random.wrap_key_data(seed)
+    refuse("seed", "a whole number or a jax.random key", repr(seed))
+
+
+def _field(lattice, field):
+    if lattice.fields is None:
+        if field is not None:
+            refuse("field", "None, as the lattice has no named fields", repr(field))
+        return None
+    if field is None and "bead" in lattice.fields:
+        return "bead"
+    return one_of("field", field, lattice.fields)
+
+
+def _site(lattice, site, field):
+    """A site's index as a tuple, in range."""
+    shape = lattice.sites if field is None else lattice.sites[field]
+    index = tuple(site) if isinstance(site, (tuple, list)) else (site,)
+    if any(isinstance(i, bool) or not isinstance(i, (int, np.integer)) for i in index) or len(index) != len(shape):
+        one = "a whole number" if len(shape) == 1 else f"{len(shape)} whole numbers, one per axis"
+        refuse("site", one, repr(site), "Sites are counted from 0, negative ones from the end.")
+    if any(not -n <= i < n for i, n in zip(index, shape)):
+        ranges = ", ".join(f"{-n} ... {n - 1}" for n in shape)
+        refuse("site", f"an index within {ranges}", repr(site), f"The lattice has {shape} sites.")
+    return tuple(int(i) for i in index)
