@@ -1,15 +1,43 @@
-"""granjax: a differentiable simulator of nonlinear lattices on JAX."""
+"""granjax: a differentiable simulator of nonlinear lattices on JAX.
+
+`import granjax as gx` is enough. It switches float64 on unless the environment holds JAX_ENABLE_X64, and sets two XLA
+flags that speed up every loop on the CPU unless it holds GRANJAX_TUNE=0; `gx.tune()` says what is in force.
+"""
 
 from . import tuning as _tuning
 
 _tuning.prepare_import()
 
-from . import laws, strains, terms
-from .lattice import Lattice, State, vector_field
-from .laws import Hertz, Linear, Polynomial, PowerLaw, Sine, Toda, Yielding
-from .strains import Pairs, Shift, Stretch
-from .solvers import KahanLi8, SofroniouSpaletta10, SRKN6b, SRKN11b, SRKN14a, VelocityVerlet
-from .terms import Bond, Damping, Dashpot, Drive, Harmonic, Modulated, OnSite, Wall
-from .tuning import tune
+from . import laws, strains, terms  # noqa: E402
+from .flow import Arrival, Integral, Lowest, Peak, Record, Run, simulate  # noqa: E402
+from .lattice import Lattice, State, vector_field  # noqa: E402
+from .laws import Hertz, Law, Linear, Polynomial, PowerLaw, Sine, Toda, Yielding  # noqa: E402
+from .solvers import (  # noqa: E402
+    RKN86,
+    RKN1210,
+    KahanLi8,
+    SofroniouSpaletta10,
+    SRKN6b,
+    SRKN11b,
+    SRKN14a,
+    VelocityVerlet,
+)
+from .strains import Pairs, Shift, StrainMap, Stretch  # noqa: E402
+from .terms import Bond, Damping, Dashpot, Drive, Harmonic, Modulated, OnSite, Term, Wall  # noqa: E402
+from .tuning import tune  # noqa: E402
 
 __version__ = "0.1.0"
+_LAZY = ("linear", "materials", "measures", "plots", "reproduce", "resonance", "scenes", "states")
+
+
+def __getattr__(name):
+    """Submodules that are loaded when first asked for, so that import stays quick."""
+    if name in _LAZY:
+        import importlib
+
+        return importlib.import_module(f"{__name__}.{name}")
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__():
+    return sorted([*globals(), *_LAZY])

@@ -1,7 +1,15 @@
-"""Measures: quantities of a state, `measure(lattice, y, t=0.0)`, and of recorded histories.
+"""Measures: quantities of a state, `measure(lattice, y, t=0.0)`, and of recorded histories, `measure(ts, q)`.
 
-What a measure is given decides its units: SI in, SI out. Space first, lanes last: lanes pass through everything.
+What a measure is given decides its units: SI in, SI out. Space first, lanes last; time comes before both in a
+history. The measures of a state work inside `jax.jit` and as quantities that `simulate` records; `along` applies one
+to all frames of a run.
 """
 
 from .contacts import contact_force, overlap, strain
 from .energies import energy, kinetic_energy, momentum, potential_energy, site_energy, species_energy
+from .fronts import Front, Peaks, arrival_times, front_speed, peak_times
+from .histories import along
+from .instruments import Trace, velocity_trace
+from .localisation import energy_centre, participation, participation_number, second_moment
+from .modes import modal_amplitudes, modal_energy
+from .spectra import Spectrogram, Spectrum, spectrogram, spectrum

@@ -80,7 +80,7 @@ def _shared(term, t, u):
     return term.strain_map.split(bonds / arrives, u)
 
 
-def species_energy(lattice, y, species=None, t=0.0):
+def species_energy(lattice, y, t=0.0, *, species=None):
     """Energy of each kind of site, from `site_energy` [J]: who holds it, the heavy or the light.
 
     **Arguments:** `species`: one label per site, numbers or names (`["heavy", "light"] * 50`, a mask); `None` for the

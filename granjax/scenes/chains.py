@@ -2,8 +2,9 @@
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
-from ..checks import concrete, one_of, parameter, positive, refuse, whole, within
+from ..checks import concrete, one_of, parameter, positive, refuse, show, whole, within
 from ..lattice import Lattice
 from ..laws import Hertz, Polynomial, PowerLaw, Toda
 from ..strains import BOUNDARIES, Shift
@@ -69,7 +70,10 @@ def pattern(sites, masses, *, stiffness=1.0, exponent=1.5, precompression=0.0, b
     **Returns:** a `Lattice`. **Raises** ValueError as `monomer` does, and for a ring that the cell does not fill.
     """
     sites = _sites(sites)
-    masses = tuple(masses) if isinstance(masses, (tuple, list)) else tuple(parameter("masses", masses))
+    if not isinstance(masses, (tuple, list)):
+        masses = parameter("masses", masses)
+        if masses.ndim != 1:
+            refuse("masses", "a sequence, the masses of one cell", f"shape {masses.shape}")
     cell = [positive(f"masses[{i}]", _number(f"masses[{i}]", m), "A bead needs a mass.") for i, m in enumerate(masses)]
     if not cell:
         refuse("masses", "at least one mass", "none")
@@ -95,6 +99,130 @@ def dimer(sites, ratio=0.5, *, stiffness=1.0, exponent=1.5, precompression=0.0, 
                    precompression=precompression, boundary=boundary)
 
 
+def trimer(sites, ratios=(0.5, 0.25), *, stiffness=1.0, exponent=1.5, precompression=0.0, boundary="fixed"):
+    """Chain of three kinds of beads in turn: masses 1, ratios[0], ratios[1], 1, ...
+
+    **Arguments:** `ratios`: two masses over the heavy one, each in (0, 1]; the others as in `monomer`.
+
+    **Returns:** a `Lattice`. **Raises** ValueError as `monomer` does, and for ratios that are not two in (0, 1].
+    Source: Jayaprakash, Starosvetsky, Vakakis, Gendelman, J. Nonlinear Sci. 23, 363 (2013).
+    """
+    if not isinstance(ratios, (tuple, list)):
+        ratios = parameter("ratios", ratios)
+    if not isinstance(ratios, (tuple, list)) and ratios.ndim != 1 or len(ratios) != 2:
+        refuse("ratios", "two numbers, the second and third mass over the first", repr(ratios))
+    light = tuple(_ratio(f"ratios[{i}]", r) for i, r in enumerate(ratios))
+    return pattern(sites, (1.0, *light), stiffness=stiffness, exponent=exponent, precompression=precompression,
+                   boundary=boundary)
+
+
+def n_to_one(sites, beads, ratio=0.5, *, stiffness=1.0, exponent=1.5, precompression=0.0, boundary="fixed"):
+    """N:1 chain: `beads` heavy beads of mass 1, then one of mass `ratio`, and so on.
+
+    **Arguments:** `beads`: N >= 1; 1 is the dimer; `ratio`: light over heavy, in (0, 1]; 1 is the monomer; the others
+    as in `monomer`.
+
+    **Returns:** a `Lattice`. **Raises** ValueError as `dimer` does, and for N < 1.
+    Source: Jayaprakash, Vakakis, Starosvetsky, Mech. Syst. Signal Process. 39, 91 (2013).
+    """
+    beads = whole("beads", beads, 1, "It counts the heavy beads of a cell.")
+    return pattern(sites, (1.0,) * beads + (_ratio("ratio", ratio),), stiffness=stiffness, exponent=exponent,
+                   precompression=precompression, boundary=boundary)
+
+
+def defects(sites, masses, *, mass=1.0, stiffness=1.0, exponent=1.5, precompression=0.0, boundary="fixed"):
+    """Monomer chain with some beads of another mass.
+
+    With F0 > 0 a light bead of mass m_d carries a mode above the band, at
+    omega^2 = 4 K2/(m_d (2 - m_d/m)), K2 = p A^{1/p} F0^{1-1/p}, in a long chain with equal contacts.
+
+    **Arguments:** `masses`: a dict from site to mass > 0, `{50: 0.6}`; a negative site counts from the end; masses may
+    be traced. `mass`: of all other beads; the others as in `monomer`.
+
+    **Returns:** a `Lattice`. **Raises** ValueError as `monomer` does, for a site outside the chain or named twice.
+    Source: Theocharis et al., Phys. Rev. E 80, 066601 (2009).
+    """
+    sites = _sites(sites)
+    if not isinstance(masses, dict):
+        refuse("masses", "a dict from site to mass, such as {50: 0.6}", repr(masses))
+    m = jnp.full(sites, positive("mass", _number("mass", mass), "A bead needs a mass."))
+    seen = set()
+    for site, other in masses.items():
+        name = f"masses[{site!r}]"
+        if isinstance(site, bool) or not isinstance(site, (int, np.integer)) or not -sites <= site < sites:
+            refuse(name, f"a site from 0 to {sites - 1}, or negative from the end", repr(site))
+        if site % sites in seen:
+            refuse(name, "each site once", f"site {site % sites} twice")
+        seen.add(site % sites)
+        m = m.at[site].set(positive(name, _number(name, other), "A bead needs a mass."))
+    return _chain(sites, m, _contact(stiffness, exponent, precompression), boundary)
+
+
+def taper(sites, q=0.05, *, stiffness=1.0, precompression=0.0, boundary="fixed"):
+    r"""Tapered chain of spheres of one material: R_{n+1} = (1 - q) R_n.
+
+    Masses m_n = (R_n/R_0)^3 and Hertz coefficients A_n = A sqrt(R*_n/R*_0), 1/R*_n = 1/R_n + 1/R_{n+1}, where A is
+    the first pair's. Walls are felt as a bead of the end bead's radius, so that q = 0 is the monomer chain.
+
+    **Arguments:** `q` in (-1, 1), negative for radii that grow; the others as in `monomer`. Typical: q = 0.01 ... 0.1.
+
+    **Returns:** a `Lattice`. **Raises** ValueError for N < 2, q outside (-1, 1), a ring (which has no taper) and as
+    `monomer` does. Source: Sen, Manciu, Manciu, Physica A 299, 551 (2001).
+    """
+    sites = _sites(sites)
+    if one_of("boundary", boundary, BOUNDARIES) == "periodic":
+        refuse("boundary", "'fixed' or 'free' for a taper", "'periodic'", "The last radius differs from the first.")
+    q = within("q", _number("q", q), -1, 1, open_low=True, open_high=True, remedy="Radii shrink by the factor 1 - q.")
+    A = positive("stiffness", _number("stiffness", stiffness), "It is the coefficient of the first pair.")
+    R = (1 - q) ** jnp.arange(sites)
+    mass = concrete(R**3)
+    if mass is not None and not (np.isfinite(mass) & (mass > 0)).all():
+        refuse("q", "radii whose cubes are numbers", show(q), f"After {sites} beads the last is too small or too large.")
+    # R*_n/R*_0 = R_n/R_0 between beads
+    share = R[:-1]
+    if boundary == "fixed":
+        wall = (2 - q) / (1 - q) / 2
+        share = jnp.concatenate([R[:1] * wall, share, R[-1:] * wall])
+    return _chain(sites, R**3, Hertz(A * jnp.sqrt(share), precompression), boundary)
+
+
+def disordered(sites, spread, seed=0, *, distribution="uniform", stiffness=1.0, exponent=1.5, precompression=0.0,
+               boundary="fixed"):
+    """Chain with random masses of mean 1, drawn one by one.
+
+    **Arguments:** `spread`: s in [0, 1); `distribution`: `"uniform"` draws masses in [1 - s, 1 + s], of standard
+    deviation s/sqrt(3); `"binary"` 1 - s or 1 + s with equal chance, of standard deviation s. `seed`: a whole number
+    or a JAX key; it and `spread` may be traced, so that realisations are lanes:
+    `jax.vmap(lambda n: disordered(500, 0.3, n), out_axes=-1)(jnp.arange(64))`. The others as in `monomer`.
+
+    **Returns:** a `Lattice`; equal seeds give equal masses. **Raises** ValueError for a spread outside [0, 1), another
+    distribution, a seed that is neither whole number nor key, and as `monomer` does.
+    Source: Martinez, Kevrekidis, Porter, Phys. Rev. E 93, 022902 (2016), for granular chains.
+    """
+    sites = _sites(sites)
+    remedy = "Masses are 1 - spread to 1 + spread."
+    spread = within("spread", _number("spread", spread), 0, 1, open_high=True, remedy=remedy)
+    draw = {"uniform": jax.random.uniform, "binary": jax.random.rademacher}
+    draw = draw[one_of("distribution", distribution, tuple(draw))]
+    limits = {"minval": -1.0, "maxval": 1.0} if distribution == "uniform" else {}
+    noise = draw(_key(seed), (sites,), dtype=spread.dtype, **limits)
+    return _chain(sites, 1 + spread * noise, _contact(stiffness, exponent, precompression), boundary)
+
+
+def _key(seed):
+    if isinstance(seed, jax.Array):
+        if jnp.issubdtype(seed.dtype, jax.dtypes.prng_key) and seed.ndim == 0:
+            return seed
+        if seed.dtype == jnp.uint32 and seed.shape == (2,):
+            return jax.random.wrap_key_data(seed)
+        if jnp.issubdtype(seed.dtype, jnp.integer) and seed.ndim == 0:
+            return jax.random.key(seed)
+        refuse("seed", "one whole number or one JAX key", f"an array of {seed.dtype}, shape {seed.shape}", _MANY)
+    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)):
+        refuse("seed", "a whole number or a JAX key", repr(seed), "Equal seeds give equal masses.")
+    return jax.random.key(int(seed))
+
+
 def fput(sites, alpha=0.25, beta=0.0, *, mass=1.0, stiffness=1.0, boundary="fixed"):
     r"""Fermi-Pasta-Ulam-Tsingou chain: F(e) = K e + alpha e^2 + beta e^3 in the compression e = u_n - u_{n+1}.
 
@@ -108,6 +236,8 @@ def fput(sites, alpha=0.25, beta=0.0, *, mass=1.0, stiffness=1.0, boundary="fixe
     Source: Fermi, Pasta, Ulam (with Tsingou), Los Alamos report LA-1940 (1955).
     """
     stiffness = positive("stiffness", stiffness, "At rest the springs hold the chain.")
+    parameter("alpha", alpha)
+    parameter("beta", beta)
     return _chain(sites, mass, Polynomial(stiffness, alpha, beta), boundary)
 
 

@@ -1,15 +1,20 @@
-"""Dense output of one step from its ends."""
+"""Dense output of one step: the displacement as one polynomial, the velocity as its derivative."""
+
+from functools import cache
+from typing import NamedTuple
 
 import diffrax
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 
 class QuinticHermite(diffrax.AbstractLocalInterpolation):
     r"""Displacement between the ends of a step as the quintic through u, v, a at both; velocity as its derivative.
 
     With s = (t - t0)/h: error h^6 u^(6)/46080 in the middle, zero to second order at the ends.
-    `y0`, `y1`: states (u, v); `a0`, `a1`: accelerations, of the structure of u.
+    `y0`, `y1`: states (u, v); `a0`, `a1`: accelerations, of the structure of u. `direction`: -1 where diffrax counts
+    time backwards.
     """
 
     t0: object
@@ -18,40 +23,143 @@ class QuinticHermite(diffrax.AbstractLocalInterpolation):
     y1: object
     a0: object
     a1: object
+    direction: object = 1
 
     def evaluate(self, t0, t1=None, left=True):
         if t1 is not None:
             return jax.tree.map(jnp.subtract, self.evaluate(t1), self.evaluate(t0))
-        h = self.t1 - self.t0
-        s = (t0 - self.t0) / jnp.where(h == 0, 1, h)
+        s, h = _place(self, t0)
         (u0, v0), (u1, v1) = self.y0, self.y1
 
-        def displacement(u0, v0, a0, u1, v1, a1):
-            return u0 + _horner(s, _quintic(h, u0, v0, a0, u1, v1, a1)).astype(u0.dtype)
+        def both(u0, v0, a0, u1, v1, a1):
+            k = h.astype(u0.dtype)
+            rise, gain = u1 - u0 - k * v0, k * (v1 - v0)
+            return _evaluate(s, k, u0, v0, quintic(rise, gain, k * k * a0, k * k * a1), ())
 
-        def velocity(u0, v0, a0, u1, v1, a1):
-            coefficients = _quintic(h, u0, v0, a0, u1, v1, a1)
-            slope = _horner(s, [k * c for k, c in enumerate(coefficients)][1:])
-            return (slope / jnp.where(h == 0, 1, h)).astype(u0.dtype)
-
-        ends = (u0, v0, self.a0, u1, v1, self.a1)
-        u, v = jax.tree.map(displacement, *ends), jax.tree.map(velocity, *ends)
-        return type(self.y0)(u, v) if hasattr(self.y0, "_fields") else type(self.y0)((u, v))
+        return _state(self.y0, jax.tree.map(both, u0, v0, self.a0, u1, v1, self.a1))
 
 
-def _quintic(h, u0, v0, a0, u1, v1, a1):
-    """Coefficients of s, ..., s^5 of u(s) - u0, preceded by a zero."""
-    rise, hv0, hv1, q0, q1 = u1 - u0, h * v0, h * v1, h * h * a0 / 2, h * h * a1 / 2
+class Bootstrapped(diffrax.AbstractLocalInterpolation):
+    r"""The quintic through u, v, a at both ends, with w(s) q(s) on top, w = s^3 (1 - s)^3, so that u'' = a inside too.
+
+    q is of degree m - 1, fixed by the acceleration at m interior places (`correction`): u of degree m + 5 in
+    s = (t - t0)/h, with an error of order h^(m+6) where those accelerations are good to order m + 4. Ends are met in
+    u, v and a.
+
+    `y0`: the state at t0. `quintic`: coefficients of s^2 ... s^5, four of the structure of u. `inside`: coefficients
+    of q in the Legendre polynomials of 2s - 1, m of the same. `direction`: -1 where diffrax counts time backwards.
+    """
+
+    t0: object
+    t1: object
+    y0: object
+    quintic: object
+    inside: object
+    direction: object = 1
+
+    def evaluate(self, t0, t1=None, left=True):
+        if t1 is not None:
+            return jax.tree.map(jnp.subtract, self.evaluate(t1), self.evaluate(t0))
+        s, h = _place(self, t0)
+        u0, v0 = self.y0
+
+        def both(u0, v0, *coefficients):
+            return _evaluate(s, h.astype(u0.dtype), u0, v0, coefficients[:4], coefficients[4:])
+
+        return _state(self.y0, jax.tree.map(both, u0, v0, *self.quintic, *self.inside))
+
+
+def quintic(rise, gain, p0, p1):
+    """Coefficients of s^2 ... s^5 of u(s) - u0 - s h v0.
+
+    `rise` = u1 - u0 - h v0, `gain` = h (v1 - v0), `p0`, `p1` = h^2 a at the ends: all of the size of h^2 a, so that
+    nothing cancels where displacements or velocities are large.
+    """
+    q0, q1 = p0 / 2, p1 / 2
     return (
-        jnp.zeros_like(u0), hv0, q0,
-        10 * rise - 6 * hv0 - 4 * hv1 - 3 * q0 + q1,
-        -15 * rise + 8 * hv0 + 7 * hv1 + 3 * q0 - 2 * q1,
-        6 * rise - 3 * (hv0 + hv1) - q0 + q1,
+        q0,
+        10 * rise - 4 * gain - 3 * q0 + q1,
+        -15 * rise + 7 * gain + 3 * q0 - 2 * q1,
+        6 * rise - 3 * gain - q0 + q1,
     )
 
 
-def _horner(s, coefficients):
-    value = coefficients[-1]
-    for c in reversed(coefficients[:-1]):
-        value = value * s + c
-    return value
+class Correction(NamedTuple):
+    """q = `take` @ (h^2 a at `nodes`) - `less` @ (coefficients of s^2 ... s^5): what `Bootstrapped` puts inside."""
+
+    nodes: np.ndarray
+    take: np.ndarray
+    less: np.ndarray
+
+
+@cache
+def correction(m):
+    r"""Nodes and matrices for m interior accelerations.
+
+    The error polynomial E, of degree m + 6 with triple zeros at the ends and E'' = 0 at the nodes, is made the
+    Gegenbauer one, d^2E/ds^2 ~ s(1 - s) P_{m+2}^{(1,1)}(2s - 1), by taking the nodes from the zeros of its second
+    derivative (Gauss-Lobatto's interior nodes). Of these m + 2 the pair is left out that leaves the system best
+    conditioned.
+    """
+    inner = np.polynomial.legendre.Legendre.basis(m + 3).deriv().roots().real
+    inner = (np.sort(inner) + 1) / 2
+    pairs = [(i, j) for i in range(m + 2) for j in range(i + 1, m + 2)]
+    choices = [np.delete(inner, pair) for pair in pairs]
+    nodes = min(choices, key=lambda c: (round(np.abs(np.linalg.inv(_second(c))).sum(1).max(), 9), c.sum()))
+    powers = np.stack([(k + 2) * (k + 1) * nodes**k for k in range(4)], 1)
+    take = np.linalg.inv(_second(nodes))
+    return Correction(nodes, take, take @ powers)
+
+
+def _second(nodes):
+    """Second derivatives of w(s) P_j(2s - 1) at the nodes, one column per j."""
+    columns = []
+    for j in range(len(nodes)):
+        p = np.polynomial.legendre.Legendre.basis(j)
+        x = 2 * nodes - 1
+        w, dw, ddw = _weight(nodes)
+        columns.append(ddw * p(x) + 4 * dw * p.deriv()(x) + 4 * w * p.deriv(2)(x))
+    return np.stack(columns, 1)
+
+
+def _weight(s):
+    """w = s^3 (1 - s)^3 and its two derivatives."""
+    p, dp = s * (1 - s), 1 - 2 * s
+    return p**3, 3 * p * p * dp, 6 * p * dp * dp - 6 * p * p
+
+
+def _evaluate(s, h, u0, v0, low, inside):
+    """u and v at s from the coefficients of the quintic and of q."""
+    s = s.astype(u0.dtype)
+    c2, c3, c4, c5 = low
+    u = s * (h * v0 + s * (c2 + s * (c3 + s * (c4 + s * c5))))
+    slope = s * (2 * c2 + s * (3 * c3 + s * (4 * c4 + s * 5 * c5)))
+    if inside:
+        w, dw, _ = _weight(s)
+        for q, (p, dp) in zip(inside, _legendre(2 * s - 1, len(inside))):
+            u = u + (w * p) * q
+            slope = slope + (dw * p + 2 * w * dp) * q
+    return u0 + u, v0 + slope / jnp.where(h == 0, 1, h)
+
+
+def _legendre(x, count):
+    """Values and derivatives of the first Legendre polynomials."""
+    one = jnp.ones_like(x)
+    values, slopes = [one, x], [jnp.zeros_like(x), one]
+    for n in range(1, count - 1):
+        values.append(((2 * n + 1) * x * values[n] - n * values[n - 1]) / (n + 1))
+        slopes.append((2 * n + 1) * values[n] + slopes[n - 1])
+    return list(zip(values, slopes))[:count]
+
+
+def _place(step, t):
+    """Place in the step, 0 ... 1, and its length in the direction of the state's own time."""
+    length = jnp.asarray(step.t1 - step.t0)
+    return (t - step.t0) / jnp.where(length == 0, 1, length), length * step.direction
+
+
+def _state(like, both):
+    """From a tree of pairs (u, v) to a state."""
+    is_pair = lambda x: type(x) is tuple  # noqa: E731
+    u, v = (jax.tree.map(lambda pair: pair[i], both, is_leaf=is_pair) for i in (0, 1))
+    return type(like)(u, v) if hasattr(like, "_fields") else type(like)((u, v))

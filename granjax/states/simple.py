@@ -1,11 +1,12 @@
-"""Initial states: each function returns a `State(u, v)` of the lattice's shape, lanes included."""
+"""States that need no more than shapes: rest, impact, random, thermal."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .checks import non_negative, one_of, parameter, refuse
-from .lattice import State
+from ..checks import non_negative, parameter, refuse
+from ..lattice import State
+from .places import field_of, site_of
 
 
 def rest(lattice):
@@ -24,7 +25,7 @@ def impact(lattice, velocity=1.0, site=0, field=None):
 
     **Raises** ValueError for a site or field that is not there, or a velocity that is not finite or of another shape.
     """
-    index = _site(lattice, site, field := _field(lattice, field))
+    index = site_of(lattice, site, field := field_of(lattice, field))
     velocity = parameter("velocity", velocity)
     v = lattice.zeros()
     x = v if field is None else v[field]
@@ -52,6 +53,19 @@ def random(lattice, seed=0, displacement=0.1, velocity=0.0):
     return State(*(_draw(lattice, key, a, _uniform) for key, a in zip(keys, amplitudes)))
 
 
+def thermal(lattice, temperature, seed=0):
+    """Sites in equilibrium position with Gaussian velocities: m <v^2> = k_B T for each component.
+
+    **Arguments:** `temperature`: k_B T [J], not negative, a number or one per lane; the mean kinetic energy of each
+    component of each site is half of it. Without a kinetic energy's share in the bonds, a linear lattice settles at
+    half this temperature. `seed`: as in `random`.
+    **Raises** ValueError for a temperature that is negative or not finite, or a seed that is none.
+    """
+    width = jnp.sqrt(non_negative("temperature", temperature))
+    drawn = _draw(lattice, _key(seed), width, jax.random.normal)
+    return State(lattice.zeros(), jax.tree.map(lambda m, x: x / jnp.sqrt(m), lattice.mass, drawn))
+
+
 def _uniform(key, shape, dtype):
     return jax.random.uniform(key, shape, dtype, -1, 1)
 
@@ -72,26 +86,3 @@ def _key(seed):
     if isinstance(seed, jax.Array) and seed.dtype == jnp.uint32 and seed.shape == (2,):
         return jax.random.wrap_key_data(seed)
     refuse("seed", "a whole number or a jax.random key", repr(seed))
-
-
-def _field(lattice, field):
-    if lattice.fields is None:
-        if field is not None:
-            refuse("field", "None, as the lattice has no named fields", repr(field))
-        return None
-    if field is None and "bead" in lattice.fields:
-        return "bead"
-    return one_of("field", field, lattice.fields)
-
-
-def _site(lattice, site, field):
-    """A site's index as a tuple, in range."""
-    shape = lattice.sites if field is None else lattice.sites[field]
-    index = tuple(site) if isinstance(site, (tuple, list)) else (site,)
-    if any(isinstance(i, bool) or not isinstance(i, (int, np.integer)) for i in index) or len(index) != len(shape):
-        one = "a whole number" if len(shape) == 1 else f"{len(shape)} whole numbers, one per axis"
-        refuse("site", one, repr(site), "Sites are counted from 0, negative ones from the end.")
-    if any(not -n <= i < n for i, n in zip(index, shape)):
-        ranges = ", ".join(f"{-n} ... {n - 1}" for n in shape)
-        refuse("site", f"an index within {ranges}", repr(site), f"The lattice has {shape} sites.")
-    return tuple(int(i) for i in index)

@@ -1,0 +1,99 @@
+"""What `simulate` is given, checked before tracing."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..checks import concrete, one_of, refuse, show, whole
+from ..lattice import State
+from .record import Record
+
+
+def checked_state(lattice, state):
+    """The state as arrays of the lattice's structure, shape and floating type."""
+    if not isinstance(state, (tuple, list)) or len(state) != 2:
+        refuse("state", "State(u, v) or a pair (u, v)", repr(type(state).__name__), "See gx.states.")
+    template = lattice.template()
+    out = []
+    for name, x in zip(("u", "v"), state):
+        if isinstance(template, dict) != isinstance(x, dict) or (isinstance(x, dict) and set(x) != set(template)):
+            got = f"fields {sorted(x)}" if isinstance(x, dict) else "an array"
+            refuse(f"state.{name}", f"{f'fields {sorted(template)}' if isinstance(template, dict) else 'an array'}", got)
+        if isinstance(x, dict):
+            out.append({k: _checked_array(f"state.{name}[{k!r}]", x[k], template[k], lattice) for k in template})
+        else:
+            out.append(_checked_array(f"state.{name}", x, template, lattice))
+    return State(*out)
+
+
+def _checked_array(name, x, template, lattice):
+    if not isinstance(x, jax.Array):
+        x = np.asarray(x)
+    if x.dtype.kind != "f":
+        refuse(name, f"floating numbers ({lattice.dtype})", f"{x.dtype}", "Write 0.0 instead of 0, or .astype(float).")
+    if x.shape != template.shape:
+        refuse(name, f"shape {template.shape}, that of the lattice", f"shape {x.shape}", "Start from lattice.zeros().")
+    if x.dtype != lattice.dtype:
+        refuse(
+            name, f"{lattice.dtype}, the lattice's type", f"{x.dtype}",
+            f"Use lattice.astype({x.dtype.name!r}) for a run in {x.dtype}, or state.astype.",
+        )
+    value = concrete(x)
+    if value is not None and not np.isfinite(value).all():
+        refuse(name, "finite numbers", f"{np.count_nonzero(~np.isfinite(value))} that are not", "Look for NaN or infinity.")
+    return jnp.asarray(x)
+
+
+def checked_times(t0, t1):
+    """Start and end, in order."""
+    for name, t in (("t0", t0), ("t1", t1)):
+        if isinstance(t, jax.core.Tracer):
+            continue
+        if np.ndim(t) or np.asarray(t).dtype.kind not in "fiu" or not np.isfinite(t):
+            refuse(name, "one finite number", repr(t))
+    if not isinstance(t0, jax.core.Tracer) and not isinstance(t1, jax.core.Tracer) and not t1 > t0:
+        refuse("t1", f"a time after t0 = {t0}", f"{t1}", "To go back in time, reverse the velocities.")
+    return t0, t1
+
+
+def checked_size(name, x):
+    """A step or a tolerance: one finite number above zero, or `None`."""
+    if x is None or isinstance(x, jax.core.Tracer):
+        return x
+    if np.ndim(x) or np.asarray(x).dtype.kind not in "fiu" or not np.isfinite(x) or not x > 0:
+        refuse(name, "one finite number above zero", repr(x))
+    return float(x)
+
+
+def checked_save_at(save_at, t0, t1):
+    """Times to save at, the number of intervals that a default step has to fit, and whether to save every step."""
+    if save_at is None:
+        return None, 1, False
+    if isinstance(save_at, str):
+        one_of("save_at", save_at, ("steps",))
+        return None, 1, True
+    if np.ndim(save_at) == 0:
+        frames = whole("save_at", save_at, 1, "A number of frames, an array of times, or 'steps'.")
+        if frames == 1:
+            return None, 1, False
+        return t0 + (t1 - t0) * jnp.linspace(0.0, 1.0, frames), frames - 1, False
+    ts = save_at if isinstance(save_at, jax.core.Tracer) else np.asarray(save_at, dtype=float)
+    if ts.ndim != 1 or ts.size == 0:
+        refuse("save_at", "a list of times", f"shape {ts.shape}")
+    value = concrete(ts)
+    if value is not None:
+        if not np.isfinite(value).all() or not (np.diff(value) > 0).all():
+            refuse("save_at", "finite times, each after the one before", show(value), "Sort them, without repeats.")
+        if not isinstance(t0, jax.core.Tracer) and not isinstance(t1, jax.core.Tracer):
+            if value[0] < t0 or value[-1] > t1:
+                refuse("save_at", f"times within [{t0}, {t1}]", f"{value[0]} ... {value[-1]}")
+    return jnp.asarray(ts), 1, False
+
+
+def checked_records(record):
+    """The records as a dict, empty where there are none."""
+    if record is None:
+        return {}
+    if not isinstance(record, dict) or not all(isinstance(r, Record) for r in record.values()):
+        refuse("record", "a dict of records", repr(record), 'Write record={"peak": gx.Peak(quantity)}.')
+    return dict(record)

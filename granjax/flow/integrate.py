@@ -1,0 +1,134 @@
+"""The compiled part of `simulate`."""
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from ..lattice import vector_field
+from ..solvers import RKN86, RKN1210
+from .record import Lowest, Recorded
+from .run import COMPLETED, FAILED, NOT_FINITE, STEP_TOO_SMALL, TOO_MANY_STEPS, Run, finite
+from .stiffness import frequency_bound
+
+
+# the record beside the user's own that says whether a contact opened
+_CLOSEST = "closest overlap"
+
+
+@eqx.filter_jit
+def integrate(
+    lattice, state, t0, t1, dt, tolerance, save_ts, records, solver, adjoint, max_steps, every, progress,
+):
+    """Integrate and reduce; everything checked, everything chosen. `Run` without its names."""
+    records = {**records, _CLOSEST: Lowest(_smallest_overlap)} if _overlaps(lattice) else records
+    stepper = _ready(solver, adjoint)
+    stepper = Recorded(stepper, records) if records else stepper
+    controller = diffrax.ConstantStepSize()
+    if tolerance is not None:
+        controller = _controller(lattice, state, t0, t1, tolerance, solver, save_ts)
+    subs = [diffrax.SubSaveAt(t1=True)]
+    if every:
+        subs.append(diffrax.SubSaveAt(t0=True, steps=True))
+    elif save_ts is not None:
+        subs.append(diffrax.SubSaveAt(ts=save_ts))
+    solution = diffrax.diffeqsolve(
+        diffrax.ODETerm(vector_field), stepper, t0, t1, dt, state, args=lattice,
+        saveat=diffrax.SaveAt(subs=subs, solver_state=bool(records)),
+        stepsize_controller=controller, adjoint=adjoint, max_steps=max_steps, throw=False,
+        progress_meter=diffrax.TqdmProgressMeter() if progress else diffrax.NoProgressMeter(),
+    )
+    final = jax.tree.map(lambda x: x[0], solution.ys[0])
+    ts, ys = (solution.ts[-1], solution.ys[-1])
+    carried = solution.solver_state[1] if records else {}
+    recorded = {name: records[name].finish(carried[name]) for name in records}
+    closest = recorded.pop(_CLOSEST, None)
+    opened = jnp.zeros(lattice.lanes, bool) if closest is None else _any_below_zero(closest, lattice)
+    steps = solution.stats["num_steps"]
+    evaluations = type(solver).evaluations() if hasattr(type(solver), "evaluations") else jnp.nan
+    stats = {
+        "steps": steps, "accepted": solution.stats["num_accepted_steps"],
+        "rejected": solution.stats["num_rejected_steps"],
+        "step": (t1 - t0) / jnp.maximum(solution.stats["num_accepted_steps"], 1),
+        "force_evaluations": steps * evaluations,
+    }
+    code = _code(solution.result, final)
+    return Run(
+        ts, ys.u, ys.v, final, recorded, _energy_error(lattice, state, t0, ts, ys), opened, code, None, stats, "", "", "",
+    )
+
+
+def _ready(solver, adjoint):
+    """Diffrax sets this itself for its Runge-Kutta methods, but does not see it through a wrapper."""
+    if isinstance(adjoint, diffrax.DirectAdjoint) and getattr(solver, "scan_kind", "own") is None:
+        return eqx.tree_at(lambda s: s.scan_kind, solver, "bounded", is_leaf=lambda x: x is None)
+    return solver
+
+
+def _overlaps(lattice):
+    """The bonds whose contacts can open: (strain of u, law)."""
+    found = []
+    for term in lattice.terms:
+        term = getattr(term, "term", term)
+        law = getattr(term, "law", None)
+        if hasattr(term, "strain_map") and jax.eval_shape(lambda: law.overlap(jnp.zeros(()))) is not None:
+            found.append((term.strain_map, law))
+    return found
+
+
+def _smallest_overlap(t, y, lattice):
+    overlaps = [law.overlap(strain_map.strain(y.u)) for strain_map, law in _overlaps(lattice)]
+    if len(overlaps) == 1:
+        return overlaps[0]
+    lanes = len(lattice.lanes)
+    return jnp.concatenate([s.reshape((-1,) + s.shape[s.ndim - lanes :]) for s in overlaps])
+
+
+def _any_below_zero(smallest, lattice):
+    return jnp.any(smallest < 0, axis=tuple(range(smallest.ndim - len(lattice.lanes))))
+
+
+def _code(result, final):
+    good = diffrax.is_successful(result)
+    codes = [
+        (diffrax.RESULTS.max_steps_reached, TOO_MANY_STEPS), (diffrax.RESULTS.dt_min_reached, STEP_TOO_SMALL),
+    ]
+    code = jnp.where(good, COMPLETED, FAILED)
+    for known, number in codes:
+        code = jnp.where(result == known, number, code)
+    return jnp.where(finite(final), code, NOT_FINITE)
+
+
+def _energy_error(lattice, state, t0, ts, ys):
+    if not lattice.conserves:
+        return jnp.full(lattice.lanes, jnp.nan)
+    start = lattice.energy(t0, state.u, state.v)
+    energies = jax.lax.map(lambda ty: lattice.energy(ty[0], ty[1].u, ty[1].v), (ts, ys))
+    scale = jnp.maximum(jnp.abs(start), lattice.kinetic_energy(state.v))
+    return jnp.max(jnp.abs(energies - start), axis=0) / jnp.where(scale > 0, scale, 1)
+
+
+class _Scaled(eqx.Module):
+    """Largest error over sites, displacements and velocities each by its own scale."""
+
+    displacement: jax.Array
+    velocity: jax.Array
+
+    def __call__(self, y):
+        u, v = y
+        sizes = [jnp.max(jnp.abs(x)) / self.displacement for x in jax.tree.leaves(u)]
+        sizes += [jnp.max(jnp.abs(x)) / self.velocity for x in jax.tree.leaves(v)]
+        return jnp.max(jnp.stack(sizes))
+
+
+def _controller(lattice, state, t0, t1, tolerance, solver, save_ts):
+    omega = jax.lax.stop_gradient(frequency_bound(lattice, state, t0, t1))
+    omega = jnp.where(omega > 0, omega, 1 / (t1 - t0))
+    fastest = jnp.max(jnp.stack([jnp.max(jnp.abs(v)) for v in jax.tree.leaves(state.v)]))
+    furthest = jnp.max(jnp.stack([jnp.max(jnp.abs(u)) for u in jax.tree.leaves(state.u)]))
+    velocity = jnp.maximum(fastest, omega * furthest)
+    velocity = jax.lax.stop_gradient(jnp.where(velocity > 0, velocity, 1.0))
+    controller = diffrax.PIDController(rtol=0.0, atol=tolerance, norm=_Scaled(velocity / omega, velocity))
+    if save_ts is not None and not isinstance(solver, (RKN86, RKN1210)):
+        controller = diffrax.ClipStepSizeController(controller, step_ts=save_ts)
+    return controller

@@ -1,0 +1,238 @@
+"""Reductions along a run, found between steps from the dense output, so that a sweep stores no trajectory."""
+
+import abc
+from collections.abc import Callable
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from ..checks import refuse
+
+NEWTON_STEPS = 4
+
+
+class Record(eqx.Module):
+    """A quantity followed along a run: `start` gives what is carried, `follow` takes it over one step."""
+
+    quantity: eqx.AbstractVar[Callable]
+
+    @abc.abstractmethod
+    def start(self, t, y, rate, lattice):
+        """What is carried, before the first step; `rate` is dy/dt."""
+
+    @abc.abstractmethod
+    def follow(self, carried, t0, t1, y1, path, lattice):
+        """What is carried after the step [t0, t1], on which `path(t)` is the state and which ends in `y1`."""
+
+    def finish(self, carried):
+        """The result."""
+        return carried
+
+    def _along(self, t, path, lattice):
+        """The quantity and its rate of change at a time of the path."""
+        t = jnp.asarray(t, float)
+        return jax.jvp(lambda t: _array(self.quantity(t, path(t), lattice)), (t,), (jnp.ones_like(t),))
+
+    def _at_start(self, t, y, rate, lattice):
+        t = jnp.asarray(t, float)
+        return jax.jvp(lambda t, y: _array(self.quantity(t, y, lattice)), (t, y), (jnp.ones_like(t), rate))
+
+
+def _array(x):
+    if not isinstance(x, jax.Array) or not jnp.issubdtype(x.dtype, jnp.floating):
+        refuse("record", "a function (t, y, lattice) that returns one floating array", repr(x))
+    return x
+
+
+def _function(quantity):
+    if not callable(quantity):
+        refuse("record", "a function (t, y, lattice)", repr(quantity), "Write gx.Peak(lambda t, y, lattice: ...).")
+    return quantity
+
+
+class Peak(Record):
+    """Largest value of a quantity over the run, elementwise, found between steps.
+
+    On each step the quantity and its rate at the start, middle and end of the dense output give a quintic; where the
+    rate changes sign from + to -, Newton's method finds its top. Error of order h^6 of the quantity's own.
+
+    **Arguments:** `quantity(t, y, lattice)`: an array, e.g. the contact forces; keep one function for many runs, as
+    each new function compiles anew. **Result:** an array of the quantity's shape.
+    """
+
+    quantity: Callable = eqx.field(static=True, converter=_function)
+
+    def start(self, t, y, rate, lattice):
+        q, dq = self._at_start(t, y, rate, lattice)
+        return q, q, dq
+
+    def follow(self, carried, t0, t1, y1, path, lattice):
+        best, q0, dq0 = carried
+        q1, dq1 = self._along(t1, path, lattice)
+        h = t1 - t0
+        c = _quintic(h, (q0, dq0), self._along(t0 + h / 2, path, lattice), (q1, dq1))
+        _, top = _extremum(c, dq0 * h, dq1 * h)
+        inside = (dq0 > 0) & (dq1 < 0)
+        best = jnp.maximum(best, jnp.maximum(q1, jnp.where(inside, top, q1)))
+        return best, q1, dq1
+
+    def finish(self, carried):
+        return carried[0]
+
+
+class Arrival(Record):
+    """First time at which a quantity reaches a threshold from below, elementwise, found between steps; NaN if never.
+
+    **Arguments:** `quantity(t, y, lattice)`: an array; `threshold`: a number or an array that broadcasts.
+    """
+
+    quantity: Callable = eqx.field(static=True, converter=_function)
+    threshold: object = 0.0
+
+    def start(self, t, y, rate, lattice):
+        q, dq = self._at_start(t, y, rate, lattice)
+        return jnp.where(q >= self.threshold, t, jnp.nan), q, dq
+
+    def follow(self, carried, t0, t1, y1, path, lattice):
+        when, q0, dq0 = carried
+        q1, dq1 = self._along(t1, path, lattice)
+        h = t1 - t0
+        c = _quintic(h, (q0, dq0), self._along(t0 + h / 2, path, lattice), (q1, dq1))
+        s = _crossing(c, self.threshold)
+        crossed = jnp.isnan(when) & (q0 < self.threshold) & (q1 >= self.threshold)
+        return jnp.where(crossed, t0 + s * h, when), q1, dq1
+
+    def finish(self, carried):
+        return carried[0]
+
+
+class Integral(Record):
+    """Integral of a quantity over time, elementwise, by the quintic of each step (error of order h^7 a step).
+
+    **Arguments:** `quantity(t, y, lattice)`: an array, e.g. a power or a momentum flux.
+    """
+
+    quantity: Callable = eqx.field(static=True, converter=_function)
+
+    def start(self, t, y, rate, lattice):
+        q, dq = self._at_start(t, y, rate, lattice)
+        return jnp.zeros_like(q), q, dq
+
+    def follow(self, carried, t0, t1, y1, path, lattice):
+        total, q0, dq0 = carried
+        q1, dq1 = self._along(t1, path, lattice)
+        h = t1 - t0
+        middle, _ = self._along(t0 + h / 2, path, lattice)
+        step = h * (7 * (q0 + q1) + 16 * middle) / 30 + h * h * (dq0 - dq1) / 60
+        return total + step.astype(total.dtype), q1, dq1
+
+    def finish(self, carried):
+        return carried[0]
+
+
+class Lowest(Record):
+    """Smallest value of a quantity at the ends of steps, elementwise: cheap, and not refined between steps."""
+
+    quantity: Callable = eqx.field(static=True, converter=_function)
+
+    def start(self, t, y, rate, lattice):
+        return self.quantity(t, y, lattice)
+
+    def follow(self, carried, t0, t1, y1, path, lattice):
+        return jnp.minimum(carried, self.quantity(t1, y1, lattice))
+
+
+def _quintic(h, start, middle, end):
+    """Coefficients in s = (t - t0)/h of the quintic through value and rate at start, middle and end."""
+    (a, da), (b, db), (c, dc) = start, middle, end
+    da, db, dc = da * h, db * h, dc * h
+    return (
+        a, da,
+        -23 * a + 16 * b + 7 * c - 6 * da - 8 * db - dc,
+        66 * a - 32 * b - 34 * c + 13 * da + 32 * db + 5 * dc,
+        -68 * a + 16 * b + 52 * c - 12 * da - 40 * db - 8 * dc,
+        24 * a - 24 * c + 4 * da + 16 * db + 4 * dc,
+    )
+
+
+def _value(c, s):
+    value = c[-1]
+    for x in c[-2::-1]:
+        value = value * s + x
+    return value
+
+
+def _slope(c):
+    return tuple(k * x for k, x in enumerate(c))[1:]
+
+
+def _extremum(c, slope0, slope1):
+    """Where the quintic's slope, of these values at s = 0 and 1, vanishes inside the step, and its value there."""
+    first = _slope(c)
+    second = _slope(first)
+    fall = slope0 - slope1
+    s = jnp.clip(slope0 / jnp.where(fall == 0, 1, fall), 0, 1)
+    for _ in range(NEWTON_STEPS):
+        curvature = _value(second, s)
+        s = jnp.clip(s - _value(first, s) / jnp.where(curvature == 0, 1, curvature), 0, 1)
+    return s, _value(c, s)
+
+
+def _crossing(c, threshold):
+    """Where the quintic crosses a threshold between s = 0 and 1, by bisection and then Newton."""
+    low, high = jnp.zeros_like(c[0]), jnp.ones_like(c[0])
+    for _ in range(6):
+        middle = (low + high) / 2
+        below = _value(c, middle) < threshold
+        low, high = jnp.where(below, middle, low), jnp.where(below, high, middle)
+    s, first = (low + high) / 2, _slope(c)
+    for _ in range(NEWTON_STEPS):
+        slope = _value(first, s)
+        s = jnp.clip(s - (_value(c, s) - threshold) / jnp.where(slope == 0, 1, slope), low, high)
+    return s
+
+
+class Recorded(diffrax.AbstractWrappedSolver):
+    """A solver that carries records beside its own state; a rejected step leaves them untouched."""
+
+    solver: diffrax.AbstractSolver
+    records: dict
+
+    @property
+    def term_structure(self):
+        return self.solver.term_structure
+
+    @property
+    def interpolation_cls(self):
+        return self.solver.interpolation_cls
+
+    @property
+    def term_compatible_contr_kwargs(self):
+        return self.solver.term_compatible_contr_kwargs
+
+    @property
+    def scan_kind(self):
+        return getattr(self.solver, "scan_kind", None)
+
+    def order(self, terms):
+        return self.solver.order(terms)
+
+    def error_order(self, terms):
+        return self.solver.error_order(terms)
+
+    def init(self, terms, t0, t1, y0, args):
+        rate = terms.vf(t0, y0, args)
+        carried = {name: record.start(t0, y0, rate, args) for name, record in self.records.items()}
+        return self.solver.init(terms, t0, t1, y0, args), carried
+
+    def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
+        own, carried = solver_state
+        y1, error, dense, own, result = self.solver.step(terms, t0, t1, y0, args, own, made_jump)
+        path = self.solver.interpolation_cls(t0=t0, t1=t1, **dense).evaluate
+        carried = {name: self.records[name].follow(c, t0, t1, y1, path, args) for name, c in carried.items()}
+        return y1, error, dense, (own, carried), result
+
+    def func(self, terms, t0, y0, args):
+        return self.solver.func(terms, t0, y0, args)

@@ -1,0 +1,127 @@
+"""`simulate`: from a lattice and a state to a run, over diffrax."""
+
+import dataclasses
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..checks import one_of, refuse, show, whole
+from .inputs import checked_records, checked_save_at, checked_state, checked_times
+from .integrate import integrate
+from .method import checked_method, fixed_step
+from .run import COMPLETED, NOT_FINITE
+
+# bounds a traced run whose number of steps is not known; a bound that is not reached costs nothing
+TRACED_STEPS = 2**24
+SAVED_STEPS = 2**16
+
+KEYWORDS = ("t0", "solver", "step", "tolerance", "save_at", "record", "adjoint", "progress", "throw", "max_steps")
+
+
+def simulate(
+    lattice, state, t1, *, t0=0.0, solver=None, step=None, tolerance=None, save_at=None, record=None, adjoint=None,
+    progress=False, throw=None, max_steps=None, **misspelt,
+):
+    r"""Integrate m a = F(t, u, v) from t0 to t1.
+
+    **Arguments:**
+
+    - `lattice`: a `Lattice`, or a batch of them with lanes last. `state`: `State(u, v)` or a pair, of
+      `lattice.shape` (then lanes), in the lattice's floating type.
+    - `t1` > `t0`: end and start.
+    - `solver`: any of granjax's or diffrax's; `None` chooses SRKN11b at a fixed step, RKN86 where `tolerance` is
+      given, diffrax's Dopri8 where a force reads the velocity in another way than `Damping`.
+    - `step`: fixed step; it is shortened to divide t1 - t0. `None` takes h omega_max = 1/2, with omega_max a bound on
+      every frequency that the scene can reach at its energy (not only the linear one, which is zero in a sonic
+      vacuum).
+    - `tolerance`: adaptive steps, each with a local error below `tolerance` times the scene's scale of velocity (and
+      that over omega_max for displacements), in the largest norm over sites. Give `step` or `tolerance`, not both.
+    - `save_at`: `None` only the end; a whole number, that many frames from t0 to t1; an array of times; `"steps"`,
+      the end of every step.
+    - `record`: dict of `Peak`, `Arrival`, `Integral`, `Lowest`, reduced along the run and found between steps.
+    - `adjoint`: `None` for derivatives in both modes; or any of diffrax's.
+    - `progress`: a progress bar. `throw`: raise where the run does not complete; `None` does so outside of
+      transformations. `max_steps`: the most steps of an adaptive or traced run.
+
+    **Returns:** `Run`.
+
+    **Raises** ValueError for input that cannot be meant (a sentence says argument, expected, got, remedy);
+    RuntimeError where `throw` and the run does not complete.
+    """
+    for name in misspelt:
+        one_of("keyword", name, KEYWORDS)
+    state = checked_state(lattice, state)
+    t0, t1 = checked_times(t0, t1)
+    traced = any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves((lattice, state, t0, t1, step, tolerance)))
+    if throw and traced:
+        refuse("throw", "None or False under a transformation", "True", "What becomes of a traced run is not known yet.")
+    solver, step, tolerance = checked_method(lattice, solver, step, tolerance)
+    save_ts, frames, every = checked_save_at(save_at, t0, t1)
+    records = checked_records(record)
+    if tolerance is None:
+        dt, steps, choice, remark = fixed_step(lattice, state, t0, t1, step, solver, frames)
+    else:
+        dt, steps, choice, remark = None, None, f"adaptive steps, tolerance {_shown(tolerance)}", ""
+    adjoint, limit = _adjoint(adjoint, traced, every, steps, max_steps)
+
+    span = jnp.asarray(t0, float), jnp.asarray(t1, float)
+    arguments = (dt, tolerance, save_ts, records, solver, adjoint, limit, every, progress)
+    run = integrate(lattice, state, *span, *arguments)
+    run = dataclasses.replace(run, solver=type(solver).__name__, choice=choice, remark=remark)
+    if traced:
+        return run
+    if every:
+        run = _cut(run)
+    if not np.all(np.asarray(run.code) == COMPLETED):
+        if int(np.max(run.code)) == NOT_FINITE:
+            run = _located(run, lattice, state, span, dt, tolerance, solver)
+        if throw is None or throw:
+            raise RuntimeError(run.outcome)
+    return run
+
+
+def _shown(x):
+    return "traced" if isinstance(x, jax.core.Tracer) else show(x)
+
+
+def _adjoint(adjoint, traced, every, steps, max_steps):
+    """The adjoint, and the most steps: `None` for a loop that may go on, which has no reverse mode."""
+    if max_steps is not None:
+        limit = whole("max_steps", max_steps, 1)
+    elif steps is not None:
+        limit = steps
+    else:
+        limit = SAVED_STEPS if every else TRACED_STEPS
+    if adjoint is None:
+        adjoint = diffrax.DirectAdjoint() if traced else diffrax.ForwardMode()
+    elif not isinstance(adjoint, diffrax.AbstractAdjoint):
+        refuse("adjoint", "one of diffrax's adjoints, such as diffrax.ForwardMode()", repr(adjoint))
+    if isinstance(adjoint, diffrax.ForwardMode) and max_steps is None and not every:
+        limit = None
+    return adjoint, limit
+
+
+def _cut(run):
+    """Saved steps without the unused rest of the buffer."""
+    used = np.isfinite(np.asarray(run.ts))
+    count = int(np.count_nonzero(used))
+    us, vs = jax.tree.map(lambda x: x[:count], (run.us, run.vs))
+    run = eqx.tree_at(lambda r: (r.ts, r.us, r.vs), run, (run.ts[:count], us, vs))
+    return run
+
+
+def _located(run, lattice, state, span, dt, tolerance, solver):
+    """The run with where and when the state ceased to be finite: again with frames, twice closer."""
+    low, high = map(float, span)
+    for _ in range(2):
+        ts = jnp.linspace(low, high, 65)[1:]
+        arguments = (dt, tolerance, ts, {}, solver, diffrax.ForwardMode(), None, False, False)
+        again = integrate(lattice, state, *span, *arguments)
+        bad = [~np.isfinite(np.asarray(u)) for u in jax.tree.leaves(again.us)]
+        first = int(np.argmax(np.any([b.reshape(len(ts), -1).any(1) for b in bad], axis=0)))
+        sites = tuple(int(i) for b in bad for i in np.unique(np.argwhere(b[first])[:, 0])[:4])
+        high, low = float(ts[first]), float(ts[first - 1]) if first else low
+    return dataclasses.replace(run, failed_at=(low, high, sites))

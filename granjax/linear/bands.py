@@ -1,0 +1,114 @@
+"""Band edges and gaps."""
+
+from math import prod
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..checks import concrete, refuse
+from .cell import unit_cell
+from .modes import signed_root
+
+SHRINK, ROUNDS = 0.6, 48
+TOUCHING = 1e-8
+
+
+class Bands(eqx.Module):
+    """Edges of the bands, in the order of omega.
+
+    **Fields:** `lower`, `upper`: (bands,) [rad/s]. `lower_k`, `upper_k`: phases per cell at which they lie, (bands,)
+    or (bands, axes) (one of several equal places). `cell`: sites per cell along each axis. `gaps`: the complete gaps,
+    a list of pairs (low, high), as NumPy numbers; bands that touch leave none.
+    """
+
+    lower: jax.Array
+    upper: jax.Array
+    lower_k: jax.Array
+    upper_k: jax.Array
+    cell: tuple[int, ...] = eqx.field(static=True)
+
+    @property
+    def gaps(self):
+        """Complete gaps between neighbouring bands, a list of pairs (low, high) [rad/s].
+
+        **Raises** ValueError where the edges are traced, as their number is not known then.
+        """
+        low, high = concrete(self.upper), concrete(self.lower)
+        if low is None or high is None:
+            refuse("gaps", "edges that are known", "traced ones", "Inside a transformation read .lower and .upper.")
+        if low.ndim != 1:
+            refuse("gaps", "the bands of one lattice", f"edges of shape {low.shape}", "Read .lower and .upper.")
+        least = TOUCHING * np.abs(low).max()
+        return [(a, b) for a, b in zip(low[:-1], high[1:]) if b - a > least]
+
+    def __repr__(self):
+        lower, upper = concrete(self.lower), concrete(self.upper)
+        if lower is None or upper is None or lower.ndim != 1:
+            return f"Bands(lower={self.lower}, upper={self.upper}, cell={self.cell})"
+        sites = " x ".join(map(str, self.cell))
+        lines = [f"{len(lower)} band{'s' * (len(lower) > 1)}, cell of {sites} site{'s' * (prod(self.cell) > 1)}"]
+        gaps = {float(a): (a, b) for a, b in self.gaps}
+        for a, b in zip(lower, upper):
+            lines.append(f"  band {a:.9g} ... {b:.9g}")
+            if float(b) in gaps:
+                lines.append(f"  gap  {b:.9g} ... {gaps[float(b)][1]:.9g}")
+        return "\n".join(lines)
+
+
+def bands(chain, cell=None):
+    r"""Edges of the bands of omega(k), and the gaps between them.
+
+    omega^2 is sampled over the zone (finer for bonds that reach further) and every least and greatest value refined,
+    so that edges inside the zone are found too; edges at k = 0 and pi are exact.
+
+    **Arguments:** `chain`, `cell`: as in `dispersion`. **Returns:** `Bands`. Precompressed dimer with stiffness K2,
+    masses m < M: 0 ... (2 K2/M)^{1/2} and (2 K2/m)^{1/2} ... (2 K2 (1/m + 1/M))^{1/2}. Edges are differentiable in
+    every parameter, where one band alone reaches them.
+    **Raises** ValueError where `dispersion` does.
+    """
+    found = unit_cell(chain, cell)
+    fixed = jax.lax.stop_gradient(found)
+    axes = len(found.cell)
+    reach = np.abs(np.array(found.shells)).max()
+    points = [96 * max(1, reach) + 1] if axes == 1 else [48 if axes == 2 else 12] * axes
+    # omega(-k) = omega(k): half of the zone is enough for a chain; 48 and 12 hold the corners of a hexagonal zone
+    grid = [np.linspace(0, np.pi, points[0])] if axes == 1 else [2 * np.pi * np.arange(n) / n for n in points]
+    k = np.stack(np.meshgrid(*grid, indexing="ij"), -1).reshape(-1, axes)
+    places = _extrema(fixed, jnp.asarray(k, found.mass.dtype), float(grid[0][1]))
+    edges = jax.vmap(jax.vmap(lambda k, n: _edge(found, k, n)), (0, None))(places, jnp.arange(found.mass.size))
+    if axes == 1:
+        places = places[..., 0]
+    return Bands(edges[0], edges[1], places[0], places[1], found.cell)
+
+
+def _edge(found, k, n):
+    D = found.dynamical_matrix(k)
+    return signed_root(jnp.linalg.eigvalsh(D)[n], jnp.abs(D).max(), found.mass.size)
+
+
+@eqx.filter_jit
+def _extrema(found, k, spacing):
+    """k of the least and of the greatest omega^2 of every band, (2, bands, axes): samples, then a closing stencil."""
+    size = found.mass.size
+    sign = jnp.array([1.0, -1.0], k.dtype)
+
+    def squared(k):
+        return jnp.linalg.eigvalsh(found.dynamical_matrix(k))
+
+    sampled = jax.lax.map(squared, k, batch_size=max(1, min(len(k), 2**20 // size**2)))
+    best = jnp.stack([k[jnp.argmin(s * sampled, 0)] for s in (1, -1)])
+    moves = [np.array([0.0, -1.0, -0.5, 0.5, 1.0])] * k.shape[1]
+    stencil = jnp.asarray(np.stack(np.meshgrid(*moves, indexing="ij"), -1).reshape(-1, k.shape[1]), k.dtype)
+
+    def improve(best, s, n, width):
+        tried = best + width * stencil
+        return tried[jnp.argmin(s * jax.vmap(squared)(tried)[:, n])]
+
+    def close_in(i, best):
+        width = spacing * SHRINK**i
+        every = jax.vmap(jax.vmap(lambda b, s, n: improve(b, s, n, width), (0, None, 0)), (0, 0, None))
+        return every(best, sign, jnp.arange(size))
+
+    return jax.lax.fori_loop(0, ROUNDS, close_in, best)

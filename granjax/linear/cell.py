@@ -1,0 +1,238 @@
+"""The unit cell of a lattice: its period, found or given, and the dynamical matrix D(k)."""
+
+from math import prod
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..checks import refuse, whole
+from ..strains import Shift
+from .stiffness import at_rest, blocks, components, grid, masses, misfit, offsets, pack, unpack
+
+TIGHT, LOOSE = 1e3, 1e6
+"""Tolerances, in units of the dtype's eps times the largest stiffness: equal blocks; a reach that is long enough."""
+
+
+class UnitCell(eqx.Module):
+    r"""One cell of the infinite lattice that a finite one belongs to.
+
+    A wave is u_j(R) = M_j^{-1/2} q_j exp(i k . R - i omega t), with R the (whole) number of the cell and k the phase
+    advance per cell, one per axis of the lattice, and omega^2 q = D(k) q with D(k) = sum_R coupling_R exp(i k . R),
+    coupling_R = M^{-1/2} K_R M^{-1/2}.
+
+    **Fields:** `cell`: sites of the cell along each axis. `shells`: the R of the neighbours, R = 0 among them.
+    `coupling`: (shells, P, P) [1/s^2]. `mass`: (P,), with P = sites of the cell times fields times dimension.
+    """
+
+    coupling: jax.Array
+    mass: jax.Array
+    cell: tuple[int, ...] = eqx.field(static=True)
+    shells: tuple[tuple[int, ...], ...] = eqx.field(static=True)
+    fields: tuple[str, ...] | None = eqx.field(static=True)
+    dimension: int | None = eqx.field(static=True)
+
+    def dynamical_matrix(self, k):
+        """D(k), (P, P), complex and Hermitian, for one `k` of shape (axes,)."""
+        R = np.array(self.shells)
+        # exp(ix) - 1 = 2i sin(x/2) exp(ix/2) keeps long waves accurate
+        half = (R @ k) / 2
+        turn = 2j * jnp.sin(half) * jnp.exp(1j * half)
+        return self.coupling.sum(0) + jnp.einsum("r,rab->ab", turn, self.coupling)
+
+    def slopes(self, k):
+        """First and second derivatives of D(k): (axes, P, P) and (axes, axes, P, P)."""
+        R = np.array(self.shells)
+        phase = jnp.exp(1j * (R @ k))
+        first = jnp.einsum("r,rj,rab->jab", 1j * phase, R, self.coupling)
+        return first, -jnp.einsum("r,rj,rl,rab->jlab", phase, R, R, self.coupling)
+
+    def displacements(self, q):
+        """Displacements M^{-1/2} q of vectors (..., P, bands): (..., cell..., [vector], bands), or a dict of such."""
+        x = jnp.moveaxis(q / jnp.sqrt(self.mass)[:, None], -2, -1)
+        x = x.reshape(x.shape[:-1] + self.cell + (-1,))
+        back = -1 - len(self.cell) - (self.dimension is not None)
+        return jax.tree.map(lambda x: jnp.moveaxis(x, back, -1), unpack(x, self.fields, self.dimension))
+
+    def translations(self):
+        """Uniform displacements of the cell as orthonormal vectors q, (P, dimension)."""
+        d = self.dimension or 1
+        root = jnp.sqrt(self.mass).reshape(-1, d)
+        uniform = (root[..., None] * jnp.eye(d, dtype=root.dtype)).reshape(-1, d)
+        return uniform / jnp.linalg.norm(uniform, axis=0)
+
+
+def unit_cell(chain, cell=None):
+    """The unit cell of a lattice, as a `UnitCell` with its dynamical matrix.
+
+    The blocks of K = -d force/du at u = 0 are compared along each axis. A ring is compared all around; of a lattice
+    with walls or free ends the sites within reach of an end are left out, so that what counts is the infinite lattice
+    to which its interior belongs, whatever the boundary.
+
+    **Arguments:** `chain`: one `Lattice`. `cell`: sites per unit cell, a tuple for one number per axis; `None` finds
+    the smallest period. It must be given where the masses or laws are traced by `jit` or `vmap` (under `jax.grad`
+    alone the period is found).
+
+    **Raises** ValueError for a batch, modulated stiffness, a lattice without a period (disorder, a defect, a taper),
+    a `cell` that is no period, a lattice too short to tell, forces without an energy (K not symmetric).
+    """
+    chain = at_rest(chain)
+    sites = grid(chain)
+    given = None if cell is None else _given_cell(cell, sites)
+    plain, known = _stand_in(chain)
+    with jax.ensure_compile_time_eval():
+        reach, stiffness = _reach(plain)
+        mass = np.asarray(masses(plain))
+    rings = [_is_ring(stiffness, axis, reach) for axis in range(len(sites))]
+    found, chosen = _periods(stiffness, mass, reach, rings, given, known)
+    if _same(chain, plain):
+        values, mass = jnp.asarray(stiffness), jnp.asarray(mass)
+    else:
+        values, mass = blocks(chain, reach), masses(chain)
+    at = np.ix_(*chosen)
+    result = _gather(chain, values[at], mass[at], found, reach)
+    _check_energy(result)
+    return result
+
+
+def _given_cell(cell, sites):
+    numbers = tuple(cell) if isinstance(cell, (tuple, list)) else (cell,) * len(sites)
+    if len(numbers) != len(sites):
+        refuse("cell", f"{len(sites)} numbers, one per axis", repr(cell))
+    return tuple(whole("cell", n, 1, "It is the number of sites per unit cell.") for n in numbers)
+
+
+def _same(chain, plain):
+    return all(a is b for a, b in zip(jax.tree.leaves(chain), jax.tree.leaves(plain)))
+
+
+def _stand_in(lattice):
+    """The lattice with concrete values, and whether they are its own.
+
+    Where only derivatives are traced the values are there; elsewhere random ones keep the pattern of the stiffness.
+    """
+    random = np.random.default_rng(0)
+    known = True
+
+    def settle(x):
+        nonlocal known
+        if not isinstance(x, jax.core.Tracer) or not eqx.is_inexact_array(x):
+            return x
+        x = jax.lax.stop_gradient(x)
+        if isinstance(x, jax.core.Tracer):
+            known = False
+            with jax.ensure_compile_time_eval():
+                x = jnp.asarray(random.uniform(1, 2, x.shape), x.dtype)
+        return x
+
+    return jax.tree.map(settle, lattice), known
+
+
+def _reach(lattice):
+    """How far bonds reach along each axis, and the blocks of K: the bonds' offsets, doubled while that misses some."""
+    sites = grid(lattice)
+    reach = [1] * len(sites)
+    for shift in jax.tree.leaves(lattice.terms, is_leaf=lambda x: isinstance(x, Shift)):
+        if isinstance(shift, Shift):
+            for axis, offset in enumerate(shift.offset):
+                reach[axis] = max(reach[axis], abs(offset))
+    short = [axis for axis, (n, r) in enumerate(zip(sites, reach)) if n < 2 * r + 1]
+    if short:
+        n, r = sites[short[0]], reach[short[0]]
+        refuse("chain", f"at least {2 * r + 1} sites along axis {short[0]}, where bonds reach {r}", f"{n}",
+               "Build it longer: a wave to the left and one to the right are the same bond there.")
+    tolerance = LOOSE * np.finfo(lattice.dtype).eps
+    while True:
+        stiffness = np.asarray(blocks(lattice, tuple(reach)))
+        if misfit(lattice, reach, stiffness) <= tolerance:
+            return tuple(reach), stiffness
+        further = [min(2 * r, (n - 1) // 2) for n, r in zip(sites, reach)]
+        if further == reach:
+            refuse("chain", "bonds that reach less than half of the lattice", "bonds across the whole lattice",
+                   "Use granjax.linear.normal_modes.")
+        reach = further
+
+
+def _is_ring(stiffness, axis, reach):
+    """Whether bonds go around the ends of one axis."""
+    rows = np.moveaxis(stiffness, axis, 0)[: reach[axis]]
+    near = np.array(offsets(reach))[:, axis]
+    return any(np.any(rows[n][..., near < -n, :, :] != 0) for n in range(len(rows)))
+
+
+def _periods(stiffness, mass, reach, rings, given, known):
+    """Sites per cell along each axis, and the sites that stand for the cell."""
+    interior = [np.arange(n) if ring else np.arange(r, n - r) for n, r, ring in zip(mass.shape, reach, rings)]
+    at = np.ix_(*interior)
+    scale = np.abs(stiffness).max() or 1.0
+    lead = len(interior)
+    features = np.concatenate(
+        [x[at].reshape(x[at].shape[:lead] + (-1,)) for x in (stiffness / scale, mass / mass.max())], -1
+    )
+    tolerance = TIGHT * np.finfo(mass.dtype).eps
+    found, chosen = [], []
+    for axis, ring in enumerate(rings):
+        rows = np.moveaxis(features, axis, 0).reshape(len(interior[axis]), -1)
+        period = _period(rows, ring, tolerance, None if given is None else given[axis], known, axis)
+        start = interior[axis][0]
+        found.append(period)
+        chosen.append(np.array([start + (j - start) % period for j in range(period)]))
+    return tuple(found), chosen
+
+
+def _period(rows, ring, tolerance, given, known, axis):
+    size = len(rows)
+
+    def repeats(p):
+        after = np.roll(rows, -p, 0) if ring else rows[p:]
+        return not np.any(np.abs(after - rows[: len(after)]) > tolerance)
+
+    if given is not None:
+        if given > size or (ring and size % given):
+            kind = f"a divisor of {size}, the ring's sites" if ring else f"at most {size}, the sites off the ends,"
+            refuse("cell", f"{kind} along axis {axis}", f"{given}")
+        if known and not repeats(given):
+            refuse("cell", f"a period of the lattice along axis {axis}", f"{given}, after which it does not repeat",
+                   "Leave `cell` out to have the period found; a lattice with none has granjax.linear.normal_modes.")
+        return given
+    if not known:
+        refuse("cell", "the number of sites per unit cell, as masses or laws are traced", "None",
+               "Write cell=1 for a chain of equal beads, cell=2 for a dimer.")
+    for p in range(1, size // 2 + 1):
+        if (not ring or size % p == 0) and not np.any(np.abs(rows[p] - rows[0]) > tolerance) and repeats(p):
+            return p
+    refuse("chain", f"a lattice that repeats along axis {axis}",
+           "one without a period (disorder, a defect, a taper, or fewer than two cells off the ends)",
+           "Use granjax.linear.normal_modes, build it longer, or give cell=... to repeat it as one large cell.")
+
+
+def _gather(lattice, rows, mass, cell, reach):
+    """From blocks between sites to blocks between cells, weighted with the masses."""
+    width, home = components(lattice), np.indices(cell).reshape(len(cell), -1).T
+    entries = [(j, o, tuple((home[j] + offset) // cell), tuple((home[j] + offset) % cell))
+               for j in range(len(home)) for o, offset in enumerate(offsets(reach))]
+    shells = sorted({tuple(int(n) for n in R) for _, _, R, _ in entries})
+    number = {R: i for i, R in enumerate(shells)}
+    j, o = np.array([e[0] for e in entries]), np.array([e[1] for e in entries])
+    shell = np.array([number[tuple(int(n) for n in e[2])] for e in entries])
+    there = np.ravel_multi_index(np.array([e[3] for e in entries]).T, cell)
+    rows = rows.reshape((len(home), -1, width, width))
+    zeros = jnp.zeros((len(shells), len(home), len(home), width, width), rows.dtype)
+    coupling = zeros.at[shell, j, there].add(rows[j, o]).swapaxes(2, 3)
+    size = prod(cell) * width
+    mass = mass.reshape(size)
+    coupling = coupling.reshape(len(shells), size, size) / jnp.sqrt(mass[:, None] * mass)
+    return UnitCell(coupling, mass, cell, tuple(shells), lattice.fields, lattice.dimension)
+
+
+def _check_energy(cell):
+    coupling = jax.lax.stop_gradient(cell.coupling)
+    if isinstance(coupling, jax.core.Tracer):
+        return
+    coupling = np.asarray(coupling)
+    back = [cell.shells.index(tuple(-n for n in R)) for R in cell.shells]
+    tolerance = TIGHT * np.finfo(coupling.dtype).eps * np.abs(coupling).max()
+    if np.abs(coupling - coupling[back].swapaxes(1, 2)).max() > tolerance:
+        refuse("chain", "forces that come from an energy (symmetric stiffness)", "stiffness that is not symmetric",
+               "Bonds push both ends alike; look for a term of your own that does not.")

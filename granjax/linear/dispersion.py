@@ -1,0 +1,115 @@
+"""Dispersion relation, Bloch vectors, group velocity and curvature of a periodic lattice."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..checks import parameter, refuse
+from .cell import unit_cell
+from .modes import signed_root
+
+DEGENERATE = 4096
+
+
+class Dispersion(eqx.Module):
+    """omega(k) of every band, in the order of omega at each k.
+
+    **Fields**, with `k` of shape (k...,) for a chain and (k..., d) for a lattice of d axes:
+
+    - `k`: phase advance per unit cell [rad].
+    - `omega`: (k..., bands) [rad/s]; sign(omega^2) |omega^2|^{1/2}, negative where the lattice is unstable.
+      `omega_squared`: the same before the root.
+    - `vectors`: Bloch vectors, (k..., cell..., [vector], bands), or a dict of such for named fields, normalised with
+      the mass over the cell. The wave is u_j(R) = vectors_j exp(i (k . R - omega t)), R the number of the cell.
+    - `group_velocity`: d omega/dk [cells per time], (k..., bands) or (k..., bands, d).
+    - `curvature`: d^2 omega/dk^2 [cells^2 per time], (k..., bands) or the Hessian (k..., bands, d, d).
+    - `cell`: sites per cell along each axis: times `cell` for sites per time.
+
+    Both derivatives are exact (perturbation theory). They are NaN where they do not exist: at omega = 0, where an
+    acoustic band has a corner (see `sound_speed`), and where bands cross. Bands that stay together keep theirs.
+    """
+
+    k: jax.Array
+    omega: jax.Array
+    omega_squared: jax.Array
+    vectors: object
+    group_velocity: jax.Array
+    curvature: jax.Array
+    cell: tuple[int, ...] = eqx.field(static=True)
+
+
+def dispersion(chain, k, cell=None):
+    r"""Dispersion relation of the infinite lattice that a lattice belongs to: D(k) q = omega^2 q.
+
+    **Arguments:**
+
+    - `chain`: one `Lattice`, of any boundary: sites within reach of an end do not count.
+    - `k`: phase advance per unit cell [rad], any shape; on a grid of d axes the last axis has length d. A wave vector
+      q in space has the phases k_i = q . a_i, with a_i the lattice vectors (the K point of a triangular lattice is
+      (2 pi/3, -2 pi/3) for axes at 60 degrees, (2 pi/3, 4 pi/3); M is (pi, 0)).
+    - `cell`: sites per unit cell, a tuple on a grid; `None` finds the smallest period (see `unit_cell`).
+
+    **Returns:** `Dispersion`. A chain of equal beads has omega = 2 (K2/m)^{1/2} |sin(k/2)|, a dimer two bands over
+    -pi < k <= pi per cell of two beads. Differentiable in `k` and in every parameter, where bands do not cross. In a
+    sonic vacuum all frequencies are zero. Rounding: omega^2 is good to about 1e-16 of its largest value, so that of a
+    cell with several sites omega itself carries up to 1e-8 of the cutoff as omega tends to zero.
+    **Raises** ValueError where `unit_cell` does, and for `k` of another shape.
+    """
+    found = unit_cell(chain, cell)
+    axes = len(found.cell)
+    k = parameter("k", k).astype(found.mass.dtype)
+    given = k
+    if axes == 1:
+        k = k[..., None]
+    elif k.ndim == 0 or k.shape[-1] != axes:
+        refuse("k", f"a last axis of length {axes}, one phase per axis of the lattice", f"shape {k.shape}")
+    lead = k.shape[:-1]
+    parts = _waves(found, k.reshape(-1, axes))
+    squared, omega, q, velocity, curvature = (x.reshape(lead + x.shape[1:]) for x in parts)
+    if axes == 1:
+        velocity, curvature = velocity[..., 0], curvature[..., 0, 0]
+    return Dispersion(given, omega, squared, found.displacements(q), velocity, curvature, found.cell)
+
+
+@eqx.filter_jit
+def _waves(found, ks):
+    size = max(1, min(len(ks), 2**20 // found.mass.size**2))
+    return jax.lax.map(lambda k: _wave(found, k), ks, batch_size=size)
+
+
+def _wave(found, k):
+    """omega^2, omega, vectors (P, bands), d omega/dk (bands, axes), d^2 omega/dk^2 (bands, axes, axes) at one k."""
+    D = found.dynamical_matrix(k)
+    squared, q = jnp.linalg.eigh(D)
+    scale = jnp.abs(D).max()
+    omega = signed_root(squared, scale, squared.size)
+    first, second = found.slopes(k)
+    within = jnp.einsum("an,jab,bm->jnm", q.conj(), first, q)
+    gap = squared[:, None] - squared
+    same = jnp.abs(gap) <= DEGENERATE * jnp.finfo(squared.dtype).eps * scale
+    weight = jnp.where(same, 0, 1 / jnp.where(same, 1, gap))
+    # sum over the other bands m of <n|D_j|m><m|D_l|n'>/(lambda_n - lambda_m), both orders of j and l
+    through = jnp.einsum("jnm,nm,lmp->jlnp", within, weight, within)
+    bent = jnp.einsum("an,jlab,bm->jlnm", q.conj(), second, q) + through + through.swapaxes(0, 1)
+    slope, smooth = _diagonal(within, same)
+    bend, flat = _diagonal(bent, same)
+    moving = omega != 0
+    divisor = jnp.where(moving, omega, 1)
+    velocity = slope.T / (2 * divisor[:, None])
+    curve = (jnp.moveaxis(bend, -1, 0) / 2 - velocity[:, :, None] * velocity[:, None, :]) / divisor[:, None, None]
+    still = jnp.all(found.coupling == 0)
+    there = (moving & smooth) | still
+    velocity = jnp.where(there[:, None], velocity, jnp.nan)
+    curve = jnp.where((there & (flat | still))[:, None, None], curve, jnp.nan)
+    return squared, omega, q, velocity, curve
+
+
+def _diagonal(matrices, same):
+    """Diagonals, (..., bands), and whether all of the matrices are a multiple of one within each degenerate group."""
+    diagonal = jnp.real(jnp.diagonal(matrices, axis1=-2, axis2=-1))
+    tolerance = np.sqrt(jnp.finfo(diagonal.dtype).eps) * jnp.abs(matrices).max()
+    spread = matrices - diagonal[..., None] * jnp.eye(diagonal.shape[-1])
+    uneven = jnp.abs(diagonal[..., :, None] - diagonal[..., None, :])
+    off = jnp.where(same, jnp.maximum(jnp.abs(spread), uneven), 0)
+    return diagonal, jnp.all(off <= tolerance, axis=tuple(range(off.ndim - 2)) + (off.ndim - 1,))

@@ -1,0 +1,131 @@
+"""The stiffness of a lattice at rest: products K w by `jax.jvp`, and the blocks of K between near sites."""
+
+from itertools import product
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..checks import refuse
+from ..lattice import Lattice
+from ..terms import Drive, Modulated, Wall
+
+
+def at_rest(chain):
+    """The lattice without its drives, and with every moving wall held still.
+
+    **Raises** ValueError for what is no single lattice, and for stiffness that changes in time.
+    """
+    if not isinstance(chain, Lattice):
+        refuse("chain", "a Lattice", f"a {type(chain).__name__}", "Build one, or take one of granjax.scenes.")
+    if chain.lanes:
+        refuse(
+            "chain", "one lattice", f"a batch with lanes {chain.lanes}",
+            "Use jax.vmap(function, in_axes=-1)(chain), and give cell=... where a unit cell is needed.",
+        )
+    terms = []
+    for i, term in enumerate(chain.terms):
+        if isinstance(term, Modulated):
+            refuse(
+                f"terms[{i}] (Modulated)", "a stiffness that is constant in time", "one that changes",
+                "Modes in time do not exist then: take the lattice with the term that is modulated, or Floquet theory.",
+            )
+        if isinstance(term, Wall) and term.motion is not None:
+            term = eqx.tree_at(lambda wall: wall.motion, term, None)
+        if not isinstance(term, Drive):
+            terms.append(term)
+    return eqx.tree_at(lambda lattice: lattice.terms, chain, tuple(terms))
+
+
+def stiffness_product(lattice):
+    """The linear map w -> K w = -(d force/du)(u = 0) w, on displacements of the lattice's own structure."""
+    zeros, time = lattice.zeros(), jnp.zeros((), lattice.dtype)
+    _, slope = jax.linearize(lambda u: lattice.force(time, u, zeros), zeros)
+    return lambda w: jax.tree.map(jnp.negative, slope(w))
+
+
+def pack(lattice, u):
+    """Displacements as one array (sites..., components): the fields in alphabetical order, each with its vector."""
+    leaves = [x.reshape(x.shape[: lattice.axes] + (-1,)) for x in jax.tree.leaves(u)]
+    return jnp.concatenate(leaves, -1)
+
+
+def unpack(x, fields, dimension):
+    """Inverse of `pack`, for any leading axes."""
+    vector = () if dimension is None else (dimension,)
+    if fields is None:
+        return x.reshape(x.shape[:-1] + vector)
+    names = sorted(fields)
+    parts = jnp.split(x, len(names), -1)
+    return {name: part.reshape(part.shape[:-1] + vector) for name, part in zip(names, parts)}
+
+
+def grid(lattice):
+    """Sites along each axis.
+
+    **Raises** ValueError where the fields of a cell have different numbers of sites.
+    """
+    shapes = set(lattice.sites.values()) if lattice.fields else {lattice.sites}
+    if len(shapes) > 1:
+        refuse("chain", "fields with one number of sites", f"{lattice.sites}", "Use granjax.linear.normal_modes.")
+    return shapes.pop()
+
+
+def components(lattice):
+    """Degrees of freedom of one site."""
+    return (len(lattice.fields) if lattice.fields else 1) * (lattice.dimension or 1)
+
+
+def masses(lattice):
+    """Mass of every degree of freedom, (sites..., components)."""
+    return pack(lattice, jax.tree.map(lambda m, u: jnp.broadcast_to(m, u.shape), lattice.mass, lattice.zeros()))
+
+
+def offsets(reach):
+    """The offsets between sites that a reach spans, in the order of the blocks."""
+    return list(product(*[range(-r, r + 1) for r in reach]))
+
+
+def _colours(size, reach):
+    """Numbers for the sites of one axis, so that equal ones lie further apart than twice the reach, around a ring."""
+    spacing, index = 2 * reach + 1, np.arange(size)
+    whole = spacing * (size // spacing)
+    return np.where(index < whole, index % spacing, spacing + index - whole)
+
+
+@eqx.filter_jit
+def blocks(lattice, reach):
+    """Blocks of K, (sites..., offsets, components, components): force on site n from site n + offset.
+
+    Sites of one colour are displaced together, so the cost is that of a few forces, however long the chain. Offsets
+    go around the ends of an open lattice too, where the blocks are zero.
+    """
+    sites, width = grid(lattice), components(lattice)
+    axes = [_colours(n, r) for n, r in zip(sites, reach)]
+    colour = np.ravel_multi_index(np.meshgrid(*axes, indexing="ij"), [a.max() + 1 for a in axes])
+    product_with = stiffness_product(lattice)
+    unit = jnp.eye(width, dtype=lattice.dtype)
+
+    def answer(number, component):
+        comb = jnp.where((colour == number)[..., None], unit[component], 0)
+        return pack(lattice, product_with(unpack(comb, lattice.fields, lattice.dimension)))
+
+    every = jax.vmap(jax.vmap(answer, (None, 0), -1), (0, None), -2)
+    answers = every(np.arange(colour.max() + 1), np.arange(width))
+    near = []
+    for offset in offsets(reach):
+        there = np.roll(colour, [-o for o in offset], range(len(sites)))
+        near.append(jnp.take_along_axis(answers, there[..., None, None, None], -2)[..., 0, :])
+    return jnp.stack(near, -3)
+
+
+def misfit(lattice, reach, stiffness):
+    """Largest difference between K w and the sum over the blocks, for a random w, relative to the largest block."""
+    sites = grid(lattice)
+    w = np.random.default_rng(1).uniform(-1, 1, sites + (components(lattice),)).astype(lattice.dtype)
+    true = np.asarray(pack(lattice, stiffness_product(lattice)(unpack(jnp.asarray(w), lattice.fields, lattice.dimension))))
+    near = [np.roll(w, [-o for o in offset], range(len(sites))) for offset in offsets(reach)]
+    summed = np.einsum("...oab,...ob->...a", stiffness, np.stack(near, -2))
+    scale = np.abs(stiffness).max()
+    return np.abs(true - summed).max() / scale if scale > 0 else np.abs(true).max()

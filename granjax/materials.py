@@ -1,0 +1,259 @@
+"""Materials and contacts of elastic bodies: from Young's modulus, Poisson's ratio and radius to F = A d^{3/2}.
+
+The table holds published constants for orientation. A measured chain has its own: alloys differ by some per cent,
+polymers by a factor of two with rate and temperature.
+"""
+
+import difflib
+import math
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .checks import concrete, positive, refuse, within
+
+_BOECHLER = "as used by Boechler et al., Phys. Rev. Lett. 104, 244302 (2010)"
+_CALLISTER = "Callister, Materials Science and Engineering, appendix B"
+
+# E [Pa], nu, rho [kg/m^3], source
+_TABLE = {
+    "steel 316": (193e9, 0.30, 8000.0, f"{_BOECHLER}; density: {_CALLISTER}"),
+    "steel 440C": (200e9, 0.28, 7650.0, "manufacturers' data sheets of AISI 440C, hardened"),
+    "chrome steel": (203e9, 0.30, 7780.0, "AISI 52100, as used by Job et al., Phys. Rev. Lett. 94, 178002 (2005)"),
+    "aluminium 6061-T6": (73.5e9, 0.33, 2690.0, f"{_BOECHLER}; density from the beads' mass there"),
+    "brass": (97e9, 0.34, 8500.0, f"free-cutting brass C36000, {_CALLISTER}"),
+    "bronze": (76e9, 0.414, 8500.0, "as used by Porter et al., Phys. Rev. E 77, 015601 (2008); density from mass"),
+    "PTFE": (1.46e9, 0.46, 2200.0, "as used by Daraio et al., Phys. Rev. E 72, 016603 (2005)"),
+    "tungsten carbide": (630e9, 0.22, 14900.0, "with 6 % cobalt, manufacturers' data sheets"),
+    "Delrin": (3.1e9, 0.35, 1420.0, "acetal homopolymer Delrin 500, manufacturer's data sheet"),
+    "nylon": (2.7e9, 0.39, 1140.0, f"nylon 6,6, dry, middle of the range 1.6 to 3.8 GPa, {_CALLISTER}"),
+}
+_ALIASES = {
+    "aluminium": "aluminium 6061-T6", "aluminum": "aluminium 6061-T6", "aluminum 6061-T6": "aluminium 6061-T6",
+    "stainless steel 316": "steel 316", "stainless steel 440C": "steel 440C", "steel 52100": "chrome steel",
+    "Teflon": "PTFE", "acetal": "Delrin", "POM": "Delrin", "nylon 6,6": "nylon",
+}
+
+NAMES = (*_TABLE, "rigid")
+
+
+class Material(eqx.Module):
+    """An elastic material.
+
+    **Arguments:** `name`; `young`: Young's modulus E > 0 [Pa]; `poisson`: Poisson's ratio in (-1, 0.5]; `density`
+    [kg/m^3] > 0; `source`: where the numbers come from, in words. The numbers may be arrays, one per bead, or traced:
+    `jax.grad` with respect to E works.
+
+    **Raises** ValueError for numbers that are not finite or outside these ranges.
+    """
+
+    name: str = eqx.field(static=True)
+    young: jax.Array
+    poisson: jax.Array
+    density: jax.Array
+    source: str = eqx.field(static=True)
+
+    def __init__(self, name, young, poisson, density, source=""):
+        self.name, self.source = str(name), str(source)
+        self.young = positive("young", young, "Young's modulus is in pascal: 193e9 for steel, 1.46e9 for PTFE.")
+        self.poisson = within("poisson", poisson, -1, 0.5, open_low=True, remedy="Poisson's ratio is 0.3 for steel.")
+        self.density = positive("density", density, "The density is in kg/m^3: 8000 for steel, 2200 for PTFE.")
+
+    @property
+    def compliance(self):
+        """(1 - nu^2)/E [1/Pa]: what one body gives to 1/E*."""
+        return (1 - self.poisson**2) / self.young
+
+
+def _plain(name):
+    return "".join(c for c in name.lower() if c not in " -_,./")
+
+
+_PLAIN = {_plain(name): name for name in (*_TABLE, *_ALIASES)}
+
+
+def material(name):
+    """A material of the table by its name; capitals, spaces, dashes and underscores do not matter.
+
+    Names: `granjax.materials.NAMES`. `"rigid"` is a body that does not yield (E infinite), for walls. A `Material`
+    passes through. **Raises** ValueError for another name, suggesting the nearest.
+    """
+    return _find(name)
+
+
+def _find(name):
+    if isinstance(name, Material):
+        return name
+    if not isinstance(name, str):
+        refuse("material", "a Material, or the name of one", repr(name), f"Names: {', '.join(NAMES)}.")
+    if _plain(name) == "rigid":
+        unit = Material("rigid", 1.0, 0.0, 1.0, "a body that does not yield and does not move")
+        infinite = jnp.full((), jnp.inf)
+        return eqx.tree_at(lambda m: (m.young, m.density), unit, (infinite, infinite))
+    known = _PLAIN.get(_plain(name))
+    if known is None:
+        near = [_PLAIN[n] for n in difflib.get_close_matches(_plain(name), _PLAIN, n=3, cutoff=0.5)]
+        near = dict.fromkeys(_ALIASES.get(n, n) for n in near)
+        remedy = f"Did you mean {' or '.join(map(repr, near))}?" if near else "Or give Material(name, E, nu, rho)."
+        refuse("material", "one of " + ", ".join(map(repr, NAMES)), repr(name), remedy)
+    known = _ALIASES.get(known, known)
+    return Material(known, *_TABLE[known])
+
+
+def stack(materials):
+    """One `Material` whose numbers are arrays (N,), from a sequence of N materials or names."""
+    bodies = [_find(m) for m in materials]
+    young, poisson, density = (jnp.stack([getattr(b, n) for b in bodies]) for n in ("young", "poisson", "density"))
+    placed = Material("mixed", jnp.ones(len(bodies)), 0.0, 1.0, "; ".join(dict.fromkeys(b.source for b in bodies)))
+    return eqx.tree_at(lambda m: (m.young, m.poisson, m.density), placed, (young, poisson, density))
+
+
+def _fit(**arrays):
+    """Refuse arrays whose shapes do not broadcast."""
+    shapes = {name: jnp.shape(x) for name, x in arrays.items()}
+    try:
+        np.broadcast_shapes(*shapes.values())
+    except ValueError:
+        refuse(" and ".join(shapes), "shapes that broadcast", " and ".join(map(str, shapes.values())))
+
+
+def _radius(argument, radius):
+    return positive(argument, radius, "A radius is in metres, above zero.")
+
+
+def _radius_or_plane(argument, radius):
+    """A radius, infinite where the body is a plane."""
+    try:
+        value = None if isinstance(radius, jax.core.Tracer) else np.asarray(radius, float)
+    except (TypeError, ValueError):
+        value = None
+    if value is None or not np.isposinf(value).any():
+        return positive(argument, radius, "A radius is in metres, above zero, or infinite for a plane.")
+    _radius(argument, np.where(np.isposinf(value), 1.0, value))
+    return radius if isinstance(radius, jax.Array) else jnp.asarray(value)
+
+
+def _effective_modulus(first, second):
+    """E*, 1/E* = (1 - nu1^2)/E1 + (1 - nu2^2)/E2."""
+    compliance = first.compliance + second.compliance
+    value = concrete(compliance)
+    if value is not None and not np.all(value > 0):
+        refuse("material_2", "at most one rigid body", "two", "Two rigid bodies have no contact law.")
+    return 1 / compliance
+
+
+def hertz_coefficient(material_1, radius_1, material_2=None, radius_2=None):
+    r"""Coefficient A of the contact F = A d^{3/2} of two elastic spheres.
+
+    A = (4/3) E* sqrt(R*),   1/E* = (1 - nu1^2)/E1 + (1 - nu2^2)/E2,   1/R* = 1/R1 + 1/R2;
+
+    equal beads: A = E sqrt(2R)/(3 (1 - nu^2)).
+
+    **Arguments:** `material_1`, `material_2`: a `Material` or a name of the table; `material_2=None` is the same one.
+    `radius_1`, `radius_2` [m]: above zero; `radius_2=None` is the same radius, `jnp.inf` a plane. A plane that does
+    not yield: `hertz_coefficient("steel 316", R, "rigid", jnp.inf)`. Radii may be arrays that broadcast.
+
+    **Returns:** A [N/m^{3/2}], for `Hertz(stiffness=A)`. Typical: steel beads of 9.53 mm radius 9.8e9, PTFE of
+    2.38 mm 4.3e7. **Raises** ValueError for a radius that is not above zero, two planes, or two rigid bodies.
+    Source: K. L. Johnson, Contact Mechanics (1985), section 4.2; valid for contacts small against the radii.
+    """
+    first = _find(material_1)
+    second = first if material_2 is None else _find(material_2)
+    R1 = _radius_or_plane("radius_1", radius_1)
+    R2 = R1 if radius_2 is None else _radius_or_plane("radius_2", radius_2)
+    _fit(radius_1=R1, radius_2=R2, material_1=first.compliance, material_2=second.compliance)
+    curvature = 1 / R1 + 1 / R2
+    value = concrete(curvature)
+    if value is not None and not np.all(value > 0):
+        refuse("radius_2", "at most one plane", "two", "Two planes have no Hertz contact.")
+    return 4 / 3 * _effective_modulus(first, second) / jnp.sqrt(curvature)
+
+
+def bead_mass(material, radius):
+    """Mass of a solid sphere, m = (4/3) pi R^3 rho [kg].
+
+    **Arguments:** a `Material` or a name of the table; `radius` R > 0 [m], a number or an array.
+    **Raises** ValueError for a radius that is not above zero, or a rigid body, which has no density.
+    """
+    body = _find(material)
+    density = concrete(body.density)
+    if density is not None and not np.all(np.isfinite(density)):
+        refuse("material", "a material with a density", "'rigid'", "A rigid body stands for a wall, not for a bead.")
+    R = _radius("radius", radius)
+    _fit(radius=R, density=body.density)
+    return 4 / 3 * math.pi * R**3 * body.density
+
+
+def crossed_cylinders(material_1, radius_1, material_2=None, radius_2=None, angle=math.pi / 2):
+    r"""Coefficient A of the contact F = A d^{3/2} of two cylinders whose axes cross at an angle.
+
+    With the curvatures of the gap Q_1 <= Q_2, Q_1 + Q_2 = (1/R1 + 1/R2)/2, Q_1 Q_2 = sin^2(angle)/(4 R1 R2), the
+    contact is an ellipse of axis ratio k <= 1 and modulus m = 1 - k^2 with
+
+    Q_2/Q_1 = (E(m)/k^2 - K(m))/(K(m) - E(m)),   A = (2 pi/3) E* sqrt(E(m)/(K(m)^3 (Q_1 + Q_2)))/k,
+
+    K and E the complete elliptic integrals. Equal radii at a right angle make a circle: A = (4/3) E* sqrt(R), a
+    sphere of radius R on a plane. Small angles make long, stiff contacts, A -> infinity as the axes become parallel.
+
+    **Arguments:** materials and radii as in `hertz_coefficient`, without planes; `angle` in (0, pi/2] [rad]. All may
+    be arrays that broadcast, or traced.
+
+    **Returns:** A [N/m^{3/2}]. **Raises** ValueError for a radius that is not above zero, an angle outside
+    (0, pi/2], or two rigid bodies.
+    Source: K. L. Johnson, Contact Mechanics (1985), section 4.2; Khatri, Ngo, Daraio, Granular Matter 14, 63 (2012).
+    """
+    first = _find(material_1)
+    second = first if material_2 is None else _find(material_2)
+    R1 = _radius("radius_1", radius_1)
+    R2 = R1 if radius_2 is None else _radius("radius_2", radius_2)
+    remedy = "The angle is in radians; parallel cylinders touch along a line, which is another law."
+    angle = within("angle", angle, 0, math.pi / 2, open_low=True, remedy=remedy)
+    _fit(radius_1=R1, radius_2=R2, angle=angle, material_1=first.compliance, material_2=second.compliance)
+    total = (1 / R1 + 1 / R2) / 2
+    square = (1 / R1 - 1 / R2) ** 2 + 4 * jnp.cos(angle) ** 2 / (R1 * R2)
+    # the root has no slope at zero; the coefficient is even in it, so zero is its true slope there
+    is_circle = square <= 0
+    difference = jnp.where(is_circle, 0, jnp.sqrt(jnp.where(is_circle, 1, square))) / 2
+    Q2 = (total + difference) / 2
+    k = _axis_ratio(jnp.log(Q2 * Q2 * 4 * R1 * R2 / jnp.sin(angle) ** 2))
+    K, share = _elliptic(k)
+    E_over_K = 1 - (1 - k * k) * share
+    return 2 * math.pi / 3 * _effective_modulus(first, second) * jnp.sqrt(E_over_K / total) / (K * k)
+
+
+def _elliptic(k):
+    """K(m) and (1 - E(m)/K(m))/m for m = 1 - k^2, by the arithmetic-geometric mean.
+
+    No difference of near numbers is taken at any k in (0, 1]. Source: Abramowitz & Stegun, section 17.6.
+    """
+    m = (1 - k) * (1 + k)
+    a, b = jnp.ones_like(k), k
+    weight, share = jnp.ones_like(k), jnp.full_like(k, 0.5)
+    for n in range(_MEANS):
+        a, b = (a + b) / 2, jnp.sqrt(a * b)
+        weight = weight * weight * m / (16 * a * a)
+        share = share + 2.0**n * weight
+    return math.pi / (2 * a), share
+
+
+def _log_curvatures(x):
+    """log(Q_2/Q_1) of the contact ellipse of axis ratio k = exp(x)."""
+    k = jnp.exp(x)
+    _, share = _elliptic(k)
+    return jnp.log((1 - share) / share) - 2 * x
+
+
+@jax.jit
+def _axis_ratio(target):
+    """k with log(Q_2/Q_1) = target, by Newton's method in log k: the slope lies between -3/2 and -2."""
+    x = -2 / 3 * target
+    for _ in range(_NEWTON_STEPS):
+        value, slope = jax.jvp(_log_curvatures, (x,), (jnp.ones_like(x),))
+        x = x - (value - target) / slope
+    return jnp.exp(jnp.minimum(x, 0))
+
+
+_MEANS = 8
+_NEWTON_STEPS = 5

@@ -1,0 +1,176 @@
+"""Fronts: when a pulse arrives at each site, when it peaks there, and how fast it runs."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..checks import concrete, one_of, parameter, refuse, show, within
+
+ROOT_STEPS = 12
+
+
+class Peaks(NamedTuple):
+    """Time and height of the highest maximum of every site, shape of one frame; NaN where it lies at an end."""
+
+    times: jax.Array
+    heights: jax.Array
+
+
+class Front(NamedTuple):
+    """Speed of a front [sites/time], its standard error, and the arrival times that it was fitted to."""
+
+    speed: jax.Array
+    error: jax.Array
+    arrivals: jax.Array
+
+
+def arrival_times(ts, q, threshold=None, *, fraction=0.5):
+    """Time at which a quantity first reaches a threshold, at every site.
+
+    The crossing is found on the cubic through the four frames about it; its error falls as the fourth power of the
+    frames' distance. Derivatives go through it (with respect to `q`, `ts`, `threshold`), not through the choice of
+    the frame.
+
+    **Arguments:** `ts`: times (T,), rising. `q`: (T, N) and further trailing axes, such as contact forces.
+    `threshold`: a number, or one per site [units of q]; `None` takes `fraction`, in (0, 1], of each site's own maximum.
+    **Returns:** times of the shape of one frame; `ts[0]` where q starts above, NaN where it never gets there.
+    **Raises** ValueError for times that do not rise or are not one per frame, or a fraction outside (0, 1].
+    """
+    ts, q = _history(ts, q)
+    if threshold is None:
+        threshold = within("fraction", fraction, 0, 1, open_low=True) * q.max(0)
+    else:
+        threshold = parameter("threshold", threshold)
+    threshold = jnp.broadcast_to(threshold, q.shape[1:])
+    reached = q >= threshold
+    first = jnp.argmax(reached, 0)
+    nodes, values, start, scale = _stencil(ts, q, first - 2, 4)
+    # in the stencil's units of time: the frame before the crossing, and the one after it
+    high = (ts[first] - start) / scale
+    low = (ts[jnp.maximum(first - 1, 0)] - start) / scale
+    x = start + scale * _root(nodes, values, threshold, low, high)
+    return jnp.where(reached.any(0), jnp.where(first == 0, ts[0], x), jnp.nan)
+
+
+def peak_times(ts, q):
+    """Time and height of the highest maximum of a quantity at every site, refined between frames.
+
+    The maximum is that of the polynomial of degree 4 through the five frames about the highest one (a parabola where
+    there are only three frames).
+
+    **Arguments:** as in `arrival_times`. **Returns:** `Peaks`, with NaN where the highest frame is the first or last.
+    **Raises** ValueError for times that do not rise or are not one per frame, or fewer than three frames.
+    """
+    ts, q = _history(ts, q, 3)
+    top = jnp.argmax(q, 0)
+    nodes, values, start, scale = _stencil(ts, q, top - 2, 5)
+    at = jnp.clip(top, 1, len(ts) - 2)
+    low, middle, high = ((ts[at + i] - start) / scale for i in (-1, 0, 1))
+
+    def slope(x):
+        return jax.jvp(lambda x: _lagrange(nodes, values, x), (x,), (jnp.ones_like(x),))[1]
+
+    x = middle
+    for _ in range(ROOT_STEPS):
+        g, curvature = jax.jvp(slope, (x,), (jnp.ones_like(x),))
+        bends = curvature < 0
+        x = jnp.clip(x - jnp.where(bends, g / jnp.where(bends, curvature, -1), 0), low, high)
+    inside = (top > 0) & (top < len(ts) - 1)
+    heights = _lagrange(nodes, values, x)
+    return Peaks(jnp.where(inside, start + scale * x, jnp.nan), jnp.where(inside, heights, jnp.nan))
+
+
+def front_speed(ts, q, sites=None, *, by="peak", threshold=None, fraction=0.5):
+    """Speed of a front, from a least-squares line of arrival time against site: t = t0 + n/c.
+
+    **Arguments:** `ts`, `q`: as in `arrival_times`. `sites`: indices of the sites that count, `None` for all; leave
+    out those near the ends. `by`: `"peak"`, the time of the maximum, or `"arrival"`, the first crossing of
+    `threshold` or `fraction`. Sites that have no arrival (NaN) are left out.
+    **Returns:** `Front(speed, error, arrivals)`; speed in sites per time, positive towards higher index; `error` is the
+    standard error from the scatter about the line, NaN with fewer than three arrivals.
+    **Raises** ValueError for another `by`, sites that are not indices, or fewer than two of them.
+    """
+    ts, q = _history(ts, q, 3)
+    if q.ndim < 2:
+        refuse("q", "frames of several sites, shape (T, N)", f"shape {q.shape}")
+    n = _indices(sites, q.shape[1])
+    chosen = q[:, n]
+    if one_of("by", by, ("peak", "arrival")) == "peak":
+        arrivals = peak_times(ts, chosen).times
+    else:
+        arrivals = arrival_times(ts, chosen, threshold, fraction=fraction)
+    there = jnp.isfinite(arrivals)
+    count = there.sum(0)
+    n = jnp.asarray(n, ts.dtype).reshape((-1,) + (1,) * (arrivals.ndim - 1))
+    t = jnp.where(there, arrivals, 0)
+    dn = jnp.where(there, n - jnp.where(there, n, 0).sum(0) / count, 0)
+    dt = jnp.where(there, t - t.sum(0) / count, 0)
+    square = (dn * dn).sum(0)
+    slowness = (dn * dt).sum(0) / square
+    residual = ((dt - slowness * dn) ** 2).sum(0)
+    freedom = jnp.where(count > 2, count - 2, jnp.nan)
+    return Front(1 / slowness, jnp.sqrt(residual / freedom / square) / slowness**2, arrivals)
+
+
+def _history(ts, q, least=2):
+    ts, q = parameter("ts", ts), parameter("q", q)
+    if ts.ndim != 1 or len(ts) < least:
+        refuse("ts", f"at least {least} times in one row", f"shape {ts.shape}")
+    if q.ndim < 1 or q.shape[0] != len(ts):
+        refuse("q", f"{len(ts)} frames on the first axis, one per time", f"shape {q.shape}", "Time comes first.")
+    value = concrete(ts)
+    if value is not None and not np.all(np.diff(value) > 0):
+        refuse("ts", "rising times", show(value))
+    return ts, q
+
+
+def _indices(sites, size):
+    n = np.arange(size) if sites is None else np.asarray(sites)
+    if n.ndim != 1 or n.dtype.kind not in "iu" or len(n) < 2:
+        refuse("sites", "at least two site indices", repr(sites))
+    if n.min() < 0 or n.max() >= size:
+        refuse("sites", f"indices within 0 ... {size - 1}", show(n))
+    return n
+
+
+def _stencil(ts, q, first, size):
+    """`size` frames from `first` on, shifted inside the record: times in units of their mean distance, and values."""
+    size = min(size, len(ts))
+    first = jnp.clip(first, 0, len(ts) - size)
+    index = first[None] + jnp.arange(size).reshape((-1,) + (1,) * first.ndim)
+    nodes = ts[index]
+    start, scale = nodes[0], (nodes[-1] - nodes[0]) / (size - 1)
+    return (nodes - start) / scale, jnp.take_along_axis(q, index, 0), start, scale
+
+
+def _lagrange(nodes, values, x):
+    """The polynomial through (nodes, values), along the first axis, at x."""
+    total = 0.0
+    for j in range(len(nodes)):
+        weight = 1.0
+        for k in range(len(nodes)):
+            if k != j:
+                weight = weight * (x - nodes[k]) / (nodes[j] - nodes[k])
+        total = total + weight * values[j]
+    return total
+
+
+def _root(nodes, values, level, low, high):
+    """Newton's method held inside [low, high], where the polynomial rises through the level."""
+    def near(x):
+        return jax.jvp(lambda x: _lagrange(nodes, values, x) - level, (x,), (jnp.ones_like(x),))
+
+    x = (low + high) / 2
+    a, b = low, high
+    for _ in range(ROOT_STEPS):
+        g, slope = near(x)
+        a, b = jnp.where(g < 0, x, a), jnp.where(g < 0, b, x)
+        new = x - g / jnp.where(slope == 0, 1, slope)
+        x = jnp.where((new > a) & (new < b) & (slope != 0), new, (a + b) / 2)
+    # one last step from a fixed place carries the derivative of the root
+    x = jax.lax.stop_gradient(x)
+    g, slope = near(x)
+    slope = jax.lax.stop_gradient(slope)
+    return x - jnp.where(slope > 0, g / jnp.where(slope > 0, slope, 1), 0)

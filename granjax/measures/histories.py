@@ -1,0 +1,21 @@
+"""A measure along a run, frame by frame."""
+
+import jax
+
+from ..checks import refuse
+from ..lattice import State
+
+
+def along(measure, lattice, run, **options):
+    """A measure of every frame of a run: `measure(lattice, State(u, v), t, **options)`, stacked on a leading axis.
+
+    **Arguments:** `measure`: such as `contact_force`, or a function of (lattice, y, t); `run`: anything with `ts`, `us`,
+    `vs`, such as the result of `simulate`; `options`: keywords of the measure, such as `bond=1`.
+    **Returns:** what the measure returns, each array with T in front. All frames are held at once; to keep less, record
+    the quantity while simulating. **Raises** ValueError for a measure that cannot be called or a run without frames.
+    """
+    if not callable(measure):
+        refuse("measure", "a function of (lattice, y, t)", repr(measure))
+    if not all(hasattr(run, name) for name in ("ts", "us", "vs")):
+        refuse("run", "a record with ts, us and vs", f"{type(run).__name__}", "Give the result of simulate.")
+    return jax.vmap(lambda t, u, v: measure(lattice, State(u, v), t, **options))(run.ts, run.us, run.vs)

@@ -1,0 +1,68 @@
+"""What an instrument would show: a laser vibrometer's trace of one bead."""
+
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from ..checks import non_negative, parameter, positive, refuse, show, whole
+
+
+class Trace(NamedTuple):
+    """A sampled signal: time (S,) [s] and velocity (S,) + trailing axes [m/s]."""
+
+    time: np.ndarray
+    velocity: np.ndarray
+
+
+def velocity_trace(ts, vs, bead, *, sampling, noise=0.0, key=0, units=None):
+    """Velocity of one bead as a laser vibrometer gives it: sampled at a fixed rate, with Gaussian noise.
+
+    Between frames the velocity is a cubic spline, so the frames must resolve the motion (at least ten to a period of
+    the fastest); a rate above theirs adds samples, not information.
+
+    **Arguments:**
+
+    - `ts`, `vs`: times (T,) and velocities (T, N) and further axes, such as `run.ts`, `run.vs`.
+    - `bead`: index, negative from the end.
+    - `sampling`: samples per second [Hz].
+    - `noise`: standard deviation of the noise [m/s].
+    - `key`: whole number that seeds the noise; the same key gives the same trace.
+    - `units`: (second, metre) of the run's units of time and length, where it is in scaled units: one unit of time is
+      `second` s, one of length `metre` m. `None`: the run is in SI.
+
+    **Returns:** `Trace(time, velocity)` from the first frame on, NumPy arrays.
+    **Raises** ValueError for fewer than four frames, a bead that is not there, a record that holds fewer than two
+    samples, a noise below zero, or traced input.
+    """
+    if isinstance(ts, jax.core.Tracer) or isinstance(vs, jax.core.Tracer):
+        refuse("vs", "numbers known before tracing", "a traced array", "Take the trace outside of jit.")
+    ts, vs = np.asarray(parameter("ts", ts)), np.asarray(parameter("vs", vs))
+    if ts.ndim != 1 or len(ts) < 4 or not np.all(np.diff(ts) > 0):
+        refuse("ts", "at least four rising times", show(ts))
+    if vs.ndim < 2 or len(vs) != len(ts):
+        refuse("vs", f"shape ({len(ts)}, N), frames first", f"shape {vs.shape}")
+    count = vs.shape[1]
+    if isinstance(bead, bool) or not isinstance(bead, (int, np.integer)) or not -count <= bead < count:
+        refuse("bead", f"an index within {-count} ... {count - 1}", repr(bead))
+    second, metre = _units(units)
+    time = ts * second
+    interval = 1 / float(positive("sampling", sampling))
+    samples = int(np.floor((time[-1] - time[0]) / interval * (1 + 1e-12))) + 1
+    if samples < 2:
+        refuse("sampling", f"at least {1 / (time[-1] - time[0]):g} Hz, two samples in the record", f"{sampling}")
+    at = np.minimum(time[0] + interval * np.arange(samples), time[-1])
+    velocity = CubicSpline(time, vs[:, bead] * (metre / second), axis=0)(at)
+    sigma = float(non_negative("noise", noise))
+    if sigma:
+        velocity = velocity + sigma * np.random.default_rng(whole("key", key)).standard_normal(velocity.shape)
+    return Trace(at, velocity)
+
+
+def _units(units):
+    if units is None:
+        return 1.0, 1.0
+    if not isinstance(units, (tuple, list)) or len(units) != 2:
+        refuse("units", "a pair (second, metre)", repr(units), "One unit of time in s, one unit of length in m.")
+    return tuple(float(positive("units", x)) for x in units)

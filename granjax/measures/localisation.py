@@ -1,0 +1,62 @@
+"""How far the energy has spread: participation, centre, second moment."""
+
+import jax
+import jax.numpy as jnp
+
+from ..checks import parameter, refuse
+from .energies import site_energy
+
+
+def participation(weights, axis=0):
+    """Number of sites that share a positive quantity: (sum w)^2 / sum w^2; N where all are equal, 1 for one alone.
+
+    **Arguments:** `weights`: such as energies, or squares of a mode's displacements times mass; `axis`: one axis of
+    the sites, or several. **Returns:** the array without these axes; NaN where all weights are zero.
+    """
+    weights = parameter("weights", weights)
+    return weights.sum(axis) ** 2 / (weights * weights).sum(axis)
+
+
+def participation_number(lattice, y, t=0.0):
+    """Participation number of the site energies, (sum e)^2 / sum e^2, from 1 to N; shape of the lanes.
+
+    The fields of a cell count together. NaN for a lattice at rest. **Raises** ValueError as `site_energy` does.
+    """
+    return participation(_cell_energy(lattice, y, t), tuple(range(lattice.axes)))
+
+
+def energy_centre(lattice, y, t=0.0):
+    """Mean place of the energy, sum n e_n / sum e_n [sites]; shape of the lanes, after (2,) on a grid."""
+    e = _cell_energy(lattice, y, t)
+    axes = tuple(range(lattice.axes))
+    centres = [(n * e).sum(axes) / e.sum(axes) for n in _places(lattice, e)]
+    return centres[0] if len(centres) == 1 else jnp.stack(centres)
+
+
+def second_moment(lattice, y, t=0.0):
+    """Mean square distance of the energy from its centre, sum (n - centre)^2 e_n / sum e_n [sites^2].
+
+    On a grid the sum over both axes. Grows as t^2 where energy runs freely, stays bounded where it is localised.
+    **Returns:** shape of the lanes; NaN for a lattice at rest.
+    """
+    e = _cell_energy(lattice, y, t)
+    axes = tuple(range(lattice.axes))
+    total = 0.0
+    for n in _places(lattice, e):
+        centre = (n * e).sum(axes) / e.sum(axes)
+        total = total + ((n - centre) ** 2 * e).sum(axes) / e.sum(axes)
+    return total
+
+
+def _cell_energy(lattice, y, t):
+    e = site_energy(lattice, y, t)
+    leaves = jax.tree.leaves(e)
+    if any(leaf.shape != leaves[0].shape for leaf in leaves):
+        refuse("lattice", "fields of one shape, one of each per cell", f"{lattice.sites}", "Use site_energy.")
+    return sum(leaves)
+
+
+def _places(lattice, e):
+    """Site indices along each axis, shaped to broadcast against the energies."""
+    for axis in range(lattice.axes):
+        yield jnp.arange(e.shape[axis], dtype=e.dtype).reshape((-1,) + (1,) * (e.ndim - axis - 1))

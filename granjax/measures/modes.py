@@ -1,0 +1,47 @@
+"""Energy in normal modes."""
+
+import jax
+import jax.numpy as jnp
+
+from ..checks import parameter, refuse
+from .states_of import parts
+
+
+def modal_amplitudes(lattice, y, modes):
+    """Normal coordinates a_k = sum_i m_i phi_ik u_i of a state, and their rates.
+
+    **Arguments:** `modes`: mass-orthonormal modes, sum_i m_i phi_ik phi_il = delta_kl, as columns: (N, M), or
+    (N, M) + lanes. With vectors or several fields N counts all displacements, in the order of `jax.tree.leaves` of
+    `u`, each flattened. **Returns:** (a, a_dot), each (M,) + lanes.
+    **Raises** ValueError for modes whose first axis is not the number of displacements.
+    """
+    u, v = parts(lattice, y)
+    modes = parameter("modes", modes)
+    momenta = [_flat(lattice, jax.tree.map(jnp.multiply, lattice.mass, x)) for x in (u, v)]
+    size, lanes = momenta[0].shape[0], lattice.lanes
+    if modes.ndim < 2 or modes.shape[0] != size or modes.shape[2:] not in ((), lanes):
+        also = f" or ({size}, M) + {lanes}" if lanes else ""
+        refuse("modes", f"shape ({size}, M){also}, one mode per column", f"shape {modes.shape}")
+    if modes.ndim == 2:
+        modes = modes.reshape(modes.shape + (1,) * len(lanes))
+    return tuple(jnp.einsum("nm...,n...->m...", modes, p) for p in momenta)
+
+
+def modal_energy(lattice, y, modes, omega):
+    """Energy of every normal mode in the linear lattice, E_k = (a_dot_k^2 + omega_k^2 a_k^2)/2 [J].
+
+    **Arguments:** `modes`: as in `modal_amplitudes`; `omega`: their frequencies (M,), or (M,) + lanes [rad/s].
+    **Returns:** (M,) + lanes. In a linear lattice each is constant and, over all modes, they sum to `energy`.
+    **Raises** ValueError for modes or frequencies that do not fit.
+    """
+    a, rate = modal_amplitudes(lattice, y, modes)
+    omega = parameter("omega", omega)
+    if omega.shape not in (a.shape, a.shape[:1]):
+        refuse("omega", f"shape {a.shape[:1]}, one per mode", f"shape {omega.shape}")
+    omega = omega.reshape(omega.shape + (1,) * (a.ndim - omega.ndim))
+    return (rate**2 + omega**2 * a**2) / 2
+
+
+def _flat(lattice, x):
+    lanes = lattice.lanes
+    return jnp.concatenate([leaf.reshape((-1,) + lanes) for leaf in jax.tree.leaves(x)])

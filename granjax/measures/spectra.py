@@ -1,0 +1,98 @@
+"""Spectra: power over wave number and frequency, and over time and frequency."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.signal import ShortTimeFFT
+from scipy.signal.windows import hann
+
+from ..checks import one_of, parameter, positive, refuse
+
+WINDOWS = ("hann", "none")
+
+
+class Spectrum(NamedTuple):
+    """Power over wave number k (K,) [rad/site], rising in [-pi, pi], and angular frequency omega (W,) >= 0."""
+
+    k: jax.Array
+    omega: jax.Array
+    power: jax.Array
+
+
+class Spectrogram(NamedTuple):
+    """Power density over time (S,) and angular frequency omega (W,) [rad/time]; power (S, W) + trailing axes."""
+
+    time: np.ndarray
+    omega: np.ndarray
+    power: np.ndarray
+
+
+def spectrum(us, dt, *, time_window="hann", space_window="hann"):
+    r"""Spectrum of a history over wave number and frequency: |sum_nt w_n w_t u_n(t) exp(-i(k n - omega t))|^2.
+
+    Sign: a wave cos(k n - omega t) with omega > 0 runs to the right for k > 0 and has its line at (k, omega). As u is
+    real, frequencies below zero are folded in: omega runs from 0 to pi/dt.
+
+    Scale: without windows the powers sum to the mean of u^2 over sites and frames (Parseval); a plane wave of
+    amplitude a has a^2/2. A window keeps this for signals that are spread over the record.
+
+    **Arguments:** `us`: (T, N) and lanes, frames equally spaced by `dt`: displacements, velocities or strains.
+    `time_window`, `space_window`: `"hann"` or `"none"` (right in space for a periodic chain).
+    **Returns:** `Spectrum(k, omega, power)`, power (N, T//2 + 1) and lanes.
+    Resolution: 2 pi/(N) in k and 2 pi/(T dt) in omega, doubled by a Hann window.
+    **Raises** ValueError for fewer than four frames or two sites, dt <= 0, or another window.
+    """
+    us, dt = parameter("us", us), positive("dt", dt)
+    if us.ndim < 2 or us.shape[0] < 4 or us.shape[1] < 2:
+        refuse("us", "at least 4 frames of 2 sites, shape (T, N)", f"shape {us.shape}")
+    frames, sites = us.shape[:2]
+    tail = (1,) * (us.ndim - 2)
+    w_time = _window("time_window", time_window, frames).reshape((-1, 1) + tail)
+    w_space = _window("space_window", space_window, sites).reshape((-1,) + tail)
+    # over real u, modulus at (k, omega) is that of exp(+ikn) exp(-i omega t)
+    amplitude = jnp.fft.ifft(jnp.fft.rfft(w_time * w_space * us, axis=0), axis=1) / frames
+    power = jnp.abs(amplitude) ** 2 / (jnp.mean(w_time**2) * jnp.mean(w_space**2))
+    twice = np.full(frames // 2 + 1, 2.0)
+    twice[0] = 1
+    if frames % 2 == 0:
+        twice[-1] = 1
+    power = jnp.fft.fftshift(jnp.swapaxes(power * twice.reshape((-1, 1) + tail), 0, 1), 0)
+    k = 2 * jnp.pi * jnp.fft.fftshift(jnp.fft.fftfreq(sites))
+    return Spectrum(k, 2 * jnp.pi * jnp.fft.rfftfreq(frames) / dt, power)
+
+
+def _window(name, window, size):
+    if one_of(name, window, WINDOWS) == "none":
+        return jnp.ones(size)
+    return jnp.asarray(hann(size, sym=False))
+
+
+def spectrogram(v, dt, window, *, hop=None):
+    """Power density of a signal over time and frequency, by a short-time Fourier transform with a Hann window.
+
+    Scale: the integral over omega is the mean square of the signal about that time. Only windows that lie inside the
+    record are returned.
+
+    **Arguments:** `v`: (T,) and trailing axes, frames equally spaced by `dt`. `window`: length of the window, in the
+    units of `dt`; the resolution in frequency is about 4 pi/window. `hop`: time between windows, `None` for a quarter.
+    **Returns:** `Spectrogram(time, omega, power)`, NumPy arrays, time counted from the first frame; power (S, W) and
+    trailing axes. **Raises** ValueError for a window shorter than four frames or longer than the record, or traced
+    input.
+    """
+    if isinstance(v, jax.core.Tracer):
+        refuse("v", "numbers known before tracing", "a traced array", "Take the spectrogram outside of jit.")
+    v, dt = np.asarray(parameter("v", v)), float(positive("dt", dt))
+    size = int(round(float(positive("window", window)) / dt))
+    if v.ndim < 1 or not 4 <= size <= len(v):
+        refuse("window", f"a time from {4 * dt:g} to {(len(v) if v.ndim else 0) * dt:g}, 4 frames to all", f"{window}")
+    step = max(1, size // 4) if hop is None else int(round(float(positive("hop", hop)) / dt))
+    if step < 1:
+        refuse("hop", f"a time not below dt = {dt:g}", f"{hop}")
+    transform = ShortTimeFFT(hann(size, sym=False), step, 1 / dt, fft_mode="onesided2X", scale_to="psd")
+    last = transform.upper_border_begin(len(v))[1]
+    first = transform.lower_border_end[1]
+    power = transform.spectrogram(v, axis=0, p0=first, p1=max(last, first + 1))
+    time = transform.t(len(v), first, max(last, first + 1))
+    return Spectrogram(time, 2 * np.pi * transform.f, np.moveaxis(power, -1, 0) / (2 * np.pi))

@@ -1,0 +1,104 @@
+"""Chains in SI from materials and radii."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..checks import one_of, positive, refuse, whole
+from ..lattice import Lattice
+from ..laws import Hertz
+from ..materials import Material, bead_mass, hertz_coefficient, material, stack
+from ..strains import BOUNDARIES, Shift
+from ..terms import Bond, Damping
+
+
+def beads(materials, radii, precompression=0.0, *, cells=None, wall=None, boundary="fixed", damping_time=None):
+    r"""Chain of elastic spheres in SI: masses (4/3) pi R^3 rho, Hertz contacts of each pair of neighbours.
+
+    m_n u_n'' = A_n [d0_n + u_{n-1} - u_n]_+^{3/2} - A_{n+1} [d0_{n+1} + u_n - u_{n+1}]_+^{3/2} - m_n u_n'/tau,
+    d0_n = (F0/A_n)^{2/3}, A_n as in `granjax.materials.hertz_coefficient`.
+
+    **Arguments:**
+
+    - `materials`: a name of the table or a `Material`, for all beads; or a sequence, one per bead.
+    - `radii` [m]: a number for all beads, or a sequence or array, one per bead. Traced values pass.
+    - `precompression`: static force F0 >= 0 [N], a number, or one per contact where other static loads, such as the
+      weight of a vertical chain, make up the difference.
+    - `cells`: how often the beads above are repeated:
+      `beads(["aluminium 6061-T6", "steel 316"], 9.53e-3, 20.0, cells=40)` is a dimer of 80 beads.
+    - `boundary`: `"fixed"` (walls at rest), `"free"` (F0 held at the ends) or `"periodic"`.
+    - `wall`: material of the walls, which are elastic half-spaces felt as planes; a name, a `Material`, `"rigid"`, or
+      a pair (left, right); by default the material of the bead that touches.
+    - `damping_time`: tau [s] of a damping of each bead, rate 1/tau; `None` for none. Typical: 0.2 ... 5 ms.
+
+    **Returns:** a `Lattice`, u in m, v in m/s, t in s. `scaled(...)` gives it numbers of order one.
+    **Raises** ValueError for fewer than two beads, sequences of different length, an unknown material or boundary, a
+    radius or tau that is not above zero, F0 < 0, or a wall where there is none.
+    Source: Nesterenko, Dynamics of Heterogeneous Materials (2001); Boechler et al., Phys. Rev. Lett. 104, 244302
+    (2010).
+    """
+    one_of("boundary", boundary, BOUNDARIES)
+    if wall is not None and boundary != "fixed":
+        refuse("wall", f"None with boundary={boundary!r}", repr(wall), "Walls stand at fixed ends.")
+    bodies, R = _cell(materials, radii)
+    count = R.size
+    cells = 1 if cells is None else whole("cells", cells, 1, "It is how often the beads are repeated.")
+    sites = count * cells
+    if sites < 2:
+        refuse("cells", "at least two beads in all", repr(sites), "Give cells=N, or one material or radius per bead.")
+    mass = bead_mass(bodies, R)
+    if R.ndim:
+        bodies, R, mass = jax.tree.map(lambda x: jnp.tile(x, cells), (bodies, R, mass))
+    stiffness = _contacts(bodies, R, sites, boundary, wall)
+    terms = (Bond(Shift(1, boundary), Hertz(stiffness, precompression)),)
+    if damping_time is not None:
+        tau = positive("damping_time", damping_time, "It is in seconds; None is no damping.")
+        terms += (Damping(1 / tau),)
+    return Lattice(mass, terms, sites=sites)
+
+
+def _cell(materials, radii):
+    """Material and radii of the beads of one cell: numbers where all are alike, else arrays of one length."""
+    if isinstance(radii, (tuple, list)) and radii:
+        each = [positive(f"radii[{i}]", r, "A radius is in metres, above zero.") for i, r in enumerate(radii)]
+        if any(r.ndim for r in each):
+            refuse("radii", "one number per bead", repr(radii))
+        R = jnp.stack(each)
+    else:
+        R = positive("radii", radii, "A radius is in metres, above zero.")
+    if isinstance(materials, (str, Material)):
+        bodies = material(materials)
+    else:
+        kinds = tuple(materials) if isinstance(materials, (tuple, list)) else ()
+        if not kinds:
+            refuse("materials", "a material, or a sequence of them, one per bead", repr(materials))
+        bodies = stack(kinds)
+    shapes = {x.shape for x in (R, bodies.young, bodies.poisson, bodies.density)} - {()}
+    if len(shapes) > 1 or any(len(shape) > 1 or not shape[0] for shape in shapes):
+        got = f"{bodies.young.shape[:1] or 'one'} and {R.shape[:1] or 'one'}"
+        refuse("radii", "as many radii as materials, or one of either", got, "Repeat a cell with cells=N.")
+    shape = shapes.pop() if shapes else ()
+    return jax.tree.map(lambda x: jnp.broadcast_to(x, shape), (bodies, R))
+
+
+def _contacts(bodies, R, sites, boundary, wall):
+    """Hertz coefficient of every contact; one number where all are alike."""
+    if R.ndim == 0:
+        pairs, first, last = hertz_coefficient(bodies, R), (bodies, R), (bodies, R)
+        if boundary != "fixed":
+            return pairs
+        pairs = jnp.broadcast_to(pairs, (sites - 1,))
+    else:
+        def pick(index):
+            return jax.tree.map(lambda x: x[index], (bodies, R))
+
+        first, last = pick(0), pick(-1)
+        if boundary == "periodic":
+            n = np.arange(sites)
+            return hertz_coefficient(*pick(n), *pick((n + 1) % sites))
+        pairs = hertz_coefficient(*pick(slice(None, -1)), *pick(slice(1, None)))
+        if boundary == "free":
+            return pairs
+    left, right = wall if isinstance(wall, (tuple, list)) and len(wall) == 2 else (wall, wall)
+    ends = [hertz_coefficient(*bead, w, jnp.inf) for bead, w in ((first, left), (last, right))]
+    return jnp.concatenate([ends[0][None], pairs, ends[1][None]])

@@ -1,0 +1,9 @@
+"""Initial states: each function returns a `State(u, v)` of the lattice's shape, lanes included.
+
+Displacements are measured from static equilibrium, so a precompressed chain at rest is u = 0.
+"""
+
+from .modes import normal_mode, sine_mode
+from .simple import impact, random, rest, thermal
+from .steps import strain_step, velocity_step
+from .waves import wave_packet

@@ -1,0 +1,36 @@
+"""Which field and which site a state speaks of, checked against the lattice."""
+
+import numpy as np
+
+from ..checks import one_of, refuse
+
+
+def field_of(lattice, field):
+    """The field's name; `None` for a plain array."""
+    if lattice.fields is None:
+        if field is not None:
+            refuse("field", "None, as the lattice has no named fields", repr(field))
+        return None
+    if field is None and "bead" in lattice.fields:
+        return "bead"
+    return one_of("field", field, lattice.fields)
+
+
+def site_of(lattice, site, field):
+    """A site's index as a tuple, in range."""
+    shape = lattice.sites if field is None else lattice.sites[field]
+    index = tuple(site) if isinstance(site, (tuple, list)) else (site,)
+    if any(isinstance(i, bool) or not isinstance(i, (int, np.integer)) for i in index) or len(index) != len(shape):
+        one = "a whole number" if len(shape) == 1 else f"{len(shape)} whole numbers, one per axis"
+        refuse("site", one, repr(site), "Sites are counted from 0, negative ones from the end.")
+    if any(not -n <= i < n for i, n in zip(index, shape)):
+        ranges = ", ".join(f"{-n} ... {n - 1}" for n in shape)
+        refuse("site", f"an index within {ranges}", repr(site), f"The lattice has {shape} sites.")
+    return tuple(int(i) for i in index)
+
+
+def chain_only(lattice, what):
+    """Refuse grids, vectors and named fields, where a state is meant for a plain chain."""
+    if lattice.fields is not None or lattice.axes != 1 or lattice.dimension is not None:
+        refuse("lattice", f"a chain with one displacement per site, for {what}", f"displacements of shape {lattice.shape}")
+    return lattice.shape[0]

@@ -1,0 +1,60 @@
+"""Steps in strain or velocity: the Riemann data of dispersive shocks."""
+
+import jax.numpy as jnp
+
+from ..checks import concrete, parameter, refuse, show
+from ..lattice import State
+from .places import chain_only
+
+
+def strain_step(lattice, left, right=0.0, centre=None):
+    r"""A step in the strain, at rest: y_n = u_n - u_{n+1} = `left` for n < centre, `right` for n >= centre; v = 0.
+
+    The last site stays at u = 0 and the displacements follow from it, u_n = sum of y_j over j >= n. With right = 0 all
+    sites from the centre on are exactly at rest; on the left u grows to left * centre, and its rounding in the strain
+    is that times 1e-16 (5e-11 of `left` for a step half a million bonds from the end).
+
+    Meant for free ends, whose static load holds F0 alone: the ends send waves inwards from t = 0 on, as far as sound
+    goes. A wall at the left end would be torn away or crushed by u_0.
+
+    **Arguments:** `left`, `right`: strains, positive in compression [m], numbers or one per lane; `centre`: bond where
+    the step lies, from 0 to N - 1, `None` for the middle, (N-1)//2.
+    **Raises** ValueError for a lattice that is no plain chain, strains not finite, or a centre outside the chain.
+    """
+    size = chain_only(lattice, "strain_step")
+    left, right = parameter("left", left), parameter("right", right)
+    centre = _inside("centre", (size - 1) // 2 if centre is None else centre, size)
+    n = jnp.arange(size, dtype=left.dtype).reshape((-1,) + (1,) * len(lattice.lanes))
+    before, after = jnp.maximum(centre - n, 0), size - 1 - jnp.maximum(n, centre)
+    zeros = lattice.zeros()
+    return State((zeros + (left * before + right * after)).astype(zeros.dtype), zeros)
+
+
+def velocity_step(lattice, c, centre=None):
+    r"""A velocity shock: u = 0, v_n = -2 c sign(n - centre), with sign(0) = 0.
+
+    For c > 0 the left half moves right with 2c and the right half left with 2c, so that they collide: the relative
+    velocity is 4c. By symmetry it is a piston that moves with 2c into a chain at rest, seen by an observer who moves
+    along. Toda chain (a = b = m = 1), 0 < c < 1: the strain behind the shocks is 2 ln(1 + c), about 2c; c < 0 pulls
+    the halves apart.
+
+    **Arguments:** `c`: a quarter of the relative velocity [m/s], a number or one per lane; `centre`: site, or the
+    half-integer between two, `None` for the middle, (N-1)/2: between two sites for even N, at a site that stays at
+    rest for odd N. The ends send their own waves inwards from t = 0 on.
+    **Raises** ValueError for a lattice that is no plain chain, c not finite, or a centre outside the chain.
+    Source: S. Venakides, P. Deift, R. Oba, Comm. Pure Appl. Math. 44, 1171 (1991).
+    """
+    size = chain_only(lattice, "velocity_step")
+    c = parameter("c", c)
+    centre = _inside("centre", (size - 1) / 2 if centre is None else centre, size)
+    n = jnp.arange(size, dtype=c.dtype).reshape((-1,) + (1,) * len(lattice.lanes))
+    zeros = lattice.zeros()
+    return State(zeros, (zeros - 2 * c * jnp.sign(n - centre)).astype(zeros.dtype))
+
+
+def _inside(name, centre, size):
+    centre = parameter(name, centre)
+    value = concrete(centre)
+    if value is not None and (value.ndim or not 0 <= value <= size - 1):
+        refuse(name, f"a place within 0 ... {size - 1}", show(value))
+    return centre
