@@ -71,7 +71,7 @@ def _plain(name):
     return "".join(c for c in name.lower() if c not in " -_,./")
 
 
-_PLAIN = {_plain(name): name for name in (*_TABLE, *_ALIASES)}
+_PLAIN = {_plain(name): name for name in (*NAMES, *_ALIASES)}
 
 
 def material(name):
@@ -88,11 +88,11 @@ def _find(name):
         return name
     if not isinstance(name, str):
         refuse("material", "a Material, or the name of one", repr(name), f"Names: {', '.join(NAMES)}.")
-    if _plain(name) == "rigid":
+    known = _PLAIN.get(_plain(name))
+    if known == "rigid":
         unit = Material("rigid", 1.0, 0.0, 1.0, "a body that does not yield and does not move")
         infinite = jnp.full((), jnp.inf)
         return eqx.tree_at(lambda m: (m.young, m.density), unit, (infinite, infinite))
-    known = _PLAIN.get(_plain(name))
     if known is None:
         near = [_PLAIN[n] for n in difflib.get_close_matches(_plain(name), _PLAIN, n=3, cutoff=0.5)]
         near = dict.fromkeys(_ALIASES.get(n, n) for n in near)
@@ -211,16 +211,22 @@ def crossed_cylinders(material_1, radius_1, material_2=None, radius_2=None, angl
     remedy = "The angle is in radians; parallel cylinders touch along a line, which is another law."
     angle = within("angle", angle, 0, math.pi / 2, open_low=True, remedy=remedy)
     _fit(radius_1=R1, radius_2=R2, angle=angle, material_1=first.compliance, material_2=second.compliance)
+    return _effective_modulus(first, second) * _ellipse(R1, R2, angle)
+
+
+@jax.jit
+def _ellipse(R1, R2, angle):
+    """A/E* of crossed cylinders."""
     total = (1 / R1 + 1 / R2) / 2
     square = (1 / R1 - 1 / R2) ** 2 + 4 * jnp.cos(angle) ** 2 / (R1 * R2)
     # the root has no slope at zero; the coefficient is even in it, so zero is its true slope there
     is_circle = square <= 0
     difference = jnp.where(is_circle, 0, jnp.sqrt(jnp.where(is_circle, 1, square))) / 2
     Q2 = (total + difference) / 2
-    k = _axis_ratio(jnp.log(Q2 * Q2 * 4 * R1 * R2 / jnp.sin(angle) ** 2))
+    k = jnp.exp(_log_axis_ratio(jnp.log(Q2 * Q2 * 4 * R1 * R2 / jnp.sin(angle) ** 2)))
     K, share = _elliptic(k)
     E_over_K = 1 - (1 - k * k) * share
-    return 2 * math.pi / 3 * _effective_modulus(first, second) * jnp.sqrt(E_over_K / total) / (K * k)
+    return 2 * math.pi / 3 * jnp.sqrt(E_over_K / total) / (K * k)
 
 
 def _elliptic(k):
@@ -229,30 +235,42 @@ def _elliptic(k):
     No difference of near numbers is taken at any k in (0, 1]. Source: Abramowitz & Stegun, section 17.6.
     """
     m = (1 - k) * (1 + k)
-    a, b = jnp.ones_like(k), k
-    weight, share = jnp.ones_like(k), jnp.full_like(k, 0.5)
-    for n in range(_MEANS):
+
+    def mean(_, carry):
+        a, b, weight, power, share = carry
         a, b = (a + b) / 2, jnp.sqrt(a * b)
         weight = weight * weight * m / (16 * a * a)
-        share = share + 2.0**n * weight
+        return a, b, weight, 2 * power, share + power * weight
+
+    one = jnp.ones_like(k)
+    a, _, _, _, share = jax.lax.fori_loop(0, _MEANS, mean, (one, k, one, one, one / 2))
     return math.pi / (2 * a), share
 
 
 def _log_curvatures(x):
     """log(Q_2/Q_1) of the contact ellipse of axis ratio k = exp(x)."""
-    k = jnp.exp(x)
-    _, share = _elliptic(k)
+    _, share = _elliptic(jnp.exp(x))
     return jnp.log((1 - share) / share) - 2 * x
 
 
-@jax.jit
-def _axis_ratio(target):
-    """k with log(Q_2/Q_1) = target, by Newton's method in log k: the slope lies between -3/2 and -2."""
-    x = -2 / 3 * target
-    for _ in range(_NEWTON_STEPS):
-        value, slope = jax.jvp(_log_curvatures, (x,), (jnp.ones_like(x),))
-        x = x - (value - target) / slope
-    return jnp.exp(jnp.minimum(x, 0))
+def _with_slope(x):
+    return jax.jvp(_log_curvatures, (x,), (jnp.ones_like(x),))
+
+
+@jax.custom_jvp
+def _log_axis_ratio(target):
+    """x = log k with log(Q_2/Q_1) = target, by Newton's method: the slope lies between -3/2 and -2."""
+    def newton(_, x):
+        value, slope = _with_slope(x)
+        return x - (value - target) / slope
+
+    return jnp.minimum(jax.lax.fori_loop(0, _NEWTON_STEPS, newton, -2 / 3 * target), 0)
+
+
+@_log_axis_ratio.defjvp
+def _log_axis_ratio_jvp(primals, tangents):
+    x = _log_axis_ratio(*primals)
+    return x, tangents[0] / _with_slope(x)[1]
 
 
 _MEANS = 8

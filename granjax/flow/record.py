@@ -2,6 +2,7 @@
 
 import abc
 from collections.abc import Callable
+from typing import ClassVar
 
 import diffrax
 import equinox as eqx
@@ -14,36 +15,33 @@ NEWTON_STEPS = 4
 
 
 class Record(eqx.Module):
-    """A quantity followed along a run: `start` gives what is carried, `follow` takes it over one step."""
+    """A quantity followed along a run: `start` gives what is carried, `follow` takes it over one step.
+
+    A `sampled` record sees the quantity and its rate of change in the middle and at the end of each step; another one
+    its value at the end alone.
+    """
 
     quantity: eqx.AbstractVar[Callable]
+    sampled: ClassVar[bool] = True
 
     @abc.abstractmethod
-    def start(self, t, y, rate, lattice):
-        """What is carried, before the first step; `rate` is dy/dt."""
+    def start(self, t, q, dq):
+        """What is carried, from the quantity and its rate before the first step."""
 
     @abc.abstractmethod
-    def follow(self, carried, t0, t1, y1, path, lattice):
-        """What is carried after the step [t0, t1], on which `path(t)` is the state and which ends in `y1`."""
+    def follow(self, carried, t0, t1, middle, end):
+        """What is carried after the step [t0, t1]; `middle` and `end` are pairs (quantity, rate)."""
 
     def finish(self, carried):
         """The result."""
-        return carried
+        return carried[0]
 
-    def _along(self, t, path, lattice):
-        """The quantity and its rate of change at a time of the path."""
-        t = jnp.asarray(t, float)
-        return jax.jvp(lambda t: _array(self.quantity(t, path(t), lattice)), (t,), (jnp.ones_like(t),))
-
-    def _at_start(self, t, y, rate, lattice):
-        t = jnp.asarray(t, float)
-        return jax.jvp(lambda t, y: _array(self.quantity(t, y, lattice)), (t, y), (jnp.ones_like(t), rate))
-
-
-def _array(x):
-    if not isinstance(x, jax.Array) or not jnp.issubdtype(x.dtype, jnp.floating):
-        refuse("record", "a function (t, y, lattice) that returns one floating array", repr(x))
-    return x
+    def value(self, t, y, lattice):
+        """The quantity, one floating array."""
+        q = self.quantity(t, y, lattice)
+        if not isinstance(q, jax.Array) or not jnp.issubdtype(q.dtype, jnp.floating):
+            refuse("record", "a function (t, y, lattice) that returns one floating array", repr(q))
+        return q
 
 
 def _function(quantity):
@@ -64,22 +62,16 @@ class Peak(Record):
 
     quantity: Callable = eqx.field(static=True, converter=_function)
 
-    def start(self, t, y, rate, lattice):
-        q, dq = self._at_start(t, y, rate, lattice)
+    def start(self, t, q, dq):
         return q, q, dq
 
-    def follow(self, carried, t0, t1, y1, path, lattice):
+    def follow(self, carried, t0, t1, middle, end):
         best, q0, dq0 = carried
-        q1, dq1 = self._along(t1, path, lattice)
+        q1, dq1 = end
         h = t1 - t0
-        c = _quintic(h, (q0, dq0), self._along(t0 + h / 2, path, lattice), (q1, dq1))
-        _, top = _extremum(c, dq0 * h, dq1 * h)
+        top = _summit(_quintic(h, (q0, dq0), middle, end), dq0 * h, dq1 * h)
         inside = (dq0 > 0) & (dq1 < 0)
-        best = jnp.maximum(best, jnp.maximum(q1, jnp.where(inside, top, q1)))
-        return best, q1, dq1
-
-    def finish(self, carried):
-        return carried[0]
+        return jnp.maximum(best, jnp.maximum(q1, jnp.where(inside, top, q1))), q1, dq1
 
 
 class Arrival(Record):
@@ -91,21 +83,16 @@ class Arrival(Record):
     quantity: Callable = eqx.field(static=True, converter=_function)
     threshold: object = 0.0
 
-    def start(self, t, y, rate, lattice):
-        q, dq = self._at_start(t, y, rate, lattice)
-        return jnp.where(q >= self.threshold, t, jnp.nan), q, dq
+    def start(self, t, q, dq):
+        return jnp.where(q >= self.threshold, t, jnp.nan).astype(q.dtype), q, dq
 
-    def follow(self, carried, t0, t1, y1, path, lattice):
+    def follow(self, carried, t0, t1, middle, end):
         when, q0, dq0 = carried
-        q1, dq1 = self._along(t1, path, lattice)
+        q1, dq1 = end
         h = t1 - t0
-        c = _quintic(h, (q0, dq0), self._along(t0 + h / 2, path, lattice), (q1, dq1))
-        s = _crossing(c, self.threshold)
+        s = _crossing(_quintic(h, (q0, dq0), middle, end), self.threshold)
         crossed = jnp.isnan(when) & (q0 < self.threshold) & (q1 >= self.threshold)
-        return jnp.where(crossed, t0 + s * h, when), q1, dq1
-
-    def finish(self, carried):
-        return carried[0]
+        return jnp.where(crossed, t0 + s * h, when).astype(q1.dtype), q1, dq1
 
 
 class Integral(Record):
@@ -116,32 +103,34 @@ class Integral(Record):
 
     quantity: Callable = eqx.field(static=True, converter=_function)
 
-    def start(self, t, y, rate, lattice):
-        q, dq = self._at_start(t, y, rate, lattice)
+    def start(self, t, q, dq):
         return jnp.zeros_like(q), q, dq
 
-    def follow(self, carried, t0, t1, y1, path, lattice):
+    def follow(self, carried, t0, t1, middle, end):
         total, q0, dq0 = carried
-        q1, dq1 = self._along(t1, path, lattice)
+        q1, dq1 = end
         h = t1 - t0
-        middle, _ = self._along(t0 + h / 2, path, lattice)
-        step = h * (7 * (q0 + q1) + 16 * middle) / 30 + h * h * (dq0 - dq1) / 60
+        step = h * (7 * (q0 + q1) + 16 * middle[0]) / 30 + h * h * (dq0 - dq1) / 60
         return total + step.astype(total.dtype), q1, dq1
-
-    def finish(self, carried):
-        return carried[0]
 
 
 class Lowest(Record):
-    """Smallest value of a quantity at the ends of steps, elementwise: cheap, and not refined between steps."""
+    """Smallest value of a quantity at the ends of steps, elementwise: cheap, and not refined between steps.
 
+    **Arguments:** `quantity(t, y, lattice)`: an array.
+    """
+
+    sampled: ClassVar[bool] = False
     quantity: Callable = eqx.field(static=True, converter=_function)
 
-    def start(self, t, y, rate, lattice):
-        return self.quantity(t, y, lattice)
+    def start(self, t, q, dq):
+        return q
 
-    def follow(self, carried, t0, t1, y1, path, lattice):
-        return jnp.minimum(carried, self.quantity(t1, y1, lattice))
+    def follow(self, carried, t0, t1, middle, end):
+        return jnp.minimum(carried, end)
+
+    def finish(self, carried):
+        return carried
 
 
 def _quintic(h, start, middle, end):
@@ -168,8 +157,8 @@ def _slope(c):
     return tuple(k * x for k, x in enumerate(c))[1:]
 
 
-def _extremum(c, slope0, slope1):
-    """Where the quintic's slope, of these values at s = 0 and 1, vanishes inside the step, and its value there."""
+def _summit(c, slope0, slope1):
+    """The quintic's value where its slope, of these values at s = 0 and 1, vanishes inside the step."""
     first = _slope(c)
     second = _slope(first)
     fall = slope0 - slope1
@@ -177,7 +166,7 @@ def _extremum(c, slope0, slope1):
     for _ in range(NEWTON_STEPS):
         curvature = _value(second, s)
         s = jnp.clip(s - _value(first, s) / jnp.where(curvature == 0, 1, curvature), 0, 1)
-    return s, _value(c, s)
+    return _value(c, s)
 
 
 def _crossing(c, threshold):
@@ -223,16 +212,42 @@ class Recorded(diffrax.AbstractWrappedSolver):
         return self.solver.error_order(terms)
 
     def init(self, terms, t0, t1, y0, args):
-        rate = terms.vf(t0, y0, args)
-        carried = {name: record.start(t0, y0, rate, args) for name, record in self.records.items()}
+        values = self._rates(t0, y0, terms.vf(t0, y0, args), args)
+        carried = {name: record.start(t0, *values[name]) for name, record in self.records.items()}
         return self.solver.init(terms, t0, t1, y0, args), carried
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         own, carried = solver_state
         y1, error, dense, own, result = self.solver.step(terms, t0, t1, y0, args, own, made_jump)
-        path = self.solver.interpolation_cls(t0=t0, t1=t1, **dense).evaluate
-        carried = {name: self.records[name].follow(c, t0, t1, y1, path, args) for name, c in carried.items()}
+        middle, end = self._samples(self.solver.interpolation_cls(t0=t0, t1=t1, **dense), t0, t1, y1, args)
+        carried = {name: self.records[name].follow(c, t0, t1, middle[name], end[name]) for name, c in carried.items()}
         return y1, error, dense, (own, carried), result
+
+    def _rates(self, t, y, rate, lattice):
+        t = jnp.asarray(t, float)
+        moving = (jnp.ones_like(t), rate)
+        return {
+            name: jax.jvp(lambda t, y, record=record: record.value(t, y, lattice), (t, y), moving)
+            for name, record in self.records.items()
+        }
+
+    def _samples(self, path, t0, t1, y1, lattice):
+        """Value and rate of every record in the middle and at the end of a step."""
+        sampled = {name: record for name, record in self.records.items() if record.sampled}
+        middle = dict.fromkeys(self.records)
+        end = {name: r.value(t1, y1, lattice) for name, r in self.records.items() if not r.sampled}
+        if sampled:
+
+            def along(t):
+                t = jnp.asarray(t, float)
+                values = {name: lambda t, r=r: r.value(t, path.evaluate(t), lattice) for name, r in sampled.items()}
+                return {name: jax.jvp(value, (t,), (jnp.ones_like(t),)) for name, value in values.items()}
+
+            # a loop, because XLA would fuse the dense output's coefficients into each of their many readers
+            both = jax.lax.map(along, jnp.stack([t0 + (t1 - t0) / 2, t1]))
+            middle |= jax.tree.map(lambda x: x[0], both)
+            end |= jax.tree.map(lambda x: x[1], both)
+        return middle, end
 
     def func(self, terms, t0, y0, args):
         return self.solver.func(terms, t0, y0, args)

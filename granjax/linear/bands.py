@@ -41,7 +41,7 @@ class Bands(eqx.Module):
         if low.ndim != 1:
             refuse("gaps", "the bands of one lattice", f"edges of shape {low.shape}", "Read .lower and .upper.")
         least = TOUCHING * np.abs(low).max()
-        return [(a, b) for a, b in zip(low[:-1], high[1:]) if b - a > least]
+        return [(float(a), float(b)) for a, b in zip(low[:-1], high[1:]) if b - a > least]
 
     def __repr__(self):
         lower, upper = concrete(self.lower), concrete(self.upper)
@@ -49,11 +49,11 @@ class Bands(eqx.Module):
             return f"Bands(lower={self.lower}, upper={self.upper}, cell={self.cell})"
         sites = " x ".join(map(str, self.cell))
         lines = [f"{len(lower)} band{'s' * (len(lower) > 1)}, cell of {sites} site{'s' * (prod(self.cell) > 1)}"]
-        gaps = {float(a): (a, b) for a, b in self.gaps}
+        gaps = dict(self.gaps)
         for a, b in zip(lower, upper):
             lines.append(f"  band {a:.9g} ... {b:.9g}")
             if float(b) in gaps:
-                lines.append(f"  gap  {b:.9g} ... {gaps[float(b)][1]:.9g}")
+                lines.append(f"  gap  {b:.9g} ... {gaps[float(b)]:.9g}")
         return "\n".join(lines)
 
 
@@ -69,26 +69,29 @@ def bands(chain, cell=None):
     **Raises** ValueError where `dispersion` does.
     """
     found = unit_cell(chain, cell)
-    fixed = jax.lax.stop_gradient(found)
     axes = len(found.cell)
     reach = np.abs(np.array(found.shells)).max()
     points = [96 * max(1, reach) + 1] if axes == 1 else [48 if axes == 2 else 12] * axes
     # omega(-k) = omega(k): half of the zone is enough for a chain; 48 and 12 hold the corners of a hexagonal zone
     grid = [np.linspace(0, np.pi, points[0])] if axes == 1 else [2 * np.pi * np.arange(n) / n for n in points]
     k = np.stack(np.meshgrid(*grid, indexing="ij"), -1).reshape(-1, axes)
-    places = _extrema(fixed, jnp.asarray(k, found.mass.dtype), float(grid[0][1]))
-    edges = jax.vmap(jax.vmap(lambda k, n: _edge(found, k, n)), (0, None))(places, jnp.arange(found.mass.size))
-    if axes == 1:
-        places = places[..., 0]
-    return Bands(edges[0], edges[1], places[0], places[1], found.cell)
-
-
-def _edge(found, k, n):
-    D = found.dynamical_matrix(k)
-    return signed_root(jnp.linalg.eigvalsh(D)[n], jnp.abs(D).max(), found.mass.size)
+    lower, upper, lower_k, upper_k = _edges(found, jnp.asarray(k, found.mass.dtype), float(grid[0][1]))
+    return Bands(lower, upper, lower_k, upper_k, found.cell)
 
 
 @eqx.filter_jit
+def _edges(found, k, spacing):
+    """Edges and their places. The derivative of an edge is that at its place, held."""
+    places = _extrema(jax.lax.stop_gradient(found), k, spacing)
+
+    def edge(k, n):
+        D = found.dynamical_matrix(k)
+        return signed_root(jnp.linalg.eigvalsh(D)[n], jnp.abs(D).max(), found.mass.size)
+
+    lower, upper = jax.vmap(jax.vmap(edge), (0, None))(places, jnp.arange(found.mass.size))
+    return lower, upper, *(places[..., 0] if k.shape[1] == 1 else places)
+
+
 def _extrema(found, k, spacing):
     """k of the least and of the greatest omega^2 of every band, (2, bands, axes): samples, then a closing stencil."""
     size = found.mass.size
@@ -97,7 +100,8 @@ def _extrema(found, k, spacing):
     def squared(k):
         return jnp.linalg.eigvalsh(found.dynamical_matrix(k))
 
-    sampled = jax.lax.map(squared, k, batch_size=max(1, min(len(k), 2**20 // size**2)))
+    at_once = max(1, 2**22 // size**2)
+    sampled = jax.vmap(squared)(k) if len(k) <= at_once else jax.lax.map(squared, k, batch_size=at_once)
     best = jnp.stack([k[jnp.argmin(s * sampled, 0)] for s in (1, -1)])
     moves = [np.array([0.0, -1.0, -0.5, 0.5, 1.0])] * k.shape[1]
     stencil = jnp.asarray(np.stack(np.meshgrid(*moves, indexing="ij"), -1).reshape(-1, k.shape[1]), k.dtype)

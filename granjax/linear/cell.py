@@ -1,7 +1,5 @@
 """The unit cell of a lattice: its period, found or given, and the dynamical matrix D(k)."""
 
-from math import prod
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -9,10 +7,10 @@ import numpy as np
 
 from ..checks import refuse, whole
 from ..strains import Shift
-from .stiffness import at_rest, blocks, components, grid, masses, misfit, offsets, pack, unpack
+from .stiffness import at_rest, blocks, grid, masses, measure, offsets, refuse_one_way, unpack
 
-TIGHT, LOOSE = 1e3, 1e6
-"""Tolerances, in units of the dtype's eps times the largest stiffness: equal blocks; a reach that is long enough."""
+ROUNDING, TIGHT, LOOSE = 16, 1e3, 1e6
+"""In units of eps times the largest stiffness: what sums to zero; blocks that are equal; a reach that is enough."""
 
 
 class UnitCell(eqx.Module):
@@ -35,11 +33,14 @@ class UnitCell(eqx.Module):
 
     def dynamical_matrix(self, k):
         """D(k), (P, P), complex and Hermitian, for one `k` of shape (axes,)."""
-        R = np.array(self.shells)
-        # exp(ix) - 1 = 2i sin(x/2) exp(ix/2) keeps long waves accurate
-        half = (R @ k) / 2
+        at_rest = self.coupling.sum(0)
+        # long waves stay accurate by exp(ix) - 1 = 2i sin(x/2) exp(ix/2), and without the rounding of D(0)
+        fixed = jax.lax.stop_gradient(at_rest)
+        rounding = ROUNDING * jnp.finfo(fixed.dtype).eps * jnp.abs(jax.lax.stop_gradient(self.coupling)).max()
+        at_rest = at_rest - jnp.where(jnp.abs(fixed) <= rounding, fixed, 0)
+        half = (np.array(self.shells) @ k) / 2
         turn = 2j * jnp.sin(half) * jnp.exp(1j * half)
-        return self.coupling.sum(0) + jnp.einsum("r,rab->ab", turn, self.coupling)
+        return at_rest + jnp.einsum("r,rab->ab", turn, self.coupling)
 
     def slopes(self, k):
         """First and second derivatives of D(k): (axes, P, P) and (axes, axes, P, P)."""
@@ -54,13 +55,6 @@ class UnitCell(eqx.Module):
         x = x.reshape(x.shape[:-1] + self.cell + (-1,))
         back = -1 - len(self.cell) - (self.dimension is not None)
         return jax.tree.map(lambda x: jnp.moveaxis(x, back, -1), unpack(x, self.fields, self.dimension))
-
-    def translations(self):
-        """Uniform displacements of the cell as orthonormal vectors q, (P, dimension)."""
-        d = self.dimension or 1
-        root = jnp.sqrt(self.mass).reshape(-1, d)
-        uniform = (root[..., None] * jnp.eye(d, dtype=root.dtype)).reshape(-1, d)
-        return uniform / jnp.linalg.norm(uniform, axis=0)
 
 
 def unit_cell(chain, cell=None):
@@ -81,19 +75,15 @@ def unit_cell(chain, cell=None):
     sites = grid(chain)
     given = None if cell is None else _given_cell(cell, sites)
     plain, known = _stand_in(chain)
-    with jax.ensure_compile_time_eval():
-        reach, stiffness = _reach(plain)
-        mass = np.asarray(masses(plain))
+    reach, stiffness, mass = _reach(plain)
     rings = [_is_ring(stiffness, axis, reach) for axis in range(len(sites))]
     found, chosen = _periods(stiffness, mass, reach, rings, given, known)
-    if _same(chain, plain):
-        values, mass = jnp.asarray(stiffness), jnp.asarray(mass)
+    if all(a is b for a, b in zip(jax.tree.leaves(chain), jax.tree.leaves(plain))):
+        shells, coupling, mass = _assemble(np, stiffness, mass, found, chosen, reach)
     else:
-        values, mass = blocks(chain, reach), masses(chain)
-    at = np.ix_(*chosen)
-    result = _gather(chain, values[at], mass[at], found, reach)
-    _check_energy(result)
-    return result
+        shells, coupling, mass = _traced(chain, found, chosen, reach)
+    _check_energy(shells, coupling)
+    return UnitCell(jnp.asarray(coupling), jnp.asarray(mass), found, shells, chain.fields, chain.dimension)
 
 
 def _given_cell(cell, sites):
@@ -101,10 +91,6 @@ def _given_cell(cell, sites):
     if len(numbers) != len(sites):
         refuse("cell", f"{len(sites)} numbers, one per axis", repr(cell))
     return tuple(whole("cell", n, 1, "It is the number of sites per unit cell.") for n in numbers)
-
-
-def _same(chain, plain):
-    return all(a is b for a, b in zip(jax.tree.leaves(chain), jax.tree.leaves(plain)))
 
 
 def _stand_in(lattice):
@@ -122,15 +108,14 @@ def _stand_in(lattice):
         x = jax.lax.stop_gradient(x)
         if isinstance(x, jax.core.Tracer):
             known = False
-            with jax.ensure_compile_time_eval():
-                x = jnp.asarray(random.uniform(1, 2, x.shape), x.dtype)
+            x = random.uniform(1, 2, x.shape).astype(x.dtype)
         return x
 
     return jax.tree.map(settle, lattice), known
 
 
 def _reach(lattice):
-    """How far bonds reach along each axis, and the blocks of K: the bonds' offsets, doubled while that misses some."""
+    """How far bonds reach along each axis: the bonds' offsets, doubled while that misses some. Blocks of K, masses."""
     sites = grid(lattice)
     reach = [1] * len(sites)
     for shift in jax.tree.leaves(lattice.terms, is_leaf=lambda x: isinstance(x, Shift)):
@@ -144,9 +129,9 @@ def _reach(lattice):
                "Build it longer: a wave to the left and one to the right are the same bond there.")
     tolerance = LOOSE * np.finfo(lattice.dtype).eps
     while True:
-        stiffness = np.asarray(blocks(lattice, tuple(reach)))
-        if misfit(lattice, reach, stiffness) <= tolerance:
-            return tuple(reach), stiffness
+        stiffness, mass, misfit = measure(lattice, reach)
+        if misfit <= tolerance:
+            return tuple(reach), stiffness, mass
         further = [min(2 * r, (n - 1) // 2) for n, r in zip(sites, reach)]
         if further == reach:
             refuse("chain", "bonds that reach less than half of the lattice", "bonds across the whole lattice",
@@ -177,8 +162,8 @@ def _periods(stiffness, mass, reach, rings, given, known):
         period = _period(rows, ring, tolerance, None if given is None else given[axis], known, axis)
         start = interior[axis][0]
         found.append(period)
-        chosen.append(np.array([start + (j - start) % period for j in range(period)]))
-    return tuple(found), chosen
+        chosen.append(tuple(int(start + (j - start) % period) for j in range(period)))
+    return tuple(found), tuple(chosen)
 
 
 def _period(rows, ring, tolerance, given, known, axis):
@@ -207,32 +192,36 @@ def _period(rows, ring, tolerance, given, known, axis):
            "Use granjax.linear.normal_modes, build it longer, or give cell=... to repeat it as one large cell.")
 
 
-def _gather(lattice, rows, mass, cell, reach):
-    """From blocks between sites to blocks between cells, weighted with the masses."""
-    width, home = components(lattice), np.indices(cell).reshape(len(cell), -1).T
-    entries = [(j, o, tuple((home[j] + offset) // cell), tuple((home[j] + offset) % cell))
-               for j in range(len(home)) for o, offset in enumerate(offsets(reach))]
-    shells = sorted({tuple(int(n) for n in R) for _, _, R, _ in entries})
-    number = {R: i for i, R in enumerate(shells)}
-    j, o = np.array([e[0] for e in entries]), np.array([e[1] for e in entries])
-    shell = np.array([number[tuple(int(n) for n in e[2])] for e in entries])
-    there = np.ravel_multi_index(np.array([e[3] for e in entries]).T, cell)
-    rows = rows.reshape((len(home), -1, width, width))
-    zeros = jnp.zeros((len(shells), len(home), len(home), width, width), rows.dtype)
-    coupling = zeros.at[shell, j, there].add(rows[j, o]).swapaxes(2, 3)
-    size = prod(cell) * width
-    mass = mass.reshape(size)
-    coupling = coupling.reshape(len(shells), size, size) / jnp.sqrt(mass[:, None] * mass)
-    return UnitCell(coupling, mass, cell, tuple(shells), lattice.fields, lattice.dimension)
+@eqx.filter_jit
+def _traced(lattice, cell, chosen, reach):
+    return _assemble(jnp, blocks(lattice, reach), masses(lattice), cell, chosen, reach)
 
 
-def _check_energy(cell):
-    coupling = jax.lax.stop_gradient(cell.coupling)
+def _assemble(xp, stiffness, mass, cell, chosen, reach):
+    """From blocks between sites to those between cells, over the masses: neighbours R, coupling, masses of the cell."""
+    at, width = np.ix_(*chosen), mass.shape[-1]
+    home, near = np.indices(cell).reshape(len(cell), -1).T, np.array(offsets(reach))
+    target = home[:, None] + near
+    shells, number = np.unique((target // cell).reshape(-1, len(cell)), axis=0, return_inverse=True)
+    there = np.ravel_multi_index(np.moveaxis(target % cell, -1, 0), cell)
+    rows = stiffness[at].reshape(-1, width, width)
+    # one block for every pair of sites in two cells; the last, of zeros, where no bond is
+    source = np.full((len(shells), len(home), len(home)), len(rows))
+    number = number.reshape(there.shape)
+    source[number, np.arange(len(home))[:, None], there] = np.arange(len(rows)).reshape(there.shape)
+    every = xp.concatenate([rows, xp.zeros((1, width, width), rows.dtype)])[source]
+    size = len(home) * width
+    mass = mass[at].reshape(size)
+    coupling = xp.swapaxes(every, 2, 3).reshape(len(shells), size, size) / xp.sqrt(mass[:, None] * mass)
+    return tuple(tuple(int(n) for n in R) for R in shells), coupling, mass
+
+
+def _check_energy(shells, coupling):
+    coupling = jax.lax.stop_gradient(coupling)
     if isinstance(coupling, jax.core.Tracer):
         return
     coupling = np.asarray(coupling)
-    back = [cell.shells.index(tuple(-n for n in R)) for R in cell.shells]
+    back = [shells.index(tuple(-n for n in R)) for R in shells]
     tolerance = TIGHT * np.finfo(coupling.dtype).eps * np.abs(coupling).max()
     if np.abs(coupling - coupling[back].swapaxes(1, 2)).max() > tolerance:
-        refuse("chain", "forces that come from an energy (symmetric stiffness)", "stiffness that is not symmetric",
-               "Bonds push both ends alike; look for a term of your own that does not.")
+        refuse_one_way()

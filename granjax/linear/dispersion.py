@@ -46,8 +46,8 @@ def dispersion(chain, k, cell=None):
 
     - `chain`: one `Lattice`, of any boundary: sites within reach of an end do not count.
     - `k`: phase advance per unit cell [rad], any shape; on a grid of d axes the last axis has length d. A wave vector
-      q in space has the phases k_i = q . a_i, with a_i the lattice vectors (the K point of a triangular lattice is
-      (2 pi/3, -2 pi/3) for axes at 60 degrees, (2 pi/3, 4 pi/3); M is (pi, 0)).
+      q in space has the phases k_i = q . a_i, with a_i the lattice vectors (triangular lattice, axes at 60 degrees:
+      (2 pi/3, 4 pi/3) is the K point, (pi, 0) an M point).
     - `cell`: sites per unit cell, a tuple on a grid; `None` finds the smallest period (see `unit_cell`).
 
     **Returns:** `Dispersion`. A chain of equal beads has omega = 2 (K2/m)^{1/2} |sin(k/2)|, a dimer two bands over
@@ -64,18 +64,24 @@ def dispersion(chain, k, cell=None):
         k = k[..., None]
     elif k.ndim == 0 or k.shape[-1] != axes:
         refuse("k", f"a last axis of length {axes}, one phase per axis of the lattice", f"shape {k.shape}")
-    lead = k.shape[:-1]
-    parts = _waves(found, k.reshape(-1, axes))
-    squared, omega, q, velocity, curvature = (x.reshape(lead + x.shape[1:]) for x in parts)
-    if axes == 1:
-        velocity, curvature = velocity[..., 0], curvature[..., 0, 0]
-    return Dispersion(given, omega, squared, found.displacements(q), velocity, curvature, found.cell)
+    squared, omega, vectors, velocity, curvature = _waves(found, k)
+    return Dispersion(given, omega, squared, vectors, velocity, curvature, found.cell)
 
 
 @eqx.filter_jit
-def _waves(found, ks):
-    size = max(1, min(len(ks), 2**20 // found.mass.size**2))
-    return jax.lax.map(lambda k: _wave(found, k), ks, batch_size=size)
+def _waves(found, k):
+    """The waves of all k, (k..., axes), without the axis where there is one alone."""
+    axes = k.shape[-1]
+    points = k.reshape(-1, axes)
+    at_once = max(1, 2**22 // (found.mass.size * axes) ** 2)
+    if len(points) <= at_once:
+        parts = jax.vmap(lambda k: _wave(found, k))(points)
+    else:
+        parts = jax.lax.map(lambda k: _wave(found, k), points, batch_size=at_once)
+    squared, omega, q, velocity, curvature = (x.reshape(k.shape[:-1] + x.shape[1:]) for x in parts)
+    if axes == 1:
+        velocity, curvature = velocity[..., 0], curvature[..., 0, 0]
+    return squared, omega, found.displacements(q), velocity, curvature
 
 
 def _wave(found, k):

@@ -6,10 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from ..checks import refuse
-from .stiffness import at_rest, stiffness_product
+from .stiffness import at_rest, refuse_one_way, spread_mass, stiffness_product
 
-ROUNDING = 8
+ROUNDING, AT_ONCE = 8, 512
 
 
 def signed_root(squared, scale, size):
@@ -50,24 +49,28 @@ def normal_modes(chain):
     time, and forces without an energy (K not symmetric).
     """
     chain = at_rest(chain)
+    result, uneven = _solve(chain)
+    uneven = jax.lax.stop_gradient(uneven)
+    if not isinstance(uneven, jax.core.Tracer) and uneven > 1e3 * np.finfo(chain.dtype).eps:
+        refuse_one_way()
+    return result
+
+
+@eqx.filter_jit
+def _solve(chain):
+    """The modes, and the largest difference between K and its transpose, relative to K."""
     flat, unravel = ravel_pytree(chain.zeros())
     product_with = stiffness_product(chain)
     unit = jnp.eye(flat.size, dtype=flat.dtype)
-    K = jax.lax.map(lambda w: ravel_pytree(product_with(unravel(w)))[0], unit, batch_size=min(256, flat.size)).T
-    _check_symmetric(K)
-    mass, _ = ravel_pytree(jax.tree.map(lambda m, u: jnp.broadcast_to(m, u.shape), chain.mass, chain.zeros()))
+
+    def column(w):
+        return ravel_pytree(product_with(unravel(w)))[0]
+
+    K = jax.vmap(column)(unit) if flat.size <= AT_ONCE else jax.lax.map(column, unit, batch_size=AT_ONCE // 2)
+    scale = jnp.abs(K).max()
+    uneven = jnp.abs(K - K.T).max() / jnp.where(scale > 0, scale, 1)
+    mass, _ = ravel_pytree(spread_mass(chain))
     D = K / jnp.sqrt(mass[:, None] * mass)
     squared, q = jnp.linalg.eigh(D)
     modes = jax.vmap(unravel, -1, -1)(q / jnp.sqrt(mass)[:, None])
-    scale = jnp.abs(D).max()
-    return NormalModes(signed_root(squared, scale, flat.size), squared, modes)
-
-
-def _check_symmetric(K):
-    K = jax.lax.stop_gradient(K)
-    if isinstance(K, jax.core.Tracer):
-        return
-    K = np.asarray(K)
-    if np.abs(K - K.T).max() > 1e3 * np.finfo(K.dtype).eps * np.abs(K).max():
-        refuse("chain", "forces that come from an energy (symmetric stiffness)", "stiffness that is not symmetric",
-               "Bonds push both ends alike; look for a term of your own that does not.")
+    return NormalModes(signed_root(squared, jnp.abs(D).max(), flat.size), squared, modes), uneven

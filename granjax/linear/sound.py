@@ -1,11 +1,13 @@
 """Sound speed: the slope of the acoustic bands at long waves."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ..checks import parameter, refuse
 from .cell import LOOSE, unit_cell
+from .modes import signed_root
 
 
 def sound_speed(chain, cell=None, direction=None):
@@ -31,36 +33,51 @@ def sound_speed(chain, cell=None, direction=None):
     direction = parameter("direction", direction).astype(found.mass.dtype).reshape(-1)
     if direction.shape != (axes,):
         refuse("direction", f"{axes} numbers, one per axis", f"shape {direction.shape}")
-    T, D = found.translations(), jnp.real(found.dynamical_matrix(jnp.zeros(axes, found.mass.dtype)))
-    _check_acoustic(found, jax.lax.stop_gradient(D), jax.lax.stop_gradient(T))
-    turn = direction * np.array(found.cell)
-    R = np.array(found.shells) @ turn
-    # D' = i first, with a real and antisymmetric first; D'' = -second
-    first = jnp.einsum("r,rab->ab", R, found.coupling)
-    second = jnp.einsum("r,rab->ab", R * R, found.coupling)
-    scale = jnp.maximum(jax.lax.stop_gradient(jnp.abs(D).max()), jnp.finfo(D.dtype).tiny)
-    answer = first @ T
-    # T is the null space of D: filling it makes D invertible, and answer has no part in it
-    answer = answer - T @ (T.T @ answer)
-    inner = answer.T @ jnp.linalg.solve(D / scale + T @ T.T, answer) / scale
-    square = jnp.linalg.eigvalsh(-T.T @ second @ T / 2 - inner)
-    zero = square == 0
-    speed = jnp.where(zero, 0, jnp.sign(square) * jnp.sqrt(jnp.abs(jnp.where(zero, 1, square))))
+    _check_acoustic(found)
+    speed = _speeds(found, direction * np.array(found.cell))
     return speed[0] if found.dimension is None else speed
 
 
-def _check_acoustic(found, D, T):
-    if isinstance(D, jax.core.Tracer):
+@eqx.filter_jit
+def _speeds(found, turn):
+    R = np.array(found.shells) @ turn
+    T, D = _translations(jnp, found.mass, found.dimension), found.coupling.sum(0)
+    # D' = i first, with a real and antisymmetric first; D'' = -second
+    first = jnp.einsum("r,rab->ab", R, found.coupling)
+    second = jnp.einsum("r,rab->ab", R * R, found.coupling)
+    scale = jax.lax.stop_gradient(jnp.abs(found.coupling).max())
+    scale = jnp.where(scale > 0, scale, 1)
+    answer = first @ T
+    # T is the null space of D: filling it makes D invertible, and the answer has no part in it
+    answer = answer - T @ (T.T @ answer)
+    inner = answer.T @ jnp.linalg.solve(D / scale + T @ T.T, answer) / scale
+    square = jnp.linalg.eigvalsh(-T.T @ second @ T / 2 - inner)
+    largest = scale * jax.lax.stop_gradient(jnp.abs(R).max()) ** 2
+    return signed_root(square, largest, found.mass.size)
+
+
+def _translations(xp, mass, dimension):
+    """Uniform displacements of the cell, as orthonormal vectors M^{1/2} u of shape (P, dimension)."""
+    d = dimension or 1
+    root = xp.sqrt(mass).reshape(-1, d)
+    uniform = (root[..., None] * xp.eye(d, dtype=root.dtype)).reshape(-1, d)
+    return uniform / xp.linalg.norm(uniform, axis=0)
+
+
+def _check_acoustic(found):
+    coupling, mass = jax.lax.stop_gradient((found.coupling, found.mass))
+    if isinstance(coupling, jax.core.Tracer) or isinstance(mass, jax.core.Tracer):
         return
-    coupling, T = np.asarray(jax.lax.stop_gradient(found.coupling)), np.asarray(T)
+    coupling, D = np.asarray(coupling), np.asarray(coupling).sum(0)
+    T = _translations(np, np.asarray(mass), found.dimension)
     scale = np.abs(coupling).max()
     if scale == 0:
-        refuse("chain", "linear stiffness at rest", "none", "A sonic vacuum has no linear sound speed; give "
-               "precompression > 0.")
+        refuse("chain", "linear stiffness at rest", "none",
+               "A sonic vacuum has no linear sound speed; give precompression > 0.")
     tolerance = LOOSE * np.finfo(coupling.dtype).eps * scale
     if np.abs(D @ T).max() > tolerance:
         refuse("chain", "forces between sites alone", "forces that tie sites to their rest positions",
                "Such a lattice has no acoustic band, and so no sound speed; see granjax.linear.bands.")
-    if np.sum(np.abs(np.linalg.eigvalsh(np.asarray(D))) <= tolerance) > T.shape[1] and D.shape[0] > T.shape[1]:
+    if np.sum(np.abs(np.linalg.eigvalsh(D)) <= tolerance) > T.shape[1]:
         refuse("chain", "a cell that is held together", "parts that move freely at no cost",
                "Some bonds have no linear stiffness; give precompression > 0, or look at granjax.linear.dispersion.")

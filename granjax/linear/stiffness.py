@@ -38,6 +38,12 @@ def at_rest(chain):
     return eqx.tree_at(lambda lattice: lattice.terms, chain, tuple(terms))
 
 
+def refuse_one_way():
+    """Refuse forces that come from no energy."""
+    refuse("chain", "forces that come from an energy (symmetric stiffness)", "stiffness that is not symmetric",
+           "Bonds push both ends alike; look for a term of your own that does not.")
+
+
 def stiffness_product(lattice):
     """The linear map w -> K w = -(d force/du)(u = 0) w, on displacements of the lattice's own structure."""
     zeros, time = lattice.zeros(), jnp.zeros((), lattice.dtype)
@@ -79,7 +85,12 @@ def components(lattice):
 
 def masses(lattice):
     """Mass of every degree of freedom, (sites..., components)."""
-    return pack(lattice, jax.tree.map(lambda m, u: jnp.broadcast_to(m, u.shape), lattice.mass, lattice.zeros()))
+    return pack(lattice, spread_mass(lattice))
+
+
+def spread_mass(lattice):
+    """Mass of every degree of freedom, of the structure of the displacements."""
+    return jax.tree.map(lambda m, u: jnp.broadcast_to(m, u.shape), lattice.mass, lattice.zeros())
 
 
 def offsets(reach):
@@ -94,7 +105,6 @@ def _colours(size, reach):
     return np.where(index < whole, index % spacing, spacing + index - whole)
 
 
-@eqx.filter_jit
 def blocks(lattice, reach):
     """Blocks of K, (sites..., offsets, components, components): force on site n from site n + offset.
 
@@ -113,19 +123,33 @@ def blocks(lattice, reach):
 
     every = jax.vmap(jax.vmap(answer, (None, 0), -1), (0, None), -2)
     answers = every(np.arange(colour.max() + 1), np.arange(width))
-    near = []
-    for offset in offsets(reach):
-        there = np.roll(colour, [-o for o in offset], range(len(sites)))
-        near.append(jnp.take_along_axis(answers, there[..., None, None, None], -2)[..., 0, :])
-    return jnp.stack(near, -3)
+    there = np.stack([np.roll(colour, [-o for o in offset], range(len(sites))) for offset in offsets(reach)], -1)
+    near = jnp.take_along_axis(answers[..., None, :, :, :], there[..., None, None, None], -2)[..., 0, :]
+    return jnp.moveaxis(near, -3, -2)
 
 
-def misfit(lattice, reach, stiffness):
-    """Largest difference between K w and the sum over the blocks, for a random w, relative to the largest block."""
+@eqx.filter_jit
+def probe(lattice, reach, w):
+    """Blocks of K, the masses, and K w to test the blocks by."""
+    product = stiffness_product(lattice)(unpack(w, lattice.fields, lattice.dimension))
+    return blocks(lattice, reach), masses(lattice), pack(lattice, product)
+
+
+def settled(function, *arguments):
+    """The result of concrete arguments as NumPy arrays, inside `jit` too."""
+    result = function(*arguments)
+    if any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(result)):
+        with jax.ensure_compile_time_eval():
+            result = function(*arguments)
+    return jax.tree.map(np.asarray, result)
+
+
+def measure(lattice, reach):
+    """Blocks of K, masses, and how much K w differs from the blocks' sum for a random w, relative to the largest."""
     sites = grid(lattice)
     w = np.random.default_rng(1).uniform(-1, 1, sites + (components(lattice),)).astype(lattice.dtype)
-    true = np.asarray(pack(lattice, stiffness_product(lattice)(unpack(jnp.asarray(w), lattice.fields, lattice.dimension))))
+    stiffness, mass, true = settled(probe, lattice, tuple(reach), w)
     near = [np.roll(w, [-o for o in offset], range(len(sites))) for offset in offsets(reach)]
     summed = np.einsum("...oab,...ob->...a", stiffness, np.stack(near, -2))
     scale = np.abs(stiffness).max()
-    return np.abs(true - summed).max() / scale if scale > 0 else np.abs(true).max()
+    return stiffness, mass, np.abs(true - summed).max() / (scale if scale > 0 else 1.0)

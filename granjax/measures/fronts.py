@@ -43,15 +43,7 @@ def arrival_times(ts, q, threshold=None, *, fraction=0.5):
         threshold = within("fraction", fraction, 0, 1, open_low=True) * q.max(0)
     else:
         threshold = parameter("threshold", threshold)
-    threshold = jnp.broadcast_to(threshold, q.shape[1:])
-    reached = q >= threshold
-    first = jnp.argmax(reached, 0)
-    nodes, values, start, scale = _stencil(ts, q, first - 2, 4)
-    # in the stencil's units of time: the frame before the crossing, and the one after it
-    high = (ts[first] - start) / scale
-    low = (ts[jnp.maximum(first - 1, 0)] - start) / scale
-    x = start + scale * _root(nodes, values, threshold, low, high)
-    return jnp.where(reached.any(0), jnp.where(first == 0, ts[0], x), jnp.nan)
+    return _crossings(ts, q, jnp.broadcast_to(threshold, q.shape[1:]))
 
 
 def peak_times(ts, q):
@@ -64,22 +56,7 @@ def peak_times(ts, q):
     **Raises** ValueError for times that do not rise or are not one per frame, or fewer than three frames.
     """
     ts, q = _history(ts, q, 3)
-    top = jnp.argmax(q, 0)
-    nodes, values, start, scale = _stencil(ts, q, top - 2, 5)
-    at = jnp.clip(top, 1, len(ts) - 2)
-    low, middle, high = ((ts[at + i] - start) / scale for i in (-1, 0, 1))
-
-    def slope(x):
-        return jax.jvp(lambda x: _lagrange(nodes, values, x), (x,), (jnp.ones_like(x),))[1]
-
-    x = middle
-    for _ in range(ROOT_STEPS):
-        g, curvature = jax.jvp(slope, (x,), (jnp.ones_like(x),))
-        bends = curvature < 0
-        x = jnp.clip(x - jnp.where(bends, g / jnp.where(bends, curvature, -1), 0), low, high)
-    inside = (top > 0) & (top < len(ts) - 1)
-    heights = _lagrange(nodes, values, x)
-    return Peaks(jnp.where(inside, start + scale * x, jnp.nan), jnp.where(inside, heights, jnp.nan))
+    return _maxima(ts, q)
 
 
 def front_speed(ts, q, sites=None, *, by="peak", threshold=None, fraction=0.5):
@@ -145,30 +122,64 @@ def _stencil(ts, q, first, size):
     return (nodes - start) / scale, jnp.take_along_axis(q, index, 0), start, scale
 
 
-def _lagrange(nodes, values, x):
-    """The polynomial through (nodes, values), along the first axis, at x."""
-    total = 0.0
-    for j in range(len(nodes)):
-        weight = 1.0
-        for k in range(len(nodes)):
-            if k != j:
-                weight = weight * (x - nodes[k]) / (nodes[j] - nodes[k])
-        total = total + weight * values[j]
-    return total
+def _polynomial(nodes, values):
+    """The polynomial through (nodes, values), along the first axis, by divided differences."""
+    coefficients = list(values)
+    for order in range(1, len(coefficients)):
+        for j in range(len(coefficients) - 1, order - 1, -1):
+            coefficients[j] = (coefficients[j] - coefficients[j - 1]) / (nodes[j] - nodes[j - order])
+
+    def at(x):
+        total = coefficients[-1]
+        for j in range(len(coefficients) - 2, -1, -1):
+            total = total * (x - nodes[j]) + coefficients[j]
+        return total
+
+    return at
 
 
-def _root(nodes, values, level, low, high):
-    """Newton's method held inside [low, high], where the polynomial rises through the level."""
+@jax.jit
+def _crossings(ts, q, threshold):
+    reached = q >= threshold
+    first = jnp.argmax(reached, 0)
+    nodes, values, start, scale = _stencil(ts, q, first - 2, 4)
+    # in the stencil's units of time: the frame before the crossing, and the one after it
+    low, high = (ts[jnp.maximum(first - 1, 0)] - start) / scale, (ts[first] - start) / scale
+    x = _root(_polynomial(nodes, values - threshold), low, high)
+    return jnp.where(reached.any(0), jnp.where(first == 0, ts[0], start + scale * x), jnp.nan)
+
+
+@jax.jit
+def _maxima(ts, q):
+    top = jnp.argmax(q, 0)
+    nodes, values, start, scale = _stencil(ts, q, top - 2, 5)
+    at = jnp.clip(top, 1, len(ts) - 2)
+    low, high = (ts[at - 1] - start) / scale, (ts[at + 1] - start) / scale
+
+    height = _polynomial(nodes, values)
+
+    def fall(x):
+        return -jax.jvp(height, (x,), (jnp.ones_like(x),))[1]
+
+    x = _root(fall, low, high)
+    inside = (top > 0) & (top < len(ts) - 1)
+    return Peaks(jnp.where(inside, start + scale * x, jnp.nan), jnp.where(inside, height(x), jnp.nan))
+
+
+def _root(f, low, high):
+    """Where f rises through zero inside [low, high]: Newton's method, with bisection where it would leave."""
     def near(x):
-        return jax.jvp(lambda x: _lagrange(nodes, values, x) - level, (x,), (jnp.ones_like(x),))
+        return jax.jvp(f, (x,), (jnp.ones_like(x),))
 
-    x = (low + high) / 2
-    a, b = low, high
-    for _ in range(ROOT_STEPS):
+    def newton(_, carry):
+        x, a, b = carry
         g, slope = near(x)
         a, b = jnp.where(g < 0, x, a), jnp.where(g < 0, b, x)
         new = x - g / jnp.where(slope == 0, 1, slope)
-        x = jnp.where((new > a) & (new < b) & (slope != 0), new, (a + b) / 2)
+        return jnp.where((new > a) & (new < b) & (slope != 0), new, (a + b) / 2), a, b
+
+    bracket = jax.lax.stop_gradient((low, high))
+    x, _, _ = jax.lax.fori_loop(0, ROOT_STEPS, newton, ((bracket[0] + bracket[1]) / 2, *bracket))
     # one last step from a fixed place carries the derivative of the root
     x = jax.lax.stop_gradient(x)
     g, slope = near(x)

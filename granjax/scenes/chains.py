@@ -105,7 +105,7 @@ def trimer(sites, ratios=(0.5, 0.25), *, stiffness=1.0, exponent=1.5, precompres
     **Arguments:** `ratios`: two masses over the heavy one, each in (0, 1]; the others as in `monomer`.
 
     **Returns:** a `Lattice`. **Raises** ValueError as `monomer` does, and for ratios that are not two in (0, 1].
-    Source: Jayaprakash, Starosvetsky, Vakakis, Gendelman, J. Nonlinear Sci. 23, 363 (2013).
+    Source: Porter, Daraio, Szelengowicz, Herbold, Kevrekidis, Physica D 238, 666 (2009).
     """
     if not isinstance(ratios, (tuple, list)):
         ratios = parameter("ratios", ratios)
@@ -123,7 +123,7 @@ def n_to_one(sites, beads, ratio=0.5, *, stiffness=1.0, exponent=1.5, precompres
     as in `monomer`.
 
     **Returns:** a `Lattice`. **Raises** ValueError as `dimer` does, and for N < 1.
-    Source: Jayaprakash, Vakakis, Starosvetsky, Mech. Syst. Signal Process. 39, 91 (2013).
+    Source: Porter, Daraio, Szelengowicz, Herbold, Kevrekidis, Physica D 238, 666 (2009).
     """
     beads = whole("beads", beads, 1, "It counts the heavy beads of a cell.")
     return pattern(sites, (1.0,) * beads + (_ratio("ratio", ratio),), stiffness=stiffness, exponent=exponent,
@@ -177,7 +177,7 @@ def taper(sites, q=0.05, *, stiffness=1.0, precompression=0.0, boundary="fixed")
     R = (1 - q) ** jnp.arange(sites)
     mass = concrete(R**3)
     if mass is not None and not (np.isfinite(mass) & (mass > 0)).all():
-        refuse("q", "radii whose cubes are numbers", show(q), f"After {sites} beads the last is too small or too large.")
+        refuse("q", "radii whose cubes are numbers", show(q), f"{sites} beads are too many for it.")
     # R*_n/R*_0 = R_n/R_0 between beads
     share = R[:-1]
     if boundary == "fixed":

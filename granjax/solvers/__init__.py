@@ -1,5 +1,6 @@
 """Integrators as diffrax solvers on y = (u, v): a solver is a table, a class and prose."""
 
+from .nystrom import RKN86, RKN1210, AbstractNystrom
 from .splitting import (
     AbstractSplitting,
     KahanLi8,
@@ -11,5 +12,6 @@ from .splitting import (
 )
 
 __all__ = [
-    "AbstractSplitting", "KahanLi8", "SRKN11b", "SRKN14a", "SRKN6b", "SofroniouSpaletta10", "VelocityVerlet",
+    "AbstractNystrom", "AbstractSplitting", "KahanLi8", "RKN1210", "RKN86", "SRKN11b", "SRKN14a", "SRKN6b",
+    "SofroniouSpaletta10", "VelocityVerlet",
 ]

@@ -36,7 +36,7 @@ class QuinticHermite(diffrax.AbstractLocalInterpolation):
             rise, gain = u1 - u0 - k * v0, k * (v1 - v0)
             return _evaluate(s, k, u0, v0, quintic(rise, gain, k * k * a0, k * k * a1), ())
 
-        return _state(self.y0, jax.tree.map(both, u0, v0, self.a0, u1, v1, self.a1))
+        return _state(self.y0, both, u0, v0, self.a0, u1, v1, self.a1)
 
 
 class Bootstrapped(diffrax.AbstractLocalInterpolation):
@@ -66,7 +66,7 @@ class Bootstrapped(diffrax.AbstractLocalInterpolation):
         def both(u0, v0, *coefficients):
             return _evaluate(s, h.astype(u0.dtype), u0, v0, coefficients[:4], coefficients[4:])
 
-        return _state(self.y0, jax.tree.map(both, u0, v0, *self.quintic, *self.inside))
+        return _state(self.y0, both, u0, v0, *self.quintic, *self.inside)
 
 
 def quintic(rise, gain, p0, p1):
@@ -158,8 +158,9 @@ def _place(step, t):
     return (t - step.t0) / jnp.where(length == 0, 1, length), length * step.direction
 
 
-def _state(like, both):
-    """From a tree of pairs (u, v) to a state."""
-    is_pair = lambda x: type(x) is tuple  # noqa: E731
-    u, v = (jax.tree.map(lambda pair: pair[i], both, is_leaf=is_pair) for i in (0, 1))
+def _state(like, both, *trees):
+    """A state of the form `like` from `both`, which gives (u, v) for one array, and the trees that it is fed from."""
+    structure = jax.tree.structure(trees[0])
+    pairs = [both(*leaves) for leaves in zip(*map(jax.tree.leaves, trees))]
+    u, v = (structure.unflatten([pair[i] for pair in pairs]) for i in (0, 1))
     return type(like)(u, v) if hasattr(like, "_fields") else type(like)((u, v))

@@ -2,6 +2,7 @@
 
 import math
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -65,6 +66,7 @@ def sine_mode(lattice, k=1, amplitude=1.0):
     return State((zeros + u).astype(zeros.dtype), zeros)
 
 
+@eqx.filter_jit
 def _matrices(lattice, size):
     """Stiffness (lanes..., size, size) and masses (lanes..., size), lanes as one leading axis where there are any."""
     zeros = lattice.zeros()

@@ -57,8 +57,8 @@ def thermal(lattice, temperature, seed=0):
     """Sites in equilibrium position with Gaussian velocities: m <v^2> = k_B T for each component.
 
     **Arguments:** `temperature`: k_B T [J], not negative, a number or one per lane; the mean kinetic energy of each
-    component of each site is half of it. Without a kinetic energy's share in the bonds, a linear lattice settles at
-    half this temperature. `seed`: as in `random`.
+    component of each site is half of it. All energy is kinetic at first, so a linear lattice settles at half this
+    temperature. `seed`: as in `random`.
     **Raises** ValueError for a temperature that is negative or not finite, or a seed that is none.
     """
     width = jnp.sqrt(non_negative("temperature", temperature))

@@ -1,5 +1,6 @@
 """Wave packets of the linear chain."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -60,29 +61,32 @@ def _column(x, lattice):
 
 def _local_frequency(lattice, q, k):
     """omega(q) of a uniform chain, from the force that answers a displacement of the middle site."""
-    zeros = lattice.zeros()
-    size, middle = zeros.shape[0], zeros.shape[0] // 2
-
-    def stiffness(x):
-        return -jax.jvp(lambda u: lattice.force(jnp.zeros(()), u, zeros), (zeros,), (x.astype(zeros.dtype),))[1]
-
-    mass = jnp.broadcast_to(lattice.mass, zeros.shape)
-    answer = stiffness(zeros.at[middle].set(1.0)) / mass[middle]
-    offset = _column(jnp.arange(size) - middle, lattice)
-
-    def square(q):
-        return jnp.sum(answer * jnp.cos(q * offset), 0)
-
-    squares = jax.vmap(lambda q: square(q))(q.reshape(-1)).reshape(q.shape[:1] + lattice.lanes)
-    carrier = square(k)
-    if concrete(carrier) is not None:
-        if not np.all(concrete(carrier) > 0):
-            refuse("lattice", "a linear stiffness", "none (a sonic vacuum)", "Give its contacts a precompression.")
-        wave = jnp.cos(k * offset) + zeros
-        wrong = np.abs(stiffness(wave) / mass - carrier * wave)[size // 4 : -(size // 4)]
-        if wrong.size and wrong.max() > UNIFORM * np.max(concrete(carrier)):
-            refuse(
-                "omega", "the wave's frequency", "None",
-                "This chain is not uniform, so its own stiffness does not say; give a number or omega(q).",
-            )
+    squares, carrier, wrong = _local_squares(lattice, q, k)
+    carrier, wrong = concrete(carrier), concrete(wrong)
+    if carrier is not None and not np.all(carrier > 0):
+        refuse("lattice", "a linear stiffness", "none (a sonic vacuum)", "Give its contacts a precompression.")
+    if wrong is not None and np.any(wrong > UNIFORM * carrier):
+        refuse(
+            "omega", "the wave's frequency", "None",
+            "This chain is not uniform, so its own stiffness does not say; give a number or omega(q).",
+        )
     return jnp.sqrt(jnp.maximum(squares, 0))
+
+
+@eqx.filter_jit
+def _local_squares(lattice, q, k):
+    """omega^2 at q and at k, and how far cos(k n) is from a mode in the inner half of the chain."""
+    zeros = lattice.zeros()
+    size = zeros.shape[0]
+    mass = lattice.mass + zeros
+    offset = _column(jnp.arange(size) - size // 2, lattice)
+
+    def pull(x):
+        return -jax.jvp(lambda u: lattice.force(jnp.zeros(()), u, zeros), (zeros,), (x,))[1]
+
+    answer = pull(zeros.at[size // 2].set(1.0)) / mass[size // 2]
+    squares = jax.lax.map(lambda q: jnp.sum(answer * jnp.cos(q * offset), 0), q.reshape(-1))
+    carrier = jnp.sum(answer * jnp.cos(k * offset), 0)
+    wave = (jnp.cos(k * offset) + zeros).astype(zeros.dtype)
+    inner = (pull(wave) / mass - carrier * wave)[size // 4 : size - size // 4]
+    return squares, carrier, jnp.abs(inner).max(0)

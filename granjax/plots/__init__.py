@@ -1,0 +1,13 @@
+"""Plots: each takes arrays or a run, draws into `ax` (or a new figure of the house style) and returns the Axes.
+
+They know no lattice: a run is anything with `ts`, `us`, `vs`, a dispersion anything with `k`, `omega`, `cell`. Colour
+maps are perceptually uniform, or diverge evenly from white at zero; line colours are those of Okabe and Ito. All can
+be told apart by colour-blind eyes.
+"""
+
+from .curves import profile, transmission
+from .histories import space_time, traces
+from .style import COLOURS, figure, save, style
+from .waves import dispersion
+
+__all__ = ["COLOURS", "dispersion", "figure", "profile", "save", "space_time", "style", "traces", "transmission"]

@@ -1,0 +1,63 @@
+"""What the plots are given, as NumPy arrays of known shape."""
+
+import numpy as np
+
+from ..checks import parameter, refuse, show
+
+
+def numbers(argument, x, ndim=None, finite=True):
+    """A floating NumPy array; with `finite=False` NaN and infinity pass, as gaps in the picture."""
+    if finite:
+        array = np.asarray(parameter(argument, x))
+    else:
+        try:
+            array = np.asarray(x, dtype=float)
+        except (TypeError, ValueError):
+            refuse(argument, "real numbers known before tracing", f"{type(x).__name__}")
+    if ndim is not None and array.ndim != ndim:
+        names = {1: "one row, shape (N,)", 2: "frames of sites, shape (T, N)"}
+        refuse(argument, names.get(ndim, f"{ndim} axes"), f"shape {array.shape}")
+    return array
+
+
+def rising(argument, x, size):
+    """`size` numbers, each above the one before."""
+    x = numbers(argument, x, 1)
+    if len(x) != size:
+        refuse(argument, f"{size} numbers, one per row or column of the data", f"shape {x.shape}")
+    if not np.all(np.diff(x) > 0):
+        refuse(argument, "rising numbers", show(x))
+    return x
+
+
+def is_run(x):
+    """Whether it is a run: anything with ts, us and vs."""
+    return all(hasattr(x, name) for name in ("ts", "us", "vs"))
+
+
+def history(run_or_array, quantity, ts):
+    """Times (or `None`) and data (T, N) of a run and one of its quantities, or of an array."""
+    if not is_run(run_or_array):
+        if not (isinstance(quantity, str) and quantity == "v"):
+            refuse("quantity", "nothing beside an array, which is the quantity", repr(quantity)[:60],
+                   "Give the array alone, or a run and quantity='u', 'v' or an array.")
+        return ts, numbers("run_or_array", run_or_array, 2, finite=False)
+    run = run_or_array
+    ts = run.ts if ts is None else ts
+    if isinstance(quantity, str):
+        if quantity not in ("u", "v"):
+            refuse("quantity", "'u', 'v', or an array (T, N)", repr(quantity))
+        data = run.us if quantity == "u" else run.vs
+        if isinstance(data, dict):
+            names = ", ".join(map(repr, data))
+            refuse("quantity", "an array where a cell holds several fields", repr(quantity),
+                   f"Fields {names}: quantity=run.{quantity}s[...].")
+    else:
+        data = quantity
+    if np.ndim(data) != 2:
+        refuse("quantity", "frames of sites, shape (T, N)", f"shape {np.shape(data)}",
+               "Pick one lane or component: quantity=run.vs[:, :, 0].")
+    data = numbers("quantity", data, 2, finite=False)
+    if len(data) != np.size(run.ts):
+        refuse("quantity", f"{np.size(run.ts)} frames, one per time of the run", f"shape {data.shape}")
+    return ts, data

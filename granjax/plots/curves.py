@@ -1,0 +1,119 @@
+"""Curves: profiles with a logarithmic inset, transmission over the mass ratio."""
+
+import numpy as np
+from matplotlib.ticker import MaxNLocator
+
+from ..checks import one_of, parameter, refuse, within
+from .arrays import numbers
+from .style import COLOURS, DASHES, FAINT, axes_or_new, colour
+
+INSETS = ("log", "none")
+
+
+def profile(
+    x, y, ax=None, *, labels=None, points=None, points_label=None, inset="log", floor=1e-16, x_label="site",
+    y_label="strain (scaled)",
+):
+    """Profiles over space, with their absolute values on a logarithmic axis in an inset.
+
+    **Arguments:**
+
+    - `x`: places (X,); `y`: values (X,), or (X, C) for C curves; `labels`: one per curve, for a legend.
+    - `points`: a pair (places, values), such as lattice nodes, drawn as dots; `points_label`: theirs.
+    - `inset`: `"log"` or `"none"`; `floor` > 0: lowest decade of the inset.
+    - `x_label`, `y_label`: of the axes.
+
+    **Returns:** the Axes; the inset is `ax.child_axes[0]`, the curves `ax.lines`.
+    **Raises** ValueError for another inset, shapes that do not fit, a floor that is not above zero.
+    """
+    inset = one_of("inset", "none" if inset is None else inset, INSETS)
+    x, y = numbers("x", x, 1), numbers("y", y, finite=False)
+    if y.ndim not in (1, 2) or len(y) != len(x):
+        refuse("y", f"shape ({len(x)},) or ({len(x)}, curves), one value per place", f"shape {y.shape}")
+    y = y.reshape(len(x), -1)
+    if isinstance(labels, str):
+        labels = [labels]
+    if labels is not None and len(labels) != y.shape[1]:
+        refuse("labels", f"{y.shape[1]} names, one per curve", f"{len(labels)}")
+    floor = float(within("floor", floor, 0, np.inf, open_low=True))
+    if points is not None:
+        points = _points(points)
+    ax = axes_or_new(ax)
+    _curves(ax, x, y, points, labels, points_label)
+    ax.set_xlabel(x_label)
+    ax.set_ylabel(y_label)
+    ax.set_xlim(x.min(), x.max())
+    if labels is not None or points_label is not None:
+        ax.legend(loc="upper left", frameon=False)
+    if inset == "log":
+        small = ax.inset_axes([0.7, 0.6, 0.29, 0.38])
+        _curves(small, x, np.abs(y), points and (points[0], np.abs(points[1])), None, None, 0.7)
+        small.set_yscale("log")
+        top = np.nanmax(np.abs(y))
+        small.set_ylim(floor, 10 * top if top > floor else 10 * floor)
+        small.set_xlim(x.min(), x.max())
+        small.xaxis.set_major_locator(MaxNLocator(3))
+        small.tick_params(labelsize=7)
+        small.patch.set_alpha(0.9)
+    return ax
+
+
+def _points(points):
+    if not isinstance(points, (tuple, list)) or len(points) != 2:
+        refuse("points", "a pair (places, values)", repr(type(points).__name__))
+    places, values = numbers("points[0]", points[0], 1), numbers("points[1]", points[1], 1, finite=False)
+    if places.shape != values.shape:
+        refuse("points", "as many values as places", f"shapes {places.shape} and {values.shape}")
+    return places, values
+
+
+def _curves(ax, x, y, points, labels, points_label, scale=1.0):
+    for i in range(y.shape[1]):
+        name = None if labels is None else labels[i]
+        ax.plot(x, y[:, i], DASHES[i % len(DASHES)], color=colour(i), lw=1.6 * scale, label=name)
+    if points is not None:
+        ax.plot(*points, "o", color=COLOURS[2], ms=5 * scale, mec="white", mew=0.5 * scale, label=points_label, zorder=3)
+
+
+def transmission(
+    mass_ratio, transmission, ax=None, *, resonances=None, anti_resonances=None, label=None,
+    y_label="transmitted force / that of the monomer",
+):
+    """Transmitted force of a dimer chain over the mass ratio, relative to the monomer's.
+
+    **Arguments:** `mass_ratio`: light over heavy, (R,), in (0, 1]; `transmission`: (R,), or (R, C) for C curves;
+    `resonances`, `anti_resonances`: mass ratios to mark, with dashed and dotted lines; `label`: of the curve, or one
+    per curve; `y_label`: of the axis.
+
+    **Returns:** the Axes. **Raises** ValueError for ratios outside (0, 1] or shapes that do not fit.
+    """
+    ratios = np.asarray(within("mass_ratio", mass_ratio, 0, 1, open_low=True))
+    values = numbers("transmission", transmission, finite=False)
+    if ratios.ndim != 1 or values.ndim not in (1, 2) or len(values) != len(ratios):
+        refuse("transmission", f"one value per mass ratio, shape {ratios.shape}", f"shape {values.shape}")
+    values = values.reshape(len(ratios), -1)
+    labels = [label] * values.shape[1] if label is None or isinstance(label, str) else list(label)
+    if len(labels) != values.shape[1]:
+        refuse("label", f"{values.shape[1]} names, one per curve", f"{len(labels)}")
+    ax = axes_or_new(ax, 5.6, 3.6)
+    order = np.argsort(ratios)
+    for i in range(values.shape[1]):
+        ax.plot(ratios[order], values[order, i], color=colour(i), label=labels[i])
+    _marks(ax, "resonances", resonances, "resonance", COLOURS[1], "--")
+    _marks(ax, "anti_resonances", anti_resonances, "anti-resonance", COLOURS[2], ":")
+    ax.set_xlabel(r"mass ratio $\varepsilon$ (light / heavy)")
+    ax.set_ylabel(y_label)
+    ax.set_xlim(0, 1.01)
+    ax.set_ylim(0, 1.12 * max(1.0, float(np.nanmax(values))))
+    ax.axhline(1.0, color=FAINT, lw=0.8, zorder=0)
+    if ax.get_legend_handles_labels()[0]:
+        ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, borderaxespad=0.2, frameon=False)
+    return ax
+
+
+def _marks(ax, argument, places, name, tone, dash):
+    if places is None:
+        return
+    places = np.atleast_1d(np.asarray(parameter(argument, places)))
+    for i, place in enumerate(places):
+        ax.axvline(place, color=tone, ls=dash, lw=1.2, zorder=1, label=name if i == 0 else None)

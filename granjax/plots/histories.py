@@ -1,0 +1,169 @@
+"""Histories: space-time maps and stacked traces."""
+
+import numpy as np
+from matplotlib.colors import LogNorm, Normalize, TwoSlopeNorm
+
+from ..checks import one_of, positive, refuse, within
+from .arrays import history, numbers, rising
+from .style import add_colour_bar, axes_or_new, colour
+
+SCALES = ("linear", "log")
+LABELS = {"u": "displacement", "v": "velocity"}
+EVEN = 1e-6
+SIGNED = 0.02
+
+
+def space_time(
+    run_or_array, ax=None, *, quantity="v", ts=None, sites=None, scale="linear", floor=1e-4, limit=None, label=None,
+    unit="scaled", time_label="time (scaled)", site_label="site", colour_bar=True,
+):
+    """Space-time map of a history: site on x, time on y, the quantity in colour.
+
+    **Arguments:**
+
+    - `run_or_array`: a run (anything with `ts`, `us`, `vs`), or an array (T, N), NumPy or JAX.
+    - `quantity`: with a run `"v"`, `"u"` or an array (T, N), such as `gx.measures.along(gx.measures.strain, ...)`.
+    - `ts`: times (T,), rising; those of the run by default, frame numbers for an array. `sites`: places (N,), rising,
+      0 ... N-1 by default.
+    - `scale`: `"linear"`, with zero in white where the data have both signs; `"log"`, the absolute value, cut at
+      `floor` in (0, 1) times the limit.
+    - `limit`: value of the full colour > 0; the largest absolute value by default.
+    - `label`, `unit`: of the colour bar, "label (unit)"; `time_label`, `site_label`: of the axes.
+
+    **Returns:** the Axes; the image is `ax.images[0]` (`ax.collections[0]` where times or places are uneven).
+    **Raises** ValueError for another scale, shapes that do not fit, a floor outside (0, 1).
+    """
+    one_of("scale", scale, SCALES)
+    given = quantity if isinstance(quantity, str) else None
+    ts, data = history(run_or_array, quantity, ts)
+    if 0 in data.shape:
+        refuse("run_or_array", "at least one frame of one site", f"shape {data.shape}")
+    y = np.arange(data.shape[0], dtype=float) if ts is None else rising("ts", ts, data.shape[0])
+    x = np.arange(data.shape[1], dtype=float) if sites is None else rising("sites", sites, data.shape[1])
+    if label is None:
+        known = ts is not None and given is not None
+        label = (LABELS.get(given) if known else None) or "quantity"
+    top = _limit(data, limit)
+    ax = axes_or_new(ax, 5.2, 3.8)
+    if scale == "log":
+        low = float(within("floor", floor, 0, 1, open_low=True, open_high=True)) * top
+        data, norm, map_name, label = np.maximum(np.abs(data), low), LogNorm(low, top), "magma", f"|{label}|"
+    else:
+        norm, map_name = _linear(data, top)
+    image = _draw(ax, x, y, data, norm, map_name)
+    ax.set_xlabel(site_label)
+    ax.set_ylabel("frame" if ts is None else time_label)
+    for spine in ax.spines.values():
+        spine.set_visible(True)
+    if colour_bar:
+        add_colour_bar(ax, image, f"{label} ({unit})" if unit else label)
+    return ax
+
+
+def _limit(data, limit):
+    if limit is not None:
+        return float(positive("limit", limit))
+    seen = np.abs(data[np.isfinite(data)])
+    return float(seen.max()) if seen.size and seen.max() > 0 else 1.0
+
+
+def _linear(data, top):
+    """Norm and map: a diverging map about zero where both signs matter."""
+    low = np.nanmin(data) if np.isfinite(data).any() else 0.0
+    high = np.nanmax(data) if np.isfinite(data).any() else 1.0
+    if low >= -SIGNED * top:
+        return Normalize(0.0, top), "viridis"
+    if high <= SIGNED * top:
+        return Normalize(-top, 0.0), "viridis_r"
+    return TwoSlopeNorm(0.0, -top, top), "RdBu_r"
+
+
+def _draw(ax, x, y, data, norm, map_name):
+    if _even(x) and _even(y):
+        (left, right), (bottom, top) = _ends(x), _ends(y)
+        return ax.imshow(
+            data, origin="lower", aspect="auto", extent=(left, right, bottom, top), norm=norm, cmap=map_name,
+            interpolation="antialiased", interpolation_stage="data",
+        )
+    return ax.pcolormesh(x, y, data, norm=norm, cmap=map_name, shading="nearest", rasterized=True)
+
+
+def _even(x):
+    steps = np.diff(x)
+    return len(x) < 2 or np.ptp(steps) <= EVEN * abs(steps.mean())
+
+
+def _ends(x):
+    half = (x[-1] - x[0]) / (2 * (len(x) - 1)) if len(x) > 1 else 0.5
+    return x[0] - half, x[-1] + half
+
+
+def traces(
+    ts, qs, sites=None, ax=None, *, offset=None, labels=None, label="velocity", unit="scaled",
+    time_label="time (scaled)", site_label="site",
+):
+    """Traces of some sites over time, stacked, the first at the bottom.
+
+    **Arguments:**
+
+    - `ts`: times (T,), rising; `qs`: history (T, N), NumPy or JAX. `sites`: indices of the sites to show, negative
+      from the end; `None` for all.
+    - `offset`: distance between traces [units of q]; `None` takes the largest span of one; 0 lays them over each
+      other, with a legend. `labels`: one per trace, by default the site's index.
+    - `label`, `unit`: of the quantity, on the scale bar or the axis; `time_label`, `site_label`: of the axes.
+
+    **Returns:** the Axes; `ax.lines` holds the traces first, in order.
+    **Raises** ValueError for shapes that do not fit, sites that are not there, an offset below zero.
+    """
+    qs = numbers("qs", qs, 2, finite=False)
+    ts = rising("ts", ts, len(qs))
+    sites = _sites(sites, qs.shape[1])
+    names = [str(n) for n in sites] if labels is None else [str(name) for name in labels]
+    if len(names) != len(sites):
+        refuse("labels", f"{len(sites)} names, one per trace", f"{len(names)}")
+    chosen = qs[:, sites]
+    span = float(np.nanmax(np.nanmax(chosen, 0) - np.nanmin(chosen, 0))) or 1.0
+    offset = span if offset is None else float(within("offset", offset, 0, np.inf))
+    ax = axes_or_new(ax, 5.2, 3.8)
+    for i, name in enumerate(names):
+        ax.plot(ts, chosen[:, i] + i * offset, color=colour(i), lw=1.3, label=f"{site_label} {name}", zorder=3 - i / 1e3)
+    ax.set_xlabel(time_label)
+    ax.set_xlim(ts[0], ts[-1])
+    quantity = f"{label} ({unit})" if unit else label
+    if offset == 0:
+        ax.set_ylabel(quantity)
+        ax.legend(frameon=False)
+        return ax
+    places = offset * np.arange(len(names))
+    every = -(-len(names) // 16)
+    ax.set_yticks(places[::every], names[::every])
+    ax.set_ylabel(site_label)
+    _scale_bar(ax, ts, span, label, unit)
+    return ax
+
+
+def _sites(sites, size):
+    sites = np.arange(size) if sites is None else np.asarray(sites)
+    if sites.ndim != 1 or not len(sites) or sites.dtype.kind not in "iu":
+        refuse("sites", "a list of site indices", repr(sites))
+    if sites.min() < -size or sites.max() >= size:
+        refuse("sites", f"indices within {-size} ... {size - 1}", repr(sites.tolist()))
+    return sites % size
+
+
+def _scale_bar(ax, ts, span, label, unit):
+    """A bar of a round height beside the traces, in place of a second axis."""
+    height = _round_below(span / 2)
+    low, high = ax.get_ylim()
+    bottom = (low + high - height) / 2
+    transform = ax.get_yaxis_transform()
+    ax.plot([1.02, 1.02], [bottom, bottom + height], color="black", lw=2, transform=transform, clip_on=False)
+    text = f"{label} {height:g} {unit}" if unit and unit != "scaled" else f"{label} {height:g}"
+    ax.text(1.04, bottom + height / 2, text, rotation=90, va="center", ha="left", transform=transform,
+            fontsize="small")
+    ax.set_ylim(low, high)
+
+
+def _round_below(x):
+    power = 10.0 ** np.floor(np.log10(x))
+    return float(max(m for m in (1, 2, 5) if m * power <= x * (1 + 1e-12)) * power)

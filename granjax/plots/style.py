@@ -1,0 +1,77 @@
+"""The house style: fonts, colours, new figures. Nothing global is changed."""
+
+import matplotlib
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from ..checks import positive
+
+# Okabe and Ito (2008): blue, vermilion, green, orange, sky, purple, black
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#E69F00", "#56B4E9", "#CC79A7", "#000000")
+DASHES = ("-", "--", "-.", ":")
+FAINT = "0.55"
+
+_STYLE = {
+    "font.size": 10.0,
+    "axes.labelsize": 10.0,
+    "axes.titlesize": 10.5,
+    "axes.titlelocation": "left",
+    "axes.linewidth": 0.8,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "xtick.labelsize": 9.0,
+    "ytick.labelsize": 9.0,
+    "legend.fontsize": 9.0,
+    "legend.frameon": False,
+    "lines.linewidth": 1.5,
+    "figure.dpi": 100.0,
+    "savefig.dpi": 200.0,
+}
+
+
+def style():
+    """The house style as a context: `with gx.plots.style(): ...` for Axes of your own."""
+    return matplotlib.rc_context(_STYLE)
+
+
+def figure(width=5.0, height=3.6):
+    """An empty figure without a window, to be filled by `.subplots(rows, columns)` inside `with style()`.
+
+    **Arguments:** `width`, `height` [inch]. **Returns:** a matplotlib `Figure` that lays itself out.
+    **Raises** ValueError for sizes that are not above zero.
+    """
+    size = float(positive("width", width)), float(positive("height", height))
+    with style():
+        made = Figure(figsize=size, layout="constrained")
+        FigureCanvasAgg(made)
+    return made
+
+
+def save(made, path, *, dpi=200):
+    """Write a figure; the path's ending says how (png, pdf, svg). Returns the path."""
+    with style():
+        made.savefig(path, dpi=float(positive("dpi", dpi)), facecolor="white")
+    return path
+
+
+def axes_or_new(ax, width=5.0, height=3.6):
+    """The Axes that were given, or those of a new pyplot figure in the house style."""
+    if ax is not None:
+        return ax
+    import matplotlib.pyplot as plt
+
+    with style():
+        return plt.subplots(figsize=(width, height), layout="constrained")[1]
+
+
+def colour(i):
+    """The i-th line colour, around again after the last."""
+    return COLOURS[i % len(COLOURS)]
+
+
+def add_colour_bar(ax, image, label):
+    """A colour bar beside the Axes, with letters of their size."""
+    bar = ax.figure.colorbar(image, ax=ax, pad=0.02)
+    bar.set_label(label, size=ax.yaxis.label.get_size())
+    bar.ax.tick_params(labelsize=ax.yaxis.get_majorticklabels()[0].get_size())
+    return bar

@@ -1,0 +1,123 @@
+"""Dispersion with the spectrum of a simulation under it."""
+
+import numpy as np
+from matplotlib.colors import LogNorm
+
+from ..checks import refuse, within
+from .arrays import numbers
+from .style import COLOURS, add_colour_bar, axes_or_new
+
+CLOSED = 1e-6
+
+
+def dispersion(dispersion_record, ax=None, *, spectrum=None, floor=1e-6, unit="scaled", colour_bar=True):
+    """Dispersion relation of a chain, with a spectrum over wave number and frequency under it and gaps shaded.
+
+    **Arguments:**
+
+    - `dispersion_record`: anything with `k` (K,) [rad per cell], `omega` (K, bands) and `cell`, such as the result of
+      `gx.linear.dispersion`. A gap is shaded where all frequencies of one band lie below those of the next over the
+      given k, so give half a zone at least.
+    - `spectrum`: anything with `k` (S,) [rad per site], `omega` (W,) and `power` (S, W), such as the result of
+      `gx.measures.spectrum`; drawn on a logarithmic scale down to `floor` in (0, 1) of its largest power. The axis is
+      then the wave number per site, with the bands repeated over the zones that the spectrum spans.
+    - `unit`: of the frequency.
+
+    **Returns:** the Axes; `ax.lines` holds the bands, the spectrum is `ax.collections[0]`.
+    **Raises** ValueError for a record without these arrays, or of a lattice with more than one axis.
+    """
+    k, omega, cell = _bands(dispersion_record)
+    ax = axes_or_new(ax, 5.4, 4.0)
+    if spectrum is None:
+        span = float(k.min()), float(k.max())
+        ax.set_xlabel("wave number $k$ (rad/site)" if cell == 1 else f"wave number $k$ (rad/cell of {cell} sites)")
+        _lines(ax, k, omega, COLOURS[0], lw=1.6)
+    else:
+        image, span = _under(ax, spectrum, float(within("floor", floor, 0, 1, open_low=True, open_high=True)))
+        ax.set_xlabel("wave number $k$ (rad/site)")
+        _zones(ax, k, omega, cell, span)
+        if colour_bar:
+            add_colour_bar(ax, image, "power (relative)")
+    top = 1.15 * float(np.nanmax(omega)) or 1.0
+    shaded = False
+    for low, high in _gaps(omega):
+        ax.axhspan(low, high, color=COLOURS[3], alpha=0.22, lw=0, zorder=1.5, label=None if shaded else "gap")
+        shaded = True
+    ax.set_xlim(*span)
+    ax.set_ylim(min(0.0, 1.1 * float(np.nanmin(omega))), top)
+    _ticks(ax, span)
+    ax.set_ylabel(rf"angular frequency $\omega$ ({unit})")
+    return ax
+
+
+def _bands(record):
+    if not all(hasattr(record, name) for name in ("k", "omega", "cell")):
+        refuse("dispersion_record", "a record with k, omega and cell", f"{type(record).__name__}",
+               "Give the result of gx.linear.dispersion.")
+    omega = numbers("dispersion_record.omega", record.omega, finite=False)
+    k = numbers("dispersion_record.k", record.k)
+    if k.ndim != 1 or omega.ndim != 2 or len(k) != len(omega) or len(k) < 2:
+        refuse("dispersion_record", "k of shape (K,) and omega (K, bands), of a chain", f"shapes {k.shape}, {omega.shape}",
+               "Draw a path through a plane's zone with plots.profile(path, omega).")
+    order = np.argsort(k)
+    return k[order], omega[order], int(np.prod(record.cell))
+
+
+def _lines(ax, k, omega, tone, **options):
+    for band in omega.T:
+        ax.plot(k, band, color=tone, zorder=2, **options)
+
+
+def _under(ax, spectrum, floor):
+    if not all(hasattr(spectrum, name) for name in ("k", "omega", "power")):
+        refuse("spectrum", "a record with k, omega and power", f"{type(spectrum).__name__}",
+               "Give the result of gx.measures.spectrum.")
+    k, w = numbers("spectrum.k", spectrum.k, 1), numbers("spectrum.omega", spectrum.omega, 1)
+    power = numbers("spectrum.power", spectrum.power, finite=False)
+    if power.shape != (len(k), len(w)):
+        refuse("spectrum.power", f"shape {(len(k), len(w))}, wave numbers by frequencies", f"shape {power.shape}",
+               "Of a batch pick one lane.")
+    top = float(np.nanmax(power))
+    if not top > 0:
+        refuse("spectrum.power", "some power above zero", f"a largest of {top:g}")
+    scaled = np.maximum(power.T / top, floor)
+    norm = LogNorm(floor, 1.0)
+    image = ax.pcolormesh(k, w, scaled, norm=norm, cmap="Blues", shading="nearest", rasterized=True, zorder=0)
+    half = (k.max() - k.min()) / (2 * max(len(k) - 1, 1))
+    return image, (float(k.min() - half), float(k.max() + half))
+
+
+def _zones(ax, k, omega, cell, span):
+    """Bands over the wave number per site, both ways from zero, repeated over the zones of a larger cell."""
+    if k.min() >= 0 or k.max() <= 0:
+        k, omega = np.concatenate([-k[::-1], k]), np.concatenate([omega[::-1], omega])
+        order = np.argsort(k, kind="stable")
+        k, omega = k[order], omega[order]
+    zone = 2 * np.pi
+    reach = int(np.ceil(max(map(abs, span)) * cell / zone)) if cell > 1 else 0
+    for shift in range(-reach, reach + 1):
+        _lines(ax, (k + zone * shift) / cell, omega, COLOURS[1], lw=0.8)
+
+
+def _gaps(omega):
+    low, high = np.nanmin(omega, 0), np.nanmax(omega, 0)
+    least = CLOSED * np.nanmax(np.abs(omega))
+    edges = [(0.0, low[0])] + list(zip(high[:-1], low[1:]))
+    return [(float(a), float(b)) for a, b in edges if b - a > least and not (a == 0.0 and b <= 0.05 * high[-1])]
+
+
+def _ticks(ax, span):
+    """Ticks at multiples of pi/2, where the span is a zone or half of one."""
+    places = np.arange(np.ceil(span[0] / (np.pi / 2) - 1e-6), np.floor(span[1] / (np.pi / 2) + 1e-6) + 1)
+    if not 2 <= len(places) <= 9:
+        return
+    ax.set_xticks(places * np.pi / 2, [_name(int(p)) for p in places])
+
+
+def _name(halves):
+    if halves == 0:
+        return "0"
+    sign, n = ("-" if halves < 0 else ""), abs(halves)
+    if n % 2 == 0:
+        return rf"${sign}{'' if n == 2 else n // 2}\pi$"
+    return rf"${sign}{'' if n == 1 else n}\pi/2$"

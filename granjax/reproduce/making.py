@@ -1,0 +1,133 @@
+"""Making figures: compute, compare, draw, write."""
+
+import math
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..checks import one_of, refuse
+from .figure import Figure
+from .registry import figure, made
+
+
+@dataclass(frozen=True)
+class Result:
+    """What became of one figure.
+
+    - `label`; `number`, `expected`, `tolerance`; `passed`: whether they agree, `None` where the expected value does
+      not hold for the parameters that were set. `seconds`: of the computation.
+    - `parameters`: dict of the chosen parameters that were used; `picture`, `data`: paths, `None` where not written.
+    - `error`: a sentence where the simulation failed, and empty otherwise. `sentence`: all of it in words.
+    """
+
+    label: str
+    number: float
+    expected: float
+    tolerance: float
+    passed: bool | None
+    seconds: float
+    parameters: dict
+    picture: Path | None
+    data: Path | None
+    error: str
+    sentence: str
+
+    def __str__(self):
+        return self.sentence
+
+
+def run(labels=None, out=None, check=False, plots=None, overrides=None):
+    """Make figures: a picture `LABEL.png`, its data `LABEL.nc` and the number beside its expected value.
+
+    **Arguments:**
+
+    - `labels`: labels such as `"fig1.3"`, one or several; `None` for all that are made.
+    - `out`: folder for pictures and data, made where it is missing; `None` writes nothing.
+    - `check`: compare the number with the expected value. A figure that fails does not stop the others.
+    - `plots`: the module that draws, `granjax.plots`; needed where `out` is given.
+    - `overrides`: dict from the name of a chosen parameter to its value, a number or its text; it holds for every
+      figure asked for that has the parameter.
+
+    **Returns:** a list of `Result`, one per label; after `check` all is well where none has `passed is False`.
+    **Raises** ValueError for an unknown label (suggesting the nearest), a figure that is not made yet, or a parameter
+    that none of the figures has.
+    """
+    chosen = [figure(label) for label in _labels(labels)]
+    overrides = dict(overrides or {})
+    known = tuple(dict.fromkeys(name for f in chosen for name in f.chosen))
+    for name in overrides:
+        one_of("parameter", name, known)
+    settings = [f.parameters({n: v for n, v in overrides.items() if n in f.chosen}) for f in chosen]
+    if out is not None:
+        if plots is None:
+            refuse("plots", "the module that draws, such as granjax.plots", "None")
+        out = Path(out)
+        try:
+            out.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            refuse("out", "a folder that can be made and written", f"{str(out)!r} ({error.strerror})")
+    return [_make(f, parameters, out, check, plots) for f, parameters in zip(chosen, settings)]
+
+
+def _labels(labels):
+    if labels is None:
+        return made()
+    if isinstance(labels, (str, Figure)):
+        labels = (labels,)
+    return [label.label if isinstance(label, Figure) else label for label in labels]
+
+
+def _make(f, parameters, out, check, plots):
+    start = time.perf_counter()
+    try:
+        data = f.compute(**parameters)
+        value = float(f.number(data))
+        error = ""
+    except RuntimeError as failure:
+        data, value, error = None, math.nan, str(failure)
+    seconds = time.perf_counter() - start
+    bound = all(parameters[name] == f.chosen[name].value for name in f.binding)
+    passed = bool(abs(value - f.expected) <= f.tolerance) if bound or error else None
+    picture = path = None
+    if out is not None and data is not None:
+        _describe(f, parameters, data, value)
+        path, picture = out / f"{f.label}.nc", out / f"{f.label}.png"
+        data.to_netcdf(path, engine="h5netcdf")
+        with plots.style():
+            canvas = plots.figure(*f.size)
+            f.draw(plots, canvas, data)
+            plots.save(canvas, picture)
+    sentence = _sentence(f, parameters, value, passed if check else None, bound, error, picture, path)
+    return Result(f.label, value, f.expected, f.tolerance, passed, seconds, parameters, picture, path, error, sentence)
+
+
+def _describe(f, parameters, data, value):
+    """What the data file says of itself."""
+    data.attrs |= {
+        "figure": f.label, "title": f.title, "caption": f.caption, "quantity": f.quantity, "number": value,
+        "expected": f.expected, "tolerance": f.tolerance, "source": f.source,
+    }
+    for name, parameter in parameters.items():
+        data.attrs[f"chosen_{name}"] = parameter
+
+
+def _sentence(f, parameters, value, passed, bound, error, picture, path):
+    lines = [f"{f.label}: {f.title}"]
+    if error:
+        lines.append(f"  failed: {error}")
+    else:
+        digits = max(0, 1 - int(np.floor(np.log10(f.tolerance))))
+        holds = f"expected {f.expected:.{digits}f} +- {f.tolerance:g}, {f.source}"
+        if not bound:
+            holds += "; that value holds for the parameters chosen here, not for those set"
+        verdict = {True: ": agrees", False: ": DISAGREES", None: ""}[passed]
+        lines.append(f"  {f.quantity}: {value:.{digits}f} ({holds}){verdict}")
+    if parameters:
+        shown = (f"{n} = {v:g}" if isinstance(v, float) else f"{n} = {v}" for n, v in parameters.items())
+        units = (f" {f.chosen[n].unit}" if f.chosen[n].unit else "" for n in parameters)
+        lines.append("  chosen here: " + ", ".join(map("".join, zip(shown, units))))
+    if picture is not None:
+        lines.append(f"  {picture}, {path}")
+    return "\n".join(lines)

@@ -1,0 +1,120 @@
+"""Figure 1.3: the exact solitary wave of the Hertz chain runs."""
+
+import jax.numpy as jnp
+import numpy as np
+import xarray as xr
+
+from ..checks import whole
+from ..flow import Arrival, simulate
+from ..lattice import State
+from ..measures import along, strain
+from ..scenes import monomer
+from .figure import Choice, Figure
+
+POINTS, HALF = 32, 16
+ITERATIONS = 100
+AHEAD = 12
+TOLERANCE = 1e-11
+
+
+def solitary_wave():
+    r"""Strain of the solitary wave of speed 1, phi = Lambda * phi^{3/2}, Lambda(x) = [1 - |x|]_+, on a grid.
+
+    The product sinc^2(k/2) in place of the convolution is exact to rounding, as phi is smooth. The plain iteration
+    diverges (its eigenvalue along the amplitude is 3/2); Petviashvili's factor S^3, S = <phi, phi>/<phi, g>, makes it
+    converge.
+
+    **Returns:** places (X,), strain (X,), and velocity (X,): v(x) = int_{x-1}^x phi^{3/2}, that of bead n at x = n - t
+    where contact n lies between the beads n and n + 1.
+    Source: English, Pego, Proc. AMS 133, 1763 (2005); Petviashvili, Sov. J. Plasma Phys. 2, 257 (1976).
+    """
+    size = 2 * HALF * POINTS
+    x = (np.arange(size) - size // 2) / POINTS
+    k = 2 * np.pi * np.fft.rfftfreq(size, 1 / POINTS)
+    box = np.sinc(k / (2 * np.pi))
+    phi = np.where(np.abs(x) < 2.5, 25 / 16 * np.cos(np.clip(np.sqrt(0.4) * x, -np.pi / 2, np.pi / 2)) ** 4, 0.0)
+    for _ in range(ITERATIONS):
+        g = np.maximum(np.fft.irfft(box**2 * np.fft.rfft(phi**1.5), size), 0.0)
+        phi = (phi @ phi / (phi @ g)) ** 3 * g
+    # e^{-ik/2} sinc(k/2): the mean over the unit interval before x
+    velocity = np.fft.irfft(box * np.exp(-0.5j * k) * np.fft.rfft(phi**1.5), size)
+    return x, phi, velocity
+
+
+def _strain(t, y, lattice):
+    return strain(lattice, y)
+
+
+def compute(sites, travel):
+    """The wave at contact 12 of a chain at rest, and `travel` contacts later."""
+    travel = whole("travel", travel, 2, "It is how many contacts the wave runs.")
+    sites = whole("sites", sites, travel + 2 * AHEAD, f"The wave needs {AHEAD} contacts before it and behind.")
+    x, phi, velocity = solitary_wave()
+    origin = len(x) // 2
+    offsets = np.arange(-AHEAD, AHEAD + 1)
+    e, v = np.zeros(sites), np.zeros(sites)
+    e[AHEAD + offsets] = phi[origin + POINTS * offsets]
+    v[AHEAD + offsets] = velocity[origin + POINTS * offsets]
+    e[-1] = 0.0
+    chain = monomer(sites, boundary="free")
+    # u_n - u_{n+1} = e_n, the beads ahead at rest
+    state = State(jnp.asarray(np.cumsum(e[::-1])[::-1]), jnp.asarray(v))
+    half = float(phi[origin + POINTS // 2])
+    run = simulate(chain, state, float(travel), tolerance=TOLERANCE, save_at=4 * travel + 1,
+                   record={"arrival": Arrival(_strain, half)})
+    strains = np.asarray(along(strain, chain, run))
+    near = np.abs(x) <= 6
+    return xr.Dataset(
+        {
+            "strain": (("time", "contact"), strains),
+            "arrival": ("contact", np.asarray(run.recorded["arrival"])),
+            "exact": ("place", phi[near]),
+        },
+        {"time": np.asarray(run.ts), "contact": np.arange(sites - 1), "place": x[near]},
+        {"start": AHEAD, "travel": travel, "units": "scaled: A = m = 1", "solver": run.solver, "method": run.choice},
+    )
+
+
+def speed(data):
+    """Contacts per time, from the line through the times at which contacts reach the strain phi(1/2)."""
+    n = np.arange(AHEAD + 1, AHEAD + data.attrs["travel"])
+    return 1 / np.polyfit(n, data["arrival"].values[n], 1)[0]
+
+
+def draw(plots, figure, data):
+    left, right = figure.subplots(1, 2, width_ratios=(1.15, 1))
+    plots.space_time(data["strain"].values, left, ts=data["time"].values, sites=data["contact"].values,
+                     label="strain", site_label="contact $n$", time_label="time $t$ (scaled)")
+    left.set_title("Strain of every contact")
+    end = data.attrs["start"] + data.attrs["travel"]
+    near = np.abs(data["contact"].values - end) <= 6
+    shift = data["place"].values
+    plots.profile(
+        shift, data["exact"].values, right, labels="exact",
+        points=(data["contact"].values[near] - end, data["strain"].values[-1, near]),
+        points_label=f"simulated, $t = {data.attrs['travel']}$", floor=1e-12,
+        x_label=r"$\xi = n - n_0 - c\,t$", y_label="strain (scaled)",
+    )
+    right.set_title(f"Profile after {data.attrs['travel']} contacts")
+
+
+FIGURES = (
+    Figure(
+        label="fig1.3",
+        title="Space-time evolution of the exact travelling wave, strain, c = 1",
+        caption="The fixed point of phi = tent * phi^(3/2) set on a Hertz chain without precompression (A = m = 1), "
+        "and its profile after it has run along the chain.",
+        compute=compute,
+        draw=draw,
+        number=speed,
+        quantity="speed of the wave [contacts/time]",
+        expected=1.0,
+        tolerance=1e-7,
+        source="the speed that the profile was computed for",
+        chosen={
+            "sites": Choice(90, "", "beads of the chain"),
+            "travel": Choice(60, "", "contacts that the wave runs"),
+        },
+        size=(9.2, 3.8),
+    ),
+)

