@@ -85,7 +85,8 @@ def one_of(argument, name, options):
     """One of some names; the nearest are suggested."""
     if name in options:
         return name
-    near = difflib.get_close_matches(str(name), [str(o) for o in options], n=3, cutoff=0.4)
+    lowered = {str(option).lower(): option for option in options}
+    near = [lowered[n] for n in difflib.get_close_matches(str(name).lower(), lowered, n=3, cutoff=0.4)]
     remedy = f"Did you mean {' or '.join(map(repr, near))}?" if near else ""
     refuse(argument, "one of " + ", ".join(repr(o) for o in options), repr(name), remedy)
 

@@ -47,10 +47,10 @@ class StrainMap(eqx.Module):
         return law.energy(e) + law.preload * (e - linear)
 
     def split(self, bonds, u):
-        """Half of a bond's quantity to each of its ends: from an array over bonds to one over sites."""
-        _, transpose = jax.vjp(self.strain, jax.tree.map(jnp.zeros_like, u))
-        (sites,) = transpose(bonds)
-        return jax.tree.map(lambda s: jnp.abs(s) / 2, sites)
+        """A quantity of the bonds shared out to their sites, as |de/du| at rest weighs these; dense in bonds x sites."""
+        weights = jax.tree.map(jnp.abs, jax.jacfwd(self.strain)(jax.tree.map(jnp.zeros_like, u)))
+        whole = sum(w.sum(tuple(range(bonds.ndim, w.ndim))) for w in jax.tree.leaves(weights))
+        return jax.tree.map(lambda w: jnp.tensordot(bonds / whole, w, bonds.ndim), weights)
 
 
 class _Linear(StrainMap):

@@ -37,7 +37,7 @@ class Term(eqx.Module):
         return None
 
     def site_energy(self, t, u):
-        """Potential energy with each bond's shared between its ends."""
+        """Potential energy with each bond's shared between its ends; half of a wall's bond stays with the wall."""
         return None
 
 

@@ -66,7 +66,7 @@ def checked_size(name, x):
 
 
 def checked_save_at(save_at, t0, t1):
-    """Times to save at, the number of intervals that a default step has to fit, and whether to save every step."""
+    """Times to save at, the number of equal intervals that fixed steps have to fit, and whether to save every step."""
     if save_at is None:
         return None, 1, False
     if isinstance(save_at, str):
@@ -87,7 +87,16 @@ def checked_save_at(save_at, t0, t1):
         if not isinstance(t0, jax.core.Tracer) and not isinstance(t1, jax.core.Tracer):
             if value[0] < t0 or value[-1] > t1:
                 refuse("save_at", f"times within [{t0}, {t1}]", f"{value[0]} ... {value[-1]}")
+            return jnp.asarray(ts), _intervals(value, t0, t1), False
     return jnp.asarray(ts), 1, False
+
+
+def _intervals(ts, t0, t1):
+    """The number of equal intervals from t0 to t1 of which all times are ends; 1 where there is no such number."""
+    spacing = np.diff(ts).min(initial=t1 - t0)
+    places = (np.append(ts, t1) - t0) / spacing
+    fits = np.abs(places - np.round(places)).max() < 1e-6
+    return int(round((t1 - t0) / spacing)) if fits else 1
 
 
 def checked_records(record):

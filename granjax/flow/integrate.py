@@ -71,8 +71,9 @@ def _overlaps(lattice):
     for term in lattice.terms:
         term = getattr(term, "term", term)
         law = getattr(term, "law", None)
-        if hasattr(term, "strain_map") and jax.eval_shape(lambda: law.overlap(jnp.zeros(()))) is not None:
-            found.append((term.strain_map, law))
+        if law is not None and hasattr(term, "strain_map"):
+            if jax.eval_shape(law.overlap, jax.ShapeDtypeStruct((), lattice.dtype)) is not None:
+                found.append((term.strain_map, law))
     return found
 
 

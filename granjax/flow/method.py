@@ -71,7 +71,6 @@ def fixed_step(lattice, state, t0, t1, step, solver, frames):
         if softens(lattice):
             remark = "An exponent below 1: a contact that re-opens is infinitely stiff, and no step bound exists there."
     else:
-        frames = 1
         _refuse_unstable(lattice, state, t0, t1, step, solver, limit)
     span = _known((t1 - t0) / frames)
     count = _ceil(span / step)

@@ -161,12 +161,14 @@ def _summit(c, slope0, slope1):
     """The quintic's value where its slope, of these values at s = 0 and 1, vanishes inside the step."""
     first = _slope(c)
     second = _slope(first)
-    fall = slope0 - slope1
-    s = jnp.clip(slope0 / jnp.where(fall == 0, 1, fall), 0, 1)
-    for _ in range(NEWTON_STEPS):
+
+    def newton(s):
         curvature = _value(second, s)
-        s = jnp.clip(s - _value(first, s) / jnp.where(curvature == 0, 1, curvature), 0, 1)
-    return _value(c, s)
+        return jnp.clip(s - _value(first, s) / jnp.where(curvature < 0, curvature, -jnp.inf), 0, 1)
+
+    fall = slope0 - slope1
+    s = jnp.clip(slope0 / jnp.where(fall > 0, fall, jnp.inf), 0, 1)
+    return _value(c, _refined(newton, s))
 
 
 def _crossing(c, threshold):
@@ -176,11 +178,20 @@ def _crossing(c, threshold):
         middle = (low + high) / 2
         below = _value(c, middle) < threshold
         low, high = jnp.where(below, middle, low), jnp.where(below, high, middle)
-    s, first = (low + high) / 2, _slope(c)
-    for _ in range(NEWTON_STEPS):
+    first = _slope(c)
+
+    def newton(s):
         slope = _value(first, s)
-        s = jnp.clip(s - (_value(c, s) - threshold) / jnp.where(slope == 0, 1, slope), low, high)
-    return s
+        return jnp.clip(s - (_value(c, s) - threshold) / jnp.where(slope > 0, slope, jnp.inf), low, high)
+
+    return _refined(newton, (low + high) / 2)
+
+
+def _refined(newton, s):
+    """Newton's iteration; its last step alone is differentiated, which gives the implicit function's derivative."""
+    for _ in range(NEWTON_STEPS):
+        s = jax.lax.stop_gradient(newton(s))
+    return newton(s)
 
 
 class Recorded(diffrax.AbstractWrappedSolver):

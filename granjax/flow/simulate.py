@@ -34,9 +34,10 @@ def simulate(
     - `t1` > `t0`: end and start.
     - `solver`: any of granjax's or diffrax's; `None` chooses SRKN11b at a fixed step, RKN86 where `tolerance` is
       given, diffrax's Dopri8 where a force reads the velocity in another way than `Damping`.
-    - `step`: fixed step; it is shortened to divide t1 - t0. `None` takes h omega_max = 1/2, with omega_max a bound on
-      every frequency that the scene can reach at its energy (not only the linear one, which is zero in a sonic
-      vacuum).
+    - `step`: fixed step, the longest: it is shortened to divide t1 - t0, and the spacing of the saved times where that
+      is even; times that lie between steps are read off the dense output. `None` takes h omega_max = 1/2, with
+      omega_max a bound on every frequency that the scene can reach at its energy (not only the linear one, which is
+      zero in a sonic vacuum).
     - `tolerance`: adaptive steps, each with a local error below `tolerance` times the scene's scale of velocity (and
       that over omega_max for displacements), in the largest norm over sites. Give `step` or `tolerance`, not both.
     - `save_at`: `None` only the end; a whole number, that many frames from t0 to t1; an array of times; `"steps"`,

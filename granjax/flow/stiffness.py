@@ -39,12 +39,12 @@ def frequency_bound(lattice, state, t0, t1):
 @eqx.filter_jit
 def linear_frequency(lattice):
     """The same bound for infinitesimal motion about equilibrium: zero in a sonic vacuum."""
-    return _bound(lattice, jnp.zeros(lattice.lanes), None)
+    return _bound(lattice, jnp.zeros(lattice.lanes, lattice.dtype), None)
 
 
 def _waveforms(lattice, t0, t1):
-    ts = t0 + (t1 - t0) * jnp.linspace(0.0, 1.0, SAMPLES)
-    force = displacement = 0.0
+    ts = (t0 + (t1 - t0) * jnp.linspace(0.0, 1.0, SAMPLES)).astype(lattice.dtype)
+    force = displacement = jnp.zeros((), lattice.dtype)
     for term in lattice.terms:
         if isinstance(term, Drive):
             force = jnp.maximum(force, jnp.max(jnp.abs(jax.vmap(term.waveform)(ts))))
@@ -58,7 +58,7 @@ def _bound(lattice, energy, waveforms):
     for term in lattice.terms:
         factor = 1.0
         if isinstance(term, Modulated):
-            ts = jnp.zeros(1) if waveforms is None else waveforms[0]
+            ts = jnp.zeros(1, lattice.dtype) if waveforms is None else waveforms[0]
             factor, term = jnp.max(jnp.abs(jax.vmap(term.modulation)(ts)), axis=0), term.term
         if isinstance(term, Bond):
             bonds.append((term.strain_map, factor * _stiffest(term.law, energy, waveforms) + _turning(term)))
@@ -129,15 +129,16 @@ def _turning(term):
 
 def _stiffest(law, energy, waveforms):
     """Largest F'(x) over the compressions x that the energy (and the drive) can reach, per bond."""
-    zero = jnp.zeros(jax.eval_shape(lambda e: law.force(e) + 0 * energy, jnp.zeros(())).shape)
-    force, displacement = (0.0, 0.0) if waveforms is None else waveforms[1:]
+    like = jax.eval_shape(lambda e: law.force(e) + 0 * energy, jnp.zeros_like(energy))
+    zero = jnp.zeros(like.shape, like.dtype)
+    force, displacement = (jnp.zeros((), like.dtype),) * 2 if waveforms is None else waveforms[1:]
 
     def reachable(x):
         within = (law.energy(x) <= energy) & (energy > 0)
         return within | (jnp.abs(law.force(x)) <= force) & (force > 0) | (jnp.abs(x) <= displacement)
 
     ends = [_furthest(reachable, zero, sign) for sign in (1.0, -1.0)]
-    fractions = jnp.linspace(0.0, 1.0, 33)
+    fractions = jnp.linspace(0.0, 1.0, 33, dtype=like.dtype)
 
     def slope(x):
         return jax.jvp(law.force, (x,), (jnp.ones_like(x),))[1]
@@ -159,7 +160,7 @@ def _furthest(reachable, zero, sign):
         going = going & reachable(sign * 2 * x)
         return jnp.where(going, 2 * x, x), going
 
-    start = zero + 2.0**-80
+    start = zero + jnp.asarray(2.0**-60, zero.dtype)
     x, _ = jax.lax.fori_loop(0, 100, double, (start, reachable(sign * start)))
 
     def bisect(_, interval):

@@ -124,8 +124,7 @@ def blocks(lattice, reach):
     every = jax.vmap(jax.vmap(answer, (None, 0), -1), (0, None), -2)
     answers = every(np.arange(colour.max() + 1), np.arange(width))
     there = np.stack([np.roll(colour, [-o for o in offset], range(len(sites))) for offset in offsets(reach)], -1)
-    near = jnp.take_along_axis(answers[..., None, :, :, :], there[..., None, None, None], -2)[..., 0, :]
-    return jnp.moveaxis(near, -3, -2)
+    return jnp.take_along_axis(answers[..., None, :, :, :], there[..., None, None, None], -2)[..., 0, :]
 
 
 @eqx.filter_jit

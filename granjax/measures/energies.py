@@ -1,5 +1,6 @@
 """Energies and momentum of a state, of the whole lattice and site by site."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -44,7 +45,11 @@ def site_energy(lattice, y, t=0.0):
     **Shapes:** (N,) or (N1, N2), then lanes; a dict of such where a cell holds several fields. Components of a vector
     are summed. **Raises** ValueError for a state of another shape than the lattice's.
     """
-    u, v = parts(lattice, y)
+    return _share_out(lattice, *parts(lattice, y), t)
+
+
+@eqx.filter_jit
+def _share_out(lattice, u, v, t):
     shapes = dict(lattice.sites) if isinstance(u, dict) else {None: lattice.sites}
     total = {name: _per_site(lattice, m * v * v / 2) for name, m, v in _fields(lattice.mass, v)}
     for term in lattice.terms:

@@ -9,8 +9,8 @@ from ..lattice import State
 def along(measure, lattice, run, **options):
     """A measure of every frame of a run: `measure(lattice, State(u, v), t, **options)`, stacked on a leading axis.
 
-    **Arguments:** `measure`: such as `contact_force`, or a function of (lattice, y, t); `run`: anything with `ts`, `us`,
-    `vs`, such as the result of `simulate`; `options`: keywords of the measure, such as `bond=1`.
+    **Arguments:** `measure`: such as `contact_force`, or a function of (lattice, y, t); `run`: anything with `ts`,
+    `us`, `vs`, such as the result of `simulate`; `options`: keywords of the measure, such as `bond=1`.
     **Returns:** what the measure returns, each array with T in front. All frames are held at once; to keep less, record
     the quantity while simulating. **Raises** ValueError for a measure that cannot be called or a run without frames.
     """

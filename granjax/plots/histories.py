@@ -11,6 +11,8 @@ SCALES = ("linear", "log")
 LABELS = {"u": "displacement", "v": "velocity"}
 EVEN = 1e-6
 SIGNED = 0.02
+# more rows or columns than this are averaged over a pixel, not picked
+FINE = 1000
 
 
 def space_time(
@@ -56,7 +58,8 @@ def space_time(
     for spine in ax.spines.values():
         spine.set_visible(True)
     if colour_bar:
-        add_colour_bar(ax, image, f"{label} ({unit})" if unit else label)
+        cut = ("neither", "max", "min", "both")[int(np.nanmax(data) > norm.vmax) + 2 * int(np.nanmin(data) < norm.vmin)]
+        add_colour_bar(ax, image, f"{label} ({unit})" if unit else label, extend=cut)
     return ax
 
 
@@ -83,7 +86,7 @@ def _draw(ax, x, y, data, norm, map_name):
         (left, right), (bottom, top) = _ends(x), _ends(y)
         return ax.imshow(
             data, origin="lower", aspect="auto", extent=(left, right, bottom, top), norm=norm, cmap=map_name,
-            interpolation="antialiased", interpolation_stage="data",
+            interpolation="nearest" if max(data.shape) <= FINE else "antialiased", interpolation_stage="data",
         )
     return ax.pcolormesh(x, y, data, norm=norm, cmap=map_name, shading="nearest", rasterized=True)
 
@@ -153,7 +156,7 @@ def _sites(sites, size):
 
 def _scale_bar(ax, ts, span, label, unit):
     """A bar of a round height beside the traces, in place of a second axis."""
-    height = _round_below(span / 2)
+    height = _round_below(span)
     low, high = ax.get_ylim()
     bottom = (low + high - height) / 2
     transform = ax.get_yaxis_transform()

@@ -69,9 +69,9 @@ def colour(i):
     return COLOURS[i % len(COLOURS)]
 
 
-def add_colour_bar(ax, image, label):
+def add_colour_bar(ax, image, label, extend="neither"):
     """A colour bar beside the Axes, with letters of their size."""
-    bar = ax.figure.colorbar(image, ax=ax, pad=0.02)
+    bar = ax.figure.colorbar(image, ax=ax, pad=0.02, extend=extend, extendfrac=0.03)
     bar.set_label(label, size=ax.yaxis.label.get_size())
     bar.ax.tick_params(labelsize=ax.yaxis.get_majorticklabels()[0].get_size())
     return bar

@@ -79,17 +79,19 @@ def light_peak(data):
     return float(data["peak"].values[LIGHT]) / data.attrs["striker"]
 
 
-def draw_map(plots, figure, data):
+def _draw_map(plots, figure, data):
     left, right = figure.subplots(1, 2, width_ratios=(1.15, 1))
     plots.space_time(
         data["velocity"].values, left, ts=1e3 * data["time"].values, sites=data["bead"].values, label="velocity",
         unit="m/s", time_label="time (ms)", site_label="bead", limit=0.6 * data.attrs["striker"],
     )
     left.set_title(rf"Velocity of every bead, $\varepsilon = {RATIO}$")
-    force, n = _relative_force(data), data["contact"].values
+    # contacts that the pulse has passed
+    force, n = _relative_force(data)[: CONTACT + 5], data["contact"].values[: CONTACT + 5]
     plots.profile(n[::2], force[::2], right, inset="none", x_label="contact", labels="heavy to light",
                   points=(n[1::2], force[1::2]), points_label="light to heavy", y_label="peak force / monomer's")
     right.axhline(0.3, color="0.55", lw=0.8)
+    right.text(2, 0.28, "30 %", va="top", color="0.4")
     right.set_ylim(0, None)
     right.legend(frameon=False, loc="upper right")
     right.set_title("Peak contact force")
@@ -103,11 +105,11 @@ def _draw_beads(plots, figure, data, first, kind):
     ax.set_title(rf"{kind} beads, every fourth of them, $\varepsilon = {RATIO}$")
 
 
-def draw_heavy(plots, figure, data):
+def _draw_heavy(plots, figure, data):
     _draw_beads(plots, figure, data, 4, "Heavy")
 
 
-def draw_light(plots, figure, data):
+def _draw_light(plots, figure, data):
     _draw_beads(plots, figure, data, 5, "Light")
 
 
@@ -129,7 +131,7 @@ FIGURES = (
         caption=_CAPTION + "The grey line is the review's bound, less than 30 %; what is below it here is the contact "
         "force, where the review speaks of the energy.",
         compute=compute,
-        draw=draw_map,
+        draw=_draw_map,
         number=transmitted_force,
         quantity=f"peak force of contact {CONTACT} / that of the monomer chain",
         expected=0.279756,
@@ -143,7 +145,7 @@ FIGURES = (
         title="Velocities of the heavy beads at the first resonance",
         caption=_CAPTION,
         compute=compute,
-        draw=draw_heavy,
+        draw=_draw_heavy,
         number=heavy_peak,
         quantity=f"peak velocity of the heavy bead {HEAVY} / striker velocity",
         expected=0.426448,
@@ -157,7 +159,7 @@ FIGURES = (
         title="Velocities of the light beads at the first resonance",
         caption=_CAPTION,
         compute=compute,
-        draw=draw_light,
+        draw=_draw_light,
         number=light_peak,
         quantity=f"peak velocity of the light bead {LIGHT} / striker velocity",
         expected=0.445059,

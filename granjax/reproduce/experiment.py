@@ -62,7 +62,7 @@ def scaled_peak(data):
     return float(data["peak"].values[2 * data.sizes["bead"] // 3]) / data.attrs["striker"]
 
 
-def draw_traces(plots, figure, data):
+def _draw_traces(plots, figure, data):
     overlaid, stacked = figure.subplots(1, 2)
     middle = data.sizes["bead"] // 2
     shown = np.arange(middle - 2, middle + 3)
@@ -78,13 +78,13 @@ def draw_traces(plots, figure, data):
     stacked.set_title("Every fourth bead")
 
 
-def draw_map(plots, figure, data):
+def _draw_map(plots, figure, data):
     ax = figure.subplots()
     ts = 1e6 * data["time"].values
     plots.space_time(data["velocity"].values, ax, ts=ts, sites=data["bead"].values, label="velocity", unit="m/s",
                      time_label=r"time ($\mu$s)", site_label="bead", limit=1.05 * PEAK_VELOCITY * data.attrs["striker"])
     speed = _front(data) * data.attrs["diameter"]
-    ax.text(0.97, 0.05, f"pulse {speed:.0f} m/s", transform=ax.transAxes, ha="right", color="white")
+    ax.text(0.97, 0.05, f"pulse {speed:.0f} m/s", transform=ax.transAxes, ha="right", color="0.2")
     ax.set_title("Velocity of every bead")
 
 
@@ -102,7 +102,7 @@ FIGURES = (
         caption="Simulation of the experiment: a striker hits a chain of equal spheres in contact without "
         "precompression; Hertz contacts, no friction, rotation or losses.",
         compute=compute,
-        draw=draw_traces,
+        draw=_draw_traces,
         number=scaled_peak,
         quantity="peak bead velocity / striker velocity",
         expected=PEAK_VELOCITY,
@@ -115,7 +115,7 @@ FIGURES = (
         title="Space-time plot of the bead velocities of a granular chain",
         caption="The simulation of fig1.4, all beads.",
         compute=compute,
-        draw=draw_map,
+        draw=_draw_map,
         number=scaled_speed,
         quantity="pulse speed [beads/s] / (A^2 v/m^2)^(1/5)",
         expected=SPEED,

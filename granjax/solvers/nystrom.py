@@ -10,6 +10,7 @@ from functools import cache
 from typing import ClassVar, NamedTuple
 
 import diffrax
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -17,7 +18,7 @@ import numpy as np
 from . import tables
 from .interpolation import Bootstrapped, correction, quintic
 from .seeds import weights
-from .splitting import _pair, unwrap
+from .splitting import FieldSplit, _pair, unwrap
 
 
 class AbstractNystrom(diffrax.AbstractAdaptiveSolver):
@@ -49,22 +50,19 @@ class AbstractNystrom(diffrax.AbstractAdaptiveSolver):
         return self.table().embedded_order + 1
 
     def init(self, terms, t0, t1, y0, args):
-        acceleration, direction = _acceleration(terms, args, y0)
-        return acceleration(t0 * direction, y0[0])
+        system, direction = _system(terms, args)
+        return system.start(t0 * direction, y0)
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
-        acceleration, direction = _acceleration(terms, args, y0)
+        system, direction = _system(terms, args)
         stages = _stages(type(self))
-        h = (t1 - t0) * direction
-        # never past t1, where a jump may lie
-        times = jnp.minimum(t0 + stages.c * (t1 - t0), t1) * direction
-        first = solver_state
+        kept = solver_state
         if made_jump is not False:
-            first = jax.lax.cond(made_jump, lambda: acceleration(times[0], y0[0]), lambda: solver_state)
-        k, y1, a1 = _march(stages, acceleration, times, h, y0, first)
-        error = _pair(y0, _sum(stages.be, k, h, 2), _sum(stages.bpe, k, h, 1))
-        dense = _dense(type(self), acceleration, t0, t1, direction, y0, k)
-        return y1, error, dense, a1, diffrax.RESULTS.successful
+            kept = jax.lax.cond(made_jump, lambda: system.start(t0 * direction, y0), lambda: solver_state)
+        step = _Step(system, t0, t1, direction, y0)
+        k, y1, kept = _march(stages, step, kept)
+        error = _pair(y0, _sum(stages.be, k, step.h, 2), _sum(stages.bpe, k, step.h, 1))
+        return y1, error, _dense(type(self), step, k, kept), kept, diffrax.RESULTS.successful
 
     def func(self, terms, t0, y0, args):
         return terms.vf(t0, y0, args)
@@ -88,16 +86,56 @@ class RKN1210(AbstractNystrom):
     inside: ClassVar[int] = 7
 
 
-def _acceleration(terms, args, y):
-    """The function a(t, u), in the types of the state, and the direction of time."""
+def _system(terms, args):
+    """The forces as a split system, of which only the forces are used, and the direction of time."""
     field, direction = unwrap(terms)
-    offer = getattr(field, "acceleration_only", None)
+    if hasattr(field, "acceleration_only"):
+        field.acceleration_only(args)  # refuses forces that read the velocity
+    offer = getattr(field, "split_system", None)
+    return (FieldSplit(_AtRest(field), args) if offer is None else offer(args)), direction
 
-    def plain(t, u):
-        return field(t, _pair(y, u, jax.tree.map(jnp.zeros_like, y[1])), args)[1]
 
-    a = plain if offer is None else offer(args)
-    return lambda t, u: jax.tree.map(lambda a, u: jnp.asarray(a, u.dtype), a(t, u), u), direction
+class _AtRest(eqx.Module):
+    """A vector field without velocity: what a(t, u) is where it must not depend on v."""
+
+    field: object = eqx.field(static=True)
+
+    def __call__(self, t, y, args):
+        u, v = y
+        return self.field(t, _pair(y, u, jax.tree.map(jnp.zeros_like, v)), args)
+
+
+class _Step(NamedTuple):
+    """One step from t0 to t1 in diffrax's time, which runs forwards, and from y0."""
+
+    system: object
+    t0: object
+    t1: object
+    direction: object
+    y0: object
+
+    @property
+    def h(self):
+        return (self.t1 - self.t0) * self.direction
+
+    def times(self, c):
+        """Times at the places c, never past t1, where a jump may lie."""
+        return jnp.minimum(self.t0 + c * (self.t1 - self.t0), self.t1) * self.direction
+
+    def force(self, kept, t, u):
+        """The force at (t, u), in the system's own form, and the acceleration."""
+        at = _pair(self.y0, u, self.y0[1])
+        _, kept = self.system.leave(self.system.refresh(self.system.enter(at, kept), t), at)
+        return kept, self.system.acceleration(at, kept)
+
+    def place(self, k, c, weights):
+        """u0 + c h v0 + h^2 sum weights_j k_j."""
+
+        def leaf(u, v, k):
+            h, w = self.h.astype(u.dtype), weights.astype(u.dtype)
+            return u + h * (c.astype(u.dtype) * v + h * sum(w[j] * k[j] for j in range(k.shape[0])))
+
+        return jax.tree.map(leaf, *self.y0, k)
 
 
 class _Stages(NamedTuple):
@@ -120,40 +158,31 @@ def _stages(cls):
     return _Stages(A, np.append(table.c, 1.0), *(np.append(w, 0.0) for w in (table.b, table.bp, table.be, table.bpe)))
 
 
-def _march(stages, acceleration, times, h, y0, first):
-    """All accelerations k, the new state, and the acceleration there."""
-    u0, v0 = y0
-    last = len(stages.c) - 1
-    k = jax.tree.map(lambda a: jnp.zeros((last + 1,) + a.shape, a.dtype).at[0].set(a), first)
+def _march(stages, step, kept):
+    """All accelerations k, the new state, and the force there in the system's own form."""
+    u0, v0 = step.y0
+    count = len(stages.c)
+    k = jax.tree.map(lambda u: jnp.zeros((count,) + u.shape, u.dtype), u0)
+    k = _write(k, step.system.acceleration(step.y0, kept), 0)
 
     def stage(w, x):
-        k, u = w
+        k, u, kept = w
         i, time, c, weights = x
-        k = _write(k, acceleration(time, u), i)
-        return (k, _place(u0, v0, k, h, c, weights)), None
+        kept, a = step.force(kept, time, u)
+        k = _write(k, a, i)
+        return (k, step.place(k, c, weights), kept), None
 
-    # positions are carried, or XLA would work the sum over stages out again for every reader
-    u = _place(u0, v0, k, h, jnp.asarray(stages.c[1]), jnp.asarray(stages.A[1]))
-    following = (np.arange(1, last), times[1:last], stages.c[2:], stages.A[2:])
-    (k, u1), _ = jax.lax.scan(stage, (k, u), following)
-    a1 = acceleration(times[last], u1)
-    k = _write(k, a1, last)
-    v1 = jax.tree.map(jnp.add, v0, _sum(stages.bp, k, h, 1))
-    return k, _pair(y0, u1, v1), a1
+    # positions are carried, or XLA would work the sum over stages out again for every reader; the last of them is u1
+    # once more, as its row does not read the last force
+    u = step.place(k, jnp.asarray(stages.c[1]), jnp.asarray(stages.A[1]))
+    following = np.minimum(np.arange(2, count + 1), count - 1)
+    rows = np.arange(1, count), step.times(stages.c)[1:], stages.c[following], stages.A[following]
+    (k, u1, kept), _ = jax.lax.scan(stage, (k, u, kept), rows)
+    return k, _pair(step.y0, u1, jax.tree.map(jnp.add, v0, _sum(stages.bp, k, step.h, 1))), kept
 
 
 def _write(k, a, i):
-    return jax.tree.map(lambda k, a: jax.lax.dynamic_update_index_in_dim(k, a, i, 0), k, a)
-
-
-def _place(u0, v0, k, h, c, weights):
-    """u0 + c h v0 + h^2 sum weights_j k_j."""
-
-    def leaf(u, v, k):
-        s, w = h.astype(u.dtype), weights.astype(u.dtype)
-        return u + s * (c.astype(u.dtype) * v + s * sum(w[j] * k[j] for j in range(k.shape[0])))
-
-    return jax.tree.map(leaf, u0, v0, k)
+    return jax.tree.map(lambda k, a: jax.lax.dynamic_update_index_in_dim(k, a.astype(k.dtype), i, 0), k, a)
 
 
 def _sum(weights, k, h, power):
@@ -162,34 +191,30 @@ def _sum(weights, k, h, power):
     return jax.tree.map(lambda k: h.astype(k.dtype) ** power * sum(float(weights[j]) * k[j] for j in used), k)
 
 
-def _dense(cls, acceleration, t0, t1, direction, y0, k):
-    """What `Bootstrapped` is made from: the quintic of the ends and the accelerations inside, from seeds."""
+def _dense(cls, step, k, kept):
+    """What `Bootstrapped` is made from: the quintic of the ends, and accelerations inside."""
     stages, fit = _stages(cls), correction(cls.inside)
-    h = (t1 - t0) * direction
-    u0, v0 = y0
 
-    def force(_, x):
+    def inner_force(kept, x):
         time, c, w = x
-        return None, acceleration(time, _place(u0, v0, k, h, c, w))
+        return step.force(kept, time, step.place(k, c, w))
 
-    times = jnp.minimum(t0 + fit.nodes * (t1 - t0), t1) * direction
-    _, inner = jax.lax.scan(force, None, (times, fit.nodes, seeds(cls)))
+    _, inner = jax.lax.scan(inner_force, kept, (step.times(fit.nodes), fit.nodes, seeds(cls)))
+    rise, gain = _sum(stages.b, k, step.h, 2), _sum(stages.bp, k, step.h, 2)
 
-    def leaf(k, inner):
-        s = h.astype(k.dtype) ** 2
-        rise = s * sum(float(w) * x for w, x in zip(stages.b, k) if w)
-        gain = s * sum(float(w) * x for w, x in zip(stages.bp, k) if w)
+    def leaf(k, inner, rise, gain):
+        s = step.h.astype(k.dtype) ** 2
         low = quintic(rise, gain, s * k[0], s * k[-1])
         high = tuple(
-            sum(float(w) * s * a for w, a in zip(take, inner)) - sum(float(w) * c for w, c in zip(less, low))
+            s * sum(float(w) * a.astype(k.dtype) for w, a in zip(take, inner))
+            - sum(float(w) * c for w, c in zip(less, low))
             for take, less in zip(fit.take, fit.less)
         )
         return low + high
 
-    structure = jax.tree.structure(u0)
-    leaves = [leaf(*x) for x in zip(jax.tree.leaves(k), jax.tree.leaves(inner))]
-    coefficients = tuple(structure.unflatten(list(x)) for x in zip(*leaves))
-    return dict(y0=y0, quintic=coefficients[:4], inside=coefficients[4:], direction=jnp.asarray(direction))
+    leaves = [leaf(*x) for x in zip(*map(jax.tree.leaves, (k, inner, rise, gain)))]
+    coefficients = tuple(jax.tree.structure(k).unflatten(x) for x in zip(*leaves))
+    return dict(y0=step.y0, quintic=coefficients[:4], inside=coefficients[4:], direction=jnp.asarray(step.direction))
 
 
 @cache

@@ -32,5 +32,6 @@ def site_of(lattice, site, field):
 def chain_only(lattice, what):
     """Refuse grids, vectors and named fields, where a state is meant for a plain chain."""
     if lattice.fields is not None or lattice.axes != 1 or lattice.dimension is not None:
-        refuse("lattice", f"a chain with one displacement per site, for {what}", f"displacements of shape {lattice.shape}")
+        got = f"displacements of shape {lattice.shape}"
+        refuse("lattice", f"a chain with one displacement per site, for {what}", got)
     return lattice.shape[0]

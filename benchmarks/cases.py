@@ -1,0 +1,193 @@
+"""What `speed.py` measures, one function a case; each runs in a process of its own.
+
+Calls alternate (A B C A B C ...), so that a drift of the machine's clock cancels in the ratios. `wall` is elapsed time
+and `cpu` the processor time of the process; they agree on a quiet machine.
+"""
+
+import os
+import time
+from concurrent.futures import ThreadPoolExecutor
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+import peers
+
+import granjax as gx
+from granjax.solvers import tables
+
+STEP = 0.1
+AMPLITUDE = 0.1
+CHECKED_STEPS = 200
+LANES, BEADS = 256, 60
+TABLE = tables.splitting("SRKN11b")
+
+
+def alternate(calls, rounds):
+    """Median wall and processor time of each call [s], and ratios to the last one, round by round."""
+    for call in calls.values():
+        call()
+    wall, cpu = {name: [] for name in calls}, {name: [] for name in calls}
+    for _ in range(rounds):
+        for name, call in calls.items():
+            start, spent = time.perf_counter(), time.process_time()
+            call()
+            wall[name].append(time.perf_counter() - start)
+            cpu[name].append(time.process_time() - spent)
+    last = list(calls)[-1]
+    return {
+        name: {
+            "wall": float(np.median(wall[name])), "cpu": float(np.median(cpu[name])),
+            "ratio": float(np.median(np.divide(wall[name], wall[last]))),
+            "cpu_ratio": float(np.median(np.divide(cpu[name], cpu[last]))),
+        }
+        for name in calls
+    }
+
+
+def run(lattice, state, steps, step=STEP):
+    """`gx.simulate`, complete: it reads the outcome, so that it returns when the run has ended."""
+    return jax.block_until_ready(gx.simulate(lattice, state, steps * step, solver=gx.SRKN11b(), step=step))
+
+
+@jax.jit
+def _bare(lattice, state, t1, step):
+    return diffrax.diffeqsolve(
+        diffrax.ODETerm(gx.vector_field), gx.SRKN11b(), 0.0, t1, step, state, args=lattice, max_steps=None,
+        adjoint=diffrax.ForwardMode(),
+    ).ys
+
+
+def _start(shape, dtype=float):
+    u = np.random.default_rng(0).uniform(-AMPLITUDE, AMPLITUDE, shape).astype(dtype)
+    return u, gx.State(jnp.asarray(u), jnp.zeros_like(u))
+
+
+def _compared(lattice, state, steps, rounds, peer, evaluations, arrange=lambda x: x):
+    """granjax through `simulate` and through diffrax alone, against `peer(steps)`, which returns its final u."""
+    end = run(lattice, state, CHECKED_STEPS)
+    if end.final.u.dtype != state.u.dtype:
+        raise TypeError(f"a run in {state.u.dtype} ended in {end.final.u.dtype}")
+    difference = np.abs(np.asarray(end.final.u) - arrange(peer(CHECKED_STEPS))).max()
+    t1 = steps * STEP
+    times = alternate(
+        {
+            "simulate": lambda: run(lattice, state, steps),
+            "diffeqsolve": lambda: jax.block_until_ready(_bare(lattice, state, t1, STEP)),
+            "numba": lambda: peer(steps),
+        },
+        rounds,
+    )
+    ns = {name: 1e9 * x["wall"] / (steps * evaluations) for name, x in times.items()}
+    cpu_ns = {name: 1e9 * x["cpu"] / (steps * evaluations) for name, x in times.items()}
+    return {
+        "ratio": times["simulate"]["ratio"], "cpu_ratio": times["simulate"]["cpu_ratio"],
+        "without_record": times["diffeqsolve"]["ratio"], "without_record_cpu": times["diffeqsolve"]["cpu_ratio"],
+        "ns_per_bead_force": ns, "cpu_ns_per_bead_force": cpu_ns, "seconds": times["numba"]["wall"], "steps": steps,
+        "steps_taken": int(run(lattice, state, steps).stats["steps"]), "difference": float(difference),
+        "checked_steps": CHECKED_STEPS, "busy": times["numba"]["wall"] / times["numba"]["cpu"],
+    }
+
+
+def chain(rounds, sites, steps, dtype=float, exponent=1.5):
+    """One precompressed chain, A = m = d0 = 1, rigid walls, displacements uniform in +-0.1."""
+    u, state = _start(sites, dtype)
+    lattice = gx.scenes.monomer(sites, exponent=exponent, precompression=1.0).astype(dtype)
+    one = np.dtype(dtype).type(1)
+    loop = peers.hertz if exponent == 1.5 else peers.power
+    a, b = TABLE.a.astype(dtype), TABLE.b.astype(dtype)
+
+    def peer(steps):
+        end, v = u.copy(), np.zeros_like(u)
+        loop(end, v, steps, one * STEP, one, one, one, one * exponent, one, a, b)
+        return end
+
+    return _compared(lattice, state, steps, rounds, peer, sites * 11)
+
+
+def single(rounds, sites, steps):
+    """float64 over float32 beside the comparison in float32."""
+    out = chain(rounds, sites, steps, np.float32)
+    chains = {dtype: gx.scenes.monomer(sites, precompression=1.0).astype(dtype) for dtype in ("float32", "float64")}
+    states = {dtype: _start(sites, dtype)[1] for dtype in chains}
+    times = alternate({dtype: lambda d=dtype: run(chains[d], states[d], steps) for dtype in chains}, rounds)
+    return {**out, "float32_over_float64": times["float32"]["ratio"], "cpu": times["float32"]["cpu_ratio"]}
+
+
+def _dimers(lanes):
+    """The dimers of a slice of the lanes."""
+    ratios = jnp.linspace(0.2, 1.0, LANES)[lanes]
+    return jax.vmap(lambda r: gx.scenes.dimer(BEADS, ratio=r, precompression=1.0), out_axes=-1)(ratios)
+
+
+def batch(rounds, steps):
+    """Dimers of 60 beads with mass ratios 0.2 ... 1 as lanes, against one chain after the other."""
+    u, state = _start((BEADS, LANES))
+    lattice = _dimers(slice(None))
+    us, inverse = np.ascontiguousarray(u.T), np.ascontiguousarray(1 / np.asarray(lattice.mass).T)
+
+    def peer(steps):
+        end = us.copy()
+        peers.hertz_batch(end, np.zeros_like(us), steps, STEP, 1.0, 1.0, 1.0, inverse, TABLE.a, TABLE.b)
+        return end
+
+    return _compared(lattice, state, steps, rounds, peer, u.size * 11, np.transpose)
+
+
+def two_devices(rounds, steps):
+    """The batch on one JAX device of the CPU, and in two chunks of lanes on two devices, one thread each.
+
+    `cpu_ratio`: what two free cores would give, from the processor time that both ways take.
+    """
+    u, _ = _start((BEADS, LANES))
+    first, second = jax.devices("cpu")[:2]
+    halves = [slice(0, LANES // 2), slice(LANES // 2, LANES)]
+    places = [(slice(0, LANES), first), (halves[0], first), (halves[1], second)]
+    work = [(jax.device_put((_dimers(s), gx.State(u[:, s], np.zeros_like(u[:, s]))), d), d) for s, d in places]
+
+    def one(item):
+        (lattice, state), device = item
+        with jax.default_device(device):
+            return run(lattice, gx.State(*state), steps).final.u
+
+    with ThreadPoolExecutor(2) as pool:
+        both = np.concatenate([np.asarray(x) for x in pool.map(one, work[1:])], axis=1)
+        difference = np.abs(both - np.asarray(one(work[0]))).max()
+        times = alternate({"one": lambda: one(work[0]), "two": lambda: list(pool.map(one, work[1:]))}, rounds)
+    return {
+        "ratio": times["one"]["ratio"], "cpu_ratio": 2 * times["one"]["cpu"] / times["two"]["cpu"], "seconds": {name: x["wall"] for name, x in times.items()},
+        "cores_used": {name: x["cpu"] / x["wall"] for name, x in times.items()}, "difference": float(difference),
+    }
+
+
+def overhead(rounds, steps, calls):
+    """Seconds of one `simulate` of a 4-bead chain over few steps; numba's own beside."""
+    u, state = _start(4)
+    lattice = gx.scenes.monomer(4, precompression=1.0)
+
+    def peer():
+        for _ in range(calls):
+            peers.hertz(u.copy(), np.zeros_like(u), steps, STEP, 1.0, 1.0, 1.0, 1.5, 1.0, TABLE.a, TABLE.b)
+
+    def repeated(f):
+        return lambda: [f() for _ in range(calls)]
+
+    times = alternate(
+        {
+            "simulate": repeated(lambda: run(lattice, state, steps)),
+            "diffeqsolve": repeated(lambda: jax.block_until_ready(_bare(lattice, state, steps * STEP, STEP))),
+            "numba": peer,
+        },
+        rounds,
+    )
+    return {
+        "ratio": 1e6 * times["simulate"]["wall"] / calls, "cpu_ratio": 1e6 * times["simulate"]["cpu"] / calls,
+        "microseconds": {name: 1e6 * x["wall"] / calls for name, x in times.items()}, "steps": steps,
+    }
+
+
+def pinned(core):
+    """Keep this process and the threads it will start on one core."""
+    if core is not None and hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, {core})

@@ -1,0 +1,104 @@
+"""The leading pulse in a long dimer chain: peak contact forces, rate of decay, and the ratios where it does not decay."""
+
+import numpy as np
+
+from ..checks import refuse, whole, within
+from .lanes import LANES, checked_ratios, peak_forces
+
+# beads behind the last contact that is read, so that the free end is not felt there
+MARGIN = 12
+# of the bracket, relative to its centre, within which a quartic represents the rate
+FIT_WIDTH = 0.02
+
+
+def contact_forces(ratios, contacts, *, progress=False):
+    """Largest contact forces of a long dimer chain with free ends, struck at bead 0 with v = 1.
+
+    **Arguments:** `ratios`: light over heavy, in (0, 1], (n,); `contacts`: (c,), contact n lies between the beads n
+    and n + 1, counted from 0; an even one has the heavy bead first. `progress`: a progress bar.
+
+    Fixed steps with h omega_max = 1/2: relative error about 1e-6 at contact 60.
+
+    **Returns:** a NumPy array (c, n), in units of A^(2/5) (m v^2)^(3/5). **Raises** ValueError for ratios outside
+    (0, 1] or a contact that is no whole number. Typical: 0.63955 for the monomer, 0.30190 at ratio 1/2, contact 20.
+    """
+    ratios = checked_ratios(ratios)
+    bonds = tuple(whole(f"contacts[{i}]", n, 0) for i, n in enumerate(np.atleast_1d(contacts)))
+    beads = max(bonds) + MARGIN
+    return peak_forces(ratios, beads, "free", bonds, 1.5 * beads + 10, progress)
+
+
+def decay_rate(ratios, contacts=(200, 600), *, progress=False):
+    """Decay rate of the leading pulse per dimer: -ln(F_b/F_a)/((b - a)/2), F the peak forces at two contacts.
+
+    It is zero at anti-resonances and positive between them, up to the error of the step (1e-9).
+
+    **Arguments:** `ratios`: light over heavy, in (0, 1], (n,); `contacts`: (a, b), a < b, both even or both odd, counted
+    from 0; `progress`: a progress bar.
+
+    **Returns:** a NumPy array (n,). **Raises** ValueError for ratios outside (0, 1], or contacts that are not such a
+    pair. Source: Jayaprakash, Starosvetsky, Vakakis, Phys. Rev. E 83, 036606 (2011).
+    """
+    contacts = _checked_contacts(contacts)
+    first, last = contact_forces(ratios, contacts, progress=progress)
+    return -np.log(last / first) / ((contacts[1] - contacts[0]) / 2)
+
+
+def _checked_contacts(contacts):
+    a, b = (whole(f"contacts[{i}]", n, 0) for i, n in enumerate(_pair(contacts)))
+    if not a < b or (b - a) % 2:
+        refuse("contacts", "two contacts (a, b), a < b, both even or both odd", f"({a}, {b})", "Typical: (200, 600).")
+    return a, b
+
+
+def _pair(contacts):
+    if np.shape(contacts) != (2,):
+        refuse("contacts", "two contacts (a, b)", repr(contacts), "Typical: (200, 600).")
+    return contacts
+
+
+def anti_resonance(low, high, *, contacts=(200, 600), progress=False):
+    """Mass ratio between `low` and `high` at which the leading pulse does not decay: zero of the asymptotic decay rate.
+
+    The rate touches zero there from above, so it is sought as the rate's minimum: by grids of sixteen ratios until
+    the bracket is within 2 % of its centre, then as the minimum of a quartic through such a grid.
+
+    **Arguments:** `low` < `high`, in (0, 1], around one anti-resonance; `contacts`: where the decay is read, as in
+    `decay_rate`; further down the chain is closer to the limit; `progress`: a progress bar.
+
+    **Returns:** a float, good to about 1e-6 with the default contacts (0.342846, 0.154751, 0.090128; the monomer's
+    own, 1, only at that end of the interval). **Raises** ValueError for an interval outside (0, 1] or empty,
+    RuntimeError where the rate has no minimum inside.
+    Source: Jayaprakash, Starosvetsky, Vakakis, Phys. Rev. E 83, 036606 (2011).
+    """
+    low, high = (
+        float(within(name, x, 0, 1, open_low=True, remedy="The ratio is light over heavy."))
+        for name, x in (("low", low), ("high", high))
+    )
+    if not low < high:
+        refuse("high", f"a mass ratio above low = {low:g}", f"{high:g}", "Give the interval from small to large.")
+    contacts = _checked_contacts(contacts)
+    while True:
+        ratios = np.linspace(low, high, 2 * LANES)
+        rates = decay_rate(ratios, contacts, progress=progress)
+        best = int(np.argmin(rates))
+        if best == len(ratios) - 1 and high == 1:
+            return 1.0
+        if best in (0, len(ratios) - 1):
+            raise RuntimeError(
+                f"The decay rate has no minimum inside [{low:.6g}, {high:.6g}]: it is lowest at {ratios[best]:.6g}. "
+                "Give an interval around an anti-resonance, such as [0.3, 0.4]."
+            )
+        if high - low <= FIT_WIDTH * (low + high):
+            return _vertex(ratios, rates, best)
+        low, high = float(ratios[best - 1]), float(ratios[best + 1])
+
+
+def _vertex(ratios, rates, best):
+    """Minimum of the quartic through the rates that is nearest to the lowest of them."""
+    centre, width = (ratios[0] + ratios[-1]) / 2, (ratios[-1] - ratios[0]) / 2
+    quartic = np.polynomial.Polynomial.fit((ratios - centre) / width, rates, 4, domain=[-1, 1])
+    places = quartic.deriv().roots()
+    places = places[np.abs(places.imag) < 1e-9].real
+    nearest = places[np.argmin(np.abs(places - (ratios[best] - centre) / width))]
+    return float(centre + width * nearest)

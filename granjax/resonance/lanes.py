@@ -1,0 +1,83 @@
+"""Peak contact forces of many dimer chains: lanes in chunks, chunks on devices.
+
+A chunk has eight lanes: one vector of float64, as fast per lane as 64 and twice as fast as 16, and its step follows
+its own stiffest lane. A call takes one chunk to every device; devices do not talk to each other, and all calls share
+one compiled program.
+"""
+
+from functools import cache
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh
+from jax.sharding import PartitionSpec as Spec
+
+from ..checks import refuse, show, within
+from ..flow import Peak, simulate
+from ..measures import contact_force
+from ..scenes import dimer
+from ..states import impact
+
+LANES = 8
+
+
+def checked_ratios(ratios):
+    """Mass ratios as a NumPy array (n,), each in (0, 1]."""
+    ratios = np.asarray(within("ratios", ratios, 0, 1, open_low=True, remedy="The ratio is light over heavy."), float)
+    if ratios.ndim != 1 or not ratios.size:
+        refuse("ratios", "a list of mass ratios", f"shape {ratios.shape}", f"For one: [{show(ratios)}].")
+    return ratios
+
+
+def peak_forces(ratios, beads, boundary, bonds, t1, progress=False):
+    """Largest forces of some bonds until t1, shape (bonds, n); NaN for a chunk whose run did not complete.
+
+    **Arguments:** `ratios` (n,), checked; `bonds`: a tuple of indices into the chain's bonds.
+    """
+    order = np.argsort(ratios, kind="stable")
+    devices = tuple(jax.devices()[: -(-len(ratios) // LANES)])
+    width = LANES * len(devices)
+    # sorted, so that lanes of a chunk are about equally stiff; filled up with the softest
+    padded = np.pad(ratios[order], (0, -len(ratios) % width), mode="edge").reshape(-1, width)
+    program = _program(beads, boundary, bonds, devices)
+    waiting = [program(chunk, float(t1)) for chunk in padded]
+    done = [np.asarray(forces) for forces in _followed(waiting, progress)]
+    forces = np.empty((len(bonds), len(ratios)))
+    forces[:, order] = np.concatenate(done, axis=1)[:, : len(ratios)]
+    return forces
+
+
+def _followed(waiting, progress):
+    if not progress:
+        return waiting
+    from tqdm import tqdm
+
+    return tqdm(waiting, desc="mass ratios", unit="chunk", leave=False)
+
+
+@cache
+def _program(beads, boundary, bonds, devices):
+    """The compiled program for chunks of ratios (LANES * devices,), one chunk per device."""
+    def quantity(t, y, lattice):
+        force = contact_force(lattice, y)
+        return jnp.stack([force[bond] for bond in bonds])
+
+    def forces(ratios, t1):
+        chains = jax.vmap(lambda ratio: dimer(beads, ratio, boundary=boundary), out_axes=-1)(ratios)
+        # ForwardMode: the number of steps is not bounded, so it is no part of the program
+        run = simulate(chains, impact(chains), t1, record={"peak": Peak(quantity)}, adjoint=diffrax.ForwardMode())
+        return jnp.where(run.completed, run.recorded["peak"], jnp.nan)
+
+    mesh = Mesh(np.array(devices), ("lanes",))
+    return jax.jit(_per_device(forces, mesh, (Spec("lanes"), Spec()), Spec(None, "lanes")))
+
+
+def _per_device(function, mesh, in_specs, out_specs):
+    """`shard_map` under its names of JAX 0.6 and later."""
+    if hasattr(jax, "shard_map"):
+        return jax.shard_map(function, mesh=mesh, in_specs=in_specs, out_specs=out_specs, check_vma=False)
+    from jax.experimental.shard_map import shard_map
+
+    return shard_map(function, mesh=mesh, in_specs=in_specs, out_specs=out_specs, check_rep=False)

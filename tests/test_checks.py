@@ -1,0 +1,176 @@
+import re
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import granjax as gx
+from granjax import checks
+from granjax.laws import Scaled
+
+ROOT = Path(gx.__file__).parent
+NAN, INF = float("nan"), float("inf")
+
+
+def chain(*terms, mass=np.ones(6), **how):
+    return gx.Lattice(mass, terms, **how)
+
+
+HERTZ = gx.Hertz()
+BOND = gx.Bond(gx.Shift(1, "free"), HERTZ)
+CELL = {"bead": np.ones(6), "resonator": np.ones(6)}
+
+# what is wrong, who refuses it, and what the sentence must name
+BAD = (
+    *((f"mass {m}", lambda m=m: chain(BOND, mass=m, sites=6), "mass") for m in (0.0, -1.0, NAN, INF)),
+    ("one mass of many", lambda: chain(BOND, mass=np.array([1, 1, 0, 1.0])), "mass"),
+    ("mass of a field", lambda: chain(mass={"bead": np.ones(3), "resonator": -np.ones(3)}), "mass['resonator']"),
+    ("mass complex", lambda: chain(BOND, mass=np.ones(6) * 1j), "mass"),
+    ("mass complex jax", lambda: chain(BOND, mass=jnp.ones(6) * 1j), "mass"),
+    ("mass string", lambda: chain(BOND, mass="heavy"), "mass"),
+    ("mass None", lambda: chain(BOND, mass=None), "mass"),
+    ("mass ragged", lambda: chain(BOND, mass=[[1.0], [1.0, 2.0]]), "mass"),
+    ("mass bool", lambda: chain(BOND, mass=np.array([True, True])), "mass"),
+    ("mass without sites", lambda: chain(BOND, mass=1.0), "mass"),
+    ("no fields", lambda: chain(mass={}), "mass"),
+    ("one site", lambda: chain(mass=np.ones(1)), "two sites"),
+    ("no site", lambda: chain(mass=np.ones(0)), "sites"),
+    ("sites 0", lambda: chain(mass=1.0, sites=0), "sites"),
+    ("sites 2.5", lambda: chain(mass=1.0, sites=2.5), "sites"),
+    ("sites string", lambda: chain(mass=1.0, sites="ten"), "sites"),
+    ("sites and masses", lambda: chain(mass=np.ones(5), sites=6), "mass"),
+    ("dimension 0", lambda: chain(BOND, dimension=0), "dimension"),
+    ("dimension 1.5", lambda: chain(BOND, dimension=1.5), "dimension"),
+    *((f"hertz {a}", lambda a=a: gx.Hertz(a), "stiffness") for a in (0, -1.0, NAN, -INF, 1j, "stiff", None)),
+    *((f"power {a}", lambda a=a: gx.PowerLaw(a, 2.0), "stiffness") for a in (0, -1.0, NAN, [1, -1])),
+    *((f"F0 {f}", lambda f=f: gx.Hertz(1.0, f), "precompression") for f in (-1.0, NAN, INF, [1, -1], "all", None)),
+    *((f"p {p}", lambda p=p: gx.PowerLaw(1.0, p, 1.0), "exponent") for p in (0, 0.0, NAN, INF, 1j, "3/2", [0.5, 0.0])),
+    ("p of two signs", lambda: gx.PowerLaw(1.0, np.array([1.5, -3]), 1.0), "exponent"),
+    ("magnets without load", lambda: gx.PowerLaw(1.0, -3.0), "precompression"),
+    ("magnets without load 2", lambda: gx.PowerLaw(1.0, -3.0, np.array([1.0, 0.0])), "precompression"),
+    ("polynomial of nothing", lambda: gx.Polynomial(0.0), "K2, K3, K4"),
+    ("polynomial nan", lambda: gx.Polynomial(1.0, NAN), "K3"),
+    ("toda", lambda: gx.Toda(-1.0), "strength"),
+    ("toda rate", lambda: gx.Toda(1.0, 0.0), "rate"),
+    ("linear", lambda: gx.Linear(NAN), "stiffness"),
+    ("sine", lambda: gx.Sine(1.0, 0.0), "wavenumber"),
+    ("support", lambda: gx.Yielding(HERTZ, 0.0), "support"),
+    ("yielding of no law", lambda: gx.Yielding(1.0, 1.0), "law"),
+    ("sum with no law", lambda: HERTZ + 1.0, "law"),
+    ("scaled no law", lambda: Scaled(1.0, 2.0), "law"),
+    ("boundary", lambda: gx.Shift(1, "fixd"), "Did you mean 'fixed'?"),
+    ("boundary None", lambda: gx.Shift(1, None), "boundary"),
+    ("boundaries", lambda: gx.Shift((1, 0), ("fixed",)), "boundary"),
+    *((f"offset {k}", lambda k=k: gx.Shift(k), "offset") for k in (0, (0, 0), 1.0, "1", True, (), None)),
+    ("offset 0 in a field", lambda: gx.Shift(0, "free", "bead"), "offset"),
+    ("fields 3", lambda: gx.Shift(1, fields=3), "fields"),
+    ("fields of three", lambda: gx.Shift(1, fields=("a", "b", "c")), "fields"),
+    ("pairs float", lambda: gx.Pairs([0.0], [1]), "tail"),
+    ("pairs empty", lambda: gx.Pairs([], []), "tail"),
+    ("pairs ragged", lambda: gx.Pairs([[0], [1, 2]], [1, 2]), "tail"),
+    ("pairs lengths", lambda: gx.Pairs([0, 1], [1]), "head"),
+    ("pairs -2", lambda: gx.Pairs([0], [-2]), "head"),
+    ("pairs self", lambda: gx.Pairs([0, 1], [1, 1]), "head"),
+    ("pairs sites", lambda: gx.Pairs([0, 1], [1, 2], sites=2), "sites"),
+    ("pairs sites string", lambda: gx.Pairs([0, 1], [1, 2], sites="many"), "sites"),
+    ("pairs of another lattice", lambda: chain(gx.Bond(gx.Pairs([0], [1]), HERTZ)), "terms[0] (Bond)"),
+    ("vector zero", lambda: gx.Stretch(gx.Shift(1), [0.0, 0.0]), "vector"),
+    ("vector number", lambda: gx.Stretch(gx.Shift(1), 1.0), "vector"),
+    ("vector nan", lambda: gx.Stretch(gx.Shift(1), [NAN, 0.0]), "vector"),
+    ("stretch of a law", lambda: gx.Stretch(HERTZ, [1.0, 0.0]), "pairs"),
+    ("bond without map", lambda: gx.Bond(1, HERTZ), "strain_map"),
+    ("bond without law", lambda: gx.Bond(gx.Shift(1), 1.0), "law"),
+    ("onsite without law", lambda: gx.OnSite(1.0), "law"),
+    ("damping", lambda: gx.Damping(-0.1), "rate"),
+    ("dashpot", lambda: gx.Dashpot(gx.Shift(1), -0.1), "coefficient"),
+    ("dashpot map", lambda: gx.Dashpot(1, 0.1), "strain_map"),
+    ("drive", lambda: gx.Drive(1.0), "waveform"),
+    *((f"drive of site {k}", lambda k=k: chain(gx.Drive(gx.Harmonic(1.0, 1.0), k)), "terms[0] (Drive)")
+      for k in (6, -7, 100, (0, 1), 1.5, "last")),
+    ("harmonic", lambda: gx.Harmonic(NAN, 1.0), "amplitude"),
+    ("wall side", lambda: gx.Wall(HERTZ, "rigth"), "Did you mean 'right'?"),
+    ("wall motion", lambda: gx.Wall(HERTZ, "left", motion=1.0), "motion"),
+    ("wall support", lambda: gx.Wall(HERTZ, support=-1.0), "support"),
+    ("wall law", lambda: gx.Wall(1.0), "law"),
+    ("modulated", lambda: gx.Modulated(gx.Damping(0.1), lambda t: 1.0), "term"),
+    ("modulation", lambda: gx.Modulated(BOND, 1.1), "modulation"),
+    ("no term", lambda: chain(BOND, HERTZ), "terms[1]"),
+    ("terms a number", lambda: gx.Lattice(np.ones(6), 3), "terms"),
+    ("terms None", lambda: gx.Lattice(np.ones(6), None), "terms"),
+    ("parameters per bond", lambda: chain(gx.Damping(0.1), gx.Bond(gx.Shift(1, "fixed"), gx.Hertz(np.ones(6)))),
+     "terms[1] (Bond)"),
+    ("parameters per free bond", lambda: chain(gx.Bond(gx.Shift(1, "free"), gx.Hertz(np.ones(6)))), "terms[0] (Bond)"),
+    ("loads per bond", lambda: chain(gx.Bond(gx.Shift(1, "free"), gx.Hertz(1.0, np.ones(4)))), "terms[0] (Bond)"),
+    ("rates per site", lambda: chain(gx.Damping(np.ones(5))), "terms[0] (Damping)"),
+    ("onsite per site", lambda: chain(gx.OnSite(gx.Linear(np.ones(7)))), "terms[0] (OnSite)"),
+    ("dashpots per bond", lambda: chain(gx.Dashpot(gx.Shift(1, "free"), np.ones(6))), "terms[0] (Dashpot)"),
+    ("parameters per wall", lambda: chain(gx.Wall(gx.Hertz(np.ones(2)))), "terms[0] (Wall)"),
+    ("modulation per bond", lambda: chain(gx.Modulated(BOND, lambda t: jnp.ones(4))), "terms[0] (Modulated)"),
+    ("offset beyond the chain", lambda: chain(gx.Bond(gx.Shift(9, "free"), HERTZ)), "terms[0] (Bond)"),
+    ("vector in another space", lambda: chain(gx.Bond(gx.Stretch(gx.Shift(1), [1.0, 0, 0]), HERTZ), dimension=2),
+     "terms[0] (Bond)"),
+    ("stretch on a line", lambda: chain(gx.Bond(gx.Stretch(gx.Shift(1), [1.0, 0.0]), HERTZ)), "terms[0] (Bond)"),
+    ("unknown field", lambda: chain(gx.OnSite(HERTZ, "beed"), mass=CELL), "bead"),
+    ("unknown field of a bond", lambda: chain(gx.Bond(gx.Shift(1, "free", "beed"), HERTZ), mass=CELL), "bead"),
+    ("unknown field of a damping", lambda: chain(gx.Damping(0.1, "beed"), mass=CELL), "bead"),
+    ("field of a plain array", lambda: chain(gx.OnSite(HERTZ, "bead")), "terms[0] (OnSite)"),
+    ("no field in a cell", lambda: chain(BOND, mass=CELL), "terms[0] (Bond)"),
+)
+
+
+@pytest.mark.parametrize("make, named", [b[1:] for b in BAD], ids=[b[0] for b in BAD])
+def test_bad_input_is_refused_in_our_words(make, named):
+    """ValueError with argument, expected and got, raised in granjax and not inside JAX."""
+    with pytest.raises(ValueError) as caught:
+        make()
+    assert re.match(r"(?s).+: expected .+, got .+\.", str(caught.value))
+    assert named in str(caught.value)
+    frame = caught.value.__traceback__
+    while frame.tb_next is not None:
+        frame = frame.tb_next
+    assert Path(frame.tb_frame.f_code.co_filename).is_relative_to(ROOT)
+
+
+@pytest.mark.parametrize("make", [
+    lambda: gx.Hertz("stiff"), lambda: chain(gx.Damping(np.ones(5))), lambda: chain(gx.OnSite(HERTZ, "beed"), mass=CELL),
+], ids=["string", "lengths", "field"])
+def test_no_other_traceback_is_printed_above_a_refusal(make):
+    with pytest.raises(ValueError) as caught:
+        make()
+    assert caught.value.__suppress_context__ or caught.value.__context__ is None
+
+
+def test_sentences():
+    with pytest.raises(ValueError, match=r"^stiffness: expected numbers above zero, got -1\.0\. The contact"):
+        gx.Hertz(-1.0)
+    with pytest.raises(ValueError, match=r"^boundary: expected one of 'fixed', 'free', 'periodic', got 'fre'\. Did you"):
+        gx.Shift(1, "fre")
+    with pytest.raises(ValueError, match=r"^x: expected numbers in \(0, 1\], got 0\.0\. Why$"):
+        checks.within("x", 0.0, 0, 1, open_low=True, remedy="Why")
+
+
+def test_bounds_belong_or_not():
+    assert float(checks.within("x", 1.0, 0, 1)) == 1.0
+    with pytest.raises(ValueError, match=r"\[0, 1\)"):
+        checks.within("x", 1.0, 0, 1, open_high=True)
+    assert float(checks.non_negative("x", 0)) == 0.0
+    assert checks.whole("n", np.int64(3), 3) == 3
+    for bad in (2, 3.0, True, "3"):
+        with pytest.raises(ValueError, match="whole number not below 3"):
+            checks.whole("n", bad, 3)
+
+
+def test_parameters_take_the_default_float_and_keep_a_given_one():
+    assert checks.parameter("x", 1).dtype == jnp.float64
+    assert checks.parameter("x", np.float32(1)).dtype == jnp.float64
+    assert checks.parameter("x", jnp.float32(1)).dtype == jnp.float32
+    assert checks.parameter("x", jnp.arange(3)).dtype == jnp.float64
+
+
+def test_traced_values_pass_the_checks():
+    got = jax.jit(lambda A, F0: gx.Hertz(A, F0).force(0.5))(2.0, 0.0)
+    np.testing.assert_allclose(got, 2 * 0.5**1.5, rtol=1e-15)
+    slope = jax.grad(lambda m: gx.Lattice(m * np.ones(3), (BOND,)).kinetic_energy(jnp.ones(3)))(2.0)
+    assert float(slope) == 1.5

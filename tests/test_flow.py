@@ -1,0 +1,277 @@
+"""`simulate`: what it chooses, saves, records, differentiates and refuses."""
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import granjax as gx
+
+
+def force_of(t, y, lattice):
+    return gx.measures.contact_force(lattice, y)
+
+
+PEAK = gx.Peak(force_of)
+
+
+@pytest.fixture(scope="module")
+def struck():
+    chain = gx.scenes.monomer(20, boundary="free")
+    return chain, gx.states.impact(chain)
+
+
+@pytest.fixture(scope="module")
+def closed():
+    chain = gx.scenes.monomer(12, precompression=1.0)
+    return chain, gx.states.random(chain, 1, displacement=0.1)
+
+
+def test_default_step_comes_from_the_energy(struck):
+    # at energy E no Hertz contact is compressed by more than (5E/(2A))^{2/5}; omega^2 <= 4 F'(x)/m
+    chain, state = struck
+    bound = np.sqrt(4 * 1.5 * (5 * 0.5 / 2) ** 0.2)
+    run = gx.simulate(chain, state, 30.0)
+    # a chain of 20 ends a little below the band's edge, which the bound sees; then the step is shortened to fit
+    assert 0.5 / bound * 0.98 < float(run.stats["step"]) <= 0.5 / bound * 1.01
+    assert run.solver == "SRKN11b" and "default" in run.choice
+    assert bool(run.contact_opened) and run.outcome.startswith("Completed")
+    assert float(run.energy_error) < 1e-5
+
+
+@pytest.mark.parametrize("ratio", [0.1, 0.5, 1.0])
+def test_frequency_bound_is_the_dimers_own_in_the_linear_limit(ratio):
+    # dimer of infinitesimal amplitude: omega^2 <= 2 K2 (1/m + 1/M), reached by a long chain
+    from granjax.flow import linear_frequency
+
+    chain = gx.scenes.dimer(41, ratio=ratio, precompression=1.0)
+    assert float(linear_frequency(chain)) == pytest.approx(np.sqrt(3 * (1 + 1 / ratio)), rel=2e-2)
+    exact = float(gx.linear.normal_modes(chain).omega.max())
+    assert exact <= float(linear_frequency(chain)) * (1 + 1e-12)
+
+
+def test_saved_times(closed):
+    chain, state = closed
+    end = gx.simulate(chain, state, 4.0, step=0.1)
+    frames = gx.simulate(chain, state, 4.0, step=0.1, save_at=9)
+    times = gx.simulate(chain, state, 4.0, step=0.1, save_at=[0.0, 1.0, 1.237, 4.0])
+    every = gx.simulate(chain, state, 4.0, step=0.1, save_at="steps")
+    assert end.us.shape == (1, 12) and np.allclose(end.ts, [4.0])
+    assert np.allclose(frames.ts, np.linspace(0, 4, 9), atol=1e-12)
+    assert every.us.shape == (41, 12)
+    assert np.allclose(every.us[::5], frames.us, rtol=0, atol=1e-13)
+    assert np.allclose(frames.us[-1], end.final.u, rtol=0, atol=1e-13)
+    assert np.allclose(times.us[1], every.us[10], rtol=0, atol=1e-13)
+    fine = gx.simulate(chain, state, 1.237, step=0.02)
+    # the quintic between steps of 0.1: h^6 omega^6/46080 of 0.1
+    assert np.max(np.abs(times.us[2] - fine.final.u)) < 1e-8
+    assert np.max(np.abs(times.vs[2] - fine.final.v)) < 1e-7
+
+
+def test_frames_of_an_adaptive_run_are_as_good_as_its_end(closed):
+    chain, state = closed
+    fine = gx.simulate(chain, state, 8.0, step=0.01, save_at=33)
+    for solver in (None, gx.RKN1210(), diffrax.Dopri8()):
+        run = gx.simulate(chain, state, 8.0, tolerance=1e-10, solver=solver, save_at=33)
+        assert np.max(np.abs(run.us - fine.us)) < 2e-9, run.solver
+        assert np.max(np.abs(run.vs - fine.vs)) < 2e-9, run.solver
+
+
+def test_peak_between_steps_and_arrival_and_integral(struck):
+    chain, state = struck
+    record = {"peak": PEAK, "arrival": gx.Arrival(force_of, 0.3), "impulse": gx.Integral(force_of)}
+    coarse = gx.simulate(chain, state, 12.0, step=0.1, record=record)
+    fine = gx.simulate(chain, state, 12.0, step=0.1 / 16, record=record)
+    at_steps = gx.simulate(chain, state, 12.0, step=0.1, save_at="steps")
+    seen = jax.vmap(lambda u, v: force_of(0.0, gx.State(u, v), chain))(at_steps.us, at_steps.vs).max(0)
+    peak, true = coarse.recorded["peak"][:8], fine.recorded["peak"][:8]
+    assert np.max(np.abs(peak - true)) < 2e-6
+    assert np.max(np.abs(seen[:8] - true)) > 1e-4, "the largest value at the ends of steps is not the largest value"
+    assert np.max(np.abs(coarse.recorded["arrival"][:8] - fine.recorded["arrival"][:8])) < 2e-6
+    assert np.isnan(coarse.recorded["arrival"][-1])
+    # the impulse of the first contact is the momentum that bead 1 has lost
+    lost = 1.0 - fine.final.v[0]
+    assert float(fine.recorded["impulse"][0]) == pytest.approx(float(lost), abs=1e-7)
+
+
+def test_lanes_are_a_loop(struck):
+    ratios = jnp.array([0.3, 0.6, 1.0])
+    make = lambda r: gx.scenes.dimer(20, ratio=r)  # noqa: E731
+    chains = jax.vmap(make, out_axes=-1)(ratios)
+    batch = gx.simulate(chains, gx.states.impact(chains), 20.0, step=0.05, record={"peak": PEAK})
+    assert batch.us.shape == (1, 20, 3) and batch.energy_error.shape == (3,) and batch.contact_opened.shape == (3,)
+    mapped = jax.vmap(lambda r: gx.simulate(make(r), gx.states.impact(make(r)), 20.0, step=0.05).final.u)(ratios)
+    for i, ratio in enumerate(ratios):
+        one = gx.simulate(make(ratio), gx.states.impact(make(ratio)), 20.0, step=0.05, record={"peak": PEAK})
+        assert np.allclose(batch.final.u[:, i], one.final.u, rtol=0, atol=1e-11)
+        assert np.allclose(batch.recorded["peak"][:, i], one.recorded["peak"], rtol=0, atol=1e-11)
+        assert np.allclose(mapped[i], one.final.u, rtol=0, atol=1e-11)
+
+
+def test_a_chain_in_its_working_layout_is_the_plain_one(closed):
+    from granjax.lattice.split import ChainSplit, PlainSplit
+
+    chain, state = closed
+    pairs = gx.Pairs([-1, *range(12)], [*range(12), -1])
+    plain = gx.Lattice(1.0, gx.Bond(pairs, gx.Hertz(1.0, 1.0)), sites=12)
+    assert isinstance(gx.vector_field.split_system(chain), ChainSplit)
+    assert isinstance(gx.vector_field.split_system(plain), PlainSplit)
+    for rate in (None, 0.1):
+        damping = () if rate is None else (gx.Damping(rate),)
+        runs = [
+            gx.simulate(gx.Lattice(1.0, (*c.terms, *damping), sites=12), state, 20.0, step=0.1) for c in (chain, plain)
+        ]
+        assert np.allclose(runs[0].final.u, runs[1].final.u, rtol=0, atol=1e-13)
+        assert np.allclose(runs[0].final.v, runs[1].final.v, rtol=0, atol=1e-13)
+
+
+def test_derivatives_in_both_modes_through_the_default():
+    def last_velocity(stiffness):
+        chain = gx.Lattice(1.0, gx.Bond(gx.Shift(1, "free"), gx.Hertz(stiffness)), sites=8)
+        return gx.simulate(chain, gx.states.impact(chain), 8.0).final.v[6]
+
+    forward = jax.jvp(last_velocity, (1.0,), (1.0,))[1]
+    reverse = jax.grad(last_velocity)(1.0)
+    compiled = jax.jit(jax.grad(last_velocity))(1.0)
+    assert float(forward) == pytest.approx(float(reverse), rel=1e-9)
+    assert float(compiled) == pytest.approx(float(reverse), rel=1e-3), "a traced default step may differ by one step"
+
+    def fixed(stiffness):
+        chain = gx.Lattice(1.0, gx.Bond(gx.Shift(1, "free"), gx.Hertz(stiffness)), sites=8)
+        return gx.simulate(chain, gx.states.impact(chain), 8.0, step=0.02).final.v[6]
+
+    difference = (fixed(1 + 1e-4) - fixed(1 - 1e-4)) / 2e-4
+    assert float(jax.grad(fixed)(1.0)) == pytest.approx(float(difference), rel=1e-5)
+
+
+def test_gradient_of_a_recorded_peak(struck):
+    def peak(v):
+        chain = gx.scenes.monomer(8, boundary="free")
+        run = gx.simulate(chain, gx.states.impact(chain, velocity=v), 8.0, step=0.05, record={"peak": PEAK})
+        return run.recorded["peak"][4]
+
+    # every force of a sonic vacuum goes with v^{6/5}
+    assert float(jax.grad(peak)(1.0)) == pytest.approx(1.2 * float(peak(1.0)), rel=1e-4)
+
+
+def test_damping_is_exact_and_a_dashpot_is_refused(closed):
+    chain, state = closed
+    damped = gx.Lattice(1.0, (*chain.terms, gx.Damping(0.3)), sites=12)
+    coarse, fine = (gx.simulate(damped, state, 10.0, step=h) for h in (0.2, 0.01))
+    # order 6 at h omega_max = 0.5
+    assert np.max(np.abs(coarse.final.u - fine.final.u)) < 1e-9
+    assert np.isnan(coarse.energy_error)
+    dashpot = gx.Lattice(1.0, (*chain.terms, gx.Dashpot(gx.Shift(1, "fixed"), 0.1)), sites=12)
+    with pytest.raises(ValueError, match="Dashpot"):
+        gx.simulate(dashpot, state, 1.0, solver=gx.SRKN6b(), step=0.1)
+    with pytest.raises(ValueError, match="Dashpot"):
+        gx.simulate(dashpot, state, 1.0, solver=gx.RKN86(), tolerance=1e-8)
+    assert gx.simulate(dashpot, state, 1.0).solver == "Dopri8"
+
+
+def test_float32_runs_stay_float32(struck):
+    chain, state = struck
+    small = jax.tree.map(lambda x: x.astype("float32"), state)
+    run = gx.simulate(chain.astype("float32"), small, 10.0, record={"peak": PEAK})
+    reference = gx.simulate(chain, state, 10.0, record={"peak": PEAK})
+    assert run.final.u.dtype == jnp.float32 and run.recorded["peak"].dtype == jnp.float32
+    assert np.max(np.abs(run.final.u - reference.final.u)) < 1e-4
+    adaptive = gx.simulate(chain.astype("float32"), small, 10.0, tolerance=1e-5)
+    assert adaptive.final.u.dtype == jnp.float32
+
+
+def test_non_finite_states_are_located():
+    # a magnet thrown at the next one so hard that one step jumps through it
+    chain = gx.Lattice(1.0, gx.Bond(gx.Shift(1, "fixed"), gx.PowerLaw(1.0, -3, 1.0)), sites=10)
+    state = gx.states.impact(chain, velocity=5.0)
+    with pytest.raises(RuntimeError, match="not finite .first between t = .* at sites .0"):
+        gx.simulate(chain, state, 10.0, step=0.3)
+    run = gx.simulate(chain, state, 10.0, step=0.3, throw=False)
+    before, after, sites = run.failed_at
+    assert 0 <= before < after <= 3.0 and 0 in sites
+    assert not bool(run.completed)
+
+
+def test_stopped_runs_say_so(struck):
+    chain, state = struck
+    with pytest.raises(RuntimeError, match="Stopped after 5 steps"):
+        gx.simulate(chain, state, 10.0, tolerance=1e-9, max_steps=5)
+
+
+def test_softening_contacts_have_no_step_bound():
+    chain = gx.scenes.monomer(6, exponent=0.5, precompression=1.0)
+    run = gx.simulate(chain, gx.states.impact(chain, velocity=0.01), 1.0)
+    assert "no step bound" in run.outcome
+
+
+def test_a_run_prints_itself_and_exports(struck):
+    chain, state = struck
+    run = gx.simulate(chain, state, 5.0, save_at=6, record={"peak": PEAK})
+    text = str(run)
+    for word in ("SRKN11b", "steps", "energy error", "contact opened", "outcome", "peak"):
+        assert word in text
+    data = run.to_xarray()
+    assert data.u.dims == ("time", "site") and data.u.shape == (6, 20) and data.peak.shape == (19,)
+    assert np.array_equal(data.time, run.ts) and data.attrs["solver"] == "SRKN11b"
+    assert set(run.to_numpy()) == {"ts", "us", "vs", "peak"}
+
+
+def test_any_diffrax_solver_and_a_bare_diffeqsolve(closed):
+    chain, state = closed
+    fine = gx.simulate(chain, state, 3.0, step=0.01)
+    tsit = gx.simulate(chain, state, 3.0, solver=diffrax.Tsit5(), tolerance=1e-9)
+    bare = diffrax.diffeqsolve(
+        diffrax.ODETerm(gx.vector_field), gx.KahanLi8(), 0.0, 3.0, 0.05, state, args=chain, max_steps=100
+    )
+    assert np.max(np.abs(tsit.final.u - fine.final.u)) < 1e-7
+    assert np.max(np.abs(bare.ys.u[0] - fine.final.u)) < 1e-10
+
+
+SCENE = gx.scenes.monomer(6, precompression=1.0)
+AT_REST = np.zeros(6)
+MOVING = gx.states.impact(SCENE, velocity=0.1)
+BAD = {
+    "t1 before t0": (dict(t1=-1.0), "t1: expected a time after t0"),
+    "t1 not finite": (dict(t1=np.nan), "t1: expected one finite number"),
+    "step zero": (dict(step=0.0), "step: expected one finite number above zero"),
+    "step negative": (dict(step=-0.1), "step: expected one finite number above zero"),
+    "tolerance negative": (dict(tolerance=-1e-9), "tolerance: expected one finite number above zero"),
+    "both": (dict(step=0.1, tolerance=1e-9), "tolerance: expected a fixed step or a tolerance, got both"),
+    "tolerance below the type": (dict(tolerance=1e-18), "tolerance: expected at least .* float64"),
+    "step below the type": (dict(t1=1e9, step=1e-9), "step: expected a step that changes the time"),
+    "step unstable": (dict(step=2.0), "step: expected at most .* SRKN11b is stable"),
+    "adaptive splitting": (dict(solver=gx.SRKN6b(), tolerance=1e-6), "tolerance: expected a fixed step with SRKN6b"),
+    "solver class": (dict(solver=gx.SRKN6b), "solver: expected a solver"),
+    "save_at unsorted": (dict(save_at=[0.5, 0.2]), "save_at: expected finite times, each after"),
+    "save_at empty": (dict(save_at=[]), "save_at: expected a list of times"),
+    "save_at outside": (dict(save_at=[0.5, 7.0]), "save_at: expected times within"),
+    "save_at word": (dict(save_at="step"), "save_at: expected one of 'steps'.*Did you mean 'steps'"),
+    "misspelt keyword": (dict(tolerence=1e-9), "keyword: .*Did you mean 'tolerance'"),
+    "record": (dict(record=[PEAK]), "record: expected a dict of records"),
+    "record value": (dict(record={"x": gx.Peak(lambda t, y, c: 1)}), "record: expected a function"),
+    "adjoint": (dict(adjoint="direct"), "adjoint: expected one of diffrax's adjoints"),
+    "max_steps": (dict(max_steps=0), "max_steps: expected a whole number"),
+    "state integer": (dict(state=(np.zeros(6, int), AT_REST)), "state.u: expected floating numbers"),
+    "state complex": (dict(state=(AT_REST, AT_REST * 1j)), "state.v: expected floating numbers"),
+    "state not finite": (dict(state=(AT_REST * np.nan, AT_REST)), "state.u: expected finite numbers"),
+    "state float32": (dict(state=(np.zeros(6, np.float32), AT_REST)), "state.u: expected float64"),
+    "state shape": (dict(state=(np.zeros(5), AT_REST)), "state.u: expected shape"),
+    "state no pair": (dict(state=AT_REST), "state: expected State"),
+    "state dict": (dict(state=({"bead": AT_REST}, AT_REST)), "state.u: expected an array"),
+}
+
+
+@pytest.mark.parametrize("bad", BAD, ids=str)
+def test_bad_input_is_refused_in_a_sentence(bad):
+    given, sentence = BAD[bad]
+    given = {"state": MOVING, "t1": 1.0} | given
+    with pytest.raises(ValueError, match=sentence) as caught:
+        gx.simulate(SCENE, given.pop("state"), given.pop("t1"), **given)
+    assert "granjax" in str(caught.traceback[-1].path)
+
+
+def test_nothing_stiff_asks_for_a_step():
+    chain = gx.scenes.monomer(6)
+    with pytest.raises(ValueError, match="step: expected a time step"):
+        gx.simulate(chain, (AT_REST, AT_REST), 1.0)

@@ -1,0 +1,339 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from cases import ALL_LAWS, EPS, EXPONENTS, assert_ulps, over, scaled_leaves
+
+import granjax as gx
+from granjax.laws import Scaled, plus_power, taylor
+
+OVERLAPS = np.array([1e-300, 1e-100, 1e-12, 1e-6, 1e-3, 0.1, 1.0, 7.3, 1e3, 1e6, 1e12])
+
+
+def derivative(f, order):
+    """The elementwise derivative of some order."""
+    for _ in range(order):
+        f = (lambda g: lambda x: jax.jvp(g, (x,), (jnp.ones_like(x),))[1])(f)
+    return f
+
+
+def falling(p, order):
+    """p (p - 1) ... of some number of factors."""
+    return float(np.prod([p - k for k in range(order)]))
+
+
+def size_of(case):
+    """The force scale of a case, with the preload that the law subtracts."""
+    e = jnp.array(case.strains)
+    return float(jnp.max(jnp.abs(case.law.force(e))) + jnp.max(jnp.asarray(case.law.preload)))
+
+
+@over(ALL_LAWS)
+def test_nothing_at_equilibrium(case):
+    at = jnp.zeros(3)
+    ulps = 8 * EPS * float(jnp.max(jnp.asarray(case.law.preload)))
+    np.testing.assert_allclose(case.law.force(at), 0, atol=ulps)
+    np.testing.assert_allclose(case.law.energy(at), 0, atol=ulps)
+
+
+@over(ALL_LAWS)
+def test_force_is_the_derivative_of_the_energy(case):
+    e = jnp.array(case.strains)
+    assert_ulps(derivative(case.law.energy, 1)(e), case.law.force(e), 64, size_of(case))
+
+
+@over([c for c in ALL_LAWS if c.law.overlap(jnp.array(0.0)) is not None and not isinstance(c.law, gx.laws.Sum)])
+def test_a_contact_pushes_while_its_overlap_is_positive(case):
+    e = jnp.array(case.strains)
+    closed = np.asarray(case.law.overlap(e)) > 0
+    opened = np.asarray(case.law.overlap(e)) < 0
+    total = np.asarray(case.law.preload + case.law.force(e))
+    assert np.all(total[closed] > 0)
+    np.testing.assert_allclose(total[opened], 0, atol=4 * EPS * size_of(case))
+    assert closed.any()
+
+
+@over(ALL_LAWS)
+def test_nan_stays_nan(case):
+    e = jnp.array([0.1, jnp.nan])
+    for f in (case.law.force, case.law.energy, derivative(case.law.force, 1)):
+        constant = isinstance(case.law, gx.Linear) and f not in (case.law.force, case.law.energy)
+        got = np.asarray(f(e))
+        assert np.isfinite(got[0])
+        assert np.isnan(got[1]) or constant
+
+
+@over(ALL_LAWS)
+@pytest.mark.parametrize("order", [1, 2, 3])
+def test_no_derivative_is_nan(case, order):
+    # touch, open contact and both sides of it included
+    e = jnp.array(case.strains + (-1e-60, 1e-60))
+    assert not np.isnan(np.asarray(derivative(case.law.force, order)(e))).any()
+
+
+@pytest.mark.parametrize("p", EXPONENTS)
+@pytest.mark.parametrize("kind", ["static", "array"])
+@pytest.mark.parametrize("order", [0, 1, 2, 3])
+def test_derivatives_of_the_power_law_are_the_closed_form(p, kind, order):
+    """A p (p - 1) ... s^(p - order) for every positive overlap, zero for the others."""
+    law = gx.PowerLaw(1.3, p if kind == "static" else jnp.asarray(p))
+    got = np.asarray(derivative(law.force, order)(jnp.array(OVERLAPS)))
+    factor = 1.3 * falling(p, order)
+    with np.errstate(over="ignore", under="ignore"):
+        want = np.zeros_like(OVERLAPS) if factor == 0 else factor * OVERLAPS ** (p - order)
+    want[np.abs(want) < np.finfo(float).tiny] = 0  # XLA flushes subnormal numbers to zero
+    got = np.where(np.abs(got) < np.finfo(float).tiny, 0, got)
+    over = np.isinf(want)  # beyond the largest float: its edge or infinity, with the sign, never NaN
+    assert np.all(np.abs(got[over]) > 1e307) and np.all(np.sign(got[over]) == np.sign(want[over]))
+    np.testing.assert_allclose(got[~over], want[~over], rtol=16 * EPS)
+    off = np.asarray(derivative(law.force, order)(jnp.array([0.0, -0.0, -1e-300, -1e-12, -1.0, -1e12])))
+    assert np.all(off == 0)
+
+
+@pytest.mark.parametrize("order", [0, 1, 2, 3])
+def test_derivatives_of_hertz_under_load_are_the_closed_form(order):
+    law = gx.Hertz(1.7, 0.9)
+    d0 = (0.9 / 1.7) ** (2 / 3)
+    e = np.array([-0.999 * d0, -0.5, -1e-3, 0.0, 1e-3, 1.0, 1e6, 1e12])
+    want = 1.7 * falling(1.5, order) * (d0 + e) ** (1.5 - order) - (0.9 if order == 0 else 0)
+    got = np.asarray(derivative(law.force, order)(jnp.array(e)))
+    # d0 + e near opening cancels three digits
+    np.testing.assert_allclose(got, want, rtol=1e-11, atol=16 * EPS)
+    opened = np.asarray(derivative(law.force, order)(jnp.array([-1.0001 * d0, -5.0, -1e12])))
+    np.testing.assert_allclose(opened, -0.9 if order == 0 else 0.0, rtol=4 * EPS)
+
+
+@pytest.mark.parametrize("p", [1.5, 2.0, 0.5, 1.0, 1.37, -3.0])
+def test_derivatives_in_the_exponent_are_the_closed_form(p):
+    """d/dp s^p = s^p log s, and the mixed derivatives of second order."""
+    s = OVERLAPS[2:-2]
+    log = np.log(s)
+
+    def f(s, p):
+        return jnp.sum(plus_power(s, p))
+
+    S = jnp.array(s)
+    one = jax.vmap(jax.grad(f, (0, 1)), (0, None))(S, p)
+    two = jax.vmap(jax.jacfwd(jax.grad(f, (0, 1)), (0, 1)), (0, None))(S, p)
+    np.testing.assert_allclose(one[0], p * s ** (p - 1), rtol=32 * EPS)
+    np.testing.assert_allclose(one[1], s**p * log, rtol=32 * EPS)
+    np.testing.assert_allclose(two[0][0], p * (p - 1) * s ** (p - 2), rtol=32 * EPS)
+    np.testing.assert_allclose(two[1][1], s**p * log**2, rtol=32 * EPS)
+    cancelling = s ** (p - 1) * (1 + np.abs(p * log))
+    for mixed in (two[0][1], two[1][0]):
+        assert np.all(np.abs(mixed - s ** (p - 1) * (1 + p * log)) <= 32 * EPS * cancelling)
+    off = jnp.array([0.0, -1.0, -1e12])
+    for g in jax.vmap(jax.grad(f, (0, 1)), (0, None))(off, p):
+        assert np.all(np.asarray(g) == 0)
+
+
+@pytest.mark.parametrize("p", EXPONENTS + (-3.0, -1.0, -2.5))
+@pytest.mark.parametrize("F0", [0.0, 0.7])
+def test_array_exponent_equals_static_exponent(p, F0):
+    if p < 0 and F0 == 0:
+        pytest.skip("magnets have no equilibrium without a static force")
+    e = jnp.array([-0.4, -1e-3, 0.0, 1e-3, 0.3])
+    static, free = gx.PowerLaw(1.3, p, F0), gx.PowerLaw(1.3, jnp.asarray(p), F0)
+    for order in range(4):
+        assert_ulps(derivative(free.force, order)(e), derivative(static.force, order)(e), 64)
+    assert_ulps(free.energy(e), static.energy(e), 64, float(jnp.max(jnp.abs(static.energy(e)))) + F0)
+
+
+@pytest.mark.parametrize("p", [1.5, 0.5, -3.0, -1.0])
+@pytest.mark.parametrize("build", ["jit", "vmap", "grad"])
+def test_a_law_built_from_traced_numbers_is_the_same_law(p, build):
+    """Exponents are swept and differentiated; magnets stay magnets there."""
+    e = 0.2
+    want = gx.PowerLaw(1.3, p, 0.7).force(e)
+    d0 = (0.7 / 1.3) ** (1 / p)
+    np.testing.assert_allclose(want, 1.3 * (d0 + np.sign(p) * e) ** p - 0.7, rtol=64 * EPS)
+
+    def force(p):
+        return gx.PowerLaw(1.3, p, 0.7).force(e)
+
+    if build == "jit":
+        got = jax.jit(force)(p)
+    elif build == "vmap":
+        got = jax.vmap(force)(jnp.array([p]))[0]
+    else:
+        got, slope = jax.value_and_grad(force)(p)
+        h = 1e-5
+        np.testing.assert_allclose(slope, (force(p + h) - force(p - h)) / (2 * h), rtol=1e-7)
+    np.testing.assert_allclose(got, want, rtol=64 * EPS)
+
+
+@pytest.mark.parametrize("p", [-3.0, -1.0])
+def test_a_static_exponent_stays_known_while_tracing(p):
+    """A law of Python numbers that is built inside a traced function is the law that is built outside."""
+    got = jax.jit(lambda e: gx.PowerLaw(1.3, p, 0.7).force(e))(0.2)
+    np.testing.assert_allclose(got, gx.PowerLaw(1.3, p, 0.7).force(0.2), rtol=64 * EPS)
+
+
+def test_python_numbers_are_checked_while_tracing():
+    with pytest.raises(ValueError, match="stiffness: expected numbers above zero"):
+        jax.jit(lambda e: gx.Hertz(-1.0).force(e))(0.1)
+
+
+@pytest.mark.parametrize("exponent", [-3.0, jnp.asarray(-3.0), -1.0, jnp.asarray(-1.0)])
+def test_magnets_that_met_are_nan(exponent):
+    law = gx.PowerLaw(2.0, exponent, 2.0)  # d0 = 1
+    e = jnp.array([0.999, 1.0, 1.5, 1e6])
+    for f in (law.force, law.energy):
+        got = np.asarray(f(e))
+        assert np.isfinite(got[0]) and np.isnan(got[1:]).all()
+    np.testing.assert_allclose(law.overlap(e), 1 - np.asarray(e))
+
+
+def test_taylor_of_hertz():
+    # A = d0 = 1: K2, K3, K4 = 3/2, 3/8, -1/16
+    assert_ulps(tuple(taylor(gx.Hertz(1.0, 1.0))), (np.array(1.5), np.array(0.375), np.array(-0.0625)), 8)
+
+
+@pytest.mark.parametrize("p", EXPONENTS)
+@pytest.mark.parametrize("kind", ["static", "array"])
+def test_taylor_of_the_power_law(p, kind):
+    A, d0 = 1.3, 0.8
+    law = gx.PowerLaw(A, p if kind == "static" else jnp.asarray(p), A * d0**p)
+    want = [A * falling(p, k) * d0 ** (p - k) / fact for k, fact in ((1, 1), (2, 2), (3, 6))]
+    np.testing.assert_allclose(np.array(taylor(law)), want, rtol=64 * EPS, atol=0)
+
+
+@pytest.mark.parametrize("exponent", [-3.0, jnp.asarray(-3.0)])
+def test_taylor_of_magnets(exponent):
+    # A [d0 - e]^-3 with A = d0 = 1: 3, 6, 10
+    np.testing.assert_allclose(np.array(taylor(gx.PowerLaw(1.0, exponent, 1.0))), [3, 6, 10], rtol=32 * EPS)
+
+
+def test_taylor_elsewhere_and_of_other_laws():
+    np.testing.assert_allclose(np.array(taylor(gx.Polynomial(1.1, -0.4, 0.3))), [1.1, -0.4, 0.3], rtol=8 * EPS)
+    np.testing.assert_allclose(np.array(taylor(gx.Toda(2.0, 3.0))), [6, 9, 9], rtol=8 * EPS)
+    np.testing.assert_allclose(np.array(taylor(gx.Sine(2.0, 3.0))), [2, 0, -3], rtol=8 * EPS, atol=1e-300)
+    np.testing.assert_allclose(np.array(taylor(gx.Hertz())), [0, 0, 0], atol=0)
+    e = 0.7
+    want = [1.5 * e**0.5, 0.75 * e**-0.5 / 2, -0.375 * e**-1.5 / 6]
+    np.testing.assert_allclose(np.array(taylor(gx.Hertz(), e)), want, rtol=8 * EPS)
+    disordered = taylor(gx.Hertz(np.array([1.0, 2.0, 4.0])), e)
+    np.testing.assert_allclose(disordered.K2, np.array([1, 2, 4]) * want[0], rtol=8 * EPS)
+    # a spring k behind a contact of slope K: K k/(K + k)
+    slope = taylor(gx.Yielding(gx.Hertz(1.0, 1.0), 2.0)).K2
+    np.testing.assert_allclose(slope, 1.5 * 2 / 3.5, rtol=8 * EPS)
+
+
+@pytest.mark.parametrize("F0", [0.0, 0.3, 0.7, 5.0])
+def test_hertz_is_the_power_law_of_three_halves(F0):
+    e = jnp.array([-2.0, -0.1, 0.0, 1e-9, 0.4, 30.0])
+    hertz, power = gx.Hertz(1.7, F0), gx.PowerLaw(1.7, 1.5, F0)
+    assert np.array_equal(hertz.force(e), power.force(e))
+    assert np.array_equal(hertz.energy(e), power.energy(e))
+    assert np.array_equal(hertz.overlap(e), power.overlap(e))
+
+
+def test_closed_forms_of_the_smooth_laws():
+    e = np.array([-30.0, -2.0, -1e-9, 1e-12, 0.3, 4.0])
+    E = jnp.array(e)
+    np.testing.assert_allclose(gx.Toda(0.8, 1.3).force(E), 0.8 * np.expm1(1.3 * e), rtol=4 * EPS)
+    np.testing.assert_allclose(gx.Sine(0.9, 1.7).force(E), 0.9 / 1.7 * np.sin(1.7 * e), rtol=4 * EPS)
+    np.testing.assert_allclose(gx.Polynomial(1.1, -0.4, 0.3).force(E), 1.1 * e - 0.4 * e**2 + 0.3 * e**3, rtol=8 * EPS)
+    np.testing.assert_allclose(gx.Linear(1.3).energy(E), 0.65 * e**2, rtol=4 * EPS)
+
+
+def test_toda_energy_keeps_its_digits_near_rest():
+    # (e^x - 1 - x), by its series in exact rational steps; both sides of any switch of formula
+    for x in (1e-9, -1e-6, 1e-3, 0.0199, 0.0201, -0.0199, -0.0201, 0.1):
+        exact, term = 0.0, x
+        terms = []
+        for k in range(2, 30):
+            term *= x / k
+            terms.append(term)
+        exact = sum(reversed(terms))
+        np.testing.assert_allclose(gx.Toda().energy(jnp.array(x)), exact, rtol=3e-14)
+
+
+@pytest.mark.parametrize("exponent", [1.5, 1.37, 3.0, -3.0])
+def test_energy_under_load_keeps_its_digits_near_rest(exponent):
+    """A small wave on a precompressed chain: energy K2 e^2/2 + K3 e^3/3, force K2 e + K3 e^2."""
+    law = gx.PowerLaw(1.0, exponent, 1.0)
+    K2, K3, _ = taylor(law)
+    for e in (1e-4, -1e-5, 1e-6, 1e-7):
+        np.testing.assert_allclose(law.force(e), K2 * e + K3 * e * e, rtol=1e-7)
+        np.testing.assert_allclose(law.energy(e), K2 * e * e / 2 + K3 * e**3 / 3, rtol=1e-7)
+
+
+@over(ALL_LAWS)
+def test_jit_is_eager(case):
+    e = jnp.array(case.strains)
+
+    def both(law, e):
+        return law.force(e), law.energy(e)
+
+    scale = size_of(case) * max(map(abs, case.strains))
+    assert_ulps(jax.jit(both)(case.law, e), both(case.law, e), 64, scale)
+
+
+@over(ALL_LAWS)
+def test_batches_and_arrays_over_bonds_are_loops(case):
+    """Three laws at once, by parameters over bonds, by lanes, and by vmap: the same as one at a time."""
+    factors = (1.0, 1.1, 0.9)
+    laws = [scaled_leaves(case.law, f) for f in factors]
+    e = jnp.array(case.strains) * 0.8
+    loop = np.stack([law.force(e) for law in laws], -1)
+    lanes = jax.vmap(lambda f: scaled_leaves(case.law, f), out_axes=-1)(jnp.array(factors))
+    scale = float(np.max(np.abs(loop))) + float(jnp.max(jnp.asarray(case.law.preload)))
+    assert_ulps(lanes.force(jnp.stack([e] * 3, -1)), loop, 64, scale)
+    assert_ulps(jax.vmap(lambda law: law.force(e), out_axes=-1)(lanes), loop, 64, scale)
+    # one bond of each kind: the parameters are arrays over bonds
+    assert_ulps(lanes.force(jnp.broadcast_to(e[5], (3,))), loop[5], 64, scale)
+    energies = np.stack([law.energy(e) for law in laws], -1)
+    assert_ulps(lanes.energy(jnp.stack([e] * 3, -1)), energies, 64, scale * float(jnp.max(jnp.abs(e))))
+
+
+@over(ALL_LAWS)
+def test_float32_stays_float32(case):
+    law = jax.tree.map(lambda x: x.astype(jnp.float32), case.law)
+    e = jnp.array(case.strains, jnp.float32)
+    scale = size_of(case)
+    for f, g, size in ((law.force, case.law.force, scale), (law.energy, case.law.energy, 50 * scale)):
+        assert f(e).dtype == jnp.float32
+        # exponents and parameters round in float32 too: a hundred of its units
+        np.testing.assert_allclose(f(e), g(jnp.array(case.strains)), rtol=1e-5, atol=1e-5 * size)
+    assert derivative(law.force, 1)(e).dtype == jnp.float32
+
+
+def test_sum_and_scaled():
+    a, b, c = gx.Hertz(1.0, 0.3), gx.PowerLaw(0.2, 2.5), gx.Linear(0.4)
+    e = jnp.array([-1.0, 0.0, 0.7])
+    total = a + b + c
+    assert len(total.parts) == 3
+    assert_ulps(total.force(e), a.force(e) + b.force(e) + c.force(e), 4)
+    assert_ulps(total.energy(e), a.energy(e) + b.energy(e) + c.energy(e), 4)
+    assert float(total.preload) == 0.3
+    assert np.array_equal(total.overlap(e), np.minimum(a.overlap(e), b.overlap(e)))
+    assert (c + c).overlap(e) is None
+    twice = Scaled(a, 2.0)
+    assert_ulps(twice.force(e), 2 * a.force(e), 2)
+    assert float(twice.preload) == 0.6
+
+
+@pytest.mark.parametrize("law", [gx.Hertz(), gx.Hertz(1.7, 0.9), gx.PowerLaw(1.0, 0.5), gx.PowerLaw(1.0, -3.0, 1.0)],
+                         ids=["hertz", "hertz_F0", "softening", "magnets"])
+@pytest.mark.parametrize("support", [1e-9, 1e-3, 0.1, 1.0, 1e3, 1e9, 1e15])
+def test_yielding_solves_its_equation(law, support):
+    """x + F(x)/k = e: the bond's force is the contact's and the spring's, for supports soft and stiff."""
+    e = np.array([-0.4, 0.05, 0.5, 1.5])
+    force = np.asarray(gx.Yielding(law, support).force(jnp.array(e)))
+    x = _bisect(law, support, e)
+    # F0 is subtracted: its rounding stays
+    atol = 1e-10 * support / (1 + support) + 16 * EPS * float(law.preload)
+    np.testing.assert_allclose(force, law.force(jnp.array(x)), rtol=1e-10, atol=atol)
+
+
+def _bisect(law, support, e):
+    """Solve by bisection; a meeting of magnets counts as an infinite force."""
+    low, high = np.minimum(e, 0.0), np.maximum(e, 0.0)
+    low = low - 1e-12
+    for _ in range(200):
+        middle = (low + high) / 2
+        force = np.asarray(law.force(jnp.array(middle)))
+        over = ~((middle + force / support - e) < 0)
+        low, high = np.where(over, low, middle), np.where(over, middle, high)
+    return (low + high) / 2

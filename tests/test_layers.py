@@ -1,0 +1,110 @@
+import ast
+from pathlib import Path
+
+import pytest
+
+import granjax
+
+ROOT = Path(granjax.__file__).parent
+
+FLOORS = (
+    {"laws", "strains", "materials", "solvers", "newton", "theory", "plots", "checks", "tuning"},
+    {"terms", "continuation"},
+    {"lattice"},
+    {"flow", "scenes"},
+    {"floquet", "linear", "measures", "states"},
+    {"breathers", "travelling", "shocks", "resonance"},
+    {"sweep", "fit", "identify", "work_precision", "reproduce"},
+)
+FLOOR = {name: level for level, names in enumerate(FLOORS) for name in names}
+# the face, and the command line that stands on it
+ABOVE = {"__init__", "__main__", "cli"}
+
+FILES = sorted(ROOT.rglob("*.py"))
+IDS = [str(path.relative_to(ROOT)) for path in FILES]
+
+
+def module_of(path):
+    """Name of the module or folder directly under granjax that a file belongs to."""
+    return path.relative_to(ROOT).parts[0].removesuffix(".py")
+
+
+def absolute(path, node):
+    """The dotted names that an import statement of a file names, from `granjax` on."""
+    if isinstance(node, ast.Import):
+        return [alias.name for alias in node.names]
+    package = ["granjax", *path.relative_to(ROOT).parent.parts]
+    base = package[: len(package) - node.level + 1] if node.level else []
+    base = base + (node.module.split(".") if node.module else [])
+    return [".".join([*base, alias.name]) for alias in node.names]
+
+
+def imports(path):
+    """Modules directly under granjax that a file imports, other than its own; "" is the face itself."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, (ast.Import, ast.ImportFrom)):
+            for name in absolute(path, node):
+                parts = name.split(".")
+                if parts[0] == "granjax":
+                    known = len(parts) > 1 and (parts[1] in FLOOR or parts[1] in ABOVE)
+                    found.add(parts[1] if known else "")
+    return found - {module_of(path)}
+
+
+@pytest.mark.parametrize("path", FILES, ids=IDS)
+def test_every_module_has_a_floor(path):
+    assert module_of(path) in FLOOR.keys() | ABOVE
+
+
+@pytest.mark.parametrize("path", [path for path in FILES if module_of(path) not in ABOVE],
+                         ids=[i for path, i in zip(FILES, IDS) if module_of(path) not in ABOVE])
+def test_imports_point_downwards(path):
+    own = module_of(path)
+    for other in imports(path):
+        assert other not in ABOVE | {""}, f"{own} imports the face"
+        assert other != "plots", f"{own} imports plots"
+        assert other == "checks" or FLOOR[other] < FLOOR[own], f"{own} imports {other}, which is not below it"
+
+
+def test_checks_import_nothing_of_the_library():
+    assert imports(ROOT / "checks.py") == set()
+
+
+def test_the_reading_of_imports_sees_them():
+    assert {"laws", "strains", "checks"} <= imports(ROOT / "terms.py")
+    assert "terms" in imports(ROOT / "lattice" / "model.py")
+
+
+def test_there_is_no_circle_within_a_folder():
+    for folder in [path for path in ROOT.iterdir() if (path / "__init__.py").is_file()]:
+        files = {path.stem: path for path in folder.glob("*.py") if path.stem != "__init__"}
+        edges = {stem: {name.split(".")[2] for node in ast.walk(ast.parse(path.read_text()))
+                        if isinstance(node, (ast.Import, ast.ImportFrom)) for name in absolute(path, node)
+                        if name.split(".")[:2] == ["granjax", folder.name] and len(name.split(".")) > 2} & files.keys()
+                 for stem, path in files.items()}
+        while edges:
+            leaves = {stem for stem, below in edges.items() if not below & edges.keys() - {stem}}
+            assert leaves, f"{folder.name}: a circle among {sorted(edges)}"
+            edges = {stem: below for stem, below in edges.items() if stem not in leaves}
+
+
+@pytest.mark.parametrize("path", FILES, ids=IDS)
+def test_no_print_no_assert_no_bare_except(path):
+    for node in ast.walk(ast.parse(path.read_text())):
+        assert not isinstance(node, ast.Assert), f"line {node.lineno}"
+        if module_of(path) not in {"cli", "__main__"}:
+            called = isinstance(node, ast.Call) and getattr(node.func, "id", None) == "print"
+            assert not called, f"line {node.lineno}"
+        if isinstance(node, ast.ExceptHandler):
+            assert getattr(node.type, "id", "named") not in {"Exception", "BaseException"}, f"line {node.lineno}"
+            assert node.type is not None, f"line {node.lineno}"
+
+
+@pytest.mark.parametrize("path", FILES, ids=IDS)
+def test_every_public_name_is_documented(path):
+    tree = ast.parse(path.read_text())
+    assert ast.get_docstring(tree), "the module"
+    for node in tree.body:
+        if isinstance(node, (ast.FunctionDef, ast.ClassDef)) and not node.name.startswith("_"):
+            assert ast.get_docstring(node), node.name

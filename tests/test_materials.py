@@ -1,0 +1,185 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.optimize import brentq
+from scipy.special import ellipe, ellipk
+
+import granjax  # noqa: F401
+from granjax import materials
+from granjax.materials import Material, bead_mass, crossed_cylinders, hertz_coefficient, material
+
+SOLIDS = [name for name in materials.NAMES if name != "rigid"]
+R = 9.53e-3
+
+
+@pytest.mark.parametrize("name", SOLIDS)
+def test_every_material_passes_its_own_checks_and_names_its_source(name):
+    body = material(name)
+    again = Material(body.name, body.young, body.poisson, body.density)
+    assert again.young == body.young
+    assert len(body.source) > 10
+
+
+@pytest.mark.parametrize("name", SOLIDS)
+def test_equal_beads_have_the_simple_coefficient(name):
+    # A = E sqrt(2R)/(3(1 - nu^2)), Nesterenko (2001)
+    body = material(name)
+    simple = float(body.young) * np.sqrt(2 * R) / (3 * (1 - float(body.poisson) ** 2))
+    np.testing.assert_allclose(hertz_coefficient(name, R, name, R), simple, rtol=1e-15)
+    np.testing.assert_allclose(hertz_coefficient(name, R), simple, rtol=1e-15)
+
+
+def test_two_materials_and_radii():
+    # A = 4 E1 E2 sqrt(R1 R2/(R1 + R2))/(3 E2 (1 - nu1^2) + 3 E1 (1 - nu2^2)), Nesterenko (2001)
+    E1, nu1, R1, E2, nu2, R2 = 193e9, 0.3, 9.53e-3, 1.46e9, 0.46, 2.38e-3
+    printed = 4 * E1 * E2 * np.sqrt(R1 * R2 / (R1 + R2)) / (3 * E2 * (1 - nu1**2) + 3 * E1 * (1 - nu2**2))
+    first, second = Material("a", E1, nu1, 1.0), Material("b", E2, nu2, 1.0)
+    np.testing.assert_allclose(hertz_coefficient(first, R1, second, R2), printed, rtol=1e-15)
+    np.testing.assert_allclose(hertz_coefficient(second, R2, first, R1), printed, rtol=1e-15)
+
+
+def test_a_plane_is_a_sphere_of_infinite_radius():
+    pair, plane = hertz_coefficient("brass", R), hertz_coefficient("brass", R, None, jnp.inf)
+    np.testing.assert_allclose(plane, np.sqrt(2) * pair, rtol=1e-15)
+    np.testing.assert_allclose(hertz_coefficient("brass", R, None, 1e20 * R), plane, rtol=1e-15)
+    np.testing.assert_allclose(hertz_coefficient("brass", [R, R], None, [R, np.inf]), [pair, plane], rtol=1e-15)
+
+
+def test_a_rigid_plane_doubles_the_modulus():
+    plane = hertz_coefficient("brass", R, "brass", jnp.inf)
+    np.testing.assert_allclose(hertz_coefficient("brass", R, "rigid", np.inf), 2 * plane, rtol=1e-15)
+
+
+def test_mass_of_a_bead():
+    # measured mass of a 9.53 mm steel 316 bead 28.84 g, Boechler et al. (2010): the table's density is within 1 %
+    np.testing.assert_allclose(bead_mass("steel 316", R), 4 / 3 * np.pi * R**3 * 8000, rtol=1e-15)
+    np.testing.assert_allclose(bead_mass("steel 316", R), 28.84e-3, rtol=1e-2)
+
+
+@pytest.mark.parametrize("name, found", [
+    ("Steel-316", "steel 316"), ("STEEL_440c", "steel 440C"), ("ptfe", "PTFE"), ("teflon", "PTFE"),
+    ("aluminum", "aluminium 6061-T6"), ("aluminium6061t6", "aluminium 6061-T6"), ("rigid", "rigid"),
+])
+def test_names_are_tolerant(name, found):
+    assert material(name).name == found
+
+
+def test_a_material_of_ones_own_passes_through():
+    mine = Material("mine", 1e9, -0.5, 900.0)
+    assert material(mine) is mine
+
+
+def test_crossed_cylinders_of_equal_radius_at_a_right_angle_are_a_sphere_on_a_plane():
+    sphere = hertz_coefficient("steel 316", R, "PTFE", jnp.inf)
+    np.testing.assert_allclose(crossed_cylinders("steel 316", R, "PTFE", R), sphere, rtol=1e-15)
+
+
+@pytest.mark.parametrize("k", [0.999, 0.7, 0.3, 0.05, 1e-3])
+def test_crossed_cylinders_against_the_ellipsoid_of_pressure(k):
+    # Pressure p0 sqrt(1 - x^2/a^2 - y^2/b^2) on a half-space: displacement delta - Q1 x^2 - Q2 y^2 with the integrals
+    # below, load (2/3) pi a b p0 (Johnson, Contact Mechanics, 3.5 and 4.2). Here p0 = E* = a = 1, b = k, s = t^2.
+    def integral(n, m):
+        return k * quad(lambda t: (1 + t * t) ** -n * (k * k + t * t) ** -m, 0, np.inf, limit=400)[0]
+
+    delta, Q1, Q2 = integral(0.5, 0.5), integral(1.5, 0.5), integral(0.5, 1.5)
+    radius = 1 / (Q1 + Q2)
+    angle = np.arcsin(2 * radius * np.sqrt(Q1 * Q2))
+    unit = Material("unit", 2.0, 0.0, 1.0)
+    np.testing.assert_allclose(crossed_cylinders(unit, radius, angle=angle), 2 / 3 * np.pi * k / delta**1.5, rtol=1e-9)
+
+
+@pytest.mark.parametrize("R1, R2, angle", [(1.0, 1.0, 0.5), (1.0, 3.0, np.pi / 2), (0.2, 5.0, 1.1), (1.0, 1.0, 1e-3)])
+def test_crossed_cylinders_against_scipy(R1, R2, angle):
+    total = (1 / R1 + 1 / R2) / 2
+    difference = np.sqrt(1 / R1**2 + 1 / R2**2 + 2 * np.cos(2 * angle) / (R1 * R2)) / 2
+    ratio = (total + difference) ** 2 * R1 * R2 / np.sin(angle) ** 2
+
+    def defect(x):
+        k2 = np.exp(2 * x)
+        K, E = ellipk(1 - k2), ellipe(1 - k2)
+        return np.log((E / k2 - K) / (K - E) / ratio)
+
+    k = np.exp(brentq(defect, -15, -1e-3, xtol=1e-15))
+    K, E = ellipk(1 - k * k), ellipe(1 - k * k)
+    expected = 2 * np.pi / 3 * np.sqrt(E / K**3 / total) / k
+    unit = Material("unit", 2.0, 0.0, 1.0)
+    np.testing.assert_allclose(crossed_cylinders(unit, R1, unit, R2, angle), expected, rtol=1e-10)
+
+
+def test_crossed_cylinders_scale_and_are_symmetric():
+    A = crossed_cylinders("brass", 1e-3, "nylon", 4e-3, 0.7)
+    np.testing.assert_allclose(crossed_cylinders("brass", 9e-3, "nylon", 36e-3, 0.7), 3 * A, rtol=1e-14)
+    np.testing.assert_allclose(crossed_cylinders("nylon", 4e-3, "brass", 1e-3, 0.7), A, rtol=1e-14)
+    angles = jnp.linspace(0.01, jnp.pi / 2, 30)
+    assert jnp.all(jnp.diff(crossed_cylinders("brass", 1e-3, angle=angles)) < 0)
+
+
+def sphere_on_plane(x):
+    return hertz_coefficient(Material("mine", 1e9 * x[0], 0.3, 1.0), 1e-3 * x[1], "steel 316", jnp.inf) / 1e7
+
+
+def crossed(x):
+    return crossed_cylinders(Material("mine", 1e9 * x[0], 0.3, 1.0), 1e-3 * x[1], "steel 316", 2e-3, x[2]) / 1e7
+
+
+@pytest.mark.parametrize("function", [sphere_on_plane, crossed])
+def test_gradients(function):
+    x, step = jnp.array([2.0, 3.0, 1.0]), 1e-5
+    shifts = step * jnp.eye(3)
+    at = jax.jit(jax.vmap(function))
+    central = (at(x + shifts) - at(x - shifts)) / (2 * step)
+    np.testing.assert_allclose(jax.jit(jax.grad(function))(x), central, rtol=1e-8, atol=1e-9)
+    np.testing.assert_allclose(jax.jit(jax.jacfwd(function))(x), central, rtol=1e-8, atol=1e-9)
+
+
+def test_gradient_at_the_circle():
+    # a right angle and equal radii are the extremum where the root in the formula has no slope
+    def coefficient(x):
+        return crossed_cylinders("brass", x[0], "brass", 1.0, x[1]) / 1e11
+
+    slope = jax.jit(jax.grad(coefficient))(jnp.array([1.0, jnp.pi / 2]))
+    # A ~ (R1 R2)^(1/4) near R1 = R2 at a right angle
+    np.testing.assert_allclose(slope, [coefficient([1.0, jnp.pi / 2]) / 4, 0.0], rtol=1e-12, atol=1e-12)
+
+
+def test_radii_may_be_lanes():
+    radii = jnp.array([1e-3, 2e-3, 5e-3])
+    batch = jax.vmap(lambda r: hertz_coefficient("brass", r, "rigid", jnp.inf))(radii)
+    np.testing.assert_allclose(batch, hertz_coefficient("brass", radii, "rigid", jnp.inf), rtol=1e-15)
+
+
+def test_stack_places_materials_along_a_chain():
+    bodies = materials.stack(["brass", material("PTFE"), "brass"])
+    np.testing.assert_array_equal(bodies.young, [97e9, 1.46e9, 97e9])
+    np.testing.assert_allclose(
+        hertz_coefficient(bodies, R), [hertz_coefficient(m, R) for m in ("brass", "PTFE", "brass")], rtol=1e-15
+    )
+
+
+@pytest.mark.parametrize("call, words", [
+    (lambda: material("stel 316"), "material: expected one of .* Did you mean 'steel 316'"),
+    (lambda: material(None), "material: expected a Material, or the name"),
+    (lambda: Material("x", -1.0, 0.3, 1.0), "young: expected numbers above zero, got -1.0"),
+    (lambda: Material("x", np.inf, 0.3, 1.0), "young: expected finite"),
+    (lambda: Material("x", 1.0, 0.6, 1.0), r"poisson: expected numbers in \(-1, 0.5\]"),
+    (lambda: Material("x", 1.0, -1.0, 1.0), r"poisson: expected numbers in \(-1, 0.5\]"),
+    (lambda: Material("x", 1.0, 0.3, 0.0), "density: expected numbers above zero"),
+    (lambda: hertz_coefficient("brass", 0.0), "radius_1: expected numbers above zero.*infinite for a plane"),
+    (lambda: hertz_coefficient("brass", np.nan), "radius_1: expected finite"),
+    (lambda: hertz_coefficient("brass", "a"), "radius_1: expected real numbers"),
+    (lambda: hertz_coefficient("brass", [-1.0, np.inf]), "radius_1: expected numbers above zero"),
+    (lambda: hertz_coefficient("brass", 1.0, None, -np.inf), "radius_2: expected finite"),
+    (lambda: hertz_coefficient("brass", np.inf), "radius_2: expected at most one plane"),
+    (lambda: hertz_coefficient("rigid", 1.0), "material_2: expected at most one rigid body"),
+    (lambda: hertz_coefficient("brass", np.ones(3), None, np.ones(2)), "radius_1 and .* shapes that broadcast"),
+    (lambda: bead_mass("rigid", 1.0), "material: expected a material with a density"),
+    (lambda: bead_mass("brass", np.inf), "radius: expected finite"),
+    (lambda: crossed_cylinders("brass", 1.0, angle=0.0), r"angle: expected numbers in \(0, 1.57"),
+    (lambda: crossed_cylinders("brass", 1.0, angle=2.0), r"angle: expected numbers in \(0, 1.57"),
+    (lambda: crossed_cylinders("brass", 1.0, None, np.inf), "radius_2: expected finite"),
+])
+def test_bad_input_gets_a_sentence(call, words):
+    with pytest.raises(ValueError, match=words):
+        call()

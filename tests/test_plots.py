@@ -1,0 +1,314 @@
+"""Plots return the Axes that they were given, and show the numbers that they were given."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import matplotlib
+
+matplotlib.use("Agg")
+
+import matplotlib.pyplot as plt  # noqa: E402
+import numpy as np  # noqa: E402
+import pytest  # noqa: E402
+
+import granjax as gx  # noqa: E402
+
+plots = gx.plots
+
+
+class Record(NamedTuple):
+    ts: object
+    us: object
+    vs: object
+
+
+class Curve(NamedTuple):
+    k: object
+    omega: object
+    cell: object
+
+
+@pytest.fixture
+def ax():
+    figure, ax = plt.subplots()
+    yield ax
+    plt.close(figure)
+
+
+@pytest.fixture
+def record():
+    draw = np.random.default_rng(0).standard_normal
+    return Record(jnp.linspace(0.0, 3.0, 7), jnp.asarray(draw((7, 5))), jnp.asarray(draw((7, 5))))
+
+
+def colour_bar(ax):
+    return next(other for other in ax.figure.axes if other is not ax)
+
+
+def test_a_map_of_a_run_shows_its_array(ax, record):
+    assert plots.space_time(record, ax) is ax
+    image = ax.images[0]
+    np.testing.assert_array_equal(image.get_array(), record.vs)
+    # a pixel is centred on its site and time
+    np.testing.assert_allclose(image.get_extent(), (-0.5, 4.5, -0.25, 3.25))
+    assert image.origin == "lower"
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("site", "time (scaled)")
+    assert colour_bar(ax).get_ylabel() == "velocity (scaled)"
+
+
+def test_a_real_run_and_its_displacements(ax):
+    chain = gx.scenes.monomer(6)
+    run = gx.simulate(chain, gx.states.impact(chain), 2.0, save_at=5, solver=gx.VelocityVerlet(), step=0.1)
+    plots.space_time(run, ax, quantity="u")
+    np.testing.assert_array_equal(ax.images[0].get_array(), run.us)
+    assert colour_bar(ax).get_ylabel() == "displacement (scaled)"
+
+
+def test_a_map_of_an_array_counts_frames_unless_told(ax):
+    plots.space_time(np.arange(6.0).reshape(2, 3), ax, label="force", unit="N")
+    assert ax.get_ylabel() == "frame"
+    assert colour_bar(ax).get_ylabel() == "force (N)"
+
+
+def test_a_quantity_beside_a_run(ax, record):
+    strain = record.us[:, :-1] - record.us[:, 1:]
+    plots.space_time(record, ax, quantity=strain, label="strain")
+    np.testing.assert_array_equal(ax.images[0].get_array(), strain)
+
+
+def test_both_signs_are_shown_about_zero(ax, record):
+    plots.space_time(record, ax)
+    norm = ax.images[0].norm
+    assert norm.vmin == -norm.vmax == -np.abs(record.vs).max()
+    # zero is white
+    np.testing.assert_allclose(ax.images[0].cmap(norm(0.0))[:3], 1.0, atol=0.05)
+
+
+def test_one_sign_starts_at_zero(ax, record):
+    plots.space_time(np.abs(record.vs), ax)
+    norm = ax.images[0].norm
+    assert (norm.vmin, norm.vmax) == (0.0, np.abs(record.vs).max())
+
+
+def test_a_logarithmic_map_is_cut_at_its_floor(ax):
+    data = np.array([[1.0, -0.1, 1e-3], [1e-9, 0.0, 2.0]])
+    plots.space_time(data, ax, scale="log", floor=1e-2)
+    shown = np.asarray(ax.images[0].get_array())
+    np.testing.assert_allclose(shown, [[1.0, 0.1, 0.02], [0.02, 0.02, 2.0]])
+    assert (ax.images[0].norm.vmin, ax.images[0].norm.vmax) == (0.02, 2.0)
+    assert colour_bar(ax).get_ylabel() == "|quantity| (scaled)"
+
+
+def test_uneven_times_keep_their_places(ax):
+    data = np.arange(12.0).reshape(4, 3)
+    plots.space_time(data, ax, ts=[0.0, 1.0, 10.0, 11.0])
+    mesh = ax.collections[0]
+    np.testing.assert_array_equal(np.asarray(mesh.get_array()).reshape(4, 3), data)
+    edges = mesh.get_coordinates()[:, 0, 1]
+    np.testing.assert_allclose(edges, [-0.5, 0.5, 5.5, 10.5, 11.5])
+
+
+def test_a_limit_cuts_the_colours_and_says_so(ax):
+    plots.space_time(np.array([[0.0, 1.0], [2.0, 5.0]]), ax, limit=2.0)
+    assert ax.images[0].norm.vmax == 2.0
+    assert ax.images[0].colorbar.extend == "max"
+
+
+def test_a_map_of_zeros_and_one_of_gaps(ax):
+    plots.space_time(np.zeros((3, 2)), ax, scale="log")
+    assert np.all(ax.images[0].get_array() == 1e-4)
+    plots.space_time(np.array([[np.nan, 1.0], [0.0, 0.5]]), ax)
+    assert ax.images[1].norm.vmax == 1.0
+
+
+BAD_MAPS = [
+    (dict(scale="logarithmic"), "scale.*'log'"),
+    (dict(quantity="w"), "quantity.*'u', 'v'"),
+    (dict(quantity=np.zeros((3, 5))), "7 frames"),
+    (dict(quantity=np.zeros((7, 5, 2))), r"frames of sites.*lane"),
+    (dict(ts=[0.0, 1.0]), "ts.*7 numbers"),
+    (dict(ts=np.zeros(7)), "rising"),
+    (dict(sites=np.arange(4.0)), "sites.*5 numbers"),
+    (dict(scale="log", floor=0.0), "floor"),
+    (dict(limit=-1.0), "limit"),
+]
+
+
+@pytest.mark.parametrize("options, message", BAD_MAPS, ids=[str(list(o)) for o, _ in BAD_MAPS])
+def test_bad_maps_are_refused(ax, record, options, message):
+    with pytest.raises(ValueError, match=message):
+        plots.space_time(record, ax, **options)
+
+
+def test_an_array_of_another_rank_or_kind_is_refused(ax):
+    with pytest.raises(ValueError, match=r"shape \(T, N\)"):
+        plots.space_time(np.zeros(4), ax)
+    with pytest.raises(ValueError, match="run_or_array"):
+        plots.space_time("v", ax)
+    with pytest.raises(ValueError, match="at least one frame"):
+        plots.space_time(np.zeros((0, 3)), ax)
+    with pytest.raises(ValueError, match="beside an array"):
+        plots.space_time(np.zeros((2, 3)), ax, quantity="u")
+
+
+def test_named_fields_are_refused_by_name(ax, record):
+    cell = Record(record.ts, {"bead": record.us, "resonator": record.us}, {"bead": record.vs, "resonator": record.vs})
+    with pytest.raises(ValueError, match="'bead', 'resonator'"):
+        plots.space_time(cell, ax)
+
+
+def test_traces_are_stacked_by_their_span(ax, record):
+    assert plots.traces(record.ts, record.vs, [1, -1], ax) is ax
+    spans = np.ptp(np.asarray(record.vs)[:, [1, 4]], axis=0)
+    np.testing.assert_allclose(ax.lines[0].get_ydata(), record.vs[:, 1])
+    np.testing.assert_allclose(ax.lines[1].get_ydata(), record.vs[:, 4] + spans.max())
+    assert [text.get_text() for text in ax.get_yticklabels()] == ["1", "4"]
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("time (scaled)", "site")
+
+
+def test_the_scale_bar_has_the_height_that_it_names(ax):
+    ts = np.linspace(0, 1, 5)
+    plots.traces(ts, np.outer(np.sin(np.pi * ts), [0.0, 3.7]), None, ax, unit="m/s")
+    bottom, top = ax.lines[-1].get_ydata()
+    assert top - bottom == pytest.approx(2.0)
+    assert ax.texts[0].get_text() == "velocity 2 m/s"
+
+
+def test_traces_laid_over_each_other_have_a_legend(ax, record):
+    plots.traces(record.ts, record.vs, [0, 2], ax, offset=0, labels=["first", "third"], unit="m/s")
+    np.testing.assert_array_equal(ax.lines[1].get_ydata(), record.vs[:, 2])
+    assert [text.get_text() for text in ax.get_legend().get_texts()] == ["site first", "site third"]
+    assert ax.get_ylabel() == "velocity (m/s)"
+
+
+@pytest.mark.parametrize("options, message", [
+    (dict(sites=[5]), "indices within -5 ... 4"), (dict(sites=[0.5]), "site indices"), (dict(offset=-1.0), "offset"),
+    (dict(sites=[0], labels=["a", "b"]), "1 names"), (dict(sites=[]), "site indices"),
+])
+def test_bad_traces_are_refused(ax, record, options, message):
+    with pytest.raises(ValueError, match=message):
+        plots.traces(record.ts, record.vs, ax=ax, **options)
+
+
+def test_a_profile_has_a_logarithmic_inset(ax):
+    x = np.linspace(-3, 3, 25)
+    y = np.stack([np.exp(-(x**2)), -2 * x * np.exp(-(x**2))], 1)
+    nodes = np.arange(-3.0, 4.0)
+    got = plots.profile(x, y, ax, labels=["strain", "slope"], points=(nodes, -np.exp(-(nodes**2))), floor=1e-5)
+    assert got is ax
+    inset = ax.child_axes[0]
+    assert inset.get_yscale() == "log" and inset.get_ylim()[0] == 1e-5
+    np.testing.assert_array_equal(ax.lines[1].get_ydata(), y[:, 1])
+    np.testing.assert_array_equal(inset.lines[1].get_ydata(), np.abs(y[:, 1]))
+    assert np.all(inset.lines[2].get_ydata() > 0)
+    assert [text.get_text() for text in ax.get_legend().get_texts()] == ["strain", "slope"]
+
+
+def test_a_profile_without_inset(ax):
+    plots.profile([0, 1, 2], [0.0, 1.0, 0.0], ax, inset=None)
+    assert not ax.child_axes and ax.get_legend() is None
+
+
+@pytest.mark.parametrize("arguments, options, message", [
+    (([0, 1], [0.0]), {}, "one value per place"), (([0, 1], [0.0, 1.0]), dict(inset="semilog"), "'log', 'none'"),
+    (([0, 1], [0.0, 1.0]), dict(points=([0], [1, 2])), "as many values"),
+    (([0, 1], [0.0, 1.0]), dict(labels=["a", "b"]), "1 names"), (([0, 1], [0.0, 1.0]), dict(floor=0.0), "floor"),
+])
+def test_bad_profiles_are_refused(ax, arguments, options, message):
+    with pytest.raises(ValueError, match=message):
+        plots.profile(*arguments, ax, **options)
+
+
+def test_transmission_is_drawn_over_rising_ratios(ax):
+    got = plots.transmission([1.0, 0.3, 0.6], [1.0, 0.9, 0.2], ax, resonances=0.6, anti_resonances=[0.3, 1.0])
+    assert got is ax
+    np.testing.assert_array_equal(ax.lines[0].get_xdata(), [0.3, 0.6, 1.0])
+    np.testing.assert_array_equal(ax.lines[0].get_ydata(), [0.9, 0.2, 1.0])
+    marks = [line.get_xdata()[0] for line in ax.lines[1:4]]
+    assert marks == [0.6, 0.3, 1.0]
+    assert [text.get_text() for text in ax.get_legend().get_texts()] == ["resonance", "anti-resonance"]
+    assert "mass ratio" in ax.get_xlabel()
+
+
+@pytest.mark.parametrize("arguments, message", [
+    (([0.5, 1.5], [1.0, 1.0]), "mass_ratio"), (([0.5, 0.7], [1.0]), "one value per mass ratio"),
+])
+def test_bad_transmission_is_refused(ax, arguments, message):
+    with pytest.raises(ValueError, match=message):
+        plots.transmission(*arguments, ax)
+
+
+def test_dispersion_shades_the_gap(ax):
+    chain = gx.scenes.dimer(20, ratio=0.5, precompression=1.0, boundary="periodic")
+    curve = gx.linear.dispersion(chain, jnp.linspace(0.0, jnp.pi, 33))
+    assert plots.dispersion(curve, ax) is ax
+    np.testing.assert_array_equal(ax.lines[1].get_ydata(), curve.omega[:, 1])
+    patch = ax.patches[0]
+    # K2 = 3/2: edges sqrt(2 K2) and sqrt(2 K2/ratio)
+    assert patch.get_y() == pytest.approx(np.sqrt(3.0))
+    assert patch.get_y() + patch.get_height() == pytest.approx(np.sqrt(6.0))
+    assert len(ax.patches) == 1
+    assert ax.get_xlabel() == "wave number $k$ (rad/cell of 2 sites)"
+
+
+def test_a_spectrum_lies_under_its_dispersion(ax):
+    k, n, t = 2 * np.pi * 5 / 32, np.arange(32), np.linspace(0, 60, 512)
+    omega = 2 * abs(np.sin(k / 2))
+    wave = np.cos(k * n - omega * t[:, None])
+    spectrum = gx.measures.spectrum(wave, t[1] - t[0], space_window="none")
+    zone = np.linspace(0, np.pi, 65)
+    plots.dispersion(Curve(zone, 2 * np.sin(zone / 2)[:, None], (1,)), ax, spectrum=spectrum, floor=1e-3)
+    shown = np.asarray(ax.collections[0].get_array()).reshape(len(spectrum.omega), len(spectrum.k))
+    assert shown.max() == 1.0 and shown.min() == 1e-3
+    w, place = np.unravel_index(shown.argmax(), shown.shape)
+    at = spectrum.k[place]
+    # the brightest cell is on the band that is drawn over both signs of k
+    assert np.interp(at, *ax.lines[0].get_data()) == pytest.approx(float(spectrum.omega[w]), abs=2 * np.pi / 60)
+    assert ax.get_xlabel() == "wave number $k$ (rad/site)"
+    assert not ax.patches
+
+
+def test_bands_of_a_larger_cell_are_repeated_over_the_zone_of_the_sites(ax):
+    zone = np.linspace(-np.pi, np.pi, 65)
+    omega = np.stack([np.abs(np.sin(zone / 2)), 2 + 0.1 * np.cos(zone)], 1)
+    k = np.linspace(-np.pi, np.pi, 8, endpoint=False)
+    power = np.ones((8, 4))
+    plots.dispersion(Curve(zone, omega, 2), ax, spectrum=gx.measures.spectra.Spectrum(k, np.arange(4.0), power))
+    covered = np.concatenate([line.get_xdata() for line in ax.lines])
+    assert covered.min() <= -np.pi and covered.max() >= np.pi
+    # at k = pi per site the phase per cell is 2 pi: the acoustic band is back at zero
+    edge = [line.get_ydata()[np.isclose(line.get_xdata(), np.pi)] for line in ax.lines[::2]]
+    np.testing.assert_allclose(np.concatenate([e for e in edge if e.size]), 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("curve, spectrum, message", [
+    ("omega", None, "gx.linear.dispersion"),
+    (Curve(np.zeros((3, 2)), np.zeros((3, 1)), (1, 1)), None, r"k of shape \(K,\)"),
+    (Curve(np.arange(3.0), np.ones((3, 1)), (1,)), "power", "gx.measures.spectrum"),
+    (Curve(np.arange(3.0), np.ones((3, 1)), (1,)),
+     gx.measures.spectra.Spectrum(np.arange(2.0), np.arange(3.0), np.ones((3, 2))), "wave numbers by frequencies"),
+    (Curve(np.arange(3.0), np.ones((3, 1)), (1,)),
+     gx.measures.spectra.Spectrum(np.arange(2.0), np.arange(3.0), np.zeros((2, 3))), "some power"),
+])
+def test_bad_dispersion_is_refused(ax, curve, spectrum, message):
+    with pytest.raises(ValueError, match=message):
+        plots.dispersion(curve, ax, spectrum=spectrum)
+
+
+def test_without_axes_a_figure_of_the_house_style_is_made(record):
+    before = dict(matplotlib.rcParams)
+    ax = plots.space_time(record)
+    assert ax.figure.number in plt.get_fignums()
+    assert ax.xaxis.label.get_size() == 10.0
+    plt.close(ax.figure)
+    assert dict(matplotlib.rcParams) == before
+
+
+def test_a_figure_is_saved_without_pyplot(tmp_path):
+    figure = plots.figure(3.0, 2.0)
+    figure.subplots().plot([0, 1])
+    path = plots.save(figure, tmp_path / "a.png", dpi=100)
+    assert path.read_bytes().startswith(b"\x89PNG")
+    assert plt.imread(path).shape[:2] == (200, 300)
+    with pytest.raises(ValueError, match="width"):
+        plots.figure(0.0)
