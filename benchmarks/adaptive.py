@@ -1,40 +1,27 @@
 """Time at equal error on the impact scene: granjax's adaptive pair, a numba loop with fixed steps, scipy's DOP853."""
 
-import time
-
 import numpy as np
 import peers
-from cases import TABLE
+from cases import TABLE, alternate
 from scipy.integrate import solve_ivp
 
 import granjax as gx
 
 SITES, END = 100, 120.0
-TOLERANCES = (1e-5, 1e-7)
-REFERENCE = 1e-12
+TOLERANCES = (1e-5, 1e-7, 1e-8, 1e-9, 1e-10)
+REFERENCE = 1e-13
 
 
-def _seconds(call, rounds):
-    taken = []
-    for _ in range(rounds):
-        start = time.perf_counter()
-        call()
-        taken.append(time.perf_counter() - start)
-    return float(np.median(taken))
+def _ladder(calls, reference, rounds):
+    """[error, wall, cpu] of every call; the calls take turns, so that a drift of the machine touches all alike."""
+    errors = {name: float(np.abs(call() - reference).max()) for name, call in calls.items()}
+    times = alternate(calls, rounds)
+    return {name: [errors[name], times[name]["wall"], times[name]["cpu"]] for name in calls}
 
 
-def _ladder(run, settings, reference, rounds):
-    """Errors and times [s] of one method over its settings."""
-    points = []
-    for setting in settings:
-        error = np.abs(run(setting) - reference).max()
-        points.append((float(error), _seconds(lambda s=setting: run(s), rounds)))
-    return points
-
-
-def _at_error(points, error):
-    """Time at an error, log-log between the points; `None` outside of them."""
-    e, t = np.array(sorted(points)).T
+def _at_error(points, error, column):
+    """Time at an error, log-log between the points, which must bracket it; `None` where they do not."""
+    e, t = np.array(sorted((p[0], p[column]) for p in points)).T
     return None if not e[0] <= error <= e[-1] else float(np.exp(np.interp(np.log(error), np.log(e), np.log(t))))
 
 
@@ -59,17 +46,31 @@ def impact(rounds, quick=False):
         ).y[:SITES, -1]
 
     reference, other = pair(REFERENCE), pair(REFERENCE, gx.RKN1210())
-    steps = [400 * 2**k for k in range(4 if quick else 8)]
-    numba = _ladder(fixed, steps, reference, 1 if quick else 3)
-    scipy = _ladder(scipys, [1e-3] if quick else [10.0**-k for k in range(3, 11)], reference, 1)
+    uncertain = float(np.abs(reference - other).max())
+    calls = {("RKN86", x): lambda x=x: pair(x) for x in TOLERANCES[: 1 if quick else None]}
+    calls |= {("numba SRKN11b", x): lambda x=x: fixed(x) for x in [400 * 2**k for k in range(3 if quick else 8)]}
+    calls |= {("scipy DOP853", x): lambda x=x: scipys(x) for x in [10.0**-k for k in range(5, 6 if quick else 14)]}
+    ladder = _ladder(calls, reference, rounds)
+    # an error that the reference itself may have says nothing
+    known = {key: point for key, point in ladder.items() if point[0] > 4 * uncertain}
     rows = []
-    for tolerance in TOLERANCES[: 1 if quick else None]:
-        error = float(np.abs(pair(tolerance) - reference).max())
-        seconds = {"RKN86": _seconds(lambda t=tolerance: pair(t), rounds)}
-        seconds |= {"numba SRKN11b": _at_error(numba, error), "scipy DOP853": _at_error(scipy, error)}
-        rows.append({"tolerance": tolerance, "error": error, "seconds": seconds})
-    ours, theirs = rows[-1]["seconds"]["RKN86"], rows[-1]["seconds"]["numba SRKN11b"]
+    for (method, tolerance), (error, *own) in known.items():
+        if method != "RKN86":
+            continue
+        row = {"tolerance": tolerance, "error": error}
+        for column, clock in ((1, "wall"), (2, "cpu")):
+            row[clock] = {"RKN86": own[column - 1]}
+            for peer in ("numba SRKN11b", "scipy DOP853"):
+                points = [point for key, point in known.items() if key[0] == peer]
+                row[clock][peer] = _at_error(points, error, column)
+        rows.append(row)
+    ratios = {clock: _ratio(rows[-1][clock]) if rows else None for clock in ("wall", "cpu")}
     return {
-        "ratio": None if theirs is None else ours / theirs, "rows": rows, "numba": numba, "scipy": scipy,
-        "reference_uncertainty": float(np.abs(reference - other).max()),
+        "ratio": ratios["wall"], "cpu_ratio": ratios["cpu"], "rows": rows, "reference_uncertainty": uncertain,
+        "ladder": [[*key, *point] for key, point in ladder.items()],
     }
+
+
+def _ratio(seconds):
+    theirs = seconds["numba SRKN11b"]
+    return None if theirs is None else seconds["RKN86"] / theirs

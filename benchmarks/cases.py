@@ -7,6 +7,7 @@ and `cpu` the processor time of the process; they agree on a quiet machine.
 import os
 import time
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import diffrax
 import jax
@@ -151,13 +152,33 @@ def two_devices(rounds, steps):
         with jax.default_device(device):
             return run(lattice, gx.State(*state), steps).final.u
 
+    # without the flags XLA shares one device's work among all cores: one core is one only where every thread is held
+    cores = sorted(os.sched_getaffinity(0))[:2]
+
+    def alone():
+        hold(cores[:1])
+        return one(work[0])
+
+    ran, waited = [], []
+
+    def together():
+        hold(cores)
+        before = scheduled()
+        ends = list(pool.map(one, work[1:]))
+        after = scheduled()
+        ran.append(after[0] - before[0])
+        waited.append(after[1] - before[1])
+        return ends
+
     with ThreadPoolExecutor(2) as pool:
         both = np.concatenate([np.asarray(x) for x in pool.map(one, work[1:])], axis=1)
         difference = np.abs(both - np.asarray(one(work[0]))).max()
-        times = alternate({"one": lambda: one(work[0]), "two": lambda: list(pool.map(one, work[1:]))}, rounds)
+        times = alternate({"one": alone, "two": together}, rounds)
     return {
         "ratio": times["one"]["ratio"], "cpu_ratio": 2 * times["one"]["cpu"] / times["two"]["cpu"], "seconds": {name: x["wall"] for name, x in times.items()},
         "cores_used": {name: x["cpu"] / x["wall"] for name, x in times.items()}, "difference": float(difference),
+        # threads that wait for one another sleep; only those that lack a core count as waiting
+        "busy": max(times["one"]["wall"] / times["one"]["cpu"], 1 + float(np.median(waited) / np.median(ran))),
     }
 
 
@@ -187,7 +208,13 @@ def overhead(rounds, steps, calls):
     }
 
 
-def pinned(core):
-    """Keep this process and the threads it will start on one core."""
-    if core is not None and hasattr(os, "sched_setaffinity"):
-        os.sched_setaffinity(0, {core})
+def scheduled():
+    """Seconds that the threads of this process have run, and waited for a core while ready to run."""
+    times = [Path(f"/proc/self/task/{thread}/schedstat") for thread in os.listdir("/proc/self/task")]
+    return np.sum([[int(x) for x in path.read_text().split()[:2]] for path in times], axis=0) * 1e-9
+
+
+def hold(cores):
+    """Keep every thread of this process on these cores."""
+    for thread in os.listdir("/proc/self/task"):
+        os.sched_setaffinity(int(thread), cores)

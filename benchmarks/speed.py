@@ -77,11 +77,12 @@ def measure(name, rounds, quick):
         import jax
 
         jax.config.update("jax_num_cpu_devices", 2)
+    elif hasattr(os, "sched_setaffinity"):
+        # before JAX starts, so that its pools have one thread
+        os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
     import adaptive
     import cases
 
-    if function != "two_devices":
-        cases.pinned(min(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else None)
     call = getattr(cases, function, None) or getattr(adaptive, function)
     return call(1 if quick else rounds, **(small if quick else full))
 

@@ -15,7 +15,7 @@ def refuse(argument, expected, got, remedy=""):
 
     ValueError: `argument: expected ..., got .... remedy`
     """
-    raise ValueError(f"{argument}: expected {expected}, got {got}." + (f" {remedy}" if remedy else ""))
+    raise ValueError(f"{argument}: expected {expected}, got {got}." + (f" {remedy}" if remedy else "")) from None
 
 
 def concrete(x):
@@ -41,7 +41,9 @@ def parameter(argument, x):
             raw = x if isinstance(x, jax.Array) else np.asarray(x)
             if raw.dtype.kind not in "fiu":
                 raise TypeError
-            array = jnp.asarray(raw, dtype=float)
+            # a plain number stays one while tracing, so that it is checked there too
+            with jax.ensure_compile_time_eval():
+                array = jnp.asarray(raw, dtype=float)
         except (TypeError, ValueError):
             refuse(argument, "real numbers", f"{x!r} of type {type(x).__name__}", "Give a number or an array of numbers.")
     value = concrete(array)

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .checks import one_of, parameter, positive, refuse
+from .checks import one_of, parameter, positive, refuse, whole
 
 BOUNDARIES = ("fixed", "free", "periodic")
 
@@ -39,6 +39,10 @@ class StrainMap(eqx.Module):
         _, transpose = jax.vjp(self.strain, jax.tree.map(jnp.zeros_like, u))
         (rest,) = transpose(jnp.broadcast_to(law.preload, e.shape).astype(e.dtype))
         return jax.tree.map(jnp.subtract, now, rest)
+
+    def push(self, u, law):
+        """Force on the sites, -load."""
+        return jax.tree.map(jnp.negative, self.load(u, law))
 
     def energy(self, u, law):
         """Energy of every bond, measured from equilibrium: energy(e) + F0 (e - its linear part)."""
@@ -72,14 +76,14 @@ class _Linear(StrainMap):
         tail, head = self.fields
         return self._select(u[tail], 0), self._select(u[head], 1)
 
-    def _gather(self, f, combine):
+    def _gather(self, f, combine, alone=lambda x: x):
         at_tail, at_head = self._return(f, 0), self._return(f, 1)
         if self.fields is None:
             return combine(at_tail, at_head)
         tail, head = self.fields
         if tail == head:
             return {tail: combine(at_tail, at_head)}
-        return {tail: at_tail, head: combine(jnp.zeros_like(at_head), at_head)}
+        return {tail: alone(at_tail), head: combine(jnp.zeros_like(at_head), at_head)}
 
     def strain(self, u):
         tail, head = self._ends(u)
@@ -101,6 +105,10 @@ class _Linear(StrainMap):
     def load(self, u, law):
         return self.gather(law.force(self.strain(u)))
 
+    def push(self, u, law):
+        # head less tail, instead of minus (tail less head): one operation less
+        return self._gather(law.force(self.strain(u)), lambda tail, head: head - tail, jnp.negative)
+
     def energy(self, u, law):
         return law.energy(self.strain(u))
 
@@ -113,7 +121,8 @@ def _fields(fields):
         return None
     if isinstance(fields, str):
         return fields, fields
-    if len(tuple(fields)) != 2 or not all(isinstance(f, str) for f in fields):
+    named = isinstance(fields, (tuple, list)) and all(isinstance(f, str) for f in fields)
+    if not named or len(fields) != 2:
         refuse("fields", "a name, or the names of tail and head", repr(fields), 'Write fields=("bead", "resonator").')
     return tuple(fields)
 
@@ -230,9 +239,10 @@ class Pairs(_Linear):
         if within:
             least = (max(least),) * 2
         given = least if sites is None else tuple(sites) if isinstance(sites, (tuple, list)) else (sites,) * 2
-        if any(g < n for g, n in zip(given, least)):
+        given = tuple(whole("sites", g) for g in given)
+        if len(given) != 2 or any(g < n for g, n in zip(given, least)):
             refuse("sites", f"at least {max(least)}, the largest index and one", repr(sites))
-        self.sites = tuple(int(g) for g in given)
+        self.sites = given
 
     @property
     def axes(self):
@@ -259,7 +269,10 @@ class Pairs(_Linear):
 
 
 def _indices(name, x):
-    x = np.asarray(x)
+    try:
+        x = np.asarray(x)
+    except ValueError:
+        refuse(name, "a list of site indices (-1 for a wall)", repr(x))
     if x.ndim != 1 or x.size == 0 or x.dtype.kind not in "iu" or x.min() < WALL:
         refuse(name, "a list of site indices (-1 for a wall)", np.array2string(x, threshold=6))
     return tuple(int(i) for i in x)
@@ -288,6 +301,8 @@ class Stretch(StrainMap):
             refuse("pairs", "a Shift or Pairs", repr(pairs))
         self.pairs = pairs
         self.vector = parameter("vector", vector)
+        if self.vector.ndim == 0:
+            refuse("vector", "a vector of two or three components, from tail to head", repr(vector))
         positive("vector", jnp.linalg.norm(self.vector, axis=-1), "A bond at rest has a length.")
 
     def _geometry(self, u):

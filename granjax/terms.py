@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from .checks import non_negative, one_of, parameter, refuse
-from .laws import Law, Scaled, Yielding
+from .laws import Law, Scaled, Yielding, checked_law
 from .strains import StrainMap
 
 
@@ -36,6 +36,10 @@ class Term(eqx.Module):
         """Potential energy, one value per bond or site, from equilibrium."""
         return None
 
+    def preload_force(self, u):
+        """Force of the preloads on the sites at rest, or `None`; `u` gives the shapes."""
+        return None
+
     def site_energy(self, t, u):
         """Potential energy with each bond's shared between its ends; half of a wall's bond stays with the wall."""
         return None
@@ -54,13 +58,17 @@ class Bond(Term):
     def __init__(self, strain_map, law):
         if not isinstance(strain_map, StrainMap):
             refuse("strain_map", "a strain map, such as Shift(1, 'fixed')", repr(strain_map))
-        self.strain_map, self.law = strain_map, _law(law)
+        self.strain_map, self.law = strain_map, checked_law(law)
 
     def force(self, t, u, v, mass):
-        return jax.tree.map(jnp.negative, self.strain_map.load(u, self.law))
+        return self.strain_map.push(u, self.law)
 
     def energy(self, t, u):
         return self.strain_map.energy(u, self.law)
+
+    def preload_force(self, u):
+        e, transpose = jax.vjp(self.strain_map.strain, jax.tree.map(jnp.zeros_like, u))
+        return jax.tree.map(jnp.negative, transpose(jnp.broadcast_to(self.law.preload, e.shape).astype(e.dtype))[0])
 
     def site_energy(self, t, u):
         return self.strain_map.split(self.energy(t, u), u)
@@ -77,7 +85,7 @@ class OnSite(Term):
     field: str | None = eqx.field(static=True)
 
     def __init__(self, law, field=None):
-        self.law, self.field = _law(law), field
+        self.law, self.field = checked_law(law), field
 
     def force(self, t, u, v, mass):
         return _put(-self.law.force(_get(u, self.field)), self.field)
@@ -209,7 +217,7 @@ class Wall(Term):
     field: str | None = eqx.field(static=True)
 
     def __init__(self, law, side="right", motion=None, support=None, field=None):
-        self.law = _law(law) if support is None else Yielding(_law(law), support)
+        self.law = checked_law(law) if support is None else Yielding(checked_law(law), support)
         self.side = one_of("side", side, ("left", "right"))
         self.motion = None if motion is None else _waveform("motion", motion)
         self.field = field
@@ -225,9 +233,14 @@ class Wall(Term):
         return wall - x[0] if self.side == "left" else x[-1] - wall
 
     def force(self, t, u, v, mass):
-        push = self.law.force(self.compression(t, u))
+        return self._push(self.law.force(self.compression(t, u)), u)
+
+    def preload_force(self, u):
+        return self._push(self.law.preload, u)
+
+    def _push(self, force, u):
         x = jnp.zeros_like(_get(u, self.field))
-        x = x.at[0].set(push) if self.side == "left" else x.at[-1].set(-push)
+        x = x.at[0].set(force) if self.side == "left" else x.at[-1].set(-force)
         return _put(x, self.field)
 
     def energy(self, t, u):
@@ -267,14 +280,11 @@ class Modulated(Term):
     def energy(self, t, u):
         return self.at(t).energy(t, u)
 
+    def preload_force(self, u):
+        return self.term.preload_force(u)
+
     def site_energy(self, t, u):
         return self.at(t).site_energy(t, u)
-
-
-def _law(law):
-    if not isinstance(law, Law):
-        refuse("law", "a law, such as Hertz()", repr(law))
-    return law
 
 
 def _waveform(name, f):

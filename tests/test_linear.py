@@ -260,9 +260,9 @@ def test_derivatives_in_k_and_parameters():
 def test_waves_inside_jit():
     chain = two_masses(12)
     expected = linear.dispersion(chain, WAVES).omega
-    np.testing.assert_allclose(jax.jit(lambda k: linear.dispersion(chain, k).omega)(WAVES), expected, atol=1e-7)
+    np.testing.assert_allclose(jax.jit(lambda k: linear.dispersion(chain, k).omega)(WAVES), expected, atol=1e-12)
     given = jax.jit(lambda chain, k: linear.dispersion(chain, k, cell=2).omega)
-    np.testing.assert_allclose(given(chain, WAVES), expected, atol=1e-7)
+    np.testing.assert_allclose(given(chain, WAVES), expected, atol=1e-12)
 
 
 def test_edges_and_speed_are_differentiable_and_batched():

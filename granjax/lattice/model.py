@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import positive, refuse, whole
-from ..terms import Term
+from ..terms import Damping, Drive, Modulated, OnSite, Term, Wall
 
 
 class State(NamedTuple):
@@ -45,13 +45,20 @@ class Lattice(eqx.Module):
     def __init__(self, mass, terms, *, sites=None, dimension=None):
         self.dimension = None if dimension is None else whole("dimension", dimension, 1)
         if isinstance(mass, dict):
+            if not mass:
+                refuse("mass", "at least one named field", "an empty dict")
             built = {name: self._one_mass(f"mass[{name!r}]", m, sites) for name, m in mass.items()}
             self.mass = {name: b[0] for name, b in built.items()}
             self._sites = tuple((name, b[1]) for name, b in sorted(built.items()))
             self._per_site = tuple((name, b[2]) for name, b in sorted(built.items()))
         else:
             self.mass, self._sites, self._per_site = self._one_mass("mass", mass, sites)
-        self.terms = (terms,) if isinstance(terms, Term) else tuple(terms)
+        terms = (terms,) if isinstance(terms, Term) else terms
+        if not isinstance(terms, (tuple, list)):
+            refuse("terms", "a tuple of terms, such as (Bond(Shift(1), Hertz()), Damping(0.1))", repr(terms))
+        self.terms = tuple(terms)
+        if self.dimension is not None:
+            self.terms = tuple(_per_vector(term, self.axes) for term in self.terms)
         self._check_terms()
 
     def _one_mass(self, name, mass, sites):
@@ -75,11 +82,12 @@ class Lattice(eqx.Module):
             name = f"terms[{i}] ({type(term).__name__})"
             if not isinstance(term, Term):
                 refuse(f"terms[{i}]", "a term, such as Bond(Shift(1), Hertz())", repr(term))
+            _check_place(name, term, self)
             try:
                 got = jax.eval_shape(lambda u: term.force(jnp.zeros(()), u, u, self.mass), u)
             except KeyError as error:
                 refuse(name, f"fields among {sorted(self.fields or ())}", str(error), "Check the names of the fields.")
-            except (TypeError, ValueError, IndexError) as error:
+            except (TypeError, ValueError, IndexError, AttributeError) as error:
                 refuse(name, f"parameters that fit a lattice of shape {self.shape}", f"an error: {str(error).rstrip('.')}")
             wanted = u if not isinstance(got, dict) or self.fields is None else {k: u[k] for k in got}
             same = jax.tree.structure(got) == jax.tree.structure(wanted)
@@ -150,18 +158,14 @@ class Lattice(eqx.Module):
 
     def sum_forces(self, t, u, v, terms):
         """Sum of the forces of some terms, of the structure of `u`."""
-        total = None
-        for term in terms:
-            f = term.force(t, u, v, self.mass)
-            if isinstance(u, dict):
-                total = {**(total or {})}
-                for name, part in f.items():
-                    total[name] = total[name] + part if name in total else part
-            else:
-                total = f if total is None else total + f
+        return self.total([term.force(t, u, v, self.mass) for term in terms], u)
+
+    def total(self, parts, u):
+        """Sum of arrays over the sites, or of dicts of those fields that they touch; `None` is nothing."""
+        parts = [part for part in parts if part is not None]
         if isinstance(u, dict):
-            return {name: (total or {}).get(name, jnp.zeros_like(u[name])) for name in u}
-        return jnp.zeros_like(u) if total is None else total
+            return {name: _sum([part[name] for part in parts if name in part], x) for name, x in u.items()}
+        return _sum(parts, u)
 
     def acceleration(self, t, u, v):
         """a = force/m."""
@@ -200,14 +204,32 @@ class Lattice(eqx.Module):
         load: +-F0 there and zero elsewhere is a scene in equilibrium.
         """
         u = self.zeros()
-        total = jax.tree.map(jnp.negative, self.force(jnp.zeros(()), u, u))
-        for term in self.terms:
-            law = getattr(term, "law", None)
-            if hasattr(term, "strain_map") and law is not None:
-                e, transpose = jax.vjp(term.strain_map.strain, u)
-                (load,) = transpose(jnp.broadcast_to(law.preload, e.shape).astype(e.dtype))
-                total = jax.tree.map(jnp.add, total, load)
-        return jax.tree.map(jnp.negative, total)
+        return self.total([term.preload_force(u) for term in self.terms], u)
+
+
+def _per_vector(term, axes):
+    """A term of the sites with one parameter a site made one a vector, by a trailing axis."""
+    if isinstance(term, Modulated):
+        return eqx.tree_at(lambda t: t.term, term, _per_vector(term.term, axes))
+    if not isinstance(term, (Damping, OnSite)):
+        return term
+    return jax.tree.map(lambda x: x[..., None] if x.ndim == axes else x, term)
+
+
+def _check_place(name, term, lattice):
+    """Terms that act on one site: that there is such a site."""
+    if isinstance(term, Wall) and (lattice.axes != 1 or lattice.dimension is not None):
+        refuse(name, "a chain with scalar displacements", f"a lattice of shape {lattice.shape}", "Hold ends by bonds.")
+    if isinstance(term, Drive):
+        sites = lattice.sites
+        sites = sites.get(term.field, ()) if isinstance(sites, dict) else sites
+        whole_numbers = all(isinstance(i, (int, np.integer)) and not isinstance(i, bool) for i in term.site)
+        if not whole_numbers or len(term.site) != len(sites) or any(not -n <= i < n for i, n in zip(term.site, sites)):
+            refuse(name, f"a site of a lattice of {sites}", f"site {term.site}")
+
+
+def _sum(parts, like):
+    return sum(parts[1:], parts[0]) if parts else jnp.zeros_like(like)
 
 
 def _is_shape(x):

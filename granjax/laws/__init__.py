@@ -1,6 +1,6 @@
 """Force laws: one bond or one site, elementwise, measured from static equilibrium."""
 
-from .base import Law, Scaled, Sum
+from .base import Law, Scaled, Sum, checked_law
 from .contact import Hertz, PowerLaw
 from .power import plus_power
 from .smooth import Linear, Polynomial, Sine, Toda
@@ -9,5 +9,5 @@ from .yielding import Yielding
 
 __all__ = [
     "Hertz", "Law", "Linear", "Polynomial", "PowerLaw", "Scaled", "Sine", "Sum", "Taylor", "Toda", "Yielding",
-    "plus_power", "taylor",
+    "checked_law", "plus_power", "taylor",
 ]

@@ -5,6 +5,8 @@ import abc
 import equinox as eqx
 import jax.numpy as jnp
 
+from ..checks import refuse
+
 
 class Law(eqx.Module):
     """A force law of one bond or one site: force against compression, measured from static equilibrium.
@@ -36,7 +38,14 @@ class Law(eqx.Module):
         return None
 
     def __add__(self, other):
-        return Sum(parts_of(self) + parts_of(other))
+        return Sum(parts_of(self) + parts_of(checked_law(other)))
+
+
+def checked_law(law):
+    """The law itself; anything else is refused."""
+    if not isinstance(law, Law):
+        refuse("law", "a law, such as Hertz()", repr(law))
+    return law
 
 
 class Sum(Law):
@@ -81,6 +90,9 @@ class Scaled(Law):
 
     law: Law
     factor: object
+
+    def __init__(self, law, factor):
+        self.law, self.factor = checked_law(law), factor
 
     def force(self, e):
         return self.factor * self.law.force(e)

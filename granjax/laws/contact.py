@@ -44,21 +44,25 @@ class _Contact(Law):
         if self.precompression is None:
             return None
         ratio = self.precompression / self.stiffness
-        if self.exponent is _HERTZ:
+        if isinstance(self.exponent, float) and self.exponent == _HERTZ:
             return jnp.cbrt(ratio) * jnp.cbrt(ratio)
         return plus_power(ratio, 1 / self.exponent)
 
     def overlap(self, e):
-        if self.precompression is None:
-            return e
-        return self.rest_overlap - e if self.repels else self.rest_overlap + e
+        if self.repels is None:
+            e = jnp.sign(self.exponent) * e
+        elif self.repels:
+            e = -e
+        return e if self.precompression is None else self.rest_overlap + e
 
     def _difference(self, e, p):
         power = self._power(self.overlap(e), p)
         return power if self.precompression is None else power - self._power(self.rest_overlap, p)
 
     def _power(self, s, p):
-        if self.repels:
+        if self.repels is None:
+            s = jnp.where((s <= 0) & (self.exponent < 0), jnp.nan, s)
+        elif self.repels:
             s = jnp.where(s <= 0, jnp.nan, s)
         return plus_power(s, p)
 
@@ -67,10 +71,33 @@ class _Contact(Law):
 
     def energy(self, e):
         p = self.exponent
-        if self.repels:
-            return self._repulsion_energy(e)
-        work = self.stiffness / (p + 1) * self._difference(e, p + 1)
-        return work if self.precompression is None else work - self.precompression * e
+        if self.precompression is None:
+            return self.stiffness / (p + 1) * self._difference(e, p + 1)
+        whole = self._repulsion_energy(e) if self.repels else self._contact_energy(e)
+        if self.repels is None:
+            whole = jnp.where(p < 0, self._repulsion_energy(e), whole)
+        return self._near_rest(e, whole)
+
+    def _contact_energy(self, e):
+        p = self.exponent
+        q = p + 1 if self.repels is False else jnp.where(p < 0, 1, p + 1)
+        return self.stiffness / q * self._difference(e, p + 1) - self.precompression * e
+
+    def _near_rest(self, e, energy):
+        """The energy, by its binomial series where its closed form would lose digits: |e| below d0/50."""
+        p = self.exponent
+        d0 = self.rest_overlap
+        near = (jnp.abs(e) < 0.02 * d0) & (d0 > 0)
+        x = jnp.where(near, e, 0) / jnp.where(d0 > 0, d0, 1)
+        sign = -1 if self.repels else 1 if self.repels is False else jnp.sign(p)
+        binomial, terms = 1.0, []
+        for k in range(1, 9):
+            binomial = binomial * sign * (p - k + 1) / k
+            terms.append(binomial / (k + 1))
+        series = terms[-1]
+        for term in terms[-2::-1]:
+            series = series * x + term
+        return jnp.where(near, self.precompression * d0 * x * x * series, energy)
 
     def _repulsion_energy(self, e):
         q = self.exponent + 1
@@ -136,7 +163,7 @@ class PowerLaw(_Contact):
     precompression: jax.Array | None
     _fixed_exponent: float | None = eqx.field(static=True)
     _free_exponent: jax.Array | None
-    _repels: bool = eqx.field(static=True)
+    _repels: bool | None = eqx.field(static=True)
 
     def __init__(self, stiffness=1.0, exponent=1.5, precompression=0.0):
         self.stiffness = positive("stiffness", stiffness, "The contact coefficient A is positive.")
@@ -147,7 +174,7 @@ class PowerLaw(_Contact):
             refuse("exponent", "p != 0", show(value), "p = 1 is a linear spring, p = 3/2 Hertz, p < 0 magnets.")
         if value is not None and (value < 0).any() != (value < 0).all():
             refuse("exponent", "values of one sign", show(value), "Contacts and magnets are two laws; use two bonds.")
-        self._repels = value is not None and bool((value < 0).all())
+        self._repels = None if value is None else bool((value < 0).all())
         self._fixed_exponent = float(exponent) if isinstance(exponent, (int, float)) else None
         self._free_exponent = None if isinstance(exponent, (int, float)) else array
         if self._repels:

@@ -13,6 +13,7 @@ from functools import partial
 
 import jax
 import jax.numpy as jnp
+from jax.custom_derivatives import SymbolicZero
 
 
 def plus_power(s, p):
@@ -41,6 +42,8 @@ def _static_power(s, p):
 @_static_power.defjvp
 def _static_power_jvp(p, primals, tangents):
     (s,), (ds,) = primals, tangents
+    if p == 0.0:
+        return _static_power(s, p), jnp.zeros_like(ds * s)
     return _static_power(s, p), p * _static_power(s, p - 1.0) * ds
 
 
@@ -67,10 +70,20 @@ def _free_power(s, p, k):
     return jnp.where(is_open, 0, value)
 
 
-@_free_power.defjvp
 def _free_power_jvp(k, primals, tangents):
-    (s, p), (ds, dp) = primals, tangents
-    slope = p * _free_power(s, p - 1, k)
-    if k:
-        slope = slope + k * _free_power(s, p - 1, k - 1)
-    return _free_power(s, p, k), slope * ds + _free_power(s, p, k + 1) * dp
+    s, p = primals
+    ds, dp = (None if isinstance(d, SymbolicZero) else d for d in tangents)
+    value = _free_power(s, p, k)
+    # a derivative that nobody asked for is not there: times zero it would be NaN where it overflows
+    change = jnp.zeros_like(value)
+    if ds is not None:
+        slope = p * _free_power(s, p - 1, k)
+        if k:
+            slope = slope + k * _free_power(s, p - 1, k - 1)
+        change = change + slope * ds
+    if dp is not None:
+        change = change + _free_power(s, p, k + 1) * dp
+    return value, change
+
+
+_free_power.defjvp(_free_power_jvp, symbolic_zeros=True)

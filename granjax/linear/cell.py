@@ -33,14 +33,14 @@ class UnitCell(eqx.Module):
 
     def dynamical_matrix(self, k):
         """D(k), (P, P), complex and Hermitian, for one `k` of shape (axes,)."""
-        at_rest = self.coupling.sum(0)
+        uniform = self.coupling.sum(0)
         # long waves stay accurate by exp(ix) - 1 = 2i sin(x/2) exp(ix/2), and without the rounding of D(0)
-        fixed = jax.lax.stop_gradient(at_rest)
+        fixed = jax.lax.stop_gradient(uniform)
         rounding = ROUNDING * jnp.finfo(fixed.dtype).eps * jnp.abs(jax.lax.stop_gradient(self.coupling)).max()
-        at_rest = at_rest - jnp.where(jnp.abs(fixed) <= rounding, fixed, 0)
+        uniform = uniform - jnp.where(jnp.abs(fixed) <= rounding, fixed, 0)
         half = (np.array(self.shells) @ k) / 2
         turn = 2j * jnp.sin(half) * jnp.exp(1j * half)
-        return at_rest + jnp.einsum("r,rab->ab", turn, self.coupling)
+        return uniform + jnp.einsum("r,rab->ab", turn, self.coupling)
 
     def slopes(self, k):
         """First and second derivatives of D(k): (axes, P, P) and (axes, axes, P, P)."""

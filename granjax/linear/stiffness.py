@@ -130,8 +130,8 @@ def blocks(lattice, reach):
 @eqx.filter_jit
 def probe(lattice, reach, w):
     """Blocks of K, the masses, and K w to test the blocks by."""
-    product = stiffness_product(lattice)(unpack(w, lattice.fields, lattice.dimension))
-    return blocks(lattice, reach), masses(lattice), pack(lattice, product)
+    pull = stiffness_product(lattice)(unpack(w, lattice.fields, lattice.dimension))
+    return blocks(lattice, reach), masses(lattice), pack(lattice, pull)
 
 
 def settled(function, *arguments):

@@ -1,14 +1,13 @@
 """The review's sixteen figures by their labels: those that are made, and those that wait for a capability."""
 
 from ..checks import one_of, refuse
-from . import dimer, experiment, solitary
+from . import dimer, experiment, solitary, transmission
 from .figure import Awaited, Figure
 
-_MADE = (*solitary.FIGURES, *experiment.FIGURES, *dimer.FIGURES)
+_MADE = (*solitary.FIGURES, *experiment.FIGURES, *transmission.FIGURES, *dimer.FIGURES)
 
 _AWAITED = (
     Awaited("fig1.2", "The travelling wave's profile, its derivative and its tail", "travelling waves"),
-    Awaited("fig2.2", "Transmission", "resonance"),
     Awaited("breather.1", "Dark breather of the granular chain and its NLS approximation", "breathers"),
     Awaited("breather.2", "Dark breather, experiment and model", "breathers"),
     Awaited("breather.3", "Breather of a dimer chain, its multipliers and unstable mode", "breathers"),

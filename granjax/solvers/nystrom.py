@@ -14,7 +14,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.interpreters.partial_eval import dce_jaxpr
 
+from ..checks import refuse
 from . import tables
 from .interpolation import Bootstrapped, correction, quintic
 from .seeds import weights
@@ -51,6 +53,7 @@ class AbstractNystrom(diffrax.AbstractAdaptiveSolver):
 
     def init(self, terms, t0, t1, y0, args):
         system, direction = _system(terms, args)
+        _refuse_velocity(unwrap(terms)[0], t0 * direction, y0, args)
         return system.start(t0 * direction, y0)
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
@@ -89,10 +92,23 @@ class RKN1210(AbstractNystrom):
 def _system(terms, args):
     """The forces as a split system, of which only the forces are used, and the direction of time."""
     field, direction = unwrap(terms)
-    if hasattr(field, "acceleration_only"):
-        field.acceleration_only(args)  # refuses forces that read the velocity
     offer = getattr(field, "split_system", None)
     return (FieldSplit(_AtRest(field), args) if offer is None else offer(args)), direction
+
+
+def _refuse_velocity(field, t, y, args):
+    """ValueError where the acceleration reads the velocity; the field's own words where it has some."""
+    if hasattr(field, "acceleration_only"):
+        field.acceleration_only(args)
+        return
+    u, v = y
+    traced = jax.make_jaxpr(lambda v: field(t, _pair(y, u, v), args)[1])(v).jaxpr
+    _, read = dce_jaxpr(traced, [True] * len(traced.outvars))
+    if any(read):
+        refuse(
+            "solver", "an acceleration that depends on positions and time alone",
+            "a vector field whose acceleration reads the velocity", "Use solver=diffrax.Dopri8() with tolerance=....",
+        )
 
 
 class _AtRest(eqx.Module):

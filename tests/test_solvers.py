@@ -1,0 +1,553 @@
+"""Solvers: orders, structure, tables, dense output, and the ways in which they can be run."""
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import granjax as gx
+from granjax.solvers import (
+    RKN86,
+    RKN1210,
+    KahanLi8,
+    SofroniouSpaletta10,
+    SRKN6b,
+    SRKN11b,
+    SRKN14a,
+    VelocityVerlet,
+    tables,
+)
+from granjax.solvers.interpolation import Bootstrapped, QuinticHermite, correction, quintic
+from granjax.solvers.nystrom import _stages
+from granjax.solvers.seeds import weights
+
+SPLITTING = (VelocityVerlet, SRKN6b, SRKN11b, SRKN14a, KahanLi8, SofroniouSpaletta10)
+NYSTROM = (RKN86, RKN1210)
+ALL_SOLVERS = SPLITTING + NYSTROM
+by_name = pytest.mark.parametrize("solver", ALL_SOLVERS, ids=lambda s: s.__name__)
+splittings = pytest.mark.parametrize("solver", SPLITTING, ids=lambda s: s.__name__)
+pairs = pytest.mark.parametrize("solver", NYSTROM, ids=lambda s: s.__name__)
+
+N = 10
+
+
+def chain(mass=1.0, precompression=1.0, extra=(), boundary="fixed"):
+    bond = gx.Bond(gx.Shift(1, boundary), gx.Hertz(precompression=precompression))
+    return gx.Lattice(mass * jnp.ones(N), (bond, *extra))
+
+
+def smooth(shift=0.0, size=0.3):
+    """Waves well below d0 = 1, so that every contact stays closed."""
+    n = np.arange(1, N + 1)
+    return gx.State(jnp.asarray(size * np.sin(1.3 * n + shift)), jnp.asarray(size * np.cos(2.1 * n - shift)))
+
+
+def solve(solver, y, t1, step, args, field=gx.vector_field, t0=0.0, **options):
+    """`diffeqsolve` at a fixed step, or at the controller in `options`."""
+    options = {"adjoint": diffrax.ForwardMode(), "max_steps": 100_000, **options}
+    return diffrax.diffeqsolve(diffrax.ODETerm(field), solver, t0, t1, step, y, args=args, **options)
+
+
+def last(solution):
+    return jax.tree.map(lambda x: x[-1], solution.ys)
+
+
+def flat(y):
+    return np.concatenate([np.ravel(x) for x in jax.tree.leaves(y)])
+
+
+def slope(steps, errors):
+    return np.polyfit(np.log(steps), np.log(errors), 1)[0]
+
+
+# orders ------------------------------------------------------------------------------------------------------------
+
+LANES = 6
+T = 8.0
+# ladders between the limit of stability (omega_max = 2.45) and rounding
+LADDERS = {
+    VelocityVerlet: (160, 320, 640), SRKN6b: (40, 60, 90), SRKN11b: (20, 28, 40), SRKN14a: (16, 24, 36),
+    KahanLi8: (28, 36, 48), SofroniouSpaletta10: (14, 18, 24, 30), RKN86: (12, 16, 20, 24, 28, 32),
+    RKN1210: (8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18),
+}
+
+
+@pytest.fixture(scope="module")
+def lanes():
+    scene = jax.vmap(chain, out_axes=-1)(jnp.linspace(1.0, 1.3, LANES))
+    states = [smooth(shift) for shift in np.linspace(0.0, 5.0, LANES)]
+    y = jax.tree.map(lambda *x: jnp.stack(x, -1), *states)
+    return scene, y
+
+
+@pytest.fixture(scope="module")
+def truth(lanes):
+    scene, y = lanes
+    saved = solve(RKN1210(), y, T, T / 320, scene, saveat=diffrax.SaveAt(steps=True), max_steps=320).ys
+    u = np.pad(np.asarray(saved.u), ((0, 0), (1, 1), (0, 0)))
+    assert (1.0 + u[:, :-1] - u[:, 1:]).min() > 0.05  # contacts stay closed
+    return jax.tree.map(lambda x: x[-1], saved)
+
+
+@by_name
+def test_observed_order(solver, lanes, truth):
+    scene, y = lanes
+    run = jax.jit(lambda h: last(solve(solver(), y, T, h, scene)))
+    counts = LADDERS[solver]
+    errors = [np.sqrt(np.mean((flat(run(T / n)) - flat(truth)) ** 2)) for n in counts]
+    nominal = tables._read()["splitting" if solver in SPLITTING else "nystrom"][solver.__name__]["order"]
+    assert min(errors) > 1e-14
+    assert abs(slope(T / np.array(counts), errors) - nominal) < 0.3
+    assert solver().order(None) == nominal
+
+
+@pairs
+def test_error_estimate_has_the_order_of_the_embedded_method(solver, lanes):
+    scene, y = lanes
+    method = solver()
+    terms = diffrax.ODETerm(gx.vector_field)
+
+    @jax.jit
+    def estimate(h):
+        kept = method.init(terms, 0.0, h, y, scene)
+        return method.step(terms, 0.0, h, y, scene, kept, False)[1]
+
+    steps = np.array({RKN86: (0.2, 0.1, 0.05), RKN1210: (0.8, 0.5, 0.3)}[solver])
+    found = [estimate(h) for h in steps]
+    expected = {RKN86: 7, RKN1210: 11}[solver]
+    assert method.error_order(None) == expected
+    for part in ("u", "v"):
+        errors = [np.sqrt(np.mean(np.asarray(getattr(e, part)) ** 2)) for e in found]
+        order = slope(steps, errors)
+        # the displacement's weights gain an order on some forces, never lose one
+        assert expected - 0.4 < order < expected + 1.4, (part, order)
+
+
+# structure ---------------------------------------------------------------------------------------------------------
+
+
+def symplectic_form(n):
+    return np.block([[np.zeros((n, n)), np.eye(n)], [-np.eye(n), np.zeros((n, n))]])
+
+
+def monodromy(solver, lattice, y, t1, step):
+    def flow(z):
+        end = last(solve(solver(), gx.State(z[:N], z[N:]), t1, step, lattice))
+        return jnp.concatenate([end.u, end.v])
+
+    return np.asarray(jax.jit(jax.jacfwd(flow))(jnp.concatenate(list(y))))
+
+
+@splittings
+def test_symplectic(solver):
+    M = monodromy(solver, chain(), smooth(), 2.0, 0.25)
+    J = symplectic_form(N)
+    assert np.abs(M.T @ J @ M - J).max() < 2e-14 * max(1.0, np.abs(M).max() ** 2)
+
+
+def test_a_nystrom_pair_is_not_symplectic():
+    M = monodromy(RKN86, chain(), smooth(), 2.0, 0.5)
+    J = symplectic_form(N)
+    assert np.abs(M.T @ J @ M - J).max() > 1e-8
+
+
+def test_uniform_damping_contracts_the_symplectic_form():
+    # exact damping in the drift: M'JM = exp(-gamma T) J whatever the step
+    gamma, t1 = 0.3, 2.0
+    M = monodromy(SRKN11b, chain(extra=(gx.Damping(gamma),)), smooth(), t1, 0.5)
+    J = symplectic_form(N)
+    assert np.abs(M.T @ J @ M - np.exp(-gamma * t1) * J).max() < 1e-14
+
+
+def test_damping_keeps_the_order():
+    lattice = chain(extra=(gx.Damping(0.2), gx.Drive(gx.Harmonic(0.1, 1.1), 2)))
+    run = jax.jit(lambda h: last(solve(SRKN11b(), smooth(), T, h, lattice)))
+    reference = flat(last(solve(
+        diffrax.Dopri8(), smooth(), T, 0.01, lattice,
+        stepsize_controller=diffrax.PIDController(rtol=1e-13, atol=1e-14),
+    )))
+    counts = np.array([16, 24, 36])
+    errors = [np.abs(flat(run(T / n)) - reference).max() for n in counts]
+    assert abs(slope(T / counts, errors) - 6) < 0.3
+
+
+@splittings
+def test_time_reversible(solver):
+    start = smooth()
+    end = last(solve(solver(), start, 3.0, 0.25, chain()))
+    back = last(solve(solver(), end, 0.0, -0.25, chain(), t0=3.0))
+    assert np.abs(flat(back) - flat(start)).max() < 1e-14
+    assert np.abs(flat(end) - flat(start)).max() > 0.1
+
+
+@splittings
+def test_stability_limit(solver):
+    omega = 1.7
+    limit = solver.stability_limit()
+
+    def oscillator(t, y, args):
+        return gx.State(y[1], -(omega**2) * y[0])
+
+    @jax.jit
+    def growth(z):
+        y = gx.State(jnp.asarray([1.0]), jnp.asarray([0.3]))
+        h = z / omega
+        return jnp.abs(last(solve(solver(), y, 2000 * h, h, None, oscillator)).u[0])
+
+    assert growth(limit * 0.999) < 1e3
+    assert growth(limit * 1.003) > 1e6
+
+
+def test_stability_limit_of_verlet():
+    assert VelocityVerlet.stability_limit() == pytest.approx(2.0, abs=1e-6)
+
+
+@splittings
+def test_table_of_a_splitting(solver):
+    table = solver.table()
+    assert abs(table.a.sum() - 1) < 4e-15 and abs(table.b.sum() - 1) < 4e-15
+    assert np.abs(table.a - table.a[::-1]).max() < 4e-15 and np.abs(table.b - table.b[::-1]).max() < 4e-15
+
+
+def test_evaluations():
+    found = {s.__name__: s.evaluations() for s in ALL_SOLVERS}
+    assert found == {
+        "VelocityVerlet": 1, "SRKN6b": 6, "SRKN11b": 11, "SRKN14a": 14, "KahanLi8": 17, "SofroniouSpaletta10": 35,
+        "RKN86": 8, "RKN1210": 17,
+    }
+
+
+@pairs
+def test_table_of_a_nystrom_pair(solver):
+    table = solver.table()
+    assert abs(table.b.sum() - 1 / 2) < 1e-14 and abs(table.bp.sum() - 1) < 1e-14
+    assert abs(table.be.sum()) < 1e-14 and abs(table.bpe.sum()) < 1e-14
+    assert np.abs(table.A.sum(1) - table.c**2 / 2).max() < 1e-14
+    assert np.abs(np.triu(table.A)).max() == 0
+    for k in range(1, table.order):
+        assert abs(table.bp @ table.c**k - 1 / (k + 1)) < 1e-14
+    for k in range(1, table.order - 1):
+        assert abs(table.b @ table.c**k - 1 / ((k + 1) * (k + 2))) < 1e-14
+
+
+# vector fields -----------------------------------------------------------------------------------------------------
+
+
+def plain_chain(t, y, args):
+    """The chain of `chain()` without the library's parts."""
+    u, v = y
+    e = jnp.pad(u, 1)
+    force = jnp.maximum(1 + e[:-1] - e[1:], 0) ** 1.5
+    return gx.State(v, force[:-1] - force[1:])
+
+
+@by_name
+def test_plain_field_equals_lattice(solver):
+    ours = flat(last(solve(solver(), smooth(), 2.0, 0.25, chain())))
+    plain = flat(last(solve(solver(), smooth(), 2.0, 0.25, None, plain_chain)))
+    assert np.abs(ours - plain).max() < 1e-14
+
+
+@pytest.mark.parametrize("solver", (SRKN11b, RKN86), ids=lambda s: s.__name__)
+def test_pendulum_as_a_plain_pair(solver):
+    # energy v^2/2 - cos u; the period at amplitude 2 is 4 K(sin 1)
+    def pendulum(t, y, length):
+        return y[1], -jnp.sin(y[0]) / length
+
+    from scipy.special import ellipk
+
+    period = 4 * ellipk(np.sin(1.0) ** 2)
+    u, v = last(solve(solver(), (jnp.asarray(2.0), jnp.asarray(0.0)), period, period / 200, 1.0, pendulum))
+    assert abs(u - 2.0) < 1e-9 and abs(v) < 1e-9
+
+
+@pytest.mark.parametrize("solver", (KahanLi8, RKN86), ids=lambda s: s.__name__)
+def test_pytrees_and_complex_arrays(solver):
+    def field(t, y, args):
+        u, v = y
+        return v, {"a": -u["a"] + 0.1 * u["b"].real.sum(), "b": -4.0 * u["b"]}
+
+    u = {"a": jnp.asarray([1.0, 0.2]), "b": jnp.asarray([1.0 + 1.0j])}
+    v = {"a": jnp.zeros(2), "b": jnp.asarray([0.5 - 2.0j])}
+    with pytest.warns(UserWarning, match="[Cc]omplex"):
+        end = last(solve(solver(), (u, v), 2.0, 0.05, None, field))
+    exact = u["b"] * np.cos(4.0) + v["b"] * np.sin(4.0) / 2
+    assert jnp.abs(end[0]["b"] - exact).max() < 1e-9
+    assert end[0]["a"].dtype == jnp.float64 and end[0]["b"].dtype == jnp.complex128
+
+
+def test_dict_of_fields_equals_one_array():
+    bond = lambda fields: gx.Bond(gx.Shift(1, "fixed", fields), gx.Hertz(precompression=1.0))  # noqa: E731
+    cell = gx.Lattice({"bead": jnp.ones(N)}, (bond("bead"),))
+    y = smooth()
+    for solver in (SRKN11b(), RKN86()):
+        plain = last(solve(solver, y, 2.0, 0.25, chain()))
+        named = last(solve(solver, gx.State({"bead": y.u}, {"bead": y.v}), 2.0, 0.25, cell))
+        assert np.abs(flat(plain) - flat(named)).max() < 1e-14
+
+
+@pytest.mark.parametrize("solver", (SRKN11b, RKN86, RKN1210), ids=lambda s: s.__name__)
+def test_dashpot_is_refused_by_name(solver):
+    lattice = chain(extra=(gx.Dashpot(gx.Shift(1, "fixed"), 0.1),))
+    with pytest.raises(ValueError, match=r"terms\[1\] \(Dashpot\)"):
+        solve(solver(), smooth(), 1.0, 0.1, lattice)
+
+
+@pairs
+def test_damping_is_refused_by_pairs(solver):
+    with pytest.raises(ValueError, match=r"terms\[1\] \(Damping\)"):
+        solve(solver(), smooth(), 1.0, 0.1, chain(extra=(gx.Damping(0.1),)))
+
+
+@pairs
+def test_plain_field_that_reads_the_velocity_is_refused(solver):
+    with pytest.raises(ValueError, match="reads the velocity"):
+        solve(solver(), smooth(), 1.0, 0.1, None, lambda t, y, args: gx.State(y[1], -y[0] - 0.1 * y[1]))
+    with pytest.raises(ValueError, match="reads the velocity"):
+        solve(solver(), smooth(), 1.0, 0.1, None, jax.jit(lambda t, y, args: gx.State(y[1], -y[0] - 0.1 * y[1])))
+    solve(solver(), smooth(), 1.0, 0.1, None, jax.jit(lambda t, y, args: gx.State(y[1], -y[0])))
+
+
+# dense output ------------------------------------------------------------------------------------------------------
+
+
+def polynomial(coefficients):
+    p = np.polynomial.Polynomial(coefficients)
+    return p, p.deriv(), p.deriv(2)
+
+
+@pytest.mark.parametrize("direction", (1, -1))
+def test_quintic_is_exact_on_quintics(direction):
+    p, dp, ddp = polynomial([0.3, -1.0, 2.0, 0.7, -0.4, 0.2])
+    t0, t1 = 0.4, 1.9
+    at = lambda f, t: jnp.asarray([f(t)])  # noqa: E731
+    # in diffrax's time, which runs forwards: t = direction * own time
+    a, b = (t0, t1) if direction == 1 else (t1, t0)
+    inner = QuinticHermite(
+        jnp.asarray(direction * a), jnp.asarray(direction * b), gx.State(at(p, a), at(dp, a)),
+        gx.State(at(p, b), at(dp, b)), at(ddp, a), at(ddp, b), direction,
+    )
+    for t in np.linspace(t0, t1, 7):
+        u, v = inner.evaluate(direction * t)
+        assert abs(u[0] - p(t)) < 2e-14 and abs(v[0] - dp(t)) < 2e-13
+    difference = inner.evaluate(direction * a, direction * b)
+    assert abs(difference.u[0] - (p(b) - p(a))) < 1e-13
+
+
+@pytest.mark.parametrize("m", (2, 3, 7))
+def test_bootstrapped_is_exact_to_its_degree(m):
+    rng = np.random.default_rng(m)
+    fit, h = correction(m), 0.8
+    p, dp, ddp = polynomial(rng.standard_normal(m + 6))
+    data = h * h * ddp(h * fit.nodes)
+    low = quintic(p(h) - p(0) - h * dp(0), h * (dp(h) - dp(0)), h * h * ddp(0), h * h * ddp(h))
+    high = fit.take @ data - fit.less @ np.array(low)
+    as_arrays = lambda x: tuple(jnp.asarray([c]) for c in x)  # noqa: E731
+    inner = Bootstrapped(
+        jnp.asarray(0.0), jnp.asarray(h), as_arrays((p(0), dp(0))), as_arrays(low), as_arrays(high)
+    )
+    size = np.abs(p.coef).sum() * m**3
+    for t in np.linspace(0, h, 9):
+        u, v = inner.evaluate(jnp.asarray(t))
+        assert abs(u[0] - p(t)) < 1e-14 * size and abs(v[0] - dp(t)) < 1e-13 * size
+
+
+@pairs
+def test_seeds_satisfy_their_order(solver):
+    # a free position at c has an error of order h^7 (8(6)) or h^10 (12(10)) on u'' = -u
+    stages = _stages(solver)
+    nodes = np.array([0.25, 0.6, 0.9])
+    w, order = weights(stages.A, stages.c, nodes)
+    assert order == {RKN86: 7, RKN1210: 10}[solver]
+    assert np.abs(w).sum(1).max() < 3 * 0.5
+    errors = []
+    steps = np.array([1.0, 0.7, 0.5]) if solver is RKN1210 else np.array([0.4, 0.28, 0.2])
+    for h in steps:
+        k = np.zeros(len(stages.c))
+        for i, c in enumerate(stages.c):
+            k[i] = -(1 + c * h * 0.5 + h * h * stages.A[i] @ k)
+        errors.append(np.abs(1 + nodes * h * 0.5 + h * h * w @ k - np.cos(nodes * h) - 0.5 * np.sin(nodes * h)).max())
+    assert slope(steps, errors) > order - 0.3
+
+
+def dense_errors(solver, step, times, reference):
+    found = solve(solver(), smooth(), T, step, chain(), saveat=diffrax.SaveAt(ts=times)).ys
+    return tuple(np.abs(a - b).max() for a, b in zip(found, reference))
+
+
+@pytest.fixture(scope="module")
+def between():
+    times = jnp.linspace(0.0, T, 201)
+    ys = solve(RKN1210(), smooth(), T, T / 320, chain(), saveat=diffrax.SaveAt(ts=times)).ys
+    return times, ys
+
+
+@pytest.mark.parametrize("solver, counts", ((RKN86, (16, 24, 36)), (RKN1210, (6, 8, 11, 16))))
+def test_dense_output_is_as_good_as_the_steps(solver, counts, between):
+    times, reference = between
+    u, v, end = [], [], []
+    for n in counts:
+        eu, ev = dense_errors(solver, T / n, times, reference)
+        finish = last(solve(solver(), smooth(), T, T / n, chain()))
+        u.append(eu)
+        v.append(ev)
+        end.append(max(np.abs(finish.u - reference.u[-1]).max(), np.abs(finish.v - reference.v[-1]).max()))
+    # dense errors, the worst of all times, against the error at the end; measured 0.4 to 1.6 for u, 1 to 5 for v
+    assert max(np.array(u) / end) < 2 and max(np.array(v) / end) < 6
+    low = {RKN86: 7.5, RKN1210: 10.3}[solver]
+    assert slope(1 / np.array(counts), u) > low and slope(1 / np.array(counts), v) > low
+
+
+def test_dense_output_of_splittings_has_order_six(between):
+    times, reference = between
+    counts = np.array([40, 56, 80])
+    errors = np.array([dense_errors(KahanLi8, T / n, times, reference) for n in counts])
+    assert slope(1 / counts, errors[:, 0]) > 5.5 and slope(1 / counts, errors[:, 1]) > 4.7
+
+
+@by_name
+def test_dense_output_meets_the_ends_and_runs_backwards(solver):
+    method = solver()
+    forth = solve(method, smooth(), 1.0, 0.25, chain(), saveat=diffrax.SaveAt(t1=True, dense=True), max_steps=8)
+    middle = forth.interpolation.evaluate(0.6)
+    ends = [last(solve(method, smooth(), t, 0.25, chain())) for t in (0.5, 0.75)]
+    for t, y in zip((0.5, 0.75), ends):
+        assert np.abs(flat(forth.interpolation.evaluate(t)) - flat(y)).max() < 5e-15
+    back = solve(
+        method, last(forth), 0.0, -0.25, chain(), t0=1.0, saveat=diffrax.SaveAt(t1=True, dense=True), max_steps=8
+    )
+    close = 1e-13 if solver in SPLITTING else 1e-5
+    assert np.abs(flat(back.interpolation.evaluate(0.6)) - flat(middle)).max() < close
+
+
+@pairs
+def test_nobody_pays_for_dense_output_that_is_not_read(solver):
+    def roots(**options):
+        run = jax.jit(lambda y: solve(solver(), y, 2.0, 0.25, chain(), **options).ys)
+        return run.lower(smooth()).compile().as_text().count(" sqrt(")
+
+    assert roots() < roots(saveat=diffrax.SaveAt(ts=jnp.linspace(0.0, 2.0, 7)))
+
+
+# adaptive steps ----------------------------------------------------------------------------------------------------
+
+
+@pairs
+def test_tolerance_is_kept(solver, between):
+    times, reference = between
+    for tolerance in (1e-6, 1e-10):
+        found = solve(
+            solver(), smooth(), T, None, chain(), saveat=diffrax.SaveAt(ts=times),
+            stepsize_controller=diffrax.PIDController(rtol=tolerance, atol=tolerance),
+        )
+        assert max(np.abs(a - b).max() for a, b in zip(found.ys, reference)) < 30 * tolerance
+        assert found.stats["num_rejected_steps"] < 0.3 * found.stats["num_steps"]
+
+
+@pairs
+def test_a_jump_in_time_drops_the_kept_force(solver):
+    # stiffness 1 before t = 1 and 3 after: u = cos(1) cos(w s) - sin(1) sin(w s)/w, w = sqrt 3, s = t - 1
+    def switched(t, y, args):
+        u, v = y
+        return gx.State(v, -jnp.where(t < 1.0, 1.0, 3.0) * u)
+
+    controller = diffrax.ClipStepSizeController(
+        diffrax.PIDController(rtol=1e-11, atol=1e-11), jump_ts=jnp.asarray([1.0])
+    )
+    y = gx.State(jnp.asarray([1.0]), jnp.asarray([0.0]))
+    times = jnp.linspace(1.1, 2.5, 8)
+    found = solve(
+        solver(), y, 2.5, None, None, switched, stepsize_controller=controller, saveat=diffrax.SaveAt(ts=times)
+    )
+    w, s = np.sqrt(3.0), np.asarray(times) - 1
+    exact = np.cos(1.0) * np.cos(w * s) - np.sin(1.0) * np.sin(w * s) / w
+    assert np.abs(found.ys.u[:, 0] - exact).max() < 1e-9
+    # 400 steps without the jump would be needed here; with it a smooth solve's few
+    assert found.stats["num_steps"] < 60
+
+
+@pairs
+def test_contact_loss_by_small_steps(solver):
+    # uncompressed chain hit at its end: energy is kept to the tolerance although contacts open
+    lattice = chain(precompression=0.0, boundary="free")
+    y = gx.State(jnp.zeros(N), jnp.zeros(N).at[0].set(1.0))
+    end = last(solve(
+        solver(), y, 20.0, None, lattice, stepsize_controller=diffrax.PIDController(rtol=1e-10, atol=1e-10)
+    ))
+    assert abs(lattice.energy(20.0, *end) - 0.5) < 1e-8
+
+
+# ways to run -------------------------------------------------------------------------------------------------------
+
+
+@by_name
+def test_lanes_and_vmap(solver, lanes):
+    scene, y = lanes
+    together = last(solve(solver(), y, 1.0, 0.125, scene))
+
+    def alone(mass, u, v):
+        return last(solve(solver(), gx.State(u, v), 1.0, 0.125, chain(mass)))
+
+    mapped = jax.vmap(alone, in_axes=(0, -1, -1), out_axes=-1)(jnp.linspace(1.0, 1.3, LANES), *y)
+    single = alone(1.0, y.u[:, 0], y.v[:, 0])
+    assert together.u.shape == (N, LANES)
+    assert np.abs(flat(together) - flat(mapped)).max() < 1e-14
+    assert np.abs(flat(jax.tree.map(lambda x: x[:, 0], together)) - flat(single)).max() < 1e-14
+
+
+@pairs
+def test_adaptive_vmap(solver):
+    def alone(mass):
+        found = solve(
+            solver(), smooth(), 2.0, None, chain(mass),
+            stepsize_controller=diffrax.PIDController(rtol=1e-9, atol=1e-9),
+        )
+        return last(found)
+
+    masses = jnp.asarray([1.0, 1.5])
+    mapped = jax.vmap(alone)(masses)
+    for i, mass in enumerate(masses):
+        assert np.abs(flat(jax.tree.map(lambda x: x[i], mapped)) - flat(alone(mass))).max() < 1e-13
+
+
+@by_name
+def test_float32_stays_float32(solver):
+    y = jax.tree.map(lambda x: x.astype(jnp.float32), smooth())
+    times = jnp.linspace(0.0, 2.0, 5)
+    found = solve(solver(), y, 2.0, 0.25, chain().astype(jnp.float32), saveat=diffrax.SaveAt(ts=times)).ys
+    exact = solve(solver(), smooth(), 2.0, 0.25, chain(), saveat=diffrax.SaveAt(ts=times)).ys
+    assert found.u.dtype == found.v.dtype == jnp.float32
+    assert np.abs(flat(found) - flat(exact)).max() < 5e-6
+
+
+@pytest.mark.parametrize("solver", (SRKN11b, RKN86, RKN1210), ids=lambda s: s.__name__)
+def test_derivatives_agree(solver):
+    adaptive = {"stepsize_controller": diffrax.PIDController(rtol=1e-9, atol=1e-9)} if solver in NYSTROM else {}
+    times = jnp.asarray([0.33, 1.0])
+
+    def observed(stiffness, u, adjoint):
+        lattice = gx.Lattice(jnp.ones(N), (gx.Bond(gx.Shift(1), gx.Hertz(stiffness, precompression=1.0)),))
+        found = solve(
+            solver(), gx.State(u, smooth().v), 1.0, 0.125, lattice, adjoint=adjoint, max_steps=64,
+            saveat=diffrax.SaveAt(ts=times), **adaptive,
+        )
+        return jnp.sum(found.ys.u * jnp.arange(1.0, N + 1)) + jnp.sum(found.ys.v**2)
+
+    u = smooth().u
+    du = jnp.cos(jnp.arange(N) * 1.0)
+    at = (jnp.asarray(1.1), u), (jnp.asarray(0.7), du)
+    _, forward = jax.jvp(lambda k, u: observed(k, u, diffrax.ForwardMode()), *at)
+    _, direct = jax.jvp(lambda k, u: observed(k, u, diffrax.DirectAdjoint()), *at)
+    gk, gu = jax.grad(lambda k, u: observed(k, u, diffrax.DirectAdjoint()), argnums=(0, 1))(*at[0])
+    reverse = 0.7 * gk + gu @ du
+    assert abs(forward - direct) < 1e-12 * abs(forward) and abs(forward - reverse) < 1e-12 * abs(forward)
+    e = 1e-5
+    value = jax.jit(lambda s: observed(1.1 + 0.7 * s, u + s * du, diffrax.ForwardMode()))
+    assert abs((value(e) - value(-e)) / (2 * e) - forward) < 1e-7 * abs(forward)
+
+
+def test_solvers_are_final_and_hashable():
+    for solver in ALL_SOLVERS:
+        assert isinstance(solver(), eqx.Module) and solver() == solver() and hash(solver()) == hash(solver())
