@@ -127,11 +127,9 @@ def test_derivatives_in_the_exponent_are_the_closed_form(p):
         assert np.all(np.asarray(g) == 0)
 
 
-@pytest.mark.parametrize("p", EXPONENTS + (-3.0, -1.0, -2.5))
-@pytest.mark.parametrize("F0", [0.0, 0.7])
+# magnets have no equilibrium without a static force
+@pytest.mark.parametrize("p, F0", [(p, F0) for p in (*EXPONENTS, -3.0, -1.0, -2.5) for F0 in (0.0, 0.7) if p > 0 or F0])
 def test_array_exponent_equals_static_exponent(p, F0):
-    if p < 0 and F0 == 0:
-        pytest.skip("magnets have no equilibrium without a static force")
     e = jnp.array([-0.4, -1e-3, 0.0, 1e-3, 0.3])
     static, free = gx.PowerLaw(1.3, p, F0), gx.PowerLaw(1.3, jnp.asarray(p), F0)
     for order in range(4):

@@ -67,7 +67,9 @@ def _free_power(s, p, k):
     value = x**p
     if k:
         value = value * jnp.log(x) ** k
-    return jnp.where(is_open, 0, value)
+    # finite, so that a factor p - 1 = 0 in front of it gives zero
+    most = jnp.finfo(value.dtype).max
+    return jnp.where(is_open, 0, jnp.clip(value, -most, most))
 
 
 def _free_power_jvp(k, primals, tangents):
