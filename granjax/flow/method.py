@@ -52,7 +52,8 @@ def checked_method(lattice, solver, step, tolerance):
     value = None if tolerance is None else concrete(tolerance)
     if value is not None and value < least:
         refuse("tolerance", f"at least {least:.1e}, what {lattice.dtype} holds", show(value), "Use a larger one.")
-    return solver, step, tolerance
+    # an array, so that another tolerance compiles nothing
+    return solver, step, None if tolerance is None else jnp.asarray(tolerance, lattice.dtype)
 
 
 def fixed_step(lattice, state, t0, t1, step, solver, frames):
@@ -92,9 +93,11 @@ def _refuse_unstable(lattice, state, t0, t1, step, solver, limit):
     leaves = (lattice, state, t0, t1, step)
     if any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(leaves)):
         return
-    if step < 4 * np.finfo(float).eps * max(abs(t0), abs(t1)):
-        refuse("step", "a step that changes the time", f"{step}", f"At t = {t1} float64 does not resolve it.")
+    if step < 4 * jnp.finfo(lattice.dtype).eps * max(abs(t0), abs(t1)):
+        refuse("step", "a step that changes the time", f"{step}", f"At t = {t1} {lattice.dtype} does not resolve it.")
     if limit is None:
+        return
+    if 0 < step * float(linear_frequency(lattice, 0)) <= limit:
         return
     omega = float(linear_frequency(lattice))
     what = "the highest linear frequency"

@@ -90,8 +90,8 @@ class Arrival(Record):
         when, q0, dq0 = carried
         q1, dq1 = end
         h = t1 - t0
-        s = _crossing(_quintic(h, (q0, dq0), middle, end), self.threshold)
         crossed = jnp.isnan(when) & (q0 < self.threshold) & (q1 >= self.threshold)
+        s = _crossing(_quintic(h, (q0, dq0), middle, end), self.threshold, crossed)
         return jnp.where(crossed, t0 + s * h, when).astype(q1.dtype), q1, dq1
 
 
@@ -161,17 +161,18 @@ def _summit(c, slope0, slope1):
     """The quintic's value where its slope, of these values at s = 0 and 1, vanishes inside the step."""
     first = _slope(c)
     second = _slope(first)
-
-    def newton(s):
-        curvature = _value(second, s)
-        return jnp.clip(s - _value(first, s) / jnp.where(curvature < 0, curvature, -jnp.inf), 0, 1)
-
     fall = slope0 - slope1
     s = jnp.clip(slope0 / jnp.where(fall > 0, fall, jnp.inf), 0, 1)
-    return _value(c, _refined(newton, s))
+    for _ in range(NEWTON_STEPS):
+        curvature = _value(second, s)
+        curvature = jnp.where(curvature < 0, curvature, -jnp.inf)
+        s = jnp.clip(s - _value(first, s) / curvature, 0, 1)
+    s, curvature = jax.lax.stop_gradient((s, curvature))
+    # the second term is zero in value and in slope; it brings the moving place of the top into the second derivative
+    return _value(c, s) - _value(first, s) ** 2 / (2 * curvature)
 
 
-def _crossing(c, threshold):
+def _crossing(c, threshold, crossed):
     """Where the quintic crosses a threshold between s = 0 and 1, by bisection and then Newton."""
     low, high = jnp.zeros_like(c[0]), jnp.ones_like(c[0])
     for _ in range(6):
@@ -179,19 +180,12 @@ def _crossing(c, threshold):
         below = _value(c, middle) < threshold
         low, high = jnp.where(below, middle, low), jnp.where(below, high, middle)
     first = _slope(c)
-
-    def newton(s):
+    s = (low + high) / 2
+    for _ in range(NEWTON_STEPS + 1):
+        s = jax.lax.stop_gradient(s)  # of the last step alone: the implicit function's derivative
         slope = _value(first, s)
-        return jnp.clip(s - (_value(c, s) - threshold) / jnp.where(slope > 0, slope, jnp.inf), low, high)
-
-    return _refined(newton, (low + high) / 2)
-
-
-def _refined(newton, s):
-    """Newton's iteration; its last step alone is differentiated, which gives the implicit function's derivative."""
-    for _ in range(NEWTON_STEPS):
-        s = jax.lax.stop_gradient(newton(s))
-    return newton(s)
+        s = jnp.clip(s - (_value(c, s) - threshold) / jnp.where(crossed & (slope > 0), slope, jnp.inf), low, high)
+    return s
 
 
 class Recorded(diffrax.AbstractWrappedSolver):
@@ -235,7 +229,7 @@ class Recorded(diffrax.AbstractWrappedSolver):
         return y1, error, dense, (own, carried), result
 
     def _rates(self, t, y, rate, lattice):
-        t = jnp.asarray(t, float)
+        t = jnp.asarray(t)
         moving = (jnp.ones_like(t), rate)
         return {
             name: jax.jvp(lambda t, y, record=record: record.value(t, y, lattice), (t, y), moving)
@@ -250,7 +244,6 @@ class Recorded(diffrax.AbstractWrappedSolver):
         if sampled:
 
             def along(t):
-                t = jnp.asarray(t, float)
                 values = {name: lambda t, r=r: r.value(t, path.evaluate(t), lattice) for name, r in sampled.items()}
                 return {name: jax.jvp(value, (t,), (jnp.ones_like(t),)) for name, value in values.items()}
 

@@ -68,7 +68,9 @@ def simulate(
         dt, steps, choice, remark = None, None, f"adaptive steps, tolerance {_shown(tolerance)}", ""
     adjoint, limit = _adjoint(adjoint, traced, every, steps, max_steps)
 
-    span = jnp.asarray(t0, float), jnp.asarray(t1, float)
+    # diffrax raises the state to the type of the times
+    span = jnp.asarray(t0, lattice.dtype), jnp.asarray(t1, lattice.dtype)
+    dt, save_ts = (None if x is None else jnp.asarray(x, lattice.dtype) for x in (dt, save_ts))
     arguments = (dt, tolerance, save_ts, records, solver, adjoint, limit, every, progress)
     run = integrate(lattice, state, *span, *arguments)
     run = dataclasses.replace(run, solver=type(solver).__name__, choice=choice, remark=remark)
@@ -118,7 +120,7 @@ def _located(run, lattice, state, span, dt, tolerance, solver):
     """The run with where and when the state ceased to be finite: again with frames, twice closer."""
     low, high = map(float, span)
     for _ in range(2):
-        ts = jnp.linspace(low, high, 65)[1:]
+        ts = jnp.linspace(low, high, 65, dtype=lattice.dtype)[1:]
         arguments = (dt, tolerance, ts, {}, solver, diffrax.ForwardMode(), None, False, False)
         again = integrate(lattice, state, *span, *arguments)
         bad = [~np.isfinite(np.asarray(u)) for u in jax.tree.leaves(again.us)]

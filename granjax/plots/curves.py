@@ -72,7 +72,8 @@ def _curves(ax, x, y, points, labels, points_label, scale=1.0):
         name = None if labels is None else labels[i]
         ax.plot(x, y[:, i], DASHES[i % len(DASHES)], color=colour(i), lw=1.6 * scale, label=name)
     if points is not None:
-        ax.plot(*points, "o", color=COLOURS[2], ms=5 * scale, mec="white", mew=0.5 * scale, label=points_label, zorder=3)
+        style = {"ms": 5 * scale, "mec": "white", "mew": 0.5 * scale, "zorder": 3}
+        ax.plot(*points, "o", color=COLOURS[2], label=points_label, **style)
 
 
 def transmission(

@@ -129,7 +129,8 @@ def traces(
     offset = span if offset is None else float(within("offset", offset, 0, np.inf))
     ax = axes_or_new(ax, 5.2, 3.8)
     for i, name in enumerate(names):
-        ax.plot(ts, chosen[:, i] + i * offset, color=colour(i), lw=1.3, label=f"{site_label} {name}", zorder=3 - i / 1e3)
+        trace = chosen[:, i] + i * offset
+        ax.plot(ts, trace, color=colour(i), lw=1.3, label=f"{site_label} {name}", zorder=3 - i / 1e3)
     ax.set_xlabel(time_label)
     ax.set_xlim(ts[0], ts[-1])
     quantity = f"{label} ({unit})" if unit else label

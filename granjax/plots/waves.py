@@ -57,7 +57,8 @@ def _bands(record):
     omega = numbers("dispersion_record.omega", record.omega, finite=False)
     k = numbers("dispersion_record.k", record.k)
     if k.ndim != 1 or omega.ndim != 2 or len(k) != len(omega) or len(k) < 2:
-        refuse("dispersion_record", "k of shape (K,) and omega (K, bands), of a chain", f"shapes {k.shape}, {omega.shape}",
+        got = f"shapes {k.shape} and {omega.shape}"
+        refuse("dispersion_record", "k of shape (K,) and omega (K, bands), of a chain", got,
                "Draw a path through a plane's zone with plots.profile(path, omega).")
     order = np.argsort(k)
     return k[order], omega[order], int(np.prod(record.cell))

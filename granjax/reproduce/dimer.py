@@ -49,13 +49,14 @@ def compute(material, radius, striker, beads):
         "force_unit": A**0.4 * (m * striker**2) ** 0.6, "material": material, "solver": run.solver,
         "method": run.choice,
     }
+    n = np.arange(beads)
     return xr.Dataset(
         {
             "velocity": (("time", "bead"), np.asarray(run.vs), {"units": "m/s"}),
             "peak": ("bead", np.asarray(run.recorded["peak"]), {"units": "m/s"}),
             "force": ("contact", np.asarray(run.recorded["force"]), {"units": "N"}),
         },
-        {"time": ("time", np.asarray(run.ts), {"units": "s"}), "bead": np.arange(beads), "contact": np.arange(beads - 1)},
+        {"time": ("time", np.asarray(run.ts), {"units": "s"}), "bead": n, "contact": n[:-1]},
         attributes,
     )
 

@@ -32,7 +32,7 @@ def figures():
 
 
 def figure(label):
-    """The figure of a label. **Raises** ValueError for an unknown label, suggesting the nearest, or one not made yet."""
+    """The figure of a label. **Raises** ValueError for an unknown label, naming the nearest, or one not made yet."""
     found = _BY_LABEL[one_of("figure", label, _LABELS)]
     if isinstance(found, Awaited):
         refuse("figure", f"one that is made ({', '.join(made())})", repr(label),

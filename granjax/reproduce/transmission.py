@@ -52,8 +52,9 @@ FIGURES = (
     Figure(
         label="fig2.2",
         title="Transmitted force of a dimer chain over the mass ratio",
-        caption="A striker like the heavy beads hits a 1:1 dimer chain without precompression; largest force on the rigid "
-        "wall at its far end, relative to the monomer's. Between 0.55 and 0.594 a second pulse brings it. Dotted: the literature's asymptotic anti-resonances.",
+        caption="A striker like the heavy beads hits a 1:1 dimer chain without precompression; largest force on the "
+        "rigid wall at its far end, relative to the monomer's. Between 0.55 and 0.594 a second pulse brings it. "
+        "Dotted: the literature's asymptotic anti-resonances.",
         compute=compute,
         draw=_draw,
         number=lambda data: deepest(data)[1],
