@@ -28,7 +28,16 @@ NYSTROM = (RKN86, RKN1210)
 ALL_SOLVERS = SPLITTING + NYSTROM
 by_name = pytest.mark.parametrize("solver", ALL_SOLVERS, ids=lambda s: s.__name__)
 splittings = pytest.mark.parametrize("solver", SPLITTING, ids=lambda s: s.__name__)
+def mostly_slow(solvers, *fast):
+    """The solvers share their code: some stand for all in the fast set."""
+    marked = [s if s in fast else pytest.param(s, marks=pytest.mark.slow) for s in solvers]
+    return pytest.mark.parametrize("solver", marked, ids=lambda s: s.__name__)
+
+
+# one that kicks first, one that drifts first, one pair
+each = mostly_slow(ALL_SOLVERS, SRKN11b, SRKN14a, RKN86)
 pairs = pytest.mark.parametrize("solver", NYSTROM, ids=lambda s: s.__name__)
+pair = mostly_slow(NYSTROM, RKN86)
 
 N = 10
 
@@ -144,7 +153,7 @@ def monodromy(solver, lattice, y, t1, step):
     return np.asarray(jax.jit(jax.jacfwd(flow))(jnp.concatenate(list(y))))
 
 
-@splittings
+@mostly_slow(SPLITTING, SRKN11b, SRKN14a, SofroniouSpaletta10)
 def test_symplectic(solver):
     M = monodromy(solver, chain(), smooth(), 2.0, 0.25)
     J = symplectic_form(N)
@@ -182,7 +191,7 @@ def test_time_reversible(solver):
     assert np.abs(flat(end) - flat(start)).max() > 0.1
 
 
-@splittings
+@mostly_slow(SPLITTING, VelocityVerlet, SRKN6b, SRKN11b, SRKN14a)
 def test_stability_limit(solver):
     # the first interval of instability may be narrow and weak (SRKN11b: 3e-4 wide, growth 4e-4 a step)
     def oscillator(t, y, args):
@@ -194,7 +203,7 @@ def test_stability_limit(solver):
 
     limit = solver.stability_limit()
     assert amplitude(limit * (1 - 1.4e-4)) < 1e3
-    assert amplitude(limit * (1 + 1.4e-4)) > 1e5
+    assert not amplitude(limit * (1 + 1.4e-4)) < 1e5  # infinite or NaN where it grows fast
 
 
 def test_stability_limit_of_verlet():
@@ -240,7 +249,7 @@ def plain_chain(t, y, args):
     return gx.State(v, force[:-1] - force[1:])
 
 
-@by_name
+@each
 def test_plain_field_equals_lattice(solver):
     ours = flat(last(solve(solver(), smooth(), 2.0, 0.25, chain())))
     plain = flat(last(solve(solver(), smooth(), 2.0, 0.25, None, plain_chain)))
@@ -373,10 +382,9 @@ SHORT = 8.0
 
 
 def dense_errors(solver, count, times, reference):
-    """Largest errors in u and v over all times between the steps."""
-    options = {"saveat": diffrax.SaveAt(ts=times)}
-    found = solve(solver(), smooth(), SHORT, SHORT / count, chain(), **options).ys
-    return [np.abs(a - b).max() for a, b in zip(found, reference)]
+    """Errors in u and v by time, steps and places between them."""
+    found = solve(solver(), smooth(), SHORT, SHORT / count, chain(), saveat=diffrax.SaveAt(ts=times)).ys
+    return np.array([np.abs(a - b).max(1) for a, b in zip(found, reference)])
 
 
 @pytest.fixture(scope="module")
@@ -392,10 +400,9 @@ def test_dense_output_is_as_good_as_the_steps(solver, counts, between):
     times, reference = between
     within, at_steps = [], []
     for n in counts:
-        within.append(dense_errors(solver, n, times, reference))
-        stride = 288 // n
-        found = solve(solver(), smooth(), SHORT, SHORT / n, chain(), saveat=diffrax.SaveAt(ts=times[::stride])).ys
-        at_steps.append([np.abs(a - b[::stride]).max() for a, b in zip(found, reference)])
+        errors = dense_errors(solver, n, times, reference)
+        within.append(errors.max(1))
+        at_steps.append(errors[:, :: 288 // n].max(1))
     # measured ratios: u 1.0 to 1.8, v 1.0 to 5 (12(10) at its smallest steps)
     ratios = np.array(within) / np.array(at_steps)
     assert ratios[:, 0].max() < 2 and ratios[:, 1].max() < {RKN86: 1.2, RKN1210: 6}[solver]
@@ -406,11 +413,11 @@ def test_dense_output_is_as_good_as_the_steps(solver, counts, between):
 def test_dense_output_of_splittings_has_order_six(between):
     times, reference = between
     counts = np.array([40, 56, 80])
-    errors = np.array([dense_errors(KahanLi8, n, times, reference) for n in counts])
+    errors = np.array([dense_errors(KahanLi8, n, times, reference).max(1) for n in counts])
     assert slope(1 / counts, errors[:, 0]) > 5.5 and slope(1 / counts, errors[:, 1]) > 4.7
 
 
-@by_name
+@each
 def test_dense_output_meets_the_ends_and_runs_backwards(solver):
     method = solver()
     forth = solve(method, smooth(), 1.0, 0.25, chain(), saveat=diffrax.SaveAt(t1=True, dense=True), max_steps=8)
@@ -425,7 +432,7 @@ def test_dense_output_meets_the_ends_and_runs_backwards(solver):
     assert np.abs(flat(back.interpolation.evaluate(0.6)) - flat(middle)).max() < close
 
 
-@pairs
+@pair
 def test_nobody_pays_for_dense_output_that_is_not_read(solver):
     def roots(**options):
         run = jax.jit(lambda y: solve(solver(), y, 2.0, 0.25, chain(), **options).ys)
@@ -440,7 +447,7 @@ def test_nobody_pays_for_dense_output_that_is_not_read(solver):
 @pairs
 def test_tolerance_is_kept(solver, between):
     times, reference = between
-    for tolerance in (1e-6, 1e-10):
+    for tolerance in jnp.asarray([1e-6, 1e-10]):
         found = solve(
             solver(), smooth(), SHORT, None, chain(), saveat=diffrax.SaveAt(ts=times),
             stepsize_controller=diffrax.PIDController(rtol=tolerance, atol=tolerance),
@@ -449,7 +456,7 @@ def test_tolerance_is_kept(solver, between):
         assert found.stats["num_rejected_steps"] < 0.3 * found.stats["num_steps"]
 
 
-@pairs
+@pair
 def test_a_jump_in_time_drops_the_kept_force(solver):
     # stiffness 1 before t = 1 and 3 after: u = cos(1) cos(w s) - sin(1) sin(w s)/w, w = sqrt 3, s = t - 1
     def switched(t, y, args):
@@ -471,7 +478,7 @@ def test_a_jump_in_time_drops_the_kept_force(solver):
     assert found.stats["num_steps"] < 60
 
 
-@pairs
+@pair
 def test_contact_loss_by_small_steps(solver):
     # uncompressed chain hit at its end: energy is kept to the tolerance although contacts open
     lattice = chain(precompression=0.0, boundary="free")
@@ -485,7 +492,7 @@ def test_contact_loss_by_small_steps(solver):
 # ways to run -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("solver", (VelocityVerlet, SRKN11b, SRKN14a, RKN86, RKN1210), ids=lambda s: s.__name__)
+@each
 def test_lanes_and_vmap(solver, lanes):
     scene, y = lanes
     together = last(solve(solver(), y, 1.0, 0.125, scene))
@@ -500,7 +507,7 @@ def test_lanes_and_vmap(solver, lanes):
     assert np.abs(flat(jax.tree.map(lambda x: x[:, 0], together)) - flat(single)).max() < 1e-14
 
 
-@pairs
+@pair
 def test_adaptive_vmap(solver):
     def alone(mass):
         found = solve(
@@ -515,24 +522,21 @@ def test_adaptive_vmap(solver):
         assert np.abs(flat(jax.tree.map(lambda x: x[i], mapped)) - flat(alone(mass))).max() < 1e-13
 
 
-@by_name
+@each
 def test_float32_stays_float32(solver):
     y = jax.tree.map(lambda x: x.astype(jnp.float32), smooth())
-    times = np.linspace(0.0, 2.0, 6)
-
-    def run(y, lattice, dtype):
-        return solve(solver(), y, 2.0, 0.25, lattice, saveat=diffrax.SaveAt(ts=jnp.asarray(times, dtype))).ys
-
-    found, exact = run(y, chain().astype(jnp.float32), jnp.float32), run(smooth(), chain(), jnp.float64)
+    times = jnp.asarray([0.6, 2.0], jnp.float32)
+    found = solve(solver(), y, 2.0, 0.25, chain().astype(jnp.float32), saveat=diffrax.SaveAt(ts=times)).ys
+    exact = last(solve(solver(), smooth(), 2.0, 0.25, chain()))
     assert found.u.dtype == found.v.dtype == jnp.float32
-    assert np.abs(flat(found) - flat(exact)).max() < 5e-6
+    assert np.abs(flat(jax.tree.map(lambda x: x[-1], found)) - flat(exact)).max() < 2e-6
 
 
 def observed(solver, stiffness, u, adjoint, **options):
     """A number from two times inside a solve."""
     lattice = gx.Lattice(jnp.ones(N), (gx.Bond(gx.Shift(1), gx.Hertz(stiffness, precompression=1.0)),))
     found = solve(
-        solver, gx.State(u, smooth().v), 1.0, 0.25, lattice, adjoint=adjoint, max_steps=16,
+        solver, gx.State(u, smooth().v), 1.0, 0.25, lattice, adjoint=adjoint, max_steps=64 if options else 4,
         saveat=diffrax.SaveAt(ts=jnp.asarray([0.33, 1.0])), **options,
     )
     return jnp.sum(found.ys.u * jnp.arange(1.0, N + 1)) + jnp.sum(found.ys.v**2)
@@ -542,7 +546,7 @@ PLACE = (jnp.asarray(1.1), smooth().u)
 DIRECTION = (jnp.asarray(0.7), jnp.cos(jnp.arange(N) * 1.0))
 
 
-@pytest.mark.parametrize("solver", (SRKN11b, RKN86), ids=lambda s: s.__name__)
+@mostly_slow((SRKN11b, RKN86, RKN1210), RKN86)
 def test_forward_and_reverse_derivatives_agree(solver):
     def value(adjoint):
         return jax.jit(lambda k, u: observed(solver(), k, u, adjoint))
@@ -553,9 +557,9 @@ def test_forward_and_reverse_derivatives_agree(solver):
 
 
 @pytest.mark.parametrize("solver, options", (
-    (SRKN11b, {}), (RKN86, {}),
-    (RKN86, {"stepsize_controller": diffrax.PIDController(rtol=1e-9, atol=1e-9)}), (RKN1210, {}),
-), ids=("SRKN11b", "RKN86", "RKN86 adaptive", "RKN1210"))
+    (SRKN11b, {}), (RKN86, {"stepsize_controller": diffrax.PIDController(rtol=1e-9, atol=1e-9)}),
+    pytest.param(RKN86, {}, marks=pytest.mark.slow), pytest.param(RKN1210, {}, marks=pytest.mark.slow),
+), ids=("SRKN11b", "RKN86 adaptive", "RKN86", "RKN1210"))
 def test_derivative_is_that_of_finite_differences(solver, options):
     def along(s):
         k, u = (x + s * d for x, d in zip(PLACE, DIRECTION))

@@ -8,7 +8,7 @@ from .lanes import LANES, checked_ratios, peak_forces
 # beads behind the last contact that is read, so that the free end is not felt there
 MARGIN = 12
 # of the bracket, relative to its centre, within which a quartic represents the rate
-FIT_WIDTH = 0.02
+FIT_WIDTH = 0.01
 
 
 def contact_forces(ratios, contacts, *, progress=False):
@@ -61,7 +61,7 @@ def anti_resonance(low, high, *, contacts=(200, 600), progress=False):
     """Mass ratio between `low` and `high` at which the leading pulse does not decay: zero of the asymptotic decay rate.
 
     The rate touches zero there from above, so it is sought as the rate's minimum: by grids of sixteen ratios until
-    the bracket is within 2 % of its centre, then as the minimum of a quartic through such a grid.
+    the bracket is within 1 % of its centre, then as the minimum of a quartic through such a grid.
 
     **Arguments:** `low` < `high`, in (0, 1], around one anti-resonance; `contacts`: where the decay is read, as in
     `decay_rate`; further down the chain is closer to the limit; `progress`: a progress bar.

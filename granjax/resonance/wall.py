@@ -52,7 +52,7 @@ def transmission(ratios, beads=101, *, run_time=None, progress=False):
 
     - `ratios`: mass ratios light over heavy in (0, 1], (n,).
     - `beads`: N >= 3 moving beads. A wall also stands behind bead 0, which only its rebound meets.
-    - `run_time`: until when the wall is watched [sqrt-free units of A = m = v = 1]; `None` takes 1.5 N + 10, after the
+    - `run_time`: until when the wall is watched [in units (m^2/(A^2 v))^(1/5)]; `None` takes 1.5 N + 10, after the
       leading pulse has been reflected at every ratio.
     - `progress`: a progress bar.
 
@@ -102,27 +102,23 @@ def refine(sweep, *, accuracy=1e-4, progress=False):
     found, signs = inner[signs != 0], signs[signs != 0]
     x, T = ratios[found], values[found]
     if len(found):
-        x, T = _narrowed(sweep, ratios[found - 1], x, ratios[found + 1], T, signs, accuracy, progress)
+        x, T = _narrowed(sweep, ratios[found - 1], ratios[found + 1], signs, accuracy, progress)
     if ratios[-1] == 1 and values[-1] > values[-2]:
         x, T, signs = np.append(x, 1.0), np.append(T, values[-1]), np.append(signs, 1)
     return Extrema(x[signs < 0], T[signs < 0], x[signs > 0], T[signs > 0])
 
 
-def _narrowed(sweep, low, middle, high, T, signs, accuracy, progress):
-    """Extrema within brackets low < middle < high, and the transmission there."""
-    each = np.arange(len(middle))
-    fractions = np.arange(1, LANES + 1) / (LANES + 1)
-    while (high - low).max() > 2 * accuracy:
+def _narrowed(sweep, low, high, signs, accuracy, progress):
+    """Extrema within brackets, and the transmission there.
+
+    Each bracket is one chunk of lanes, so that its points share a step and the error of the step does not order them.
+    """
+    each, fractions = np.arange(len(low)), np.arange(1, LANES + 1) / (LANES + 1)
+    while True:
         points = low[:, None] + (high - low)[:, None] * fractions
         forces = _wall_forces(points.ravel(), sweep.beads, sweep.run_time, progress).reshape(points.shape)
-        points = np.concatenate([low[:, None], points, middle[:, None], high[:, None]], axis=1)
-        # the ends were worse than the middle
-        worse = np.full((len(middle), 1), -np.inf)
-        heights = signs[:, None] * np.concatenate([forces / sweep.reference, T[:, None]], axis=1)
-        heights = np.concatenate([worse, heights, worse], axis=1)
-        order = np.argsort(points, axis=1)
-        points, heights = np.take_along_axis(points, order, 1), np.take_along_axis(heights, order, 1)
-        best = heights.argmax(axis=1)
-        low, middle, high = points[each, best - 1], points[each, best], points[each, best + 1]
-        T = signs * heights[each, best]
-    return middle, T
+        best = np.argmax(signs[:, None] * forces, axis=1)
+        points = np.concatenate([low[:, None], points, high[:, None]], axis=1)
+        low, middle, high = points[each, best], points[each, best + 1], points[each, best + 2]
+        if (high - low).max() <= 2 * accuracy:
+            return middle, forces[each, best] / sweep.reference

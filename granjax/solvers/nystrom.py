@@ -230,7 +230,8 @@ def _dense(cls, step, k, kept):
 
     leaves = [leaf(*x) for x in zip(*map(jax.tree.leaves, (k, inner, rise, gain)))]
     coefficients = tuple(jax.tree.structure(k).unflatten(x) for x in zip(*leaves))
-    return dict(y0=step.y0, quintic=coefficients[:4], inside=coefficients[4:], direction=jnp.asarray(step.direction))
+    direction = jnp.asarray(step.direction, step.h.dtype)
+    return dict(y0=step.y0, quintic=coefficients[:4], inside=coefficients[4:], direction=direction)
 
 
 @cache
