@@ -45,7 +45,8 @@ def parameter(argument, x):
             with jax.ensure_compile_time_eval():
                 array = jnp.asarray(raw, dtype=float)
         except (TypeError, ValueError):
-            refuse(argument, "real numbers", f"{x!r} of type {type(x).__name__}", "Give a number or an array of numbers.")
+            got = f"{x!r} of type {type(x).__name__}"
+            refuse(argument, "real numbers", got, "Give a number or an array of numbers.")
     value = concrete(array)
     if value is not None and not np.all(np.isfinite(value)):
         refuse(argument, "finite numbers", show(value), "Look for NaN or infinity in what you pass.")

@@ -51,7 +51,7 @@ class StrainMap(eqx.Module):
         return law.energy(e) + law.preload * (e - linear)
 
     def split(self, bonds, u):
-        """A quantity of the bonds shared out to their sites, as |de/du| at rest weighs these; dense in bonds x sites."""
+        """A quantity of the bonds shared out to their sites as |de/du| at rest weighs these; dense, bonds x sites."""
         weights = jax.tree.map(jnp.abs, jax.jacfwd(self.strain)(jax.tree.map(jnp.zeros_like, u)))
         whole = sum(w.sum(tuple(range(bonds.ndim, w.ndim))) for w in jax.tree.leaves(weights))
         return jax.tree.map(lambda w: jnp.tensordot(bonds / whole, w, bonds.ndim), weights)

@@ -17,7 +17,6 @@ from granjax.solvers import (
     SRKN11b,
     SRKN14a,
     VelocityVerlet,
-    tables,
 )
 from granjax.solvers.interpolation import Bootstrapped, QuinticHermite, correction, quintic
 from granjax.solvers.nystrom import _stages

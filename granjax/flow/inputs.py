@@ -18,7 +18,8 @@ def checked_state(lattice, state):
     for name, x in zip(("u", "v"), state):
         if isinstance(template, dict) != isinstance(x, dict) or (isinstance(x, dict) and set(x) != set(template)):
             got = f"fields {sorted(x)}" if isinstance(x, dict) else "an array"
-            refuse(f"state.{name}", f"{f'fields {sorted(template)}' if isinstance(template, dict) else 'an array'}", got)
+            wanted = f"fields {sorted(template)}" if isinstance(template, dict) else "an array"
+            refuse(f"state.{name}", wanted, got)
         if isinstance(x, dict):
             out.append({k: _checked_array(f"state.{name}[{k!r}]", x[k], template[k], lattice) for k in template})
         else:
@@ -40,7 +41,8 @@ def _checked_array(name, x, template, lattice):
         )
     value = concrete(x)
     if value is not None and not np.isfinite(value).all():
-        refuse(name, "finite numbers", f"{np.count_nonzero(~np.isfinite(value))} that are not", "Look for NaN or infinity.")
+        count = np.count_nonzero(~np.isfinite(value))
+        refuse(name, "finite numbers", f"{count} that are not", "Look for NaN or infinity.")
     return jnp.asarray(x)
 
 

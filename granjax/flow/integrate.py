@@ -11,7 +11,6 @@ from .record import Lowest, Recorded
 from .run import COMPLETED, FAILED, NOT_FINITE, STEP_TOO_SMALL, TOO_MANY_STEPS, Run, finite
 from .stiffness import frequency_bound
 
-
 # the record beside the user's own that says whether a contact opened
 _CLOSEST = "closest overlap"
 
@@ -53,9 +52,8 @@ def integrate(
         "force_evaluations": steps * evaluations,
     }
     code = _code(solution.result, final)
-    return Run(
-        ts, ys.u, ys.v, final, recorded, _energy_error(lattice, state, t0, ts, ys), opened, code, None, stats, "", "", "",
-    )
+    energy_error = _energy_error(lattice, state, t0, ts, ys)
+    return Run(ts, ys.u, ys.v, final, recorded, energy_error, opened, code, None, stats, "", "", "")
 
 
 def _ready(solver, adjoint):

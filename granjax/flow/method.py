@@ -45,7 +45,8 @@ def checked_method(lattice, solver, step, tolerance):
     if isinstance(solver, (RKN86, RKN1210)):
         acceleration_only(lattice)
     if tolerance is not None and not isinstance(solver, diffrax.AbstractAdaptiveSolver):
-        refuse("solver", "one with an error estimate for a tolerance", type(solver).__name__, "Use gx.RKN86(), or step=.")
+        wanted = "one with an error estimate for a tolerance"
+        refuse("solver", wanted, type(solver).__name__, "Use gx.RKN86(), or step=.")
     if tolerance is None and step is None and not isinstance(solver, AbstractSplitting):
         tolerance = DEFAULT_TOLERANCE if isinstance(solver, diffrax.AbstractAdaptiveSolver) else None
     least = 16 * jnp.finfo(lattice.dtype).eps
@@ -86,7 +87,9 @@ def _known(x):
 
 def _ceil(x):
     # a few ulp of slack, so that 120/0.05 is 2400 and not 2401
-    return jnp.ceil(x * (1 - 1e-12)) if isinstance(x, jax.core.Tracer) else np.maximum(np.ceil(float(x) * (1 - 1e-12)), 1)
+    if isinstance(x, jax.core.Tracer):
+        return jnp.maximum(jnp.ceil(x * (1 - 1e-12)), 1)
+    return np.maximum(np.ceil(float(x) * (1 - 1e-12)), 1)
 
 
 def _refuse_unstable(lattice, state, t0, t1, step, solver, limit):

@@ -50,7 +50,8 @@ class Run(eqx.Module):
         t, steps = float(self.ts[-1]), int(np.max(self.stats["steps"]))
         sentence = {
             COMPLETED: f"Completed at t = {t:g} after {steps} steps.",
-            NOT_FINITE: f"The state is not finite{self._where()}: the motion left the law's domain, or the step is too long.",
+            NOT_FINITE: f"The state is not finite{self._where()}: "
+                        "the motion left the law's domain, or the step is too long.",
             TOO_MANY_STEPS: f"Stopped after {steps} steps, the most allowed; give max_steps= or a looser tolerance.",
             STEP_TOO_SMALL: "Stopped: the tolerance asks for steps below what the floating type resolves.",
             FAILED: "The solver reported a failure.",

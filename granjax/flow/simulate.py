@@ -58,7 +58,8 @@ def simulate(
     t0, t1 = checked_times(t0, t1)
     traced = any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves((lattice, state, t0, t1, step, tolerance)))
     if throw and traced:
-        refuse("throw", "None or False under a transformation", "True", "What becomes of a traced run is not known yet.")
+        remedy = "What becomes of a traced run is not known yet."
+        refuse("throw", "None or False under a transformation", "True", remedy)
     solver, step, tolerance = checked_method(lattice, solver, step, tolerance)
     save_ts, frames, every = checked_save_at(save_at, t0, t1)
     records = checked_records(record)

@@ -113,7 +113,8 @@ def _both_ways(strain_map, k, w, lattice):
         return pairs.reach_back(k * pairs.reach(w))
     size = sum(x.size for x in jax.tree.leaves(w))
     if size > DENSE_LIMIT:
-        refuse("step", "a time step", "None", f"{type(strain_map).__name__} gives no bound for {size} sites; give step=.")
+        remedy = f"{type(strain_map).__name__} gives no bound for {size} sites; give step=."
+        refuse("step", "a time step", "None", remedy)
     B = jax.tree.map(jnp.abs, jax.jacobian(strain_map.strain)(lattice.zeros()))
     _, transpose = jax.vjp(lambda w: _contract(B, w), w)
     return transpose(k * _contract(B, w))[0]
@@ -187,4 +188,5 @@ def _softens(law):
 
 def softens(lattice):
     """Whether a re-opening contact of the lattice is infinitely stiff, so that no step bound exists there."""
-    return any(_softens(getattr(term, "term", term).law) for term in lattice.terms if hasattr(getattr(term, "term", term), "law"))
+    bare = [getattr(term, "term", term) for term in lattice.terms]
+    return any(_softens(term.law) for term in bare if hasattr(term, "law"))

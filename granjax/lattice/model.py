@@ -88,7 +88,8 @@ class Lattice(eqx.Module):
             except KeyError as error:
                 refuse(name, f"fields among {sorted(self.fields or ())}", str(error), "Check the names of the fields.")
             except (TypeError, ValueError, IndexError, AttributeError) as error:
-                refuse(name, f"parameters that fit a lattice of shape {self.shape}", f"an error: {str(error).rstrip('.')}")
+                wanted = f"parameters that fit a lattice of shape {self.shape}"
+                refuse(name, wanted, f"an error: {str(error).rstrip('.')}")
             wanted = u if not isinstance(got, dict) or self.fields is None else {k: u[k] for k in got}
             same = jax.tree.structure(got) == jax.tree.structure(wanted)
             if not same or any(a.shape != b.shape for a, b in zip(jax.tree.leaves(got), jax.tree.leaves(wanted))):

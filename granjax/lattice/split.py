@@ -23,7 +23,8 @@ class PlainSplit(eqx.Module):
 
     def start(self, t, y):
         u, v = y
-        return jax.tree.map(jnp.divide, self.lattice.sum_forces(t, u, v, _without_velocity(self.lattice)), self.lattice.mass)
+        forces = self.lattice.sum_forces(t, u, v, _without_velocity(self.lattice))
+        return jax.tree.map(jnp.divide, forces, self.lattice.mass)
 
     def enter(self, y, cache):
         u, v = y

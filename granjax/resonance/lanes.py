@@ -54,7 +54,8 @@ def _followed(waiting, progress):
         return waiting
     from tqdm import tqdm
 
-    return tqdm(waiting, desc="mass ratios", unit="chunk", leave=False)
+    # no bar where nobody watches
+    return tqdm(waiting, desc="mass ratios", unit="chunk", leave=False, disable=None)
 
 
 @cache

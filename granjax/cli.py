@@ -1,0 +1,215 @@
+"""The command line: `granjax resonance`, `granjax reproduce`.
+
+Results go to standard output, everything else to standard error. Exit codes: 0; 1 where a computation failed or a
+figure disagrees; 2 for input that cannot be meant, with a sentence.
+"""
+
+import argparse
+import json
+import os
+import sys
+from pathlib import Path
+
+import granjax as gx
+
+from .checks import refuse, whole
+
+LEAST_RATIOS = 3
+LOWEST_RATIO = 0.05
+DEFINITION = (
+    "largest force on a rigid wall behind a struck 1:1 dimer chain (heavy bead first, Hertz contacts, no "
+    "precompression) over that of the monomer chain"
+)
+
+
+def main(argv=None):
+    """Run a command; `argv` without the program's name, `None` for that of the process. Returns the exit code."""
+    try:
+        arguments = _parser().parse_args(argv)
+        if arguments.command is None:
+            _parser().print_help()
+            return 0
+        _prepare()
+        return arguments.command(arguments)
+    except (ValueError, OSError) as error:
+        return _failed(error, 2)
+    except RuntimeError as error:
+        return _failed(error, 1)
+    except KeyboardInterrupt:
+        return _failed("interrupted", 130)
+
+
+def _failed(error, code):
+    print(f"granjax: {error}", file=sys.stderr)
+    return code
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message):
+        raise ValueError(f"{message}. See {self.prog} --help.")
+
+
+def _parser():
+    parser = _Parser(prog="granjax", description="Differentiable simulator of nonlinear lattices on JAX.")
+    parser.add_argument("--version", action="version", version=f"granjax {gx.__version__}")
+    parser.set_defaults(command=None)
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND")
+
+    text = "Transmission of a struck dimer chain to a wall over the mass ratio: picture, data, resonances."
+    resonance = commands.add_parser("resonance", help=text, description=text)
+    resonance.add_argument("--beads", type=int, default=101, help="beads of the chain, 3 or more (default: 101)")
+    resonance.add_argument(
+        "--ratios", type=int, default=200, metavar="N",
+        help=f"mass ratios in ({LOWEST_RATIO:g}, 1], {LEAST_RATIOS} or more (default: 200)",
+    )
+    resonance.add_argument(
+        "--out", default=".", metavar="PLACE",
+        help="folder for resonance.png and resonance.nc, or a path ending in .png or .nc for other names",
+    )
+    resonance.add_argument("--json", action="store_true", help="print one JSON object instead of a table")
+    resonance.set_defaults(command=_resonance)
+
+    text = "Figures of Chong and Kevrekidis, Dynamics of Nonlinear Lattices: picture, data, one number to check."
+    reproduce = commands.add_parser("reproduce", help=text, description=text)
+    reproduce.add_argument("figures", nargs="*", metavar="FIGURE", help="labels such as fig2.2")
+    reproduce.add_argument("--list", action="store_true", help="list the figures and stop")
+    reproduce.add_argument("--all", action="store_true", help="all figures that are made")
+    reproduce.add_argument("--check", action="store_true", help="compare the numbers; exit code 1 where one disagrees")
+    reproduce.add_argument(
+        "--out", metavar="DIR", help="folder for pictures and data (default: current folder; none with --check)"
+    )
+    reproduce.add_argument(
+        "--set", action="append", default=[], metavar="NAME=VALUE", help="another value of a chosen parameter"
+    )
+    reproduce.set_defaults(command=_reproduce)
+    return parser
+
+
+def _prepare():
+    """XLA's flags and one device per core, before JAX's first computation."""
+    import jax
+
+    tuning = gx.tune()
+    if not tuning.complete and os.environ.get("GRANJAX_TUNE", "1") != "0":
+        print(f"granjax: {tuning.message}", file=sys.stderr)
+    chosen = "xla_force_host_platform_device_count" in tuning.flags or jax.config.jax_num_cpu_devices > 0
+    if not chosen:
+        try:
+            jax.config.update("jax_num_cpu_devices", _cores())
+        except RuntimeError:
+            print("granjax: JAX has started already, so the cores stay as they are shared.", file=sys.stderr)
+
+
+def _cores():
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _resonance(arguments):
+    import numpy as np
+
+    count = whole("--ratios", arguments.ratios, LEAST_RATIOS, "An extremum lies between two others.")
+    beads = whole("--beads", arguments.beads, 3, "A dimer chain between walls.")
+    picture, data = _places(arguments.out)
+    ratios = np.linspace(LOWEST_RATIO, 1, count + 1)[1:]
+    sweep = gx.resonance.transmission(ratios, beads, progress=True)
+    extrema = gx.resonance.refine(sweep, progress=True)
+    _draw(sweep, extrema, picture)
+    _write(sweep, extrema, data)
+    if arguments.json:
+        columns = {
+            "mass_ratio": sweep.mass_ratio, "transmission": sweep.transmission,
+            "resonances": extrema.resonances, "anti_resonances": extrema.anti_resonances,
+        }
+        print(json.dumps({name: column.tolist() for name, column in columns.items()}))
+    else:
+        print("\n".join(_table(sweep, extrema)))
+        print(f"Written: {picture}, {data}")
+    return 0
+
+
+def _places(out):
+    """Paths of picture and data; their folder is made where it is missing."""
+    stem = Path(out).with_suffix("") if Path(out).suffix in (".png", ".nc") else Path(out) / "resonance"
+    try:
+        stem.parent.mkdir(parents=True, exist_ok=True)
+        reason = "" if os.access(stem.parent, os.W_OK | os.X_OK) else "no permission to write"
+    except OSError as error:
+        reason = error.strerror
+    if reason:
+        refuse("--out", "a folder that can be made and written", f"{str(stem.parent)!r} ({reason})")
+    return Path(f"{stem}.png"), Path(f"{stem}.nc")
+
+
+def _draw(sweep, extrema, path):
+    with gx.plots.style():
+        canvas = gx.plots.figure(6.4, 4.0)
+        gx.plots.transmission(
+            sweep.mass_ratio, sweep.transmission, canvas.subplots(),
+            resonances=extrema.resonances, anti_resonances=extrema.anti_resonances,
+        )
+        gx.plots.save(canvas, path)
+
+
+def _write(sweep, extrema, path):
+    import xarray as xr
+
+    data = xr.Dataset(
+        {
+            "transmission": ("mass_ratio", sweep.transmission, {"units": "1", "long_name": DEFINITION}),
+            "peak_force": (
+                "mass_ratio", sweep.peak_force,
+                {"units": "A^(2/5) (m v^2)^(3/5)", "long_name": "largest force on the wall"},
+            ),
+            "resonances": ("resonance", extrema.resonances, {"units": "1", "long_name": "local minima"}),
+            "resonance_transmission": ("resonance", extrema.resonance_transmission, {"units": "1"}),
+            "anti_resonances": ("anti_resonance", extrema.anti_resonances, {"units": "1", "long_name": "local maxima"}),
+            "anti_resonance_transmission": ("anti_resonance", extrema.anti_resonance_transmission, {"units": "1"}),
+        },
+        {"mass_ratio": ("mass_ratio", sweep.mass_ratio, {"units": "1", "long_name": "light mass over heavy mass"})},
+        {
+            "beads": sweep.beads, "definition": DEFINITION, "granjax_version": gx.__version__,
+            "units": "mass of the heavy bead m = 1, contact stiffness A = 1, striker's velocity v = 1",
+            "monomer_force": sweep.reference, "run_time": sweep.run_time,
+        },
+    )
+    data.to_netcdf(path, engine="h5netcdf")
+
+
+def _table(sweep, extrema):
+    yield f"Dimer chain of {sweep.beads} beads and a wall, {len(sweep.mass_ratio)} mass ratios."
+    yield "mass ratio  transmission"
+    rows = [(x, T, "resonance") for x, T in zip(extrema.resonances, extrema.resonance_transmission)]
+    rows += [(x, T, "anti-resonance") for x, T in zip(extrema.anti_resonances, extrema.anti_resonance_transmission)]
+    for x, T, kind in sorted(rows):
+        yield f"{x:10.4f}  {T:12.4f}  {kind}"
+    known = ", ".join(f"{x:g}" for x in gx.resonance.ANTI_RESONANCES)
+    yield f"Literature: first resonance {gx.resonance.FIRST_RESONANCE:g}; anti-resonances {known}."
+    yield (
+        "Those anti-resonances are zeros of the asymptotic decay rate, which the maxima of a chain of "
+        f"{sweep.beads} beads have not reached yet; gx.resonance.anti_resonance(low, high) finds them."
+    )
+
+
+def _reproduce(arguments):
+    if arguments.list:
+        print(gx.reproduce.listing())
+        return 0
+    if bool(arguments.figures) == arguments.all:
+        refuse("FIGURE", "labels of figures, or --all", "both" if arguments.all else "neither", "--list shows them.")
+    out = arguments.out
+    if out is None and not arguments.check:
+        out = "."
+    results = gx.reproduce.run(
+        arguments.figures or None, out, arguments.check, gx.plots, dict(map(_setting, arguments.set))
+    )
+    for result in results:
+        print(result)
+    return int(any(result.error or arguments.check and result.passed is False for result in results))
+
+
+def _setting(text):
+    name, equals, value = text.partition("=")
+    if not name or not equals or not value:
+        refuse("--set", "NAME=VALUE", repr(text))
+    return name, value
