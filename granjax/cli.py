@@ -142,11 +142,13 @@ def _places(out):
 
 
 def _draw(sweep, extrema, path):
+    # the extrema among the points, so that cusps are sharp
+    ratios = [*sweep.mass_ratio, *extrema.resonances, *extrema.anti_resonances]
+    values = [*sweep.transmission, *extrema.resonance_transmission, *extrema.anti_resonance_transmission]
     with gx.plots.style():
         canvas = gx.plots.figure(6.4, 4.0)
         gx.plots.transmission(
-            sweep.mass_ratio, sweep.transmission, canvas.subplots(),
-            resonances=extrema.resonances, anti_resonances=extrema.anti_resonances,
+            ratios, values, canvas.subplots(), resonances=extrema.resonances, anti_resonances=extrema.anti_resonances
         )
         gx.plots.save(canvas, path)
 

@@ -1,4 +1,4 @@
-"""The leading pulse in a long dimer chain: peak contact forces, rate of decay, and the ratios where it does not decay."""
+"""The leading pulse in a long dimer chain: peak contact forces, rate of decay, and the ratios where that is zero."""
 
 import numpy as np
 
@@ -33,8 +33,8 @@ def decay_rate(ratios, contacts=(200, 600), *, progress=False):
 
     It is zero at anti-resonances and positive between them, up to the error of the step (1e-9).
 
-    **Arguments:** `ratios`: light over heavy, in (0, 1], (n,); `contacts`: (a, b), a < b, both even or both odd, counted
-    from 0; `progress`: a progress bar.
+    **Arguments:** `ratios`: light over heavy, in (0, 1], (n,); `contacts`: (a, b), a < b, both even or both odd,
+    counted from 0; `progress`: a progress bar.
 
     **Returns:** a NumPy array (n,). **Raises** ValueError for ratios outside (0, 1], or contacts that are not such a
     pair. Source: Jayaprakash, Starosvetsky, Vakakis, Phys. Rev. E 83, 036606 (2011).

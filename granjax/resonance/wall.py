@@ -56,7 +56,7 @@ def transmission(ratios, beads=101, *, run_time=None, progress=False):
       leading pulse has been reflected at every ratio.
     - `progress`: a progress bar.
 
-    Fixed steps with h omega_max = 1/2: relative error of T below 1e-6 at 101 beads.
+    Fixed steps with h omega_max = 1/2: relative error of T at 101 beads 1e-6, near 0.587 up to 6e-6.
 
     **Returns:** `Transmission`; NaN where a run did not complete. **Raises** ValueError for ratios outside (0, 1] or
     N < 3. Typical: N = 101, T = 0.21 at 0.595.
@@ -93,7 +93,7 @@ def refine(sweep, *, accuracy=1e-4, progress=False):
     ratios, first = np.unique(sweep.mass_ratio, return_index=True)
     values = np.asarray(sweep.transmission)[first]
     if len(ratios) < 3:
-        refuse("sweep", "at least three different mass ratios", f"{len(ratios)}", "An extremum lies between two others.")
+        refuse("sweep", "at least three different mass ratios", f"{len(ratios)}", "An extremum has two neighbours.")
     if not np.isfinite(values).all():
         refuse("sweep", "a transmission at every ratio", f"{np.count_nonzero(~np.isfinite(values))} that are NaN")
     inner = np.arange(1, len(ratios) - 1)

@@ -202,36 +202,40 @@ def _write(k, a, i):
 
 
 def _sum(weights, k, h, power):
-    """h^power sum weights_j k_j, of those weights that are not zero."""
+    """h^power sum weights_j k_j over the first axis."""
+    return jax.tree.map(lambda k: _weighted(weights, k, h, power), k)
+
+
+def _weighted(weights, k, h, power):
+    """The same for a sequence of arrays; weights that are zero are left out."""
     used = np.flatnonzero(weights)
-    return jax.tree.map(lambda k: h.astype(k.dtype) ** power * sum(float(weights[j]) * k[j] for j in used), k)
+    return h.astype(k[0].dtype) ** power * sum(float(weights[j]) * k[j] for j in used)
 
 
 def _dense(cls, step, k, kept):
     """What `Bootstrapped` is made from: the quintic of the ends, and accelerations inside."""
-    stages, fit = _stages(cls), correction(cls.inside)
+    fit = correction(cls.inside)
 
     def inner_force(kept, x):
         time, c, w = x
         return step.force(kept, time, step.place(k, c, w))
 
     _, inner = jax.lax.scan(inner_force, kept, (step.times(fit.nodes), fit.nodes, seeds(cls)))
-    rise, gain = _sum(stages.b, k, step.h, 2), _sum(stages.bp, k, step.h, 2)
-
-    def leaf(k, inner, rise, gain):
-        s = step.h.astype(k.dtype) ** 2
-        low = quintic(rise, gain, s * k[0], s * k[-1])
-        high = tuple(
-            s * sum(float(w) * a.astype(k.dtype) for w, a in zip(take, inner))
-            - sum(float(w) * c for w, c in zip(less, low))
-            for take, less in zip(fit.take, fit.less)
-        )
-        return low + high
-
-    leaves = [leaf(*x) for x in zip(*map(jax.tree.leaves, (k, inner, rise, gain)))]
-    coefficients = tuple(jax.tree.structure(k).unflatten(x) for x in zip(*leaves))
+    coefficients = tuple(
+        jax.tree.map(lambda k, a: _weighted(row, [*k, *a.astype(k.dtype)], step.h, 2), k, inner)
+        for row in _polynomial(cls)
+    )
     direction = jnp.asarray(step.direction, step.h.dtype)
     return dict(y0=step.y0, quintic=coefficients[:4], inside=coefficients[4:], direction=direction)
+
+
+@cache
+def _polynomial(cls):
+    """Weights over the forces of the step and of the inner places: one row per coefficient of `Bootstrapped`."""
+    stages, fit = _stages(cls), correction(cls.inside)
+    ends = np.eye(len(stages.c))[[0, -1]]
+    low = np.stack(quintic(stages.b, stages.bp, *ends))
+    return np.block([[low, np.zeros((4, cls.inside))], [-fit.less @ low, fit.take]])
 
 
 @cache

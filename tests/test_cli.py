@@ -1,0 +1,158 @@
+"""The command line."""
+
+import json
+import os
+import subprocess
+import sys
+
+import matplotlib.image
+import numpy as np
+import pytest
+import xarray as xr
+
+import granjax as gx
+from granjax.cli import main
+
+SMALL = ["resonance", "--beads", "11", "--ratios", "12"]
+
+
+def command(*arguments, cwd, **environment):
+    """`python -m granjax` in a fresh process."""
+    return subprocess.run(
+        [sys.executable, "-m", "granjax", *arguments], capture_output=True, text=True, cwd=cwd,
+        env={**os.environ, **environment}, check=False,
+    )
+
+
+def test_resonance_from_a_shell(tmp_path):
+    done = command(*SMALL, "--json", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    result = json.loads(done.stdout)
+    assert set(result) == {"mass_ratio", "transmission", "resonances", "anti_resonances"}
+    np.testing.assert_allclose(result["mass_ratio"], np.linspace(0.05, 1, 13)[1:])
+    assert result["transmission"][-1] == 1.0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["resonance.nc", "resonance.png"]
+    assert matplotlib.image.imread(tmp_path / "resonance.png").shape[2] in (3, 4)
+    with xr.open_dataset(tmp_path / "resonance.nc", engine="h5netcdf") as data:
+        np.testing.assert_array_equal(data["mass_ratio"], result["mass_ratio"])
+        np.testing.assert_array_equal(data["transmission"], result["transmission"])
+        np.testing.assert_array_equal(data["resonances"], result["resonances"])
+        assert data.attrs["beads"] == 11
+        assert data.attrs["granjax_version"] == gx.__version__
+        assert "monomer" in data.attrs["definition"]
+        assert "A = 1" in data.attrs["units"]
+
+
+def test_the_command_makes_a_device_of_every_core(tmp_path):
+    code = "import jax; from granjax.cli import _cores, _prepare; _prepare(); print(jax.device_count() == _cores())"
+    environment = {k: v for k, v in os.environ.items() if k != "JAX_NUM_CPU_DEVICES"}
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, env=environment, check=False
+    )
+    assert done.stdout.strip() == "True", done.stderr
+
+
+def test_resonance_prints_a_table(tmp_path, capsys):
+    assert main([*SMALL, "--out", str(tmp_path / "made" / "here")]) == 0
+    out = capsys.readouterr().out
+    assert "Dimer chain of 11 beads and a wall, 12 mass ratios." in out
+    assert "0.3428" in out and "asymptotic" in out
+    assert (tmp_path / "made" / "here" / "resonance.png").is_file()
+
+
+def test_out_may_name_the_files(tmp_path):
+    assert main([*SMALL, "--json", "--out", str(tmp_path / "other.nc")]) == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["other.nc", "other.png"]
+
+
+@pytest.mark.parametrize(
+    "arguments, message",
+    [
+        (["resonance", "--beads", "2"], "--beads: expected a whole number not below 3, got 2."),
+        (["resonance", "--ratios", "2"], "--ratios: expected a whole number not below 3, got 2."),
+        (["resonance", "--beads", "many"], "invalid int value: 'many'"),
+        (["resonance", "--out", "FILE/folder"], "--out: expected a folder that can be made and written"),
+        (["resonance", "--bead-count", "2"], "unrecognized arguments"),
+        (["sing"], "invalid choice: 'sing'"),
+        (["reproduce"], "FIGURE: expected labels of figures, or --all, got neither."),
+        (["reproduce", "fig1.33"], "Did you mean"),
+        (["reproduce", "fig1.3", "--set", "sites"], "--set: expected NAME=VALUE"),
+    ],
+)
+def test_bad_input_is_one_sentence_and_code_2(arguments, message, tmp_path, capsys):
+    (tmp_path / "FILE").write_text("not a folder")
+    arguments = [a.replace("FILE", str(tmp_path / "FILE")) for a in arguments]
+    assert main(arguments) == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    complaint = [line for line in printed.err.splitlines() if "JAX has started" not in line]
+    assert len(complaint) == 1
+    assert message in complaint[0]
+
+
+def test_bad_input_from_a_shell(tmp_path):
+    done = command("resonance", "--beads", "2", cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert done.stderr.startswith("granjax: --beads")
+    assert "Traceback" not in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_computation_that_fails_is_code_1(tmp_path, monkeypatch, capsys):
+    def fail(*arguments, **keywords):
+        raise RuntimeError("It did not complete.")
+
+    monkeypatch.setattr(gx.resonance, "transmission", fail)
+    assert main([*SMALL, "--out", str(tmp_path)]) == 1
+    assert "granjax: It did not complete." in capsys.readouterr().err
+
+
+def test_version_and_help(capsys):
+    with pytest.raises(SystemExit) as stop:
+        main(["--version"])
+    assert stop.value.code == 0
+    assert capsys.readouterr().out == f"granjax {gx.__version__}\n"
+    assert main([]) == 0
+    out = capsys.readouterr().out
+    assert "resonance" in out and "reproduce" in out
+
+
+def test_reproduce_lists_the_figures(capsys):
+    assert main(["reproduce", "--list"]) == 0
+    assert gx.reproduce.listing() in capsys.readouterr().out
+
+
+class Outcome:
+    """Stands for a result of `reproduce.run`."""
+
+    def __init__(self, passed, error=""):
+        self.passed, self.error = passed, error
+
+    def __str__(self):
+        return f"figure, passed: {self.passed}"
+
+
+@pytest.mark.parametrize(
+    "arguments, asked, outcome, code",
+    [
+        (["fig1.3"], (["fig1.3"], ".", False), Outcome(None), 0),
+        (["--all", "--check"], (None, None, True), Outcome(True), 0),
+        (["fig1.3", "--check", "--out", "X"], (["fig1.3"], "X", True), Outcome(False), 1),
+        (["fig1.3"], (["fig1.3"], ".", False), Outcome(None, "It failed."), 1),
+    ],
+)
+def test_reproduce_passes_its_arguments_on(arguments, asked, outcome, code, monkeypatch, capsys):
+    seen = []
+
+    def run(labels, out, check, plots, overrides):
+        seen.append((labels, out, check))
+        assert plots is gx.plots
+        assert overrides == {"sites": "9"}
+        return [outcome]
+
+    monkeypatch.setattr(gx.reproduce, "run", run)
+    assert main(["reproduce", *arguments, "--set", "sites=9"]) == code
+    assert seen == [asked]
+    assert str(outcome) in capsys.readouterr().out

@@ -1,0 +1,221 @@
+"""Transmission of dimer chains, its extrema, and the asymptotic anti-resonances."""
+
+import json
+import os
+import subprocess
+import sys
+
+import jax
+import numpy as np
+import pytest
+
+import granjax as gx
+from granjax.resonance import lanes
+
+# A = m = v = 1, peak contact force far down a struck monomer chain
+MONOMER_FORCE = 0.63955423
+
+
+def wall_force(t, y, lattice):
+    return gx.measures.contact_force(lattice, y)[-1]
+
+
+def one_by_one(ratio, beads, t1, **method):
+    chain = gx.scenes.dimer(beads, ratio)
+    run = gx.simulate(chain, gx.states.impact(chain), t1, record={"wall": gx.Peak(wall_force)}, **method)
+    return float(run.recorded["wall"])
+
+
+def python(code, **environment):
+    """The last line that Python code prints in a fresh process."""
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, env={**os.environ, **environment}, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout.splitlines()[-1]
+
+
+def test_a_sweep_is_what_single_runs_give():
+    # more than one chunk, not sorted; each chunk has its own step, whose error is below 1e-6
+    ratios = np.array([0.7, 0.05, 1.0, 0.3, 0.59, 0.9, 0.1, 0.45, 0.2, 0.8, 0.5, 0.6])
+    sweep = gx.resonance.transmission(ratios, 21)
+    expected = np.array([one_by_one(ratio, 21, sweep.run_time, step=0.02) for ratio in ratios])
+    np.testing.assert_allclose(sweep.peak_force, expected, rtol=3e-6)
+    np.testing.assert_allclose(sweep.transmission, expected / expected[2], rtol=3e-6)
+    assert sweep.transmission[2] == 1.0
+    assert sweep.run_time == 41.5
+
+
+def test_the_monomer_is_computed_where_it_is_not_asked_for():
+    sweep = gx.resonance.transmission([0.5], 21)
+    with_it = gx.resonance.transmission([0.5, 1.0], 21)
+    assert sweep.reference == pytest.approx(with_it.peak_force[1], rel=1e-6)
+    assert sweep.transmission.shape == (1,)
+    assert sweep.transmission[0] == pytest.approx(with_it.transmission[0], rel=1e-6)
+
+
+def test_deepest_minimum_of_101_beads():
+    # 0.2096 at 0.595; SciPy's DOP853 at tolerance 1e-10: cusp at 0.5944 with 0.208678
+    sweep = gx.resonance.transmission(np.append(np.linspace(0.575, 0.615, 9), 1.0))
+    assert sweep.transmission[4] == pytest.approx(0.2096, abs=5e-5)
+    found = gx.resonance.refine(sweep, accuracy=1e-5)
+    lowest = found.resonance_transmission.argmin()
+    assert found.resonances[lowest] == pytest.approx(0.5944, abs=5e-5)
+    assert found.resonance_transmission[lowest] == pytest.approx(0.208678, abs=2e-5)
+
+
+def test_the_default_step_is_accurate_enough():
+    # an eighth of the step; over 200 ratios the largest error is 5.5e-6, at 0.587
+    for ratio in (0.05, 0.587):
+        sweep = gx.resonance.transmission([ratio], 101)
+        chain = gx.scenes.dimer(101, ratio)
+        state = gx.states.impact(chain)
+        step = 0.0625 / float(gx.flow.frequency_bound(chain, state, 0.0, sweep.run_time))
+        assert sweep.peak_force[0] == pytest.approx(one_by_one(ratio, 101, sweep.run_time, step=step), rel=6e-6)
+
+
+def test_a_longer_run_meets_no_larger_force():
+    ratios = np.linspace(0.05, 1, 8)
+    usual = gx.resonance.transmission(ratios, 101)
+    longer = gx.resonance.transmission(ratios, 101, run_time=2.5 * usual.run_time)
+    np.testing.assert_allclose(longer.transmission, usual.transmission, rtol=2e-6)
+
+
+def test_refined_extrema_are_extrema():
+    sweep = gx.resonance.transmission(np.linspace(0.1, 1, 46), 31)
+    found = gx.resonance.refine(sweep, accuracy=1e-4)
+    for places, values, sign in (
+        (found.resonances, found.resonance_transmission, -1),
+        (found.anti_resonances, found.anti_resonance_transmission, 1),
+    ):
+        assert len(places)
+        assert np.all(np.diff(places) > 0)
+        inner = places < 1
+        around = np.concatenate([places[inner] - 2e-3, places[inner] + 2e-3])
+        beside = gx.resonance.transmission(around, 31).transmission
+        assert np.all(sign * (np.tile(values[inner], 2) - beside) > 0)
+    # better than the grid's own points
+    assert found.resonance_transmission.min() <= sweep.transmission.min() + 1e-6
+
+
+def test_refinement_finds_a_known_place():
+    class Parabola:
+        """Stands for the simulation: a minimum at 0.4321 and a cusp upwards at 0.7123."""
+
+        mass_ratio = np.linspace(0.1, 0.95, 18)
+        beads, run_time, reference = 3, 1.0, 2.0
+
+    def force(x):
+        return np.where(x < 0.6, 2 + (x - 0.4321) ** 2, 2.2 - np.abs(x - 0.7123))
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(gx.resonance.wall, "peak_forces", lambda x, *_: force(x)[None])
+        Parabola.transmission = force(Parabola.mass_ratio) / 2
+        found = gx.resonance.refine(Parabola, accuracy=1e-5)
+    np.testing.assert_allclose(found.resonances, [0.4321], atol=1e-5)
+    np.testing.assert_allclose(found.resonance_transmission, [1.0], atol=1e-9)
+    np.testing.assert_allclose(found.anti_resonances, [0.7123], atol=1e-5)
+    np.testing.assert_allclose(found.anti_resonance_transmission, [1.1], atol=1e-5)
+
+
+def test_contact_forces_down_the_chain():
+    # converged with the step: 0.3019048, 0.2574079, 0.2309435 (at a coarser sampling in time 0.301903, ...)
+    forces = gx.resonance.contact_forces([0.5, 1.0], (20, 40, 60))
+    np.testing.assert_allclose(forces[:, 0], [0.301903, 0.257407, 0.230943], rtol=1e-5)
+    np.testing.assert_allclose(forces[:, 0], [0.3019048, 0.2574079, 0.2309435], rtol=1e-6)
+    np.testing.assert_allclose(forces[:, 1], MONOMER_FORCE, rtol=3e-6)
+
+
+def test_decay_is_fastest_at_the_second_and_third_resonance():
+    # contacts 100 -> 200: 0.2399, 0.1225
+    for centre in (0.2399, 0.1225):
+        ratios = np.linspace(0.93 * centre, 1.07 * centre, 8)
+        rates = gx.resonance.decay_rate(ratios, (100, 200))
+        assert np.all(rates > 0)
+        fit = np.polynomial.Polynomial.fit(ratios, rates, 4)
+        tops = fit.deriv().roots()
+        tops = tops[np.abs(tops.imag) < 1e-12].real
+        assert tops[np.argmin(np.abs(tops - centre))] == pytest.approx(centre, abs=1e-4)
+
+
+def test_anti_resonance_of_a_shorter_chain():
+    # between contacts 40 and 120 the zero is already within 1e-5 of the asymptotic 0.342846
+    assert gx.resonance.anti_resonance(0.32, 0.37, contacts=(40, 120)) == pytest.approx(0.342846, abs=1e-5)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "low, high, expected", [(0.3, 0.4, 0.342846), (0.12, 0.18, 0.154751), (0.08, 0.1, 0.090128)]
+)
+def test_anti_resonances(low, high, expected):
+    # literature: 0.3428, 0.1548, 0.0901
+    assert gx.resonance.anti_resonance(low, high) == pytest.approx(expected, abs=3e-6)
+
+
+def test_the_monomer_is_an_anti_resonance():
+    assert gx.resonance.anti_resonance(0.9, 1.0, contacts=(40, 80)) == 1.0
+
+
+def test_an_interval_without_anti_resonance():
+    with pytest.raises(RuntimeError, match="no minimum inside"):
+        gx.resonance.anti_resonance(0.4, 0.5, contacts=(40, 80))
+
+
+@pytest.mark.parametrize(
+    "call, message",
+    [
+        (lambda: gx.resonance.transmission([0.5, 1.2]), "ratios: expected numbers in"),
+        (lambda: gx.resonance.transmission([0.0, 0.5]), "ratios: expected numbers in"),
+        (lambda: gx.resonance.transmission(0.5), "ratios: expected a list"),
+        (lambda: gx.resonance.transmission([]), "ratios: expected a list"),
+        (lambda: gx.resonance.transmission([0.5], beads=2), "beads: expected a whole number not below 3"),
+        (lambda: gx.resonance.transmission([0.5], run_time=0), "run_time"),
+        (lambda: gx.resonance.refine(gx.resonance.transmission([0.5, 1.0], 21)), "sweep: expected at least three"),
+        (lambda: gx.resonance.decay_rate([0.5], (600, 200)), "contacts: expected two contacts"),
+        (lambda: gx.resonance.decay_rate([0.5], (200, 401)), "both even or both odd"),
+        (lambda: gx.resonance.decay_rate([0.5], 200), "contacts: expected two contacts"),
+        (lambda: gx.resonance.contact_forces([0.5], [-1]), r"contacts\[0\]"),
+        (lambda: gx.resonance.anti_resonance(0.4, 0.3), "high: expected a mass ratio above low"),
+        (lambda: gx.resonance.anti_resonance(0.0, 0.3), "low: expected numbers in"),
+    ],
+)
+def test_bad_input_is_refused(call, message):
+    with pytest.raises(ValueError, match=message):
+        call()
+
+
+def test_nan_is_not_refined():
+    sweep = gx.resonance.transmission([0.4, 0.5, 0.6, 1.0], 21)
+    broken = gx.resonance.Transmission(
+        sweep.mass_ratio, sweep.peak_force, np.array([0.5, np.nan, 0.5, 1.0]), sweep.reference, 21, sweep.run_time
+    )
+    with pytest.raises(ValueError, match="1 that are NaN"):
+        gx.resonance.refine(broken)
+
+
+def test_another_step_count_compiles_nothing():
+    gx.resonance.transmission([0.9], 21)
+    program = lanes._program(21, "fixed", (21,), tuple(jax.devices()[:1]))
+    before = program._cache_size()
+    gx.resonance.transmission([0.06], 21, run_time=60.0)
+    assert program._cache_size() == before == 1
+
+
+def test_two_devices_share_the_work_without_talking():
+    code = """
+import json
+import jax
+jax.config.update("jax_num_cpu_devices", 2)
+import granjax as gx, numpy as np
+from granjax.resonance import lanes
+sweep = gx.resonance.transmission(np.linspace(0.1, 1, 12), 21)
+program = lanes._program(21, "fixed", (21,), tuple(jax.devices()))
+text = program.lower(np.linspace(0.1, 1, 16), 40.0).compile().as_text()
+where = program(np.linspace(0.1, 1, 16), 40.0).sharding.device_set
+talk = [word for word in ("all-reduce", "all-gather", "collective-permute", "all-to-all") if word in text]
+print(json.dumps([sweep.transmission.tolist(), len(where), talk]))
+"""
+    transmission, devices, talk = json.loads(python(code))
+    assert (devices, talk) == (2, [])
+    alone = gx.resonance.transmission(np.linspace(0.1, 1, 12), 21)
+    np.testing.assert_allclose(transmission, alone.transmission, rtol=1e-12)
