@@ -123,7 +123,8 @@ class AbstractSplitting(diffrax.AbstractSolver):
         y1, kept = system.leave(w, y0)
         a0 = system.acceleration(y0, solver_state if kicks_last else system.start(t, y0))
         a1 = system.acceleration(y1, kept if kicks_last else system.start(t + h, y1))
-        return y1, None, dict(y0=y0, y1=y1, a0=a0, a1=a1), kept, diffrax.RESULTS.successful
+        dense = dict(y0=y0, y1=y1, a0=a0, a1=a1, direction=jnp.asarray(direction, h.dtype))
+        return y1, None, dense, kept, diffrax.RESULTS.successful
 
     def func(self, terms, t0, y0, args):
         return terms.vf(t0, y0, args)
