@@ -11,6 +11,7 @@ from typing import ClassVar
 import diffrax
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from . import tables
