@@ -69,6 +69,7 @@ def test_saved_times(closed):
     assert np.max(np.abs(times.vs[2] - fine.final.v)) < 1e-7
 
 
+@pytest.mark.slow
 def test_frames_of_an_adaptive_run_are_as_good_as_its_end(closed):
     chain, state = closed
     fine = gx.simulate(chain, state, 8.0, step=0.01, save_at=33)

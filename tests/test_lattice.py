@@ -57,6 +57,7 @@ def test_inner_forces_sum_to_zero(case):
     np.testing.assert_allclose(total, 0, atol=1e-14 * size(x["force"]))
 
 
+@pytest.mark.slow
 @over(ALL_LATTICES)
 def test_acceleration_is_force_over_mass_under_jit_as_eagerly(case):
     lattice, u, v, x = facts(case)
@@ -81,6 +82,7 @@ def test_energies_add_up(case):
         np.testing.assert_allclose(shared, x["potential"], rtol=1e-13, atol=1e-14)
 
 
+@pytest.mark.slow
 @over(ALL_LATTICES)
 def test_a_batch_of_lattices_is_a_loop(case):
     """`jax.vmap(make, out_axes=-1)` is one Lattice with lanes: acceleration and energy, lane by lane."""

@@ -257,6 +257,7 @@ def test_energy_under_load_keeps_its_digits_near_rest(exponent):
         np.testing.assert_allclose(law.energy(e), K2 * e * e / 2 + K3 * e**3 / 3, rtol=1e-7)
 
 
+@pytest.mark.slow
 @over(ALL_LAWS)
 def test_jit_is_eager(case):
     e = jnp.array(case.strains)
@@ -285,6 +286,7 @@ def test_batches_and_arrays_over_bonds_are_loops(case):
     assert_ulps(lanes.energy(jnp.stack([e] * 3, -1)), energies, 64, scale * float(jnp.max(jnp.abs(e))))
 
 
+@pytest.mark.slow
 @over(ALL_LAWS)
 def test_float32_stays_float32(case):
     law = jax.tree.map(lambda x: x.astype(jnp.float32), case.law)
@@ -312,6 +314,7 @@ def test_sum_and_scaled():
     assert float(twice.preload) == 0.6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", [gx.Hertz(), gx.Hertz(1.7, 0.9), gx.PowerLaw(1.0, 0.5), gx.PowerLaw(1.0, -3.0, 1.0)],
                          ids=["hertz", "hertz_F0", "softening", "magnets"])
 @pytest.mark.parametrize("support", [1e-9, 1e-3, 0.1, 1.0, 1e3, 1e9, 1e15])

@@ -168,6 +168,7 @@ def test_bloch_waves_are_the_modes_of_a_ring(name):
     np.testing.assert_allclose(np.sort(np.ravel(waves)), modes, rtol=0, atol=1e-12 * modes.max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", [next_nearest, random_cells, mass_in_mass, two_masses])
 def test_boundary_does_not_count(make):
     inside = make(boundary="fixed", **({"sites": 20} if make is two_masses else {}))
@@ -241,6 +242,7 @@ def test_derivatives_that_do_not_exist_are_nan():
     np.testing.assert_allclose(together.curvature, -np.sin(0.5) / 2, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_derivatives_in_k_and_parameters():
     def omega(ratio, k):
         return linear.dispersion(dimer(20, ratio=ratio, precompression=1.0), k).omega[0]
@@ -265,6 +267,7 @@ def test_waves_inside_jit():
     np.testing.assert_allclose(given(chain, WAVES), expected, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_edges_and_speed_are_differentiable_and_batched():
     def edge(ratio):
         return linear.bands(dimer(20, ratio=ratio, precompression=1.0), cell=2).lower[1]

@@ -70,6 +70,7 @@ def total(lattice, x):
 # ---- energies and momentum
 
 
+@pytest.mark.slow
 def test_site_energies_have_the_sites_shape_and_sum_to_the_energy(lattice):
     @eqx.filter_jit
     def everything(lattice, t):
@@ -188,6 +189,7 @@ def test_lanes_and_jit_give_the_same_as_one_by_one():
             np.testing.assert_allclose(all_at_once[..., lane], alone, rtol=1e-13)
 
 
+@pytest.mark.slow
 def test_along_a_run_gives_every_frame():
     class Run:
         ts = jnp.linspace(0.0, 1.0, 4)

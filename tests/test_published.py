@@ -92,6 +92,7 @@ def test_fput_energy_and_first_recurrence():
     assert abs(share.min() - 0.0882) < 1e-4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("precompression", [0.0, 0.3])
 def test_a_rigid_wall_reflects_like_a_mirror_pulse(precompression):
     # a bead on a rigid plane meets its mirror image: the contact with the plane has half the overlap of the pair's,

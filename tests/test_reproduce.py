@@ -95,6 +95,7 @@ def test_a_figure_that_is_not_made_yet_says_so(label, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("label", MADE)
 def test_the_number_is_the_expected_one(label, data_of):
     figure = reproduce.figure(label)

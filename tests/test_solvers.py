@@ -182,6 +182,7 @@ def test_damping_keeps_the_order():
     assert abs(slope(1 / counts, errors) - 6) < 0.3
 
 
+@pytest.mark.slow
 @splittings
 def test_time_reversible(solver):
     start = smooth()
@@ -191,6 +192,7 @@ def test_time_reversible(solver):
     assert np.abs(flat(end) - flat(start)).max() > 0.1
 
 
+@pytest.mark.slow
 @mostly_slow(SPLITTING, VelocityVerlet, SRKN6b, SRKN11b, SRKN14a)
 def test_stability_limit(solver):
     # the first interval of instability may be narrow and weak (SRKN11b: 3e-4 wide, growth 4e-4 a step)
@@ -396,6 +398,7 @@ def between():
     return times, ys
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver, counts", ((RKN86, (16, 24, 36)), (RKN1210, (6, 8, 9, 12))), ids=("RKN86", "RKN1210"))
 def test_dense_output_is_as_good_as_the_steps(solver, counts, between):
     times, reference = between
@@ -418,6 +421,7 @@ def test_dense_output_of_splittings_has_order_six(between):
     assert slope(1 / counts, errors[:, 0]) > 5.5 and slope(1 / counts, errors[:, 1]) > 4.7
 
 
+@pytest.mark.slow
 @each
 def test_dense_output_meets_the_ends_and_runs_backwards(solver):
     method = solver()
@@ -445,6 +449,7 @@ def test_nobody_pays_for_dense_output_that_is_not_read(solver):
 # adaptive steps ----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pairs
 def test_tolerance_is_kept(solver, between):
     times, reference = between
@@ -493,6 +498,7 @@ def test_contact_loss_by_small_steps(solver):
 # ways to run -------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @each
 def test_lanes_and_vmap(solver, lanes):
     scene, y = lanes
@@ -523,6 +529,7 @@ def test_adaptive_vmap(solver):
         assert np.abs(flat(jax.tree.map(lambda x: x[i], mapped)) - flat(alone(mass))).max() < 1e-13
 
 
+@pytest.mark.slow
 @each
 def test_float32_stays_float32(solver):
     y = jax.tree.map(lambda x: x.astype(jnp.float32), smooth())
@@ -547,6 +554,7 @@ PLACE = (jnp.asarray(1.1), smooth().u)
 DIRECTION = (jnp.asarray(0.7), jnp.cos(jnp.arange(N) * 1.0))
 
 
+@pytest.mark.slow
 @mostly_slow((SRKN11b, RKN86, RKN1210), RKN86)
 def test_forward_and_reverse_derivatives_agree(solver):
     def value(adjoint):

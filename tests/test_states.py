@@ -160,6 +160,7 @@ def free_flow(state, t):
     return gx.State(jnp.asarray(u), jnp.asarray(v))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("direction,sign", [("right", 1), ("left", -1)])
 def test_wave_packet_runs_one_way_with_the_group_velocity(direction, sign):
     lattice = chain(400, gx.Linear(1.0), "free")

@@ -72,6 +72,7 @@ def _forms(strain_map, u, f):
     )
 
 
+@pytest.mark.slow
 @over(LINEAR_MAPS)
 def test_gather_is_the_transpose_of_strain(case):
     _, _, x = forms(case)
@@ -101,6 +102,7 @@ def test_load_is_the_gradient_of_the_energy(case):
     assert_ulps(x.load, touched(x.gradient, x.load), 128, 4.0)
 
 
+@pytest.mark.slow
 @over(ALL_STRAIN_MAPS)
 def test_rest_has_no_strain_no_load_and_no_energy(case):
     u = jax.tree.map(jnp.zeros_like, random_like(case.shape, 0))
@@ -108,6 +110,7 @@ def test_rest_has_no_strain_no_load_and_no_energy(case):
         np.testing.assert_allclose(x, 0, atol=16 * EPS)
 
 
+@pytest.mark.slow
 @over(ALL_STRAIN_MAPS)
 def test_split_gives_half_of_every_bond_to_each_end(case):
     """By the rows of |de/du| (of the joined sites, for a distance): what a wall gets is not on the sites."""
