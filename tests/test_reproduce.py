@@ -102,6 +102,7 @@ def test_the_number_is_the_expected_one(label, data_of):
     assert figure.number(data_of(label)) == pytest.approx(figure.expected, abs=figure.tolerance, rel=0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("label", MADE)
 def test_every_picture_is_drawn_and_every_axis_labelled(label, data_of):
     figure = reproduce.figure(label)
