@@ -146,6 +146,13 @@ def test_derivatives_in_both_modes_through_the_default():
     assert float(jax.grad(fixed)(1.0)) == pytest.approx(float(difference), rel=1e-5)
 
 
+def test_a_run_of_plain_numbers_inside_jit(closed):
+    chain, state = closed
+    for how in ({}, {"step": 0.1}, {"step": 0.1, "save_at": 5}, {"tolerance": 1e-9}):
+        inside = jax.jit(lambda x, how=how: x * gx.simulate(chain, state, 2.0, **how).final.u)(2.0)
+        assert np.allclose(inside, 2 * gx.simulate(chain, state, 2.0, **how).final.u, rtol=0, atol=1e-13)
+
+
 def test_gradient_of_a_recorded_peak(struck):
     def peak(v):
         chain = gx.scenes.monomer(8, boundary="free")

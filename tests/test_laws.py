@@ -269,6 +269,7 @@ def test_jit_is_eager(case):
     assert_ulps(jax.jit(both)(case.law, e), both(case.law, e), 64, scale)
 
 
+@pytest.mark.slow
 @over(ALL_LAWS)
 def test_batches_and_arrays_over_bonds_are_loops(case):
     """Three laws at once, by parameters over bonds, by lanes, and by vmap: the same as one at a time."""

@@ -201,6 +201,7 @@ def test_another_step_count_compiles_nothing():
     assert program._cache_size() == before == 1
 
 
+@pytest.mark.slow
 def test_two_devices_share_the_work_without_talking():
     code = """
 import json

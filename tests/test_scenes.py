@@ -257,6 +257,7 @@ def every_dimension():
     ))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("chain, velocity", [
     (lambda: scenes.beads(["brass", "PTFE"], [2e-3, 1e-3], 3.0, cells=3), None),
     (lambda: scenes.beads(["brass", "PTFE"], [2e-3, 1e-3], cells=3, damping_time=1e-3), 0.5),

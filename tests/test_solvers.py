@@ -251,6 +251,7 @@ def plain_chain(t, y, args):
     return gx.State(v, force[:-1] - force[1:])
 
 
+@pytest.mark.slow
 @each
 def test_plain_field_equals_lattice(solver):
     ours = flat(last(solve(solver(), smooth(), 2.0, 0.25, chain())))
@@ -271,6 +272,7 @@ def test_pendulum_as_a_plain_pair(solver):
     assert abs(u - 2.0) < 1e-9 and abs(v) < 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", (KahanLi8, RKN86), ids=lambda s: s.__name__)
 def test_pytrees_and_complex_arrays(solver):
     def field(t, y, args):

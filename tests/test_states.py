@@ -108,6 +108,7 @@ def test_modes_of_the_uniform_chain_are_sines():
         np.testing.assert_allclose(mode, sine / np.abs(sine).max(), atol=1e-13)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("index", [0, 5, -1])
 @pytest.mark.parametrize("make", [lambda: dimer(12), cells, batch], ids=["dimer", "cells", "batch"])
 def test_a_normal_mode_turns_with_its_frequency(make, index):

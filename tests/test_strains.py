@@ -81,6 +81,7 @@ def test_gather_is_the_transpose_of_strain(case):
         assert np.all(np.asarray(x.transposed[name]) == 0)
 
 
+@pytest.mark.slow
 @over(LINEAR_MAPS)
 def test_reach_and_its_transpose_are_the_absolute_values(case):
     _, _, x = forms(case)

@@ -100,12 +100,13 @@ def _refuse_unstable(lattice, state, t0, t1, step, solver, limit):
         refuse("step", "a step that changes the time", f"{step}", f"At t = {t1} {lattice.dtype} does not resolve it.")
     if limit is None:
         return
-    if 0 < step * float(linear_frequency(lattice, 0)) <= limit:
+    omega = concrete(linear_frequency(lattice, 0))
+    if omega is None or 0 < step * omega <= limit:
         return
-    omega = float(linear_frequency(lattice))
+    omega = concrete(linear_frequency(lattice))
     what = "the highest linear frequency"
     if omega == 0:
-        omega = float(frequency_bound(lattice, state, jnp.asarray(t0, float), jnp.asarray(t1, float)))
+        omega = concrete(frequency_bound(lattice, state, jnp.asarray(t0, float), jnp.asarray(t1, float)))
         what = "the highest frequency at this energy"
     if step * omega > limit:
         refuse(

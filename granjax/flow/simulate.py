@@ -75,7 +75,7 @@ def simulate(
     arguments = (dt, tolerance, save_ts, records, solver, adjoint, limit, every, progress)
     run = integrate(lattice, state, *span, *arguments)
     run = dataclasses.replace(run, solver=type(solver).__name__, choice=choice, remark=remark)
-    if traced:
+    if isinstance(run.code, jax.core.Tracer):
         return run
     if every:
         run = _cut(run)
