@@ -175,7 +175,9 @@ def two_devices(rounds, steps):
         difference = np.abs(both - np.asarray(one(work[0]))).max()
         times = alternate({"one": alone, "two": together}, rounds)
     return {
-        "ratio": times["one"]["ratio"], "cpu_ratio": 2 * times["one"]["cpu"] / times["two"]["cpu"], "seconds": {name: x["wall"] for name, x in times.items()},
+        "ratio": times["one"]["ratio"],
+        "cpu_ratio": 2 * times["one"]["cpu"] / times["two"]["cpu"],
+        "seconds": {name: x["wall"] for name, x in times.items()},
         "cores_used": {name: x["cpu"] / x["wall"] for name, x in times.items()}, "difference": float(difference),
         # threads that wait for one another sleep; only those that lack a core count as waiting
         "busy": max(times["one"]["wall"] / times["one"]["cpu"], 1 + float(np.median(waited) / np.median(ran))),

@@ -151,7 +151,8 @@ def circumstances():
     return {
         "date": time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime()),
         "machine": {
-            "processor": names[0] if names else platform.processor(), "cores": os.cpu_count(), "avx512": "avx512f" in text,
+            "processor": names[0] if names else platform.processor(),
+            "cores": os.cpu_count(), "avx512": "avx512f" in text,
             "system": platform.platform(), "load": os.getloadavg() if hasattr(os, "getloadavg") else None,
         },
         "versions": {"python": platform.python_version(), **{name: _version(name) for name in PACKAGES}},

@@ -134,7 +134,9 @@ def test_bad_input_is_refused_in_our_words(make, named):
 
 
 @pytest.mark.parametrize("make", [
-    lambda: gx.Hertz("stiff"), lambda: chain(gx.Damping(np.ones(5))), lambda: chain(gx.OnSite(HERTZ, "beed"), mass=CELL),
+    lambda: gx.Hertz("stiff"),
+    lambda: chain(gx.Damping(np.ones(5))),
+    lambda: chain(gx.OnSite(HERTZ, "beed"), mass=CELL),
 ], ids=["string", "lengths", "field"])
 def test_no_other_traceback_is_printed_above_a_refusal(make):
     with pytest.raises(ValueError) as caught:
@@ -145,7 +147,7 @@ def test_no_other_traceback_is_printed_above_a_refusal(make):
 def test_sentences():
     with pytest.raises(ValueError, match=r"^stiffness: expected numbers above zero, got -1\.0\. The contact"):
         gx.Hertz(-1.0)
-    with pytest.raises(ValueError, match=r"^boundary: expected one of 'fixed', 'free', 'periodic', got 'fre'\. Did you"):
+    with pytest.raises(ValueError, match=r"^boundary: expected one of 'fixed', 'free', .*, got 'fre'\. Did you"):
         gx.Shift(1, "fre")
     with pytest.raises(ValueError, match=r"^x: expected numbers in \(0, 1\], got 0\.0\. Why$"):
         checks.within("x", 0.0, 0, 1, open_low=True, remedy="Why")

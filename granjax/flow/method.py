@@ -36,7 +36,8 @@ def checked_method(lattice, solver, step, tolerance):
             solver = diffrax.Dopri8()
             tolerance = None if step is not None else DEFAULT_TOLERANCE
     if isinstance(solver, AbstractSplitting):
-        split_system(lattice)
+        if not splits:
+            split_system(lattice)  # refuses, naming the term
         if tolerance is not None:
             refuse(
                 "tolerance", f"a fixed step with {type(solver).__name__}", f"tolerance={show(tolerance)}",
@@ -49,8 +50,8 @@ def checked_method(lattice, solver, step, tolerance):
         refuse("solver", wanted, type(solver).__name__, "Use gx.RKN86(), or step=.")
     if tolerance is None and step is None and not isinstance(solver, AbstractSplitting):
         tolerance = DEFAULT_TOLERANCE if isinstance(solver, diffrax.AbstractAdaptiveSolver) else None
-    least = 16 * jnp.finfo(lattice.dtype).eps
     value = None if tolerance is None else concrete(tolerance)
+    least = 0 if value is None else 16 * jnp.finfo(lattice.dtype).eps
     if value is not None and value < least:
         refuse("tolerance", f"at least {least:.1e}, what {lattice.dtype} holds", show(value), "Use a larger one.")
     # an array, so that another tolerance compiles nothing

@@ -133,14 +133,16 @@ class Lattice(eqx.Module):
     @property
     def dtype(self):
         """Floating type of the lattice's parameters."""
-        return jnp.result_type(*[x for x in jax.tree.leaves(self) if jnp.issubdtype(jnp.result_type(x), jnp.floating)])
+        kinds = {x.dtype for x in jax.tree.leaves(self) if jnp.issubdtype(x.dtype, jnp.floating)}
+        return kinds.pop() if len(kinds) == 1 else jnp.result_type(*kinds)
 
     def template(self):
         """`jax.ShapeDtypeStruct`s of the displacements, lanes included."""
+        lanes, shape = self.lanes, self.shape
+        if not isinstance(shape, dict):
+            return jax.ShapeDtypeStruct(shape + lanes, self.mass.dtype)
         dtype = jnp.result_type(*jax.tree.leaves(self.mass))
-        return jax.tree.map(
-            lambda shape: jax.ShapeDtypeStruct(shape + self.lanes, dtype), self.shape, is_leaf=_is_shape
-        )
+        return {name: jax.ShapeDtypeStruct(own + lanes, dtype) for name, own in shape.items()}
 
     def zeros(self):
         """Displacements (or velocities) that are zero, lanes included."""
@@ -231,7 +233,3 @@ def _check_place(name, term, lattice):
 
 def _sum(parts, like):
     return sum(parts[1:], parts[0]) if parts else jnp.zeros_like(like)
-
-
-def _is_shape(x):
-    return isinstance(x, tuple) and all(isinstance(n, int) for n in x)
