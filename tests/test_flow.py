@@ -229,6 +229,8 @@ def test_any_diffrax_solver_and_a_bare_diffeqsolve(closed):
     chain, state = closed
     fine = gx.simulate(chain, state, 3.0, step=0.01)
     tsit = gx.simulate(chain, state, 3.0, solver=diffrax.Tsit5(), tolerance=1e-9)
+    implicit = gx.simulate(chain, state, 3.0, solver=diffrax.Kvaerno5(), tolerance=1e-8)
+    assert np.max(np.abs(implicit.final.u - fine.final.u)) < 1e-6
     bare = diffrax.diffeqsolve(
         diffrax.ODETerm(gx.vector_field), gx.KahanLi8(), 0.0, 3.0, 0.05, state, args=chain, max_steps=100
     )
@@ -256,9 +258,15 @@ BAD = {
     "save_at outside": (dict(save_at=[0.5, 7.0]), "save_at: expected times within"),
     "save_at word": (dict(save_at="step"), "save_at: expected one of 'steps'.*Did you mean 'steps'"),
     "misspelt keyword": (dict(tolerence=1e-9), "keyword: .*Did you mean 'tolerance'"),
-    "record": (dict(record=[PEAK]), "record: expected a dict of records"),
+    "record": (dict(record=[PEAK]), "record: expected a dict from names to records"),
+    "record name": (dict(record={1: PEAK}), "record: expected a dict from names to records"),
+    "save_at of strings": (dict(save_at=["late"]), "save_at: expected a number of frames, a list of times"),
+    "solver of two terms": (dict(solver=diffrax.SemiImplicitEuler(), step=0.1), "solver: expected one for a single"),
+    "solver by name": (dict(solver="SRKN11b"), "solver: expected a solver"),
+    "t1 a word": (dict(t1="late"), "t1: expected one finite number"),
     "record value": (dict(record={"x": gx.Peak(lambda t, y, c: 1)}), "record: expected a function"),
-    "adjoint": (dict(adjoint="direct"), "adjoint: expected one of diffrax's adjoints"),
+    "adjoint": (dict(adjoint="direct"), "adjoint: expected one of diffrax.DirectAdjoint"),
+    "adjoint backwards": (dict(adjoint=diffrax.BacksolveAdjoint()), "adjoint: expected one of diffrax.DirectAdjoint"),
     "max_steps": (dict(max_steps=0), "max_steps: expected a whole number"),
     "state integer": (dict(state=(np.zeros(6, int), AT_REST)), "state.u: expected floating numbers"),
     "state complex": (dict(state=(AT_REST, AT_REST * 1j)), "state.v: expected floating numbers"),
@@ -277,6 +285,26 @@ def test_bad_input_is_refused_in_a_sentence(bad):
     with pytest.raises(ValueError, match=sentence) as caught:
         gx.simulate(SCENE, given.pop("state"), given.pop("t1"), **given)
     assert "granjax" in str(caught.traceback[-1].path)
+
+
+def test_something_else_than_a_lattice():
+    with pytest.raises(ValueError, match="lattice: expected a Lattice"):
+        gx.simulate(3, MOVING, 1.0)
+
+
+def test_a_law_of_ones_own_may_hold_plain_numbers():
+    class Cubic(gx.Law):
+        k: float
+
+        def force(self, e):
+            return self.k * e**3
+
+        def energy(self, e):
+            return self.k * e**4 / 4
+
+    chain = gx.Lattice(np.ones(6), gx.Bond(gx.Shift(1), Cubic(2.0)))
+    run = gx.simulate(chain, gx.states.impact(chain), 5.0)
+    assert float(run.energy_error) < 1e-6
 
 
 def test_nothing_stiff_asks_for_a_step():

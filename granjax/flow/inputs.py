@@ -5,12 +5,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import concrete, one_of, refuse, show, whole
-from ..lattice import State
+from ..lattice import Lattice, State
 from .record import Record
 
 
 def checked_state(lattice, state):
     """The state as arrays of the lattice's structure, shape and floating type."""
+    if not isinstance(lattice, Lattice):
+        refuse("lattice", "a Lattice, such as gx.scenes.monomer(100)", repr(lattice))
     if not isinstance(state, (tuple, list)) or len(state) != 2:
         refuse("state", "State(u, v) or a pair (u, v)", repr(type(state).__name__), "See gx.states.")
     template = lattice.template()
@@ -79,7 +81,10 @@ def checked_save_at(save_at, t0, t1):
         if frames == 1:
             return None, 1, False
         return t0 + (t1 - t0) * jnp.linspace(0.0, 1.0, frames), frames - 1, False
-    ts = save_at if isinstance(save_at, jax.core.Tracer) else np.asarray(save_at, dtype=float)
+    try:
+        ts = save_at if isinstance(save_at, jax.core.Tracer) else np.asarray(save_at, dtype=float)
+    except (TypeError, ValueError):
+        refuse("save_at", "a number of frames, a list of times, or 'steps'", repr(save_at))
     if ts.ndim != 1 or ts.size == 0:
         refuse("save_at", "a list of times", f"shape {ts.shape}")
     value = concrete(ts)
@@ -105,6 +110,7 @@ def checked_records(record):
     """The records as a dict, empty where there are none."""
     if record is None:
         return {}
-    if not isinstance(record, dict) or not all(isinstance(r, Record) for r in record.values()):
-        refuse("record", "a dict of records", repr(record), 'Write record={"peak": gx.Peak(quantity)}.')
+    named = isinstance(record, dict) and all(isinstance(name, str) for name in record)
+    if not named or not all(isinstance(r, Record) for r in record.values()):
+        refuse("record", "a dict from names to records", repr(record), 'Write record={"peak": gx.Peak(quantity)}.')
     return dict(record)

@@ -24,6 +24,8 @@ def checked_method(lattice, solver, step, tolerance):
     if solver is not None and not isinstance(solver, diffrax.AbstractSolver):
         name = getattr(solver, "__name__", None) or repr(solver)
         refuse("solver", "a solver, such as gx.SRKN11b()", name, "Solvers are instances: write the brackets.")
+    if solver is not None and solver.term_structure is not diffrax.AbstractTerm:
+        refuse("solver", "one for a single vector field", type(solver).__name__, "gx.VelocityVerlet() splits by itself.")
     step, tolerance = checked_size("step", step), checked_size("tolerance", tolerance)
     velocity = [i for i, term in enumerate(lattice.terms) if term.reads_velocity]
     splits = all(isinstance(lattice.terms[i], Damping) for i in velocity)

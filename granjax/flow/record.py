@@ -210,6 +210,14 @@ class Recorded(diffrax.AbstractWrappedSolver):
     def scan_kind(self):
         return getattr(self.solver, "scan_kind", None)
 
+    @property
+    def root_finder(self):
+        return self.solver.root_finder
+
+    @property
+    def root_find_max_steps(self):
+        return self.solver.root_find_max_steps
+
     def order(self, terms):
         return self.solver.order(terms)
 

@@ -133,7 +133,8 @@ class Lattice(eqx.Module):
     @property
     def dtype(self):
         """Floating type of the lattice's parameters."""
-        kinds = {x.dtype for x in jax.tree.leaves(self) if jnp.issubdtype(x.dtype, jnp.floating)}
+        arrays = [x for x in jax.tree.leaves(self) if hasattr(x, "dtype")]
+        kinds = {x.dtype for x in arrays if jnp.issubdtype(x.dtype, jnp.floating)}
         return kinds.pop() if len(kinds) == 1 else jnp.result_type(*kinds)
 
     def template(self):
