@@ -22,7 +22,8 @@ class Term(eqx.Module):
     `force(t, u, v, mass)` has the structure of `u`, or is a dict of those fields that the term acts on.
     `energy(t, u)` is an array over the term's bonds or sites, `site_energy(t, u)` the same shared out to sites; both
     are `None` for a term that stores none. `conserves`: it keeps the energy. `reads_velocity`: its force depends on
-    `v`. To add a term write `force`, set the flags, and add one line to the tests' list of cases.
+    `v`. To add a term write `force`, set the flags, and add one line to the tests' list of cases; its stiffness is not
+    known to `simulate`, which then asks for a step.
     """
 
     conserves: ClassVar[bool] = True

@@ -264,6 +264,8 @@ BAD = {
     "solver of two terms": (dict(solver=diffrax.SemiImplicitEuler(), step=0.1), "solver: expected one for a single"),
     "solver by name": (dict(solver="SRKN11b"), "solver: expected a solver"),
     "t1 a word": (dict(t1="late"), "t1: expected one finite number"),
+    "record of a taken name": (dict(record={"u": PEAK}), "record: expected names other than"),
+    "record signature": (dict(record={"x": gx.Peak(lambda t, y: y.u)}), r"record\['x'\]: expected a function"),
     "record value": (dict(record={"x": gx.Peak(lambda t, y, c: 1)}), "record: expected a function"),
     "adjoint": (dict(adjoint="direct"), "adjoint: expected one of diffrax.DirectAdjoint"),
     "adjoint backwards": (dict(adjoint=diffrax.BacksolveAdjoint()), "adjoint: expected one of diffrax.DirectAdjoint"),
@@ -285,6 +287,62 @@ def test_bad_input_is_refused_in_a_sentence(bad):
     with pytest.raises(ValueError, match=sentence) as caught:
         gx.simulate(SCENE, given.pop("state"), given.pop("t1"), **given)
     assert "granjax" in str(caught.traceback[-1].path)
+
+
+def test_energy_error_of_every_saved_step(closed):
+    chain, state = closed
+    for how in ({"tolerance": 1e-8}, {"step": 0.1, "max_steps": 500}):
+        run = gx.simulate(chain, state, 3.0, save_at="steps", **how)
+        assert 0 <= float(run.energy_error) < 1e-6
+        assert len(run.ts) == int(run.stats["accepted"]) + 1
+
+
+def test_a_contact_with_a_wall_opens_too():
+    law = gx.Hertz(1.0, 1.0)
+    walls = gx.Wall(law, "left"), gx.Wall(law, "right")
+    chain = gx.Lattice(np.ones(2), (gx.Bond(gx.Shift(1, "free"), law), *walls))
+    assert bool(gx.simulate(chain, (np.zeros(2), np.full(2, -2.0)), 1.0, step=0.05).contact_opened)
+    assert not bool(gx.simulate(chain, (np.zeros(2), np.full(2, -0.1)), 1.0, step=0.05).contact_opened)
+
+
+def test_a_piston_does_not_collapse_the_default_step():
+    # the wall has gone 50 by the end, at a speed of 0.5: bonds are pushed by the speed and not by the way
+    chain = gx.scenes.toda(20, boundary="free")
+    pushed = gx.Lattice(1.0, (*chain.terms, gx.Wall(gx.Toda(), "left", motion=lambda t: 0.5 * t)), sites=20)
+    assert float(gx.simulate(pushed, gx.states.rest(pushed), 15.0).stats["step"]) > 0.01
+    # a cubic bond has no floor beyond its barrier, which the energy of the whole chain passes
+    alpha = gx.scenes.fput(200, alpha=0.25)
+    state = gx.states.random(alpha, 0, displacement=0.0, velocity=0.5)
+    with pytest.raises(ValueError, match="step: expected a time step.*no useful one"):
+        gx.simulate(alpha, state, 100.0)
+
+
+def test_a_term_of_unknown_stiffness_asks_for_a_step():
+    class Spring(gx.Term):
+        k: jax.Array
+
+        def force(self, t, u, v, mass):
+            return -self.k * u
+
+    chain = gx.Lattice(np.ones(4), (gx.Bond(gx.Shift(1), gx.Linear(0.01)), Spring(jnp.array(50.0))))
+    state = gx.states.impact(chain)
+    with pytest.raises(ValueError, match="step: .*Spring.*give step="):
+        gx.simulate(chain, state, 20.0)
+    assert np.max(np.abs(gx.simulate(chain, state, 20.0, step=0.05).final.v)) < 2
+
+
+def test_uneven_times_leave_the_step_alone(closed):
+    chain, state = closed
+    run = gx.simulate(chain, state, 1.0, step=0.05, save_at=[0.0, 1e-4, 1.0])
+    assert int(run.stats["steps"]) == 20
+    run = gx.simulate(chain, state, 0.3, step=0.05, save_at=0.1 * np.arange(4))
+    assert int(run.stats["steps"]) == 6
+
+
+def test_a_mapped_run_prints_itself(closed):
+    chain, state = closed
+    runs = jax.vmap(lambda a: gx.simulate(chain, gx.State(a * state.u, state.v), 1.0, save_at=3))(jnp.arange(1.0, 3.0))
+    assert "Completed at t = 1" in str(runs)
 
 
 def test_something_else_than_a_lattice():

@@ -8,6 +8,8 @@ from ..checks import concrete, one_of, refuse, show, whole
 from ..lattice import Lattice, State
 from .record import Record
 
+RESERVED = ("time", "ts", "us", "vs", "u", "v", "closest overlap")
+
 
 def checked_state(lattice, state):
     """The state as arrays of the lattice's structure, shape and floating type."""
@@ -92,25 +94,37 @@ def checked_save_at(save_at, t0, t1):
         if not np.isfinite(value).all() or not (np.diff(value) > 0).all():
             refuse("save_at", "finite times, each after the one before", show(value), "Sort them, without repeats.")
         if not isinstance(t0, jax.core.Tracer) and not isinstance(t1, jax.core.Tracer):
-            if value[0] < t0 or value[-1] > t1:
+            slack = 4 * np.finfo(float).eps * max(abs(t0), abs(t1))
+            if value[0] < t0 - slack or value[-1] > t1 + slack:
                 refuse("save_at", f"times within [{t0}, {t1}]", f"{value[0]} ... {value[-1]}")
-            return jnp.asarray(ts), _intervals(value, t0, t1), False
+            value = np.clip(value, t0, t1)
+            return jnp.asarray(value), _intervals(value, t0, t1), False
     return jnp.asarray(ts), 1, False
 
 
 def _intervals(ts, t0, t1):
     """The number of equal intervals from t0 to t1 of which all times are ends; 1 where there is no such number."""
-    spacing = np.diff(ts).min(initial=t1 - t0)
+    gaps = np.diff(ts)
+    spacing = gaps.min(initial=t1 - t0)
     places = (np.append(ts, t1) - t0) / spacing
-    fits = np.abs(places - np.round(places)).max() < 1e-6
+    fits = np.ptp(gaps) < 1e-6 * spacing if gaps.size else True
+    fits = fits and np.abs(places - np.round(places)).max() < 1e-6
     return int(round((t1 - t0) / spacing)) if fits else 1
 
 
-def checked_records(record):
+def checked_records(record, lattice, state):
     """The records as a dict, empty where there are none."""
     if record is None:
         return {}
     named = isinstance(record, dict) and all(isinstance(name, str) for name in record)
     if not named or not all(isinstance(r, Record) for r in record.values()):
         refuse("record", "a dict from names to records", repr(record), 'Write record={"peak": gx.Peak(quantity)}.')
+    for name, one in record.items():
+        if name in RESERVED or name.startswith(("u_", "v_")):
+            taken = f"Taken: {', '.join(RESERVED)}."
+            refuse("record", "names other than those of a run's own results", repr(name), taken)
+        try:
+            jax.eval_shape(lambda y, one=one: one.value(jnp.zeros((), lattice.dtype), y, lattice), state)
+        except (TypeError, AttributeError, KeyError, IndexError) as error:
+            refuse(f"record[{name!r}]", "a function (t, y, lattice) that works on the lattice", f"an error: {error}")
     return dict(record)

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 
 from ..lattice import vector_field
 from ..solvers import RKN86, RKN1210
+from ..terms import Bond, Wall
 from .record import Lowest, Recorded
 from .run import COMPLETED, FAILED, NOT_FINITE, STEP_TOO_SMALL, TOO_MANY_STEPS, Run, finite
 from .stiffness import frequency_bound
@@ -64,19 +65,22 @@ def _ready(solver, adjoint):
 
 
 def _overlaps(lattice):
-    """The bonds whose contacts can open: (strain of u, law)."""
+    """The contacts that can open, of bonds and walls: functions (t, u) of their overlap."""
     found = []
     for term in lattice.terms:
         term = getattr(term, "term", term)
         law = getattr(term, "law", None)
-        if law is not None and hasattr(term, "strain_map"):
-            if jax.eval_shape(law.overlap, jax.ShapeDtypeStruct((), lattice.dtype)) is not None:
-                found.append((term.strain_map, law))
+        if law is None or jax.eval_shape(law.overlap, jax.ShapeDtypeStruct((), lattice.dtype)) is None:
+            continue
+        if isinstance(term, Bond):
+            found.append(lambda t, u, term=term: term.law.overlap(term.strain_map.strain(u)))
+        elif isinstance(term, Wall):
+            found.append(lambda t, u, term=term: term.law.overlap(term.compression(t, u)))
     return found
 
 
 def _smallest_overlap(t, y, lattice):
-    overlaps = [law.overlap(strain_map.strain(y.u)) for strain_map, law in _overlaps(lattice)]
+    overlaps = [overlap(t, y.u) for overlap in _overlaps(lattice)]
     if len(overlaps) == 1:
         return overlaps[0]
     lanes = len(lattice.lanes)
@@ -102,9 +106,13 @@ def _energy_error(lattice, state, t0, ts, ys):
     if not lattice.conserves:
         return jnp.full(lattice.lanes, jnp.nan)
     start = lattice.energy(t0, state.u, state.v)
+    used = jnp.isfinite(ts).reshape((-1,) + (1,) * len(lattice.lanes))  # of a buffer with room to spare
     energies = jax.lax.map(lambda ty: lattice.energy(ty[0], ty[1].u, ty[1].v), (ts, ys))
     scale = jnp.maximum(jnp.abs(start), lattice.kinetic_energy(state.v))
-    return jnp.max(jnp.abs(energies - start), axis=0) / jnp.where(scale > 0, scale, 1)
+    errors = jnp.where(used, jnp.abs(energies - start), 0)
+    # XLA's maximum over a long array may lose a NaN
+    largest = jnp.where(jnp.any(jnp.isnan(errors), axis=0), jnp.nan, jnp.max(errors, axis=0))
+    return largest / jnp.where(scale > 0, scale, 1)
 
 
 class _Scaled(eqx.Module):

@@ -15,6 +15,7 @@ from .stiffness import frequency_bound, linear_frequency, softens
 # h omega of the default step
 STEP_FRACTION = 0.5
 DEFAULT_TOLERANCE = 1e-8
+MOST_STEPS = 1e8
 
 
 def checked_method(lattice, solver, step, tolerance):
@@ -25,7 +26,8 @@ def checked_method(lattice, solver, step, tolerance):
         name = getattr(solver, "__name__", None) or repr(solver)
         refuse("solver", "a solver, such as gx.SRKN11b()", name, "Solvers are instances: write the brackets.")
     if solver is not None and solver.term_structure is not diffrax.AbstractTerm:
-        refuse("solver", "one for a single vector field", type(solver).__name__, "gx.VelocityVerlet() splits by itself.")
+        remedy = "gx.VelocityVerlet() splits by itself."
+        refuse("solver", "one for a single vector field", type(solver).__name__, remedy)
     step, tolerance = checked_size("step", step), checked_size("tolerance", tolerance)
     velocity = [i for i, term in enumerate(lattice.terms) if term.reads_velocity]
     splits = all(isinstance(lattice.terms[i], Damping) for i in velocity)
@@ -36,7 +38,7 @@ def checked_method(lattice, solver, step, tolerance):
             solver = SRKN11b()
         else:
             solver = diffrax.Dopri8()
-            tolerance = None if step is not None else DEFAULT_TOLERANCE
+            tolerance = None if step is not None else _default_tolerance(lattice)
     if isinstance(solver, AbstractSplitting):
         if not splits:
             split_system(lattice)  # refuses, naming the term
@@ -51,13 +53,21 @@ def checked_method(lattice, solver, step, tolerance):
         wanted = "one with an error estimate for a tolerance"
         refuse("solver", wanted, type(solver).__name__, "Use gx.RKN86(), or step=.")
     if tolerance is None and step is None and not isinstance(solver, AbstractSplitting):
-        tolerance = DEFAULT_TOLERANCE if isinstance(solver, diffrax.AbstractAdaptiveSolver) else None
+        tolerance = _default_tolerance(lattice) if isinstance(solver, diffrax.AbstractAdaptiveSolver) else None
     value = None if tolerance is None else concrete(tolerance)
-    least = 0 if value is None else 16 * jnp.finfo(lattice.dtype).eps
+    least = 0 if value is None else _least_tolerance(lattice)
     if value is not None and value < least:
         refuse("tolerance", f"at least {least:.1e}, what {lattice.dtype} holds", show(value), "Use a larger one.")
     # an array, so that another tolerance compiles nothing
     return solver, step, None if tolerance is None else jnp.asarray(tolerance, lattice.dtype)
+
+
+def _least_tolerance(lattice):
+    return 16 * float(jnp.finfo(lattice.dtype).eps)
+
+
+def _default_tolerance(lattice):
+    return max(DEFAULT_TOLERANCE, _least_tolerance(lattice))
 
 
 def fixed_step(lattice, state, t0, t1, step, solver, frames):
@@ -72,6 +82,7 @@ def fixed_step(lattice, state, t0, t1, step, solver, frames):
                 "Nothing is stiff at this energy (a sonic vacuum at rest?), so no time scale sets one: give step=.",
             )
         step = STEP_FRACTION / bound
+        _refuse_useless(step, t0, t1)
         choice = f"default step, h omega_max <= {STEP_FRACTION}"
         if softens(lattice):
             remark = "An exponent below 1: a contact that re-opens is infinitely stiff, and no step bound exists there."
@@ -81,6 +92,17 @@ def fixed_step(lattice, state, t0, t1, step, solver, frames):
     count = _ceil(span / step)
     steps = None if isinstance(count, jax.core.Tracer) else int(count) * frames
     return (t1 - t0) / (count * frames), steps, choice, remark
+
+
+def _refuse_useless(step, t0, t1):
+    if any(isinstance(x, jax.core.Tracer) for x in (step, t0, t1)):
+        return
+    if not np.isfinite(step) or (t1 - t0) / step > MOST_STEPS:
+        refuse(
+            "step", "a time step", "None",
+            f"The bound on the stiffness at this energy asks for steps of {step:.1e}: no useful one (a law without a "
+            "floor, or energy that is spread over many sites). Give step= or tolerance=.",
+        )
 
 
 def _known(x):

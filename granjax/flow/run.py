@@ -18,7 +18,7 @@ class Run(eqx.Module):
     - `final`: `State` at the last time; `recorded`: dict of the records' results.
     - `energy_error`: largest |E - E0|/max(|E0|, kinetic energy) over the saved times, NaN where a term does not keep
       the energy; shape of the lanes. `contact_opened`: whether any contact opened at the end of any step.
-    - `outcome`: a sentence; `completed`: whether the run reached t1 with finite numbers.
+    - `outcome`: a sentence; `completed`: whether the run reached t1 with finite numbers, in every lane.
     - `stats`: dict of `steps`, `accepted`, `rejected`, `step` (the fixed one, or the mean of adaptive ones),
       `force_evaluations` (NaN for diffrax's own solvers). `solver`: its name; `choice`: what was chosen and why.
     """
@@ -47,7 +47,7 @@ class Run(eqx.Module):
         code = concrete(self.code)
         if code is None:
             return "Not known while traced."
-        t, steps = float(self.ts[-1]), int(np.max(self.stats["steps"]))
+        t, steps = float(np.max(np.asarray(self.ts)[..., -1])), int(np.max(self.stats["steps"]))
         sentence = {
             COMPLETED: f"Completed at t = {t:g} after {steps} steps.",
             NOT_FINITE: f"The state is not finite{self._where()}: "
@@ -80,7 +80,7 @@ class Run(eqx.Module):
         yield "step", f"{float(np.max(self.stats['step'])):.6g}"
         yield "energy error", f"{float(np.max(self.energy_error)):.2g}"
         yield "contact opened", "yes" if np.any(self.contact_opened) else "no"
-        yield "saved", f"{len(self.ts)} times" + (f", records {', '.join(self.recorded)}" if self.recorded else "")
+        yield "saved", f"{self.ts.shape[-1]} times" + (f", records {', '.join(self.recorded)}" if self.recorded else "")
         yield "outcome", self.outcome
 
     def to_numpy(self):

@@ -60,13 +60,14 @@ def simulate(
         one_of("keyword", name, KEYWORDS)
     state = checked_state(lattice, state)
     t0, t1 = checked_times(t0, t1)
-    traced = any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves((lattice, state, t0, t1, step, tolerance)))
+    given = jax.tree.leaves((lattice, state, t0, t1, step, tolerance, save_at, record))
+    traced = any(isinstance(x, jax.core.Tracer) for x in given)
     if throw and traced:
         remedy = "What becomes of a traced run is not known yet."
         refuse("throw", "None or False under a transformation", "True", remedy)
     solver, step, tolerance = checked_method(lattice, solver, step, tolerance)
     save_ts, frames, every = checked_save_at(save_at, t0, t1)
-    records = checked_records(record)
+    records = checked_records(record, lattice, state)
     if tolerance is None:
         dt, steps, choice, remark = fixed_step(lattice, state, t0, t1, step, solver, frames)
     else:
@@ -100,7 +101,8 @@ def _adjoint(adjoint, traced, every, steps, max_steps):
     if max_steps is not None:
         limit = whole("max_steps", max_steps, 1)
     elif steps is not None:
-        limit = steps
+        # a power of two, so that a gradient compiles once for many scenes
+        limit = steps if every else 1 << (steps - 1).bit_length()
     else:
         limit = SAVED_STEPS if every else TRACED_STEPS
     if adjoint is None:

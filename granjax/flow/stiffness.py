@@ -8,32 +8,46 @@ that range makes a matrix |K| = sum |B|^T k |B| with no sign left in it, and for
 exact for chains of next neighbours once w is the leading vector; a few power steps bring it close.
 """
 
+import math
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ..checks import refuse
+from ..checks import concrete, refuse
 from ..laws import PowerLaw, Scaled, Sum, Yielding
 from ..strains import Stretch
-from ..terms import Bond, Drive, Modulated, OnSite, Wall
+from ..terms import Bond, Damping, Dashpot, Drive, Modulated, OnSite, Wall
 
 POWER_STEPS = 40
 SAMPLES = 257
 DENSE_LIMIT = 4000
 # a contact of exponent below 1 is infinitely stiff where it opens; the bound keeps this far from there
 CLOSED_FRACTION = 0.05
+_BOUNDED = (Bond, Damping, Dashpot, Drive, Modulated, OnSite, Wall)
 
 
 @eqx.filter_jit
 def frequency_bound(lattice, state, t0, t1):
     """Upper bound on the angular frequencies that linearisation finds anywhere at the scene's energy.
 
-    A drive or a moving wall adds what a quasi-static push to twice its largest value would store.
+    A drive adds what a quasi-static push to twice its largest value would store; a moving wall the energy of the
+    heaviest site at twice its largest speed, or its displacement shared by all sites, whichever is more. A modulation
+    counts with its largest value and with the energy that it gives the initial state.
 
     **Returns:** omega_max, one number for all lanes; zero for a lattice without any stiffness at its energy.
+    **Raises** ValueError for a term of another kind, whose stiffness is not known.
     """
+    for i, term in enumerate(lattice.terms):
+        if not isinstance(term, _BOUNDED):
+            remedy = "Its stiffness is not known, so no default step is safe: give step=."
+            refuse("step", "a time step", f"None with terms[{i}] ({type(term).__name__})", remedy)
+    drives = _waveforms(lattice, t0, t1)
     energy = lattice.energy(t0, state.u, state.v)
-    return _bound(lattice, energy, _waveforms(lattice, t0, t1))
+    if any(isinstance(term, Modulated) for term in lattice.terms):
+        energy = jnp.max(jax.vmap(lambda t: lattice.energy(t, state.u, state.v))(drives[0]), axis=0)
+    heaviest = jnp.max(jnp.stack([jnp.max(m) for m in jax.tree.leaves(lattice.mass)]))
+    return _bound(lattice, energy + 2 * heaviest * drives[3] ** 2, drives)
 
 
 @eqx.filter_jit
@@ -47,13 +61,15 @@ def linear_frequency(lattice, power_steps=POWER_STEPS):
 
 def _waveforms(lattice, t0, t1):
     ts = (t0 + (t1 - t0) * jnp.linspace(0.0, 1.0, SAMPLES)).astype(lattice.dtype)
-    force = displacement = jnp.zeros((), lattice.dtype)
+    force = displacement = speed = jnp.zeros((), lattice.dtype)
     for term in lattice.terms:
         if isinstance(term, Drive):
             force = jnp.maximum(force, jnp.max(jnp.abs(jax.vmap(term.waveform)(ts))))
         if isinstance(term, Wall) and term.motion is not None:
-            displacement = jnp.maximum(displacement, jnp.max(jnp.abs(jax.vmap(term.motion)(ts))))
-    return ts, 2 * force, 2 * displacement
+            w, dw = jax.vmap(lambda t, w=term.motion: jax.jvp(w, (t,), (jnp.ones_like(t),)))(ts)
+            displacement, speed = jnp.maximum(displacement, jnp.abs(w).max()), jnp.maximum(speed, jnp.abs(dw).max())
+    sites = sum(math.prod(shape) for shape in jax.tree.leaves(lattice.sites, is_leaf=lambda x: isinstance(x, tuple)))
+    return ts, 2 * force, 4 * displacement / sites, speed
 
 
 def _bound(lattice, energy, waveforms, power_steps=POWER_STEPS):
@@ -135,7 +151,7 @@ def _stiffest(law, energy, waveforms):
     """Largest F'(x) over the compressions x that the energy (and the drive) can reach, per bond."""
     like = jax.eval_shape(lambda e: law.force(e) + 0 * energy, jnp.zeros_like(energy))
     zero = jnp.zeros(like.shape, like.dtype)
-    force, displacement = (jnp.zeros((), like.dtype),) * 2 if waveforms is None else waveforms[1:]
+    force, displacement = (jnp.zeros((), like.dtype),) * 2 if waveforms is None else waveforms[1:3]
 
     def reachable(x):
         within = (law.energy(x) <= energy) & (energy > 0)
@@ -183,7 +199,8 @@ def _softens(law):
         return any(_softens(part) for part in law.parts)
     if isinstance(law, (Scaled, Yielding)):
         return _softens(law.law)
-    return isinstance(law, PowerLaw) and isinstance(law.exponent, float) and 0 < law.exponent < 1
+    exponent = concrete(law.exponent) if isinstance(law, PowerLaw) else None
+    return exponent is not None and bool(((exponent > 0) & (exponent < 1)).any())
 
 
 def softens(lattice):

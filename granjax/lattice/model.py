@@ -217,7 +217,7 @@ def _per_vector(term, axes):
         return eqx.tree_at(lambda t: t.term, term, _per_vector(term.term, axes))
     if not isinstance(term, (Damping, OnSite)):
         return term
-    return jax.tree.map(lambda x: x[..., None] if x.ndim == axes else x, term)
+    return jax.tree.map(lambda x: x[..., None] if jnp.ndim(x) == axes else x, term)
 
 
 def _check_place(name, term, lattice):
@@ -230,6 +230,8 @@ def _check_place(name, term, lattice):
         whole_numbers = all(isinstance(i, (int, np.integer)) and not isinstance(i, bool) for i in term.site)
         if not whole_numbers or len(term.site) != len(sites) or any(not -n <= i < n for i, n in zip(term.site, sites)):
             refuse(name, f"a site of a lattice of {sites}", f"site {term.site}")
+        if lattice.dimension is not None and jax.eval_shape(term.waveform, jnp.zeros(())).shape != (lattice.dimension,):
+            refuse(name, f"a waveform that gives a vector of {lattice.dimension}", "one of another shape")
 
 
 def _sum(parts, like):

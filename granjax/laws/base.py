@@ -17,7 +17,8 @@ class Law(eqx.Module):
     met), or `None` where nothing can open.
 
     Everything is elementwise: `e` has the shape of the bonds (then lanes), parameters are scalars or arrays over them.
-    To add a law write `force` and `energy`, and one line in the tests' list of cases. `law + law` is their sum.
+    To add a law write `force` and `energy`, with parameters that are arrays (another value of a plain number compiles
+    anew), and one line in the tests' list of cases. `law + law` is their sum.
     """
 
     @abc.abstractmethod
