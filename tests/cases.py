@@ -1,4 +1,4 @@
-"""The kinds that the invariant tests run over. A new law, strain map, term or lattice is one line here."""
+"""The kinds that the invariant tests run over. A new law, strain map, term, lattice or solver is one line here."""
 
 from typing import NamedTuple
 
@@ -12,6 +12,10 @@ from granjax.laws import Scaled
 from granjax.strains import BOUNDARIES, StrainMap
 
 EPS = float(np.finfo(float).eps)
+
+SPLITTING = (gx.VelocityVerlet, gx.SRKN6b, gx.SRKN11b, gx.SRKN14a, gx.KahanLi8, gx.SofroniouSpaletta10)
+NYSTROM = (gx.RKN86, gx.RKN1210)
+ALL_SOLVERS = SPLITTING + NYSTROM
 
 
 def over(cases):

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from cases import ALL_SOLVERS, NYSTROM, SPLITTING
 
 import granjax as gx
 from granjax.solvers import (
@@ -22,11 +23,10 @@ from granjax.solvers.interpolation import Bootstrapped, QuinticHermite, correcti
 from granjax.solvers.nystrom import _stages
 from granjax.solvers.seeds import weights
 
-SPLITTING = (VelocityVerlet, SRKN6b, SRKN11b, SRKN14a, KahanLi8, SofroniouSpaletta10)
-NYSTROM = (RKN86, RKN1210)
-ALL_SOLVERS = SPLITTING + NYSTROM
 by_name = pytest.mark.parametrize("solver", ALL_SOLVERS, ids=lambda s: s.__name__)
 splittings = pytest.mark.parametrize("solver", SPLITTING, ids=lambda s: s.__name__)
+
+
 def mostly_slow(solvers, *fast):
     """The solvers share their code: some stand for all in the fast set."""
     marked = [s if s in fast else pytest.param(s, marks=pytest.mark.slow) for s in solvers]
