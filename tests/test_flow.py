@@ -146,6 +146,7 @@ def test_derivatives_in_both_modes_through_the_default():
     assert float(jax.grad(fixed)(1.0)) == pytest.approx(float(difference), rel=1e-5)
 
 
+@pytest.mark.slow
 def test_a_run_of_plain_numbers_inside_jit(closed):
     chain, state = closed
     for how in ({}, {"step": 0.1}, {"step": 0.1, "save_at": 5}, {"tolerance": 1e-9}):
@@ -153,6 +154,7 @@ def test_a_run_of_plain_numbers_inside_jit(closed):
         assert np.allclose(inside, 2 * gx.simulate(chain, state, 2.0, **how).final.u, rtol=0, atol=1e-13)
 
 
+@pytest.mark.slow
 def test_gradient_of_a_recorded_peak(struck):
     def peak(v):
         chain = gx.scenes.monomer(8, boundary="free")
@@ -178,6 +180,7 @@ def test_damping_is_exact_and_a_dashpot_is_refused(closed):
     assert gx.simulate(dashpot, state, 1.0).solver == "Dopri8"
 
 
+@pytest.mark.slow
 def test_float32_runs_stay_float32(struck):
     chain, state = struck
     small = jax.tree.map(lambda x: x.astype("float32"), state)

@@ -63,6 +63,7 @@ def test_nan_stays_nan(case):
         assert np.isnan(got[1]) or constant
 
 
+@pytest.mark.slow
 @over(ALL_LAWS)
 @pytest.mark.parametrize("order", [1, 2, 3])
 def test_no_derivative_is_nan(case, order):

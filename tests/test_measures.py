@@ -353,6 +353,7 @@ def test_a_plane_wave_has_its_line_at_its_wave_number_and_frequency(direction, w
         np.testing.assert_allclose(s.power[i, j], 0.3**2 / 2, rtol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("frames,sites", [(64, 12), (65, 13)])
 def test_parseval(frames, sites):
     us = np.random.default_rng(1).standard_normal((frames, sites, 3))

@@ -56,6 +56,7 @@ def test_a_map_of_a_run_shows_its_array(ax, record):
     assert colour_bar(ax).get_ylabel() == "velocity (scaled)"
 
 
+@pytest.mark.slow
 def test_a_real_run_and_its_displacements(ax):
     chain = gx.scenes.monomer(6)
     run = gx.simulate(chain, gx.states.impact(chain), 2.0, save_at=5, solver=gx.VelocityVerlet(), step=0.1)

@@ -35,6 +35,7 @@ def python(code, **environment):
     return done.stdout.splitlines()[-1]
 
 
+@pytest.mark.slow
 def test_a_sweep_is_what_single_runs_give():
     # more than one chunk, not sorted; each chunk has its own step, whose error is below 1e-6
     ratios = np.array([0.7, 0.05, 1.0, 0.3, 0.59, 0.9, 0.1, 0.45, 0.2, 0.8, 0.5, 0.6])

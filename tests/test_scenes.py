@@ -184,6 +184,7 @@ SWEPT = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make, values", SWEPT.values(), ids=SWEPT.keys())
 def test_a_batch_equals_a_loop_and_its_lanes_are_trailing(make, values):
     batch = jax.vmap(make, out_axes=-1)(values)

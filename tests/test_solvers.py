@@ -153,6 +153,7 @@ def monodromy(solver, lattice, y, t1, step):
     return np.asarray(jax.jit(jax.jacfwd(flow))(jnp.concatenate(list(y))))
 
 
+@pytest.mark.slow
 @mostly_slow(SPLITTING, SRKN11b, SRKN14a, SofroniouSpaletta10)
 def test_symplectic(solver):
     M = monodromy(solver, chain(), smooth(), 2.0, 0.25)
@@ -416,6 +417,7 @@ def test_dense_output_is_as_good_as_the_steps(solver, counts, between):
     assert min(orders) > {RKN86: 7.5, RKN1210: 10.3}[solver]
 
 
+@pytest.mark.slow
 def test_dense_output_of_splittings_has_order_six(between):
     times, reference = between
     counts = np.array([40, 56, 80])

@@ -89,6 +89,7 @@ def test_reach_and_its_transpose_are_the_absolute_values(case):
     assert_ulps(x.reach_back, touched(x.absolute_back, x.reach_back), 16)
 
 
+@pytest.mark.slow
 @over(ALL_STRAIN_MAPS)
 def test_load_and_energy_are_the_forms_of_the_base_class(case):
     """The hand-written transpose and energies against `jax.vjp` of the strain alone."""
