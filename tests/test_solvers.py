@@ -23,7 +23,6 @@ from granjax.solvers.interpolation import Bootstrapped, QuinticHermite, correcti
 from granjax.solvers.nystrom import _stages
 from granjax.solvers.seeds import weights
 
-by_name = pytest.mark.parametrize("solver", ALL_SOLVERS, ids=lambda s: s.__name__)
 splittings = pytest.mark.parametrize("solver", SPLITTING, ids=lambda s: s.__name__)
 
 
@@ -101,7 +100,7 @@ def truth(lanes):
     return jax.tree.map(lambda x: x[-1], saved)
 
 
-@by_name
+@mostly_slow(ALL_SOLVERS, VelocityVerlet, SRKN11b, RKN86)
 def test_observed_order(solver, lanes, truth):
     scene, y = lanes
     counts = LADDERS[solver]
