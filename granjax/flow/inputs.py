@@ -6,9 +6,9 @@ import numpy as np
 
 from ..checks import concrete, one_of, refuse, show, whole
 from ..lattice import Lattice, State
-from .record import Record
+from .record import CLOSEST, Record
 
-RESERVED = ("time", "ts", "us", "vs", "u", "v", "closest overlap")
+RESERVED = ("time", "ts", "us", "vs", "u", "v", CLOSEST)
 
 
 def checked_state(lattice, state):

@@ -8,12 +8,9 @@ import jax.numpy as jnp
 from ..lattice import vector_field
 from ..solvers import RKN86, RKN1210
 from ..terms import Bond, Wall
-from .record import Lowest, Recorded
+from .record import CLOSEST, Lowest, Recorded
 from .run import COMPLETED, FAILED, NOT_FINITE, STEP_TOO_SMALL, TOO_MANY_STEPS, Run, finite
 from .stiffness import frequency_bound
-
-# the record beside the user's own that says whether a contact opened
-_CLOSEST = "closest overlap"
 
 
 @eqx.filter_jit
@@ -21,7 +18,7 @@ def integrate(
     lattice, state, t0, t1, dt, tolerance, save_ts, records, solver, adjoint, max_steps, every, progress,
 ):
     """Integrate and reduce; everything checked, everything chosen. `Run` without its names."""
-    records = {**records, _CLOSEST: Lowest(_smallest_overlap)} if _overlaps(lattice) else records
+    records = {**records, CLOSEST: Lowest(_smallest_overlap)} if _overlaps(lattice) else records
     stepper = _ready(solver, adjoint)
     stepper = Recorded(stepper, records) if records else stepper
     controller = diffrax.ConstantStepSize()
@@ -42,7 +39,7 @@ def integrate(
     ts, ys = (solution.ts[-1], solution.ys[-1])
     carried = solution.solver_state[1] if records else {}
     recorded = {name: records[name].finish(carried[name]) for name in records}
-    closest = recorded.pop(_CLOSEST, None)
+    closest = recorded.pop(CLOSEST, None)
     opened = jnp.zeros(lattice.lanes, bool) if closest is None else _any_below_zero(closest, lattice)
     steps = solution.stats["num_steps"]
     evaluations = type(solver).evaluations() if hasattr(type(solver), "evaluations") else jnp.nan

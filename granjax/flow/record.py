@@ -12,6 +12,8 @@ import jax.numpy as jnp
 from ..checks import refuse
 
 NEWTON_STEPS = 4
+# the record beside the user's own that says whether a contact opened
+CLOSEST = "closest overlap"
 
 
 class Record(eqx.Module):

@@ -1,9 +1,6 @@
 """The lattice as a split system: what the splitting solvers see.
 
-H = T(v) + V(t, u), with linear damping of the sites exactly in the drift. A split system offers `start` (evaluate the
-force), `enter` and `leave` (between the state and the working form w), `kick` and `drift` (the two exact flows),
-`refresh` (evaluate the force at a new place and time) and `acceleration` (read it off, for dense output). The force
-that ends one step opens the next.
+Linear damping of the sites goes exactly into the drift.
 """
 
 import equinox as eqx
@@ -11,12 +8,13 @@ import jax
 import jax.numpy as jnp
 
 from ..checks import refuse
+from ..solvers.split import Split, pair
 from ..strains import Shift
 from ..terms import Bond, Damping
 from .model import Lattice
 
 
-class PlainSplit(eqx.Module):
+class PlainSplit(Split):
     """Any lattice: w = (u, v, a)."""
 
     lattice: Lattice
@@ -25,22 +23,6 @@ class PlainSplit(eqx.Module):
         u, v = y
         forces = self.lattice.sum_forces(t, u, v, _without_velocity(self.lattice))
         return jax.tree.map(jnp.divide, forces, self.lattice.mass)
-
-    def enter(self, y, cache):
-        u, v = y
-        return u, v, cache
-
-    def leave(self, w, like):
-        u, v, a = w
-        return _pair(like, u, v), a
-
-    def refresh(self, w, t):
-        u, v, _ = w
-        return u, v, self.start(t, (u, v))
-
-    def kick(self, w, bh):
-        u, v, a = w
-        return u, jax.tree.map(lambda v, a: v + bh.astype(v.dtype) * a, v, a), a
 
     def drift(self, w, ah):
         u, v, a = w
@@ -94,7 +76,7 @@ class ChainSplit(eqx.Module):
 
     def leave(self, w, like):
         u, v, f = w
-        return _pair(like, u[1:-1] if self._walls else u, v), f
+        return pair(like, u[1:-1] if self._walls else u, v), f
 
     def refresh(self, w, t):
         u, v, f = w
@@ -159,7 +141,7 @@ def vector_field(t, y, lattice):
     `y` is a `State` (or a pair (u, v)); the result has its structure.
     """
     u, v = y
-    return _pair(y, v, lattice.acceleration(t, u, v))
+    return pair(y, v, lattice.acceleration(t, u, v))
 
 
 vector_field.split_system = split_system
@@ -196,10 +178,6 @@ def _damping_rates(lattice, u):
     for name in tuple(u) if isinstance(u, dict) else (None,):
         rates = [term.rate for term in damping if term.field is None or term.field == name]
         yield name, (sum(rates[1:], rates[0]) if rates else None)
-
-
-def _pair(like, u, v):
-    return type(like)(u, v) if hasattr(like, "_fields") else type(like)((u, v))
 
 
 def _at(x, name):

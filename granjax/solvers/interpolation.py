@@ -8,6 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from .split import pair
+
 
 class QuinticHermite(diffrax.AbstractLocalInterpolation):
     r"""Displacement between the ends of a step as the quintic through u, v, a at both; velocity as its derivative.
@@ -161,6 +163,6 @@ def _place(step, t):
 def _state(like, both, *trees):
     """A state of the form `like` from `both`, which gives (u, v) for one array, and the trees that it is fed from."""
     structure = jax.tree.structure(trees[0])
-    pairs = [both(*leaves) for leaves in zip(*map(jax.tree.leaves, trees))]
-    u, v = (structure.unflatten([pair[i] for pair in pairs]) for i in (0, 1))
-    return type(like)(u, v) if hasattr(like, "_fields") else type(like)((u, v))
+    values = [both(*leaves) for leaves in zip(*map(jax.tree.leaves, trees))]
+    u, v = (structure.unflatten([value[i] for value in values]) for i in (0, 1))
+    return pair(like, u, v)

@@ -20,7 +20,8 @@ from ..checks import refuse
 from . import tables
 from .interpolation import Bootstrapped, correction, quintic
 from .seeds import weights
-from .splitting import FieldSplit, _pair, unwrap
+from .split import FieldSplit, pair
+from .splitting import unwrap
 
 
 class AbstractNystrom(diffrax.AbstractAdaptiveSolver):
@@ -64,7 +65,7 @@ class AbstractNystrom(diffrax.AbstractAdaptiveSolver):
             kept = jax.lax.cond(made_jump, lambda: system.start(t0 * direction, y0), lambda: solver_state)
         step = _Step(system, t0, t1, direction, y0)
         k, y1, kept = _march(stages, step, kept)
-        error = _pair(y0, _sum(stages.be, k, step.h, 2), _sum(stages.bpe, k, step.h, 1))
+        error = pair(y0, _sum(stages.be, k, step.h, 2), _sum(stages.bpe, k, step.h, 1))
         return y1, error, _dense(type(self), step, k, kept), kept, diffrax.RESULTS.successful
 
     def func(self, terms, t0, y0, args):
@@ -102,7 +103,7 @@ def _refuse_velocity(field, t, y, args):
         field.acceleration_only(args)
         return
     u, v = y
-    traced = jax.make_jaxpr(lambda v: field(t, _pair(y, u, v), args)[1])(v).jaxpr
+    traced = jax.make_jaxpr(lambda v: field(t, pair(y, u, v), args)[1])(v).jaxpr
     _, read = dce_jaxpr(traced, [True] * len(traced.outvars))
     if any(read):
         refuse(
@@ -118,7 +119,7 @@ class _AtRest(eqx.Module):
 
     def __call__(self, t, y, args):
         u, v = y
-        return self.field(t, _pair(y, u, jax.tree.map(jnp.zeros_like, v)), args)
+        return self.field(t, pair(y, u, jax.tree.map(jnp.zeros_like, v)), args)
 
 
 class _Step(NamedTuple):
@@ -140,7 +141,7 @@ class _Step(NamedTuple):
 
     def force(self, kept, t, u):
         """The force at (t, u), in the system's own form, and the acceleration."""
-        at = _pair(self.y0, u, self.y0[1])
+        at = pair(self.y0, u, self.y0[1])
         _, kept = self.system.leave(self.system.refresh(self.system.enter(at, kept), t), at)
         return kept, self.system.acceleration(at, kept)
 
@@ -194,7 +195,7 @@ def _march(stages, step, kept):
     following = np.minimum(np.arange(2, count + 1), count - 1)
     rows = np.arange(1, count), step.times(stages.c)[1:], stages.c[following], stages.A[following]
     (k, u1, kept), _ = jax.lax.scan(stage, (k, u, kept), rows)
-    return k, _pair(step.y0, u1, jax.tree.map(jnp.add, v0, _sum(stages.bp, k, step.h, 1))), kept
+    return k, pair(step.y0, u1, jax.tree.map(jnp.add, v0, _sum(stages.bp, k, step.h, 1))), kept
 
 
 def _write(k, a, i):

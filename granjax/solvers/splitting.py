@@ -9,50 +9,13 @@ from functools import cache
 from typing import ClassVar
 
 import diffrax
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from . import tables
 from .interpolation import QuinticHermite
-
-
-class FieldSplit(eqx.Module):
-    """The split system of a plain vector field f(t, (u, v), args) = (v, a(t, u)); a must not depend on v."""
-
-    field: object = eqx.field(static=True)
-    args: object
-
-    def start(self, t, y):
-        return self.field(t, y, self.args)[1]
-
-    def enter(self, y, cache):
-        u, v = y
-        return u, v, cache
-
-    def leave(self, w, like):
-        u, v, a = w
-        return _pair(like, u, v), a
-
-    def refresh(self, w, t):
-        u, v, _ = w
-        return u, v, self.start(t, (u, v))
-
-    def kick(self, w, bh):
-        u, v, a = w
-        return u, jax.tree.map(lambda v, a: v + bh.astype(v.dtype) * a, v, a), a
-
-    def drift(self, w, ah):
-        u, v, a = w
-        return jax.tree.map(lambda u, v: u + ah.astype(u.dtype) * v, u, v), v, a
-
-    def acceleration(self, y, cache):
-        return cache
-
-
-def _pair(like, u, v):
-    return type(like)(u, v) if hasattr(like, "_fields") else type(like)((u, v))
+from .split import FieldSplit
 
 
 def unwrap(terms):

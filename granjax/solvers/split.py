@@ -1,0 +1,57 @@
+"""What a splitting method sees, and all that it knows of the equation: a split system."""
+
+import abc
+
+import equinox as eqx
+import jax
+
+
+def pair(like, u, v):
+    """(u, v) in the form of another state: a pair or a named tuple."""
+    return type(like)(u, v) if hasattr(like, "_fields") else type(like)((u, v))
+
+
+class Split(eqx.Module):
+    """H = T(v) + V(t, u) in the plain working form w = (u, v, a), free flight in between.
+
+    `start` evaluates the force, `enter` and `leave` change between the state and the working form, `kick` and `drift`
+    are the two exact flows, `refresh` evaluates the force at a new place and time, `acceleration` reads it off for
+    dense output. The force that ends one step opens the next.
+    """
+
+    @abc.abstractmethod
+    def start(self, t, y):
+        """The acceleration at (t, u), without what the drift takes."""
+
+    def enter(self, y, cache):
+        u, v = y
+        return u, v, cache
+
+    def leave(self, w, like):
+        u, v, a = w
+        return pair(like, u, v), a
+
+    def refresh(self, w, t):
+        u, v, _ = w
+        return u, v, self.start(t, (u, v))
+
+    def kick(self, w, bh):
+        u, v, a = w
+        return u, jax.tree.map(lambda v, a: v + bh.astype(v.dtype) * a, v, a), a
+
+    def drift(self, w, ah):
+        u, v, a = w
+        return jax.tree.map(lambda u, v: u + ah.astype(u.dtype) * v, u, v), v, a
+
+    def acceleration(self, y, cache):
+        return cache
+
+
+class FieldSplit(Split):
+    """The split system of a plain vector field f(t, (u, v), args) = (v, a(t, u)); a must not depend on v."""
+
+    field: object = eqx.field(static=True)
+    args: object
+
+    def start(self, t, y):
+        return self.field(t, y, self.args)[1]
