@@ -6,6 +6,7 @@ from cases import ALL_LAWS, EPS, EXPONENTS, assert_ulps, over, scaled_leaves
 
 import granjax as gx
 from granjax.laws import Scaled, plus_power, taylor
+from granjax.laws.real_power import logarithm, real_power, root
 
 OVERLAPS = np.array([1e-300, 1e-100, 1e-12, 1e-6, 1e-3, 0.1, 1.0, 7.3, 1e3, 1e6, 1e12])
 
@@ -340,3 +341,37 @@ def _bisect(law, support, e):
         over = ~((middle + force / support - e) < 0)
         low, high = np.where(over, low, middle), np.where(over, middle, high)
     return (low + high) / 2
+
+
+@pytest.mark.parametrize("p", [1.4, 0.5, 3.7, -3.2, 9.3, 1e-3])
+def test_real_power_is_true_to_a_few_ulps_over_sixty_decades(p):
+    x = 10 ** np.random.default_rng(1).uniform(-30, 30, 500)
+    exact = x.astype(np.longdouble) ** np.longdouble(p)
+    for exponent in (p, jnp.asarray(p)):
+        error = np.abs(np.asarray(real_power(jnp.asarray(x), exponent)) / exact - 1).max()
+        assert error < (2 + abs(p)) * EPS
+
+
+def test_logarithm_is_true_to_an_ulp():
+    x = np.append(10 ** np.random.default_rng(2).uniform(-30, 30, 500), 1 + np.linspace(-1e-3, 1e-3, 101))
+    exact = np.log(x.astype(np.longdouble))
+    error = np.abs(np.asarray(logarithm(jnp.asarray(x))) - exact)
+    assert (error <= 2 * EPS * np.abs(exact)).all()
+
+
+@pytest.mark.parametrize("p", [1.4, 0.3, -2.3])
+def test_real_power_at_the_ends(p):
+    ends = jnp.asarray([0.0, jnp.inf, jnp.nan, 1.0, 1e300])
+    with np.errstate(all="ignore"):
+        np.testing.assert_allclose(real_power(ends, p), np.asarray(ends) ** p, rtol=1e-14)
+    assert float(logarithm(jnp.asarray(jnp.inf))) == np.inf and np.isnan(logarithm(jnp.asarray(jnp.nan)))
+    assert np.isfinite(logarithm(jnp.asarray(0.0)))
+
+
+def test_root_is_true_to_an_ulp_and_a_half():
+    x = 10 ** np.random.default_rng(3).uniform(-300, 300, 2000)
+    error = np.abs(np.asarray(jax.jit(root)(jnp.asarray(x))) / np.sqrt(x.astype(np.longdouble)) - 1)
+    assert error.max() < 1.5 * EPS
+    ends = jnp.asarray([0.0, jnp.inf, jnp.nan, 1.0])
+    np.testing.assert_array_equal(root(ends), jnp.sqrt(ends))
+    assert root(jnp.ones(3, jnp.float32)).dtype == jnp.float32

@@ -15,6 +15,8 @@ import jax
 import jax.numpy as jnp
 from jax.custom_derivatives import SymbolicZero
 
+from .real_power import logarithm, real_power, root
+
 
 def plus_power(s, p):
     """[s]_+^p, elementwise.
@@ -50,9 +52,9 @@ def _static_power_jvp(p, primals, tangents):
 def _power_of_positive(x, p):
     twice = 2 * abs(p)
     if twice != int(twice) or twice > 16:
-        return x**p
+        return real_power(x, p)
     whole, half = divmod(int(twice), 2)
-    factors = [x] * whole + ([jnp.sqrt(x)] if half else [])
+    factors = [x] * whole + ([root(x)] if half else [])
     power = factors[0]
     for factor in factors[1:]:
         power = power * factor
@@ -64,9 +66,9 @@ def _free_power(s, p, k):
     """s^p log(s)^k for s > 0, else zero: closed under differentiation in s and in p."""
     is_open = s <= 0
     x = jnp.where(is_open, 1, s)
-    value = x**p
+    value = real_power(x, p)
     if k:
-        value = value * jnp.log(x) ** k
+        value = value * logarithm(x) ** k
     # finite, so that a factor p - 1 = 0 in front of it gives zero
     most = jnp.finfo(value.dtype).max
     return jnp.where(is_open, 0, jnp.clip(value, -most, most))
