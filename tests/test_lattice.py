@@ -9,6 +9,7 @@ import pytest
 from cases import ALL_LATTICES, MASS_IN_MASS, assert_ulps, over, random_like, scaled_leaves
 
 import granjax as gx
+from granjax.laws.real_power import root
 
 T = 0.3
 FACTORS = (1.0, 1.1, 0.9)
@@ -180,7 +181,7 @@ def test_a_prestressed_periodic_crystal_is_balanced():
 def hand_written(mass, stiffness):
     def acceleration(u):
         s = jnp.maximum(u[:-1] - u[1:], 0)
-        f = stiffness * (s * jnp.sqrt(s))
+        f = stiffness * (s * root(s))
         return (jnp.pad(f, (1, 0)) - jnp.pad(f, (0, 1))) / mass
 
     return acceleration
@@ -227,5 +228,5 @@ def test_the_traced_program_is_the_one_written_by_hand():
 def test_the_compiled_program_is_the_one_written_by_hand():
     ours, hand, *args = _programs()
     got, want = opcodes(ours, *args), opcodes(hand, *args)
-    assert want["sqrt"] >= 1 and want["divide"] == 1  # the reading of the text has found the operations
+    assert want["shift-right-logical"] >= 1 and want["divide"] == 1  # the reading of the text has found the operations
     assert got == want

@@ -97,7 +97,7 @@ class ChainSplit(eqx.Module):
     def acceleration(self, y, cache):
         _, v = y
         ((_, rate),) = _damping_rates(self.lattice, v)
-        a = self._pull(cache) / self.lattice.mass
+        a = (1 / self.lattice.mass) * self._pull(cache)
         return a if rate is None else a - rate * v
 
 

@@ -6,7 +6,7 @@ next. Only the acceleration is asked for: from the vector field's own `accelerat
 that read the velocity, or from any f(t, (u, v), args) = (v, a(t, u)).
 """
 
-from functools import cache
+from functools import cache, partial
 from typing import ClassVar, NamedTuple
 
 import diffrax
@@ -22,6 +22,7 @@ from .interpolation import Bootstrapped, correction, quintic
 from .seeds import weights
 from .split import FieldSplit, pair
 from .splitting import unwrap
+from .stability import stability_limit
 
 
 class AbstractNystrom(diffrax.AbstractAdaptiveSolver):
@@ -39,6 +40,11 @@ class AbstractNystrom(diffrax.AbstractAdaptiveSolver):
     def table(cls):
         """The method's coefficients, `granjax.solvers.tables.Nystrom`."""
         return tables.nystrom(cls.__name__)
+
+    @classmethod
+    def stability_limit(cls):
+        """Largest h omega at which a fixed step is stable on u'' = -omega^2 u: `granjax.solvers.stability`."""
+        return stability_limit(cls)
 
     @classmethod
     def evaluations(cls):
@@ -145,14 +151,16 @@ class _Step(NamedTuple):
         _, kept = self.system.leave(self.system.refresh(self.system.enter(at, kept), t), at)
         return kept, self.system.acceleration(at, kept)
 
-    def place(self, k, c, weights):
-        """u0 + c h v0 + h^2 sum weights_j k_j."""
+    def places(self, c, weights):
+        """The function (i, k) -> u0 + c_i h v0 + h^2 sum_j weights_ij k_j.
 
-        def leaf(u, v, k):
-            h, w = self.h.astype(u.dtype), weights.astype(u.dtype)
-            return u + h * (c.astype(u.dtype) * v + h * sum(w[j] * k[j] for j in range(k.shape[0])))
+        A branch a row: what follows is traced once, and every sum has its own row's numbers alone, as constants.
+        """
+        return lambda i, k: jax.lax.switch(i, [partial(self._place, *row) for row in zip(c, weights)], k)
 
-        return jax.tree.map(leaf, *self.y0, k)
+    def _place(self, c, weights, k):
+        moved = jax.tree.map(lambda u, v: u + self.h.astype(u.dtype) * float(c) * v, *self.y0)
+        return jax.tree.map(jnp.add, moved, _sum(weights, k, self.h, 2))
 
 
 class _Stages(NamedTuple):
@@ -181,20 +189,16 @@ def _march(stages, step, kept):
     count = len(stages.c)
     k = jax.tree.map(lambda u: jnp.zeros((count,) + u.shape, u.dtype), u0)
     k = _write(k, step.system.acceleration(step.y0, kept), 0)
+    place = step.places(stages.c[1:], stages.A[1:])
 
     def stage(w, x):
-        k, u, kept = w
-        i, time, c, weights = x
+        k, _, kept = w
+        i, time = x
+        u = place(i - 1, k)
         kept, a = step.force(kept, time, u)
-        k = _write(k, a, i)
-        return (k, step.place(k, c, weights), kept), None
+        return (_write(k, a, i), u, kept), None
 
-    # positions are carried, or XLA would work the sum over stages out again for every reader; the last of them is u1
-    # once more, as its row does not read the last force
-    u = step.place(k, jnp.asarray(stages.c[1]), jnp.asarray(stages.A[1]))
-    following = np.minimum(np.arange(2, count + 1), count - 1)
-    rows = np.arange(1, count), step.times(stages.c)[1:], stages.c[following], stages.A[following]
-    (k, u1, kept), _ = jax.lax.scan(stage, (k, u, kept), rows)
+    (k, u1, kept), _ = jax.lax.scan(stage, (k, u0, kept), (np.arange(1, count), step.times(stages.c)[1:]))
     return k, pair(step.y0, u1, jax.tree.map(jnp.add, v0, _sum(stages.bp, k, step.h, 1))), kept
 
 
@@ -216,12 +220,13 @@ def _weighted(weights, k, h, power):
 def _dense(cls, step, k, kept):
     """What `Bootstrapped` is made from: the quintic of the ends, and accelerations inside."""
     fit = correction(cls.inside)
+    place = step.places(fit.nodes, seeds(cls))
 
     def inner_force(kept, x):
-        time, c, w = x
-        return step.force(kept, time, step.place(k, c, w))
+        i, time = x
+        return step.force(kept, time, place(i, k))
 
-    _, inner = jax.lax.scan(inner_force, kept, (step.times(fit.nodes), fit.nodes, seeds(cls)))
+    _, inner = jax.lax.scan(inner_force, kept, (np.arange(cls.inside), step.times(fit.nodes)))
     coefficients = tuple(
         jax.tree.map(lambda k, a: _weighted(row, [*k, *a.astype(k.dtype)], step.h, 2), k, inner)
         for row in _polynomial(cls)

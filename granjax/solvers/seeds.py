@@ -20,8 +20,8 @@ def weights(A, c, nodes, step=1.5, further=4):
     r"""Weights w, one row per node, and the order of the error of the positions that they give.
 
     `A`, `c`: the stages. The order conditions hold to the highest grade that they can; the freedom that is left makes
-    the conditions of the `further` next grades small in the least-squares sense, at h omega = `step`. Measured on a
-    Hertz chain, that makes dense output 3 times (RKN86) to 10 times (RKN1210) as accurate as weights of least norm.
+    the conditions of the `further` next grades small in the least-squares sense, at h omega = `step`,
+    rather than the weights.
     """
     found, grade = None, 0
     while True:

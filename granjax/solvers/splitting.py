@@ -5,7 +5,6 @@ The equation is m a = F(t, u), H = T(v) + V(t, u). One step composes the two exa
 as an attribute `split_system(args)`; any other f(t, (u, v), args) = (v, a(t, u)) gets `FieldSplit`.
 """
 
-from functools import cache
 from typing import ClassVar
 
 import diffrax
@@ -16,6 +15,7 @@ import numpy as np
 from . import tables
 from .interpolation import QuinticHermite
 from .split import FieldSplit
+from .stability import stability_limit
 
 
 def unwrap(terms):
@@ -40,11 +40,8 @@ class AbstractSplitting(diffrax.AbstractSolver):
 
     @classmethod
     def stability_limit(cls):
-        """Largest h omega at which the method is stable on u'' = -omega^2 u, from zero up.
-
-        The trace of one step's matrix is a polynomial in (h omega)^2; the interval ends where it leaves [-2, 2].
-        """
-        return _stability_limit(cls)
+        """Largest h omega at which the method is stable on u'' = -omega^2 u: `granjax.solvers.stability`."""
+        return stability_limit(cls)
 
     @classmethod
     def evaluations(cls):
@@ -92,28 +89,6 @@ class AbstractSplitting(diffrax.AbstractSolver):
 
     def func(self, terms, t0, y0, args):
         return terms.vf(t0, y0, args)
-
-
-@cache
-def _stability_limit(cls):
-    table = cls.table()
-
-    def half_trace(z):
-        m = np.eye(2)
-        for i, b in enumerate(table.b):
-            m = np.array([[1.0, 0.0], [-b * z * z, 1.0]]) @ m
-            if i < len(table.a):
-                m = np.array([[1.0, table.a[i]], [0.0, 1.0]]) @ m
-        return np.trace(m) / 2
-
-    grid = np.linspace(0, 40, 40001)[1:]
-    # touching 1 in modulus to rounding is the edge of a resonance of zero width, not an end of the interval
-    outside = next(z for z in grid if abs(half_trace(z)) > 1 + 1e-9)
-    low, high = outside - grid[0], outside
-    for _ in range(60):
-        middle = (low + high) / 2
-        low, high = (low, middle) if abs(half_trace(middle)) > 1 + 1e-9 else (middle, high)
-    return float(low)
 
 
 class VelocityVerlet(AbstractSplitting):

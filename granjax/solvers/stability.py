@@ -1,0 +1,301 @@
+r"""Linear stability: what one step of a method does to u'' = -omega^2 u, as a function of z = h omega.
+
+The step is the matrix R(z) on (u, v/omega). Its spectral radius rho(z) is the factor of amplitude a step, log(rho)/z
+the growth per radian of phase. Three kinds of method:
+
+- symplectic ones *keep*: det R = 1 and rho = 1, but for windows of z where trace R leaves [-2, 2]. All but Verlet meet
+  their first one, narrow and weak, where the numerical phase of a step is pi (growth 1e-4 ... 1e-2 a radian);
+- others *damp* from zero on (RKN pairs, Bosh3, Dopri5, Tsit5) up to an end, or
+- *amplify* from zero on (Heun, Dopri8) and have no interval of stability in the strict sense.
+
+One rule serves all: `stability_limit` is the z up to which nothing grows by more than `GROWTH` per radian. For a
+symplectic method that is where its first window begins.
+
+Source: Hairer, Lubich, Wanner, Geometric Numerical Integration (2006); van der Houwen, Sommeijer, SIAM J. Numer. Anal.
+24, 595 (1987), for the Nystrom pairs.
+"""
+
+from functools import cache
+from typing import NamedTuple
+
+import diffrax
+import numpy as np
+
+from ..checks import refuse
+from . import tables
+
+# e-fold in 1e5 radians, 16 000 periods: less is not seen in the runs that a fixed step is made for
+GROWTH = 1e-5
+# e-fold in 100 radians: no error that an accurate step keeps small, but a run that is lost
+RUNAWAY = 1e-2
+# growth that rounding alone can feign
+ROUNDING = 1e-11
+SPACING = 1 / 256
+FARTHEST = (4.0, 16.0, 64.0)
+
+
+class Window(NamedTuple):
+    """start < h omega < end, where the amplitude grows; `growth`, the largest per radian (per step: times h omega)."""
+
+    start: float
+    end: float
+    growth: float
+
+
+class Stability(NamedTuple):
+    """One line of the table of `stability`.
+
+    - `limit`: h omega up to which the growth stays below `GROWTH` per radian; inf for none.
+    - `refused_from`: h omega from which on `simulate` refuses a fixed step.
+    - `interval`: h omega up to which rho <= 1 but for rounding; 0 where the method amplifies from zero on.
+    - `near_zero`: "keeps", "damps" or "amplifies".
+    - `evaluations`: forces per step, NaN for an implicit method; `per_evaluation`: limit/evaluations.
+    - `windows`: where it is unstable, in order, up to the h omega that was asked for.
+    """
+
+    solver: str
+    limit: float
+    refused_from: float
+    interval: float
+    near_zero: str
+    evaluations: float
+    per_evaluation: float
+    windows: tuple
+
+
+def stability(solver, until=16.0):
+    """The table's line of a solver (class or instance), with its windows of instability up to h omega = `until`.
+
+    **Raises** ValueError for a solver whose step is not known here.
+    """
+    count, near = evaluations(solver), _near_zero(solver)
+    limit = stability_limit(solver)
+    interval = 0.0 if near == "amplifies" else next((w.start for w in _first(solver, ROUNDING)), np.inf)
+    name = _kind(solver).__name__
+    return Stability(
+        name, limit, refused_from(solver), interval, near, count, float(limit / count), windows(solver, until)
+    )
+
+
+def stability_limit(solver):
+    """h omega up to which a mode grows by less than `GROWTH` per radian; inf without end, `None` where not known.
+
+    `solver`: class or instance; granjax's, or diffrax's with a table of coefficients. Computed once, then looked up.
+    """
+    return _limit(_kind(solver), GROWTH)
+
+
+def refused_from(solver):
+    """h omega from which on `simulate` refuses a fixed step; inf without end, `None` where not known.
+
+    `stability_limit` for granjax's own methods. Runge-Kutta methods, most of which amplify from zero on, may grow by
+    `RUNAWAY` per radian: what grows more slowly is an error as any other, that a shorter step makes smaller.
+    """
+    kind = _kind(solver)
+    return _limit(kind, GROWTH if hasattr(kind, "table") else RUNAWAY)
+
+
+@cache
+def _limit(kind, growth):
+    if not _known(kind):
+        return None
+    return next((w.start for w in _first(kind, growth)), np.inf)
+
+
+def _first(solver, growth):
+    """The windows as far as the first one needs."""
+    for until in FARTHEST:
+        found = windows(solver, until, growth)
+        if found:
+            return found
+    return ()
+
+
+def one_step(solver, z):
+    r"""R(z), shape (..., 2, 2) for z of shape (...): (u, v/omega) after one step h from (u, v/omega), z = h omega.
+
+    `LeapfrogMidpoint` and `ReversibleHeun` carry a second state besides: the complex matrix on both, for
+    y' = i omega y.
+
+    **Raises** ValueError for a solver without a table of coefficients.
+    """
+    kind, z = _kind(solver), np.asarray(z, float)
+    if not _known(kind):
+        refuse("solver", "granjax's, or one of diffrax's with a tableau", kind.__name__)
+    if kind in _WITHOUT_TABLE:
+        return _WITHOUT_TABLE[kind](z)
+    if hasattr(kind, "table"):
+        table = kind.table()
+        return _composed(table, z) if isinstance(table, tables.Splitting) else _nystrom(table, z)
+    return _runge_kutta(kind.tableau, z)
+
+
+def amplification(solver, z):
+    """rho(z), the factor by which a step at h omega = z multiplies the fastest growing amplitude."""
+    return np.exp(_log_radius(one_step(solver, z)))
+
+
+def growth(solver, z):
+    """log(rho)/z, the growth per radian of phase."""
+    z = np.asarray(z, float)
+    return _log_radius(one_step(solver, z)) / z
+
+
+def windows(solver, until, growth=GROWTH):
+    """Every `Window` that begins below h omega = `until` in which a mode grows by more than `growth` per radian.
+
+    Found however narrow: the grid is refined wherever eigenvalues nearly meet.
+    """
+    z = places(solver, until)
+    rate = _log_radius(one_step(solver, z)) / z
+    above = np.concatenate([[False], rate > growth, [False]])
+    z_before = np.concatenate([[0.0], z])
+    starts, ends = np.flatnonzero(~above[:-1] & above[1:]), np.flatnonzero(above[:-1] & ~above[1:])
+    edge = lambda k: _bisect(solver, z_before[k], z[k], growth)
+    return tuple(
+        Window(edge(i), edge(j) if j < len(z) else float(until), float(rate[i:j].max())) for i, j in zip(starts, ends)
+    )
+
+
+def evaluations(solver):
+    """Force evaluations per step, with those kept from the step before; NaN for an implicit method."""
+    kind = _kind(solver)
+    if hasattr(kind, "evaluations"):
+        return int(kind.evaluations())
+    tableau = getattr(kind, "tableau", None)
+    if tableau is None:
+        return np.nan if kind is diffrax.ImplicitEuler else 1
+    return np.nan if tableau.implicit else tableau.num_stages - int(tableau.fsal)
+
+
+def _kind(solver):
+    return solver if isinstance(solver, type) else type(solver)
+
+
+def _known(kind):
+    tableau = isinstance(getattr(kind, "tableau", None), diffrax.ButcherTableau)
+    return tableau or kind in _WITHOUT_TABLE or hasattr(kind, "table")
+
+
+# one step, by its kind ---------------------------------------------------------------------------------------------
+
+
+def _matrix(a, b, c, d):
+    return np.moveaxis(np.array(np.broadcast_arrays(a, b, c, d)), 0, -1).reshape(np.shape(a) + (2, 2))
+
+
+def _composed(table, z):
+    """Kicks and drifts in turn."""
+    one, zero = np.ones_like(z), np.zeros_like(z)
+    R = _matrix(one, zero, zero, one)
+    for i, b in enumerate(table.b):
+        R = _matrix(one, zero, -b * z, one) @ R
+        if i < len(table.a):
+            R = _matrix(one, table.a[i] * z, zero, one) @ R
+    return R
+
+
+def _nystrom(table, z):
+    """Positions U of the stages from (1 + z^2 A) U = u + z c w, and the two sums over them."""
+    z = z[..., None, None]
+    one = np.ones_like(table.c)
+    left = np.eye(len(one)) + z**2 * table.A
+    U = np.linalg.solve(left, np.stack([one + 0 * z[..., 0], table.c * z[..., 0]], -1))
+    rest = np.concatenate([-(z**2) * (table.b @ U)[..., None, :], -z * (table.bp @ U)[..., None, :]], -2)
+    z = z[..., 0, 0]
+    return _matrix(np.ones_like(z), z, np.zeros_like(z), np.ones_like(z)) + rest
+
+
+def _runge_kutta(tableau, z):
+    """The stability function P at i z, for y = u - i v/omega."""
+    count = tableau.num_stages
+    A = np.zeros((count, count))
+    for i, row in enumerate(tableau.a_lower):
+        A[i + 1, : i + 1] = row
+    if tableau.a_diagonal is not None:
+        A += np.diag(tableau.a_diagonal)
+    iz = 1j * z[..., None]
+    stages = np.linalg.solve(np.eye(count) - iz[..., None] * A, np.ones(z.shape + (count, 1)))[..., 0]
+    return _rotation(1 + (iz * stages) @ np.asarray(tableau.b_sol))
+
+
+def _rotation(factor):
+    """A complex factor of u - i v/omega, written for (u, v/omega)."""
+    return _matrix(factor.real, factor.imag, -factor.imag, factor.real)
+
+
+def _leapfrog(z):
+    return _matrix(2j * z, 1 + 0j * z, 1 + 0j * z, 0j * z)
+
+
+def _reversible_heun(z):
+    """On (y, y^): y^ <- 2 y - y^ + i z y^, then y <- y + i z (y^ before + y^ after)/2."""
+    return _matrix(1 + 1j * z, -(z**2) / 2 + 0j, 2 + 0j * z, 1j * z - 1)
+
+
+_WITHOUT_TABLE = {
+    diffrax.Euler: lambda z: _rotation(1 + 1j * z),
+    diffrax.ImplicitEuler: lambda z: _rotation(1 / (1 - 1j * z)),
+    diffrax.LeapfrogMidpoint: _leapfrog,
+    diffrax.ReversibleHeun: _reversible_heun,
+}
+
+
+# its eigenvalues ---------------------------------------------------------------------------------------------------
+
+
+def _discriminant(R):
+    """((R11 - R22)/2)^2 + R12 R21, above zero where the eigenvalues are real; no cancellation where they meet."""
+    return ((R[..., 0, 0] - R[..., 1, 1]) / 2) ** 2 + R[..., 0, 1] * R[..., 1, 0]
+
+
+def _determinant(R):
+    return R[..., 0, 0] * R[..., 1, 1] - R[..., 0, 1] * R[..., 1, 0]
+
+
+def _log_radius(R):
+    """log(rho), exact to rounding for real matrices: rho^2 = det R where the eigenvalues are a complex pair."""
+    if np.iscomplexobj(R):
+        return np.log(np.abs(np.linalg.eigvals(R)).max(-1))
+    D, mean = _discriminant(R), np.abs(R[..., 0, 0] + R[..., 1, 1]) / 2
+    inside = np.where(D > 0, 1.0, _determinant(R))
+    return np.where(D > 0, np.log(mean + np.sqrt(np.maximum(D, 0))), np.log(np.maximum(inside, 1e-300)) / 2)
+
+
+def places(solver, until):
+    """A grid of h omega, finer around every local maximum of the discriminant."""
+    z = SPACING * np.arange(1, int(np.ceil(until / SPACING)) + 1)
+    R = one_step(solver, z)
+    if np.iscomplexobj(R):
+        return z
+    D = _discriminant(R)
+    found = [z]
+    for k in np.flatnonzero((D[1:-1] >= D[:-2]) & (D[1:-1] > D[2:])) + 1:
+        middle, half = z[k], SPACING
+        for _ in range(5):
+            fine = middle + half * np.linspace(-1, 1, 33)
+            middle, half = fine[np.argmax(_discriminant(one_step(solver, fine)))], half / 16
+            found.append(fine)
+    return np.unique(np.concatenate(found))
+
+
+def _bisect(solver, low, high, rate):
+    """Where the growth passes `rate` between two places."""
+    rises = _log_radius(one_step(solver, high)) > rate * high
+    for _ in range(60):
+        middle = (low + high) / 2
+        if (_log_radius(one_step(solver, middle)) > rate * middle) == rises:
+            high = middle
+        else:
+            low = middle
+    return float(low if rises else high)
+
+
+def _near_zero(solver):
+    """What the determinant does first."""
+    z = places(solver, 4.0)
+    change = np.log(np.abs(_determinant(one_step(solver, z))))
+    seen = np.flatnonzero(np.abs(change) > 1e-12)
+    if not seen.size:
+        return "keeps"
+    return "amplifies" if change[seen[0]] > 0 else "damps"

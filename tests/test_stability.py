@@ -1,0 +1,197 @@
+"""Linear stability: limits against the steps that solvers take, runs on either side, what `simulate` refuses."""
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from cases import ALL_SOLVERS, SPLITTING
+
+import granjax as gx
+from granjax.solvers import stability
+from granjax.solvers.stability import GROWTH, RUNAWAY, growth, one_step, refused_from, stability_limit, windows
+from granjax.solvers.tables import Splitting
+
+RUNGE_KUTTA = (diffrax.Euler, diffrax.Heun, diffrax.Bosh3, diffrax.Tsit5, diffrax.Dopri5, diffrax.Dopri8)
+TWO_STATES = (diffrax.LeapfrogMidpoint, diffrax.ReversibleHeun)
+EVERY = ALL_SOLVERS + RUNGE_KUTTA + TWO_STATES
+# one of each kind stands for all in the fast set
+FAST = (gx.SRKN11b, gx.RKN86, diffrax.Tsit5)
+
+
+def over(solvers, fast=FAST):
+    marked = [s if s in fast else pytest.param(s, marks=pytest.mark.slow) for s in solvers]
+    return pytest.mark.parametrize("solver", marked, ids=lambda s: s.__name__)
+
+
+each = pytest.mark.parametrize("solver", EVERY, ids=lambda s: s.__name__)
+
+
+def oscillator(t, y, z):
+    return gx.State(y[1], -z * z * y[0])
+
+
+def taken(solver):
+    """The matrix of one step, taken: a function of h omega for (u, v/omega)."""
+    term = diffrax.ODETerm(oscillator)
+
+    @jax.jit
+    def step(z):
+        method, columns = solver(), []
+        for u, v in ((1.0, 0.0), (0.0, 1.0)):
+            y = gx.State(jnp.full_like(z, u), v * z)
+            kept = method.init(term, 0.0, 1.0, y, z)
+            end = method.step(term, jnp.asarray(0.0), jnp.asarray(1.0), y, z, kept, made_jump=False)[0]
+            columns.append(jnp.stack([end.u, end.v / z], -1))
+        return jnp.stack(columns, -1)
+
+    return lambda z: np.asarray(step(jnp.asarray(z)))
+
+
+def outside(solver):
+    """h omega a little beyond the limit: 1 %, or the middle of a window that is narrower."""
+    first = windows(solver, 16.0)[0]
+    return min(1.01 * first.start, (first.start + first.end) / 2)
+
+
+@over(ALL_SOLVERS + RUNGE_KUTTA)
+def test_limit_is_that_of_the_steps_that_are_taken(solver):
+    matrix, until, count = taken(solver), 10.0, 20_001
+    assert np.abs(matrix(np.linspace(0.01, 3, count)) - one_step(solver, np.linspace(0.01, 3, count))).max() < 3e-12
+    low, high = 1e-9, until
+    # a grid finer than the narrowest window, then the cell where the spectral radius first passes exp(GROWTH z)
+    for _ in range(3):
+        z = np.linspace(low, high, count)
+        rho = np.abs(np.linalg.eigvals(matrix(z))).max(-1)
+        first = np.argmax(np.log(rho) > GROWTH * z)
+        assert first > 0
+        low, high = z[first - 1], z[first]
+    assert stability_limit(solver) == pytest.approx(high, rel=1e-7)
+
+
+@over(EVERY, fast=())
+def test_runs_grow_outside_alone_and_as_computed(solver):
+    limit = stability_limit(solver)
+    z = np.array([0.5 * limit, 0.99 * limit, outside(solver)])
+    rate = growth(solver, z)
+    steps = int(np.clip(40 / (rate[-1] * z[-1]), 300, 40_000))
+    y = gx.State(jnp.ones(3), 0.3 * jnp.asarray(z))
+    times = jnp.unique(jnp.linspace(1, steps, 1200).astype(int).astype(float))
+    found = diffrax.diffeqsolve(
+        diffrax.ODETerm(oscillator), solver(), 0.0, float(steps), 1.0, y, args=jnp.asarray(z), max_steps=None,
+        adjoint=diffrax.ForwardMode(), saveat=diffrax.SaveAt(ts=times),
+    ).ys
+    size = np.hypot(found.u, found.v / z)
+    third, t = len(times) // 3, np.asarray(times)
+    early, late = np.argmax(size[:third], 0), 2 * third + np.argmax(size[2 * third :], 0)
+    lanes = np.arange(3)
+    measured = np.log(size[late, lanes] / size[early, lanes]) / ((t[late] - t[early]) * z)
+    slack = 3 / (steps * z)
+    assert measured[-1] == pytest.approx(rate[-1], rel=0.02)
+    assert (measured[:2] < GROWTH + slack[:2]).all() and measured[-1] > GROWTH
+    assert size[:, :2].max() < 30
+
+
+@each
+def test_simulate_refuses_just_outside(solver):
+    chain = gx.scenes.monomer(4, precompression=1.0)
+    state = gx.State(jnp.array([0.01, 0.0, -0.01, 0.02]), jnp.zeros(4))
+    omega = float(gx.linear.normal_modes(chain).omega[-1])
+    limit = refused_from(solver)
+    with pytest.raises(ValueError, match=f"where {solver.__name__} is stable.*limit h omega < {limit:.4g}"):
+        gx.simulate(chain, state, 1.0, solver=solver(), step=1.001 * limit / omega)
+
+
+@over(EVERY, fast=())
+def test_simulate_takes_just_inside(solver):
+    chain = gx.scenes.monomer(4, precompression=1.0)
+    state = gx.State(jnp.array([0.01, 0.0, -0.01, 0.02]), jnp.zeros(4))
+    step = 0.999 * refused_from(solver) / float(gx.linear.normal_modes(chain).omega[-1])
+    assert gx.simulate(chain, state, 8 * step, solver=solver(), step=step).completed
+
+
+@pytest.mark.parametrize("solver, value", (
+    (gx.VelocityVerlet, 2.0), (diffrax.Bosh3, 3**0.5), (diffrax.LeapfrogMidpoint, 1.0), (diffrax.ReversibleHeun, 1.0),
+    (diffrax.Heun, (8 * GROWTH) ** (1 / 3)), (diffrax.Euler, 2 * GROWTH), (diffrax.ImplicitEuler, np.inf),
+    (diffrax.Kvaerno3, np.inf),
+), ids=lambda x: getattr(x, "__name__", None))
+def test_closed_forms(solver, value):
+    # Verlet |1 - z^2/2| < 1; order 3 in three stages z < sqrt 3; Heun log(1 + z^4/4)/(2 z); Euler log(1 + z^2)/(2 z)
+    assert stability_limit(solver) == stability_limit(solver()) == pytest.approx(value, rel=1e-4)
+
+
+def test_what_is_refused():
+    # granjax's own from their limit on; Heun log(1 + z^4/4)/(2 z) = RUNAWAY
+    for solver in ALL_SOLVERS:
+        assert refused_from(solver) == stability_limit(solver)
+    z = refused_from(diffrax.Heun)
+    assert np.log(1 + z**4 / 4) / (2 * z) == pytest.approx(RUNAWAY, rel=1e-6)
+    assert refused_from(diffrax.Tsit5) > stability_limit(diffrax.Tsit5)
+
+
+def test_first_windows_of_symplectic_methods():
+    # all but Verlet pass through a window at phase pi and are stable again beyond it
+    found = {s.__name__: windows(s, 6.0)[0] for s in SPLITTING[1:]}
+    for name, window in found.items():
+        solver = getattr(gx, name)
+        assert 3.09 < window.start < window.end < 3.17
+        middle, width = (window.start + window.end) / 2, window.end - window.start
+        assert growth(solver, middle) > 0.9 * window.growth
+        beside = np.array([window.start - 0.1 * width, window.end + 0.1 * width])
+        assert np.abs(growth(solver, beside)).max() < 1e-10
+    widths = {name: window.end - window.start for name, window in found.items()}
+    known = {"SRKN6b": 5.07e-3, "SRKN11b": 8.87e-4, "SRKN14a": 1.19e-3, "KahanLi8": 4.37e-2,
+             "SofroniouSpaletta10": 7.58e-4}
+    assert widths == pytest.approx(known, rel=5e-3)
+
+
+def two_verlets(difference):
+    """Two steps of Verlet as one, of unequal lengths."""
+
+    class Uneven:
+        @staticmethod
+        def table():
+            a = np.array([1 + difference, 1 - difference]) / 2
+            return Splitting(a, np.array([a[0], 1.0, a[1]]) / 2, 2, "")
+
+    return Uneven
+
+
+def test_a_window_is_found_however_narrow():
+    # two equal steps pass phase pi, at sqrt 8, without a window, and end at 4; unequal ones open one there
+    assert stability_limit(two_verlets(0.0)) == pytest.approx(4.0, rel=1e-6)
+    (window, *_) = windows(two_verlets(1e-4), 8.0)
+    assert window.start == pytest.approx(8**0.5, rel=1e-4)
+    assert 0 < window.end - window.start < stability.SPACING / 10 and window.growth > GROWTH
+    (window, *_) = windows(two_verlets(1e-6), 8.0, growth=1e-9)
+    assert window.start == pytest.approx(8**0.5, rel=1e-6) and window.end - window.start < 1e-5
+    assert stability_limit(two_verlets(1e-6)) == pytest.approx(4.0, rel=1e-6)
+
+
+@pytest.mark.parametrize("solver, kind, interval", (
+    (gx.SRKN11b, "keeps", 3.14143), (gx.RKN86, "damps", 3.14025), (gx.RKN1210, "damps", 3.14159),
+    (diffrax.Tsit5, "damps", 0.47798), (diffrax.Dopri5, "damps", 0.99719), (diffrax.Dopri8, "amplifies", 0.0),
+    (diffrax.Heun, "amplifies", 0.0),
+), ids=lambda x: getattr(x, "__name__", None))
+def test_strict_interval(solver, kind, interval):
+    line = stability.stability(solver)
+    assert line.near_zero == kind and line.interval == pytest.approx(interval, abs=1e-5)
+    assert line.interval <= line.limit and line.per_evaluation == line.limit / line.evaluations
+    assert stability.amplification(solver, 0.3) == pytest.approx(1.0, abs=2e-3)
+
+
+def test_evaluations_are_those_of_the_solvers():
+    for solver in ALL_SOLVERS:
+        assert stability.evaluations(solver) == stability.evaluations(solver()) == solver.evaluations()
+        assert solver.stability_limit() == stability_limit(solver)
+    found = {s.__name__: stability.evaluations(s) for s in RUNGE_KUTTA + TWO_STATES}
+    assert found == {"Euler": 1, "Heun": 2, "Bosh3": 3, "Tsit5": 6, "Dopri5": 6, "Dopri8": 13, "LeapfrogMidpoint": 1,
+                     "ReversibleHeun": 1}
+    assert np.isnan(stability.evaluations(diffrax.Kvaerno5))
+
+
+def test_what_is_not_known_has_no_limit():
+    unknown = diffrax.HalfSolver(diffrax.Tsit5())
+    assert stability_limit(unknown) is None
+    with pytest.raises(ValueError, match="expected granjax's, or one of diffrax's with a tableau, got HalfSolver"):
+        one_step(unknown, 1.0)
