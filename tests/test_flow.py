@@ -372,3 +372,35 @@ def test_nothing_stiff_asks_for_a_step():
     chain = gx.scenes.monomer(6)
     with pytest.raises(ValueError, match="step: expected a time step"):
         gx.simulate(chain, (AT_REST, AT_REST), 1.0)
+
+
+def test_a_step_past_stability_at_this_energy_is_remarked_upon():
+    # below the linear limit, so that it is not refused; far above it where contacts are pressed
+    chain = gx.scenes.monomer(8, precompression=1.0)
+    hit = gx.states.impact(chain, velocity=100.0)
+    run = gx.simulate(chain, hit, 100.0, step=1.04)
+    assert float(run.energy_error) > 0.02 and "past stability" in run.outcome
+    assert "past stability" not in gx.simulate(chain, hit, 100.0, step=0.05).outcome
+
+
+class OwnMap(gx.StrainMap):
+    """A map that writes `strain` alone."""
+
+    def strain(self, u):
+        return u[:-1] - u[1:]
+
+
+def test_a_large_lattice_of_a_map_of_ones_own_runs_at_a_given_step():
+    # no bound on its stiffness exists, so that the step cannot be judged; it is not refused for that
+    chain = gx.Lattice(1.0, (gx.Bond(OwnMap(), gx.Hertz(1.0, 1.0)),), sites=4100)
+    run = gx.simulate(chain, gx.State(chain.zeros(), chain.zeros()), 0.2, step=0.1)
+    assert run.completed
+    with pytest.raises(ValueError, match="step"):
+        gx.simulate(chain, gx.State(chain.zeros(), chain.zeros()), 0.2)
+
+
+def test_the_default_step_is_one_that_is_not_refused():
+    chain = gx.scenes.monomer(4, precompression=1.0)
+    state = gx.State(jnp.asarray([0.01, 0.0, 0.0, 0.0]), jnp.zeros(4))
+    run = gx.simulate(chain, state, 0.1, solver=diffrax.Euler())
+    assert run.completed and "0.02" in run.choice

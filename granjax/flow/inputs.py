@@ -1,11 +1,14 @@
 """What `simulate` is given, checked before tracing."""
 
+import math
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ..checks import concrete, one_of, refuse, show, whole
 from ..lattice import Lattice, State
+from .dispatch import facts
 from .record import CLOSEST, Record
 
 RESERVED = ("time", "ts", "us", "vs", "u", "v", CLOSEST)
@@ -17,7 +20,7 @@ def checked_state(lattice, state):
         refuse("lattice", "a Lattice, such as gx.scenes.monomer(100)", repr(lattice))
     if not isinstance(state, (tuple, list)) or len(state) != 2:
         refuse("state", "State(u, v) or a pair (u, v)", repr(type(state).__name__), "See gx.states.")
-    template = lattice.template()
+    template, dtype = facts(lattice)[:2]
     out = []
     for name, x in zip(("u", "v"), state):
         if isinstance(template, dict) != isinstance(x, dict) or (isinstance(x, dict) and set(x) != set(template)):
@@ -25,35 +28,35 @@ def checked_state(lattice, state):
             wanted = f"fields {sorted(template)}" if isinstance(template, dict) else "an array"
             refuse(f"state.{name}", wanted, got)
         if isinstance(x, dict):
-            out.append({k: _checked_array(f"state.{name}[{k!r}]", x[k], template[k], lattice) for k in template})
+            out.append({k: _checked_array(f"state.{name}[{k!r}]", x[k], template[k].shape, dtype) for k in template})
         else:
-            out.append(_checked_array(f"state.{name}", x, template, lattice))
+            out.append(_checked_array(f"state.{name}", x, template.shape, dtype))
     return State(*out)
 
 
-def _checked_array(name, x, template, lattice):
+def _checked_array(name, x, shape, dtype):
     if not isinstance(x, jax.Array):
         x = np.asarray(x)
     if x.dtype.kind != "f":
-        refuse(name, f"floating numbers ({lattice.dtype})", f"{x.dtype}", "Write 0.0 instead of 0, or .astype(float).")
-    if x.shape != template.shape:
-        refuse(name, f"shape {template.shape}, that of the lattice", f"shape {x.shape}", "Start from lattice.zeros().")
-    if x.dtype != lattice.dtype:
+        refuse(name, f"floating numbers ({dtype})", f"{x.dtype}", "Write 0.0 instead of 0, or .astype(float).")
+    if x.shape != shape:
+        refuse(name, f"shape {shape}, that of the lattice", f"shape {x.shape}", "Start from lattice.zeros().")
+    if x.dtype != dtype:
         refuse(
-            name, f"{lattice.dtype}, the lattice's type", f"{x.dtype}",
+            name, f"{dtype}, the lattice's type", f"{x.dtype}",
             f"Use lattice.astype({x.dtype.name!r}) for a run in {x.dtype}, or state.astype.",
         )
     value = concrete(x)
     if value is not None and not np.isfinite(value).all():
         count = np.count_nonzero(~np.isfinite(value))
         refuse(name, "finite numbers", f"{count} that are not", "Look for NaN or infinity.")
-    return jnp.asarray(x)
+    return x if isinstance(x, jax.Array) else jnp.asarray(x)
 
 
 def checked_times(t0, t1):
     """Start and end, in order."""
     for name, t in (("t0", t0), ("t1", t1)):
-        if isinstance(t, jax.core.Tracer):
+        if isinstance(t, jax.core.Tracer) or type(t) is float and math.isfinite(t):
             continue
         if np.ndim(t) or np.asarray(t).dtype.kind not in "fiu" or not np.isfinite(t):
             refuse(name, "one finite number", repr(t))
@@ -64,7 +67,7 @@ def checked_times(t0, t1):
 
 def checked_size(name, x):
     """A step or a tolerance: one finite number above zero, or `None`."""
-    if x is None or isinstance(x, jax.core.Tracer):
+    if x is None or isinstance(x, jax.core.Tracer) or type(x) is float and 0 < x < math.inf:
         return x
     if np.ndim(x) or np.asarray(x).dtype.kind not in "fiu" or not np.isfinite(x) or not x > 0:
         refuse(name, "one finite number above zero", repr(x))

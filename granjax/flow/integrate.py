@@ -8,21 +8,24 @@ import jax.numpy as jnp
 from ..lattice import vector_field
 from ..solvers import RKN86, RKN1210
 from ..terms import Bond, Wall
+from .control import Scales, StepControl
+from .dispatch import compiled
 from .record import CLOSEST, Lowest, Recorded
 from .run import COMPLETED, FAILED, NOT_FINITE, STEP_TOO_SMALL, TOO_MANY_STEPS, Run, finite
 from .stiffness import frequency_bound
 
 
-@eqx.filter_jit
+@compiled
 def integrate(
     lattice, state, t0, t1, dt, tolerance, save_ts, records, solver, adjoint, max_steps, every, progress,
 ):
-    """Integrate and reduce; everything checked, everything chosen. `Run` without its names."""
+    """Integrate and reduce; everything checked, everything chosen. A `Run` without its names."""
     records = {**records, CLOSEST: Lowest(_smallest_overlap)} if _overlaps(lattice) else records
     stepper = _ready(solver, adjoint)
     stepper = Recorded(stepper, records) if records else stepper
-    controller = diffrax.ConstantStepSize()
-    if tolerance is not None:
+    if tolerance is None:
+        controller = _FixedStep(dt)
+    else:
         controller = _controller(lattice, state, t0, t1, tolerance, solver, save_ts)
     subs = [diffrax.SubSaveAt(t1=True)]
     if every:
@@ -30,7 +33,7 @@ def integrate(
     elif save_ts is not None:
         subs.append(diffrax.SubSaveAt(ts=save_ts))
     solution = diffrax.diffeqsolve(
-        diffrax.ODETerm(vector_field), stepper, t0, t1, dt, state, args=lattice,
+        diffrax.ODETerm(vector_field), stepper, t0, t1, None, state, args=lattice,
         saveat=diffrax.SaveAt(subs=subs, solver_state=bool(records)),
         stepsize_controller=controller, adjoint=adjoint, max_steps=max_steps, throw=False,
         progress_meter=diffrax.TqdmProgressMeter() if progress else diffrax.NoProgressMeter(),
@@ -51,7 +54,7 @@ def integrate(
     }
     code = _code(solution.result, final)
     energy_error = _energy_error(lattice, state, t0, ts, ys)
-    return Run(ts, ys.u, ys.v, final, recorded, energy_error, opened, code, None, stats, "", "", "")
+    return Run(ts, ys.u, ys.v, final, recorded, energy_error, opened, code, stats, None, "", "", "")
 
 
 def _ready(solver, adjoint):
@@ -112,17 +115,17 @@ def _energy_error(lattice, state, t0, ts, ys):
     return largest / jnp.where(scale > 0, scale, 1)
 
 
-class _Scaled(eqx.Module):
-    """Largest error over sites, displacements and velocities each by its own scale."""
+class _FixedStep(diffrax.ConstantStepSize):
+    """The step as a field.
 
-    displacement: jax.Array
-    velocity: jax.Array
+    Diffrax checks an argument `dt0` by calling Python at run time, and JAX keeps no such program in its compilation
+    cache.
+    """
 
-    def __call__(self, y):
-        u, v = y
-        sizes = [jnp.max(jnp.abs(x)) / self.displacement for x in jax.tree.leaves(u)]
-        sizes += [jnp.max(jnp.abs(x)) / self.velocity for x in jax.tree.leaves(v)]
-        return jnp.max(jnp.stack(sizes))
+    step: jax.Array
+
+    def init(self, terms, t0, t1, y0, dt0, args, func, error_order):
+        return super().init(terms, t0, t1, y0, self.step, args, func, error_order)
 
 
 def _controller(lattice, state, t0, t1, tolerance, solver, save_ts):
@@ -132,7 +135,7 @@ def _controller(lattice, state, t0, t1, tolerance, solver, save_ts):
     furthest = jnp.max(jnp.stack([jnp.max(jnp.abs(u)) for u in jax.tree.leaves(state.u)]))
     velocity = jnp.maximum(fastest, omega * furthest)
     velocity = jax.lax.stop_gradient(jnp.where(velocity > 0, velocity, 1.0))
-    controller = diffrax.PIDController(rtol=0.0, atol=tolerance, norm=_Scaled(velocity / omega, velocity))
+    controller = StepControl(tolerance, Scales(velocity / omega, velocity), first=1 / omega)
     if save_ts is not None and not isinstance(solver, (RKN86, RKN1210)):
         controller = diffrax.ClipStepSizeController(controller, step_ts=save_ts)
     return controller

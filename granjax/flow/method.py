@@ -8,14 +8,17 @@ import numpy as np
 from ..checks import concrete, refuse, show
 from ..lattice import acceleration_only, split_system
 from ..solvers import RKN86, RKN1210, AbstractSplitting, SRKN11b
-from ..terms import Damping
+from ..solvers.stability import refused_from
+from .dispatch import facts, traced
 from .inputs import checked_size
-from .stiffness import frequency_bound, linear_frequency, softens
+from .stiffness import frequency_bound, has_bound, is_bounded, linear_frequency, softens
 
 # h omega of the default step
 STEP_FRACTION = 0.5
 DEFAULT_TOLERANCE = 1e-8
 MOST_STEPS = 1e8
+# built once: making a module takes longer than a short run
+_FIXED, _ADAPTIVE, _GENERAL = SRKN11b(), RKN86(), diffrax.Dopri8()
 
 
 def checked_method(lattice, solver, step, tolerance):
@@ -29,16 +32,15 @@ def checked_method(lattice, solver, step, tolerance):
         remedy = "gx.VelocityVerlet() splits by itself."
         refuse("solver", "one for a single vector field", type(solver).__name__, remedy)
     step, tolerance = checked_size("step", step), checked_size("tolerance", tolerance)
-    velocity = [i for i, term in enumerate(lattice.terms) if term.reads_velocity]
-    splits = all(isinstance(lattice.terms[i], Damping) for i in velocity)
+    _, dtype, _, velocity, splits, _ = facts(lattice)
     if solver is None:
         if tolerance is not None:
-            solver = diffrax.Dopri8() if velocity else RKN86()
+            solver = _GENERAL if velocity else _ADAPTIVE
         elif splits:
-            solver = SRKN11b()
+            solver = _FIXED
         else:
-            solver = diffrax.Dopri8()
-            tolerance = None if step is not None else _default_tolerance(lattice)
+            solver = _GENERAL
+            tolerance = None if step is not None else _default_tolerance(dtype)
     if isinstance(solver, AbstractSplitting):
         if not splits:
             split_system(lattice)  # refuses, naming the term
@@ -47,44 +49,52 @@ def checked_method(lattice, solver, step, tolerance):
                 "tolerance", f"a fixed step with {type(solver).__name__}", f"tolerance={show(tolerance)}",
                 "A symplectic method loses its virtue under adaptive steps; use step=, or solver=gx.RKN86().",
             )
-    if isinstance(solver, (RKN86, RKN1210)):
-        acceleration_only(lattice)
+    if velocity and isinstance(solver, (RKN86, RKN1210)):
+        acceleration_only(lattice)  # refuses, naming the term
     if tolerance is not None and not isinstance(solver, diffrax.AbstractAdaptiveSolver):
         wanted = "one with an error estimate for a tolerance"
         refuse("solver", wanted, type(solver).__name__, "Use gx.RKN86(), or step=.")
     if tolerance is None and step is None and not isinstance(solver, AbstractSplitting):
-        tolerance = _default_tolerance(lattice) if isinstance(solver, diffrax.AbstractAdaptiveSolver) else None
+        tolerance = _default_tolerance(dtype) if isinstance(solver, diffrax.AbstractAdaptiveSolver) else None
     value = None if tolerance is None else concrete(tolerance)
-    least = 0 if value is None else _least_tolerance(lattice)
+    least = 0 if value is None else _least_tolerance(dtype)
     if value is not None and value < least:
-        refuse("tolerance", f"at least {least:.1e}, what {lattice.dtype} holds", show(value), "Use a larger one.")
+        refuse("tolerance", f"at least {least:.1e}, what {dtype} holds", show(value), "Use a larger one.")
     # an array, so that another tolerance compiles nothing
-    return solver, step, None if tolerance is None else jnp.asarray(tolerance, lattice.dtype)
+    return solver, step, None if tolerance is None else number(tolerance, dtype)
 
 
-def _least_tolerance(lattice):
-    return 16 * float(jnp.finfo(lattice.dtype).eps)
+def number(x, dtype):
+    """One number as an array of a type: NumPy's where it is known, which is quickly made."""
+    return x.astype(dtype) if isinstance(x, jax.Array) else dtype.type(x)
 
 
-def _default_tolerance(lattice):
-    return max(DEFAULT_TOLERANCE, _least_tolerance(lattice))
+def _least_tolerance(dtype):
+    return 16 * float(jnp.finfo(dtype).eps)
+
+
+def _default_tolerance(dtype):
+    return max(DEFAULT_TOLERANCE, _least_tolerance(dtype))
 
 
 def fixed_step(lattice, state, t0, t1, step, solver, frames):
     """The step, the number of steps where it is known, what was chosen, and a remark."""
-    remark, choice = "", "given step"
-    limit = type(solver).stability_limit() if isinstance(solver, AbstractSplitting) else None
+    remark, choice, known = "", "given step", facts(lattice).known
+    limit = refused_from(solver)
     if step is None:
-        bound = _known(frequency_bound(lattice, state, jnp.asarray(t0, float), jnp.asarray(t1, float)))
+        bound = _known(_bound(lattice, state, t0, t1))
         if not isinstance(bound, jax.core.Tracer) and not bound > 0:
             refuse(
                 "step", "a time step", "None",
                 "Nothing is stiff at this energy (a sonic vacuum at rest?), so no time scale sets one: give step=.",
             )
-        step = STEP_FRACTION / bound
+        fraction = min(STEP_FRACTION, limit or STEP_FRACTION)
+        step = fraction / bound
         _refuse_useless(step, t0, t1)
-        choice = f"default step, h omega_max <= {STEP_FRACTION}"
-        if softens(lattice):
+        choice = f"default step, h omega_max <= {fraction:.3g}"
+        if "softens" not in known:
+            known["softens"] = softens(lattice)
+        if known["softens"]:
             remark = "An exponent below 1: a contact that re-opens is infinitely stiff, and no step bound exists there."
     else:
         _refuse_unstable(lattice, state, t0, t1, step, solver, limit)
@@ -105,6 +115,26 @@ def _refuse_useless(step, t0, t1):
         )
 
 
+def _bound(lattice, state, t0, t1):
+    """The bound as a Python number, where it is known."""
+    bound = frequency_bound(lattice, state, number(t0, np.dtype(float)), number(t1, np.dtype(float)))
+    return bound if isinstance(bound, jax.core.Tracer) else np.asarray(bound).item()
+
+
+def suspicion(lattice, state, t0, t1, step, solver):
+    """A remark on a run that has lost much energy; empty where its step explains nothing."""
+    limit = refused_from(solver)
+    if limit is None or step is None or not is_bounded(lattice) or not has_bound(lattice):
+        return ""
+    omega = _bound(lattice, state, t0, t1)
+    if step * omega <= limit:
+        return ""
+    return (
+        f"Much energy was lost: the step is past stability for frequencies that this energy can reach, h omega <= "
+        f"{step * omega:.3g}, where {type(solver).__name__} is stable below {limit:.3g}."
+    )
+
+
 def _known(x):
     """The value where differentiation alone stands in the way: a step is a choice, not a function of the scene."""
     return jax.lax.stop_gradient(x) if isinstance(x, jax.Array) else x
@@ -118,20 +148,23 @@ def _ceil(x):
 
 
 def _refuse_unstable(lattice, state, t0, t1, step, solver, limit):
-    leaves = (lattice, state, t0, t1, step)
-    if any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(leaves)):
+    _, dtype, constant, _, _, known = facts(lattice)
+    if constant or traced((state, t0, t1, step)):
         return
-    if step < 4 * jnp.finfo(lattice.dtype).eps * max(abs(t0), abs(t1)):
-        refuse("step", "a step that changes the time", f"{step}", f"At t = {t1} {lattice.dtype} does not resolve it.")
+    if step < 4 * jnp.finfo(dtype).eps * max(abs(t0), abs(t1)):
+        refuse("step", "a step that changes the time", f"{step}", f"At t = {t1} {dtype} does not resolve it.")
     if limit is None:
         return
-    omega = concrete(linear_frequency(lattice, 0))
+    if "linear bound" not in known:
+        known["linear bound"] = concrete(linear_frequency(lattice, 0)) if has_bound(lattice) else None
+    omega = known["linear bound"]
     if omega is None or 0 < step * omega <= limit:
         return
-    omega = concrete(linear_frequency(lattice))
+    if omega > 0:
+        omega = concrete(linear_frequency(lattice))
     what = "the highest linear frequency"
     if omega == 0:
-        omega = concrete(frequency_bound(lattice, state, jnp.asarray(t0, float), jnp.asarray(t1, float)))
+        omega = concrete(_bound(lattice, state, t0, t1))
         what = "the highest frequency at this energy"
     if step * omega > limit:
         refuse(

@@ -17,7 +17,8 @@ class Run(eqx.Module):
     - `ts` (T,), `us`, `vs` (T, N): times, displacements and velocities that were saved (T = 1, the end, by default).
     - `final`: `State` at the last time; `recorded`: dict of the records' results.
     - `energy_error`: largest |E - E0|/max(|E0|, kinetic energy) over the saved times, NaN where a term does not keep
-      the energy; shape of the lanes. `contact_opened`: whether any contact opened at the end of any step.
+      the energy; shape of the lanes. `contact_opened`: whether any contact was
+      open at the end of any step, one that never closed included.
     - `outcome`: a sentence; `completed`: whether the run reached t1 with finite numbers, in every lane.
     - `stats`: dict of `steps`, `accepted`, `rejected`, `step` (the fixed one, or the mean of adaptive ones),
       `force_evaluations` (NaN for diffrax's own solvers). `solver`: its name; `choice`: what was chosen and why.
@@ -31,8 +32,8 @@ class Run(eqx.Module):
     energy_error: jax.Array
     contact_opened: jax.Array
     code: jax.Array
-    failed_at: tuple | None
     stats: dict
+    failed_at: tuple | None
     solver: str = eqx.field(static=True)
     choice: str = eqx.field(static=True)
     remark: str = eqx.field(static=True)
@@ -108,6 +109,16 @@ class Run(eqx.Module):
         attributes["energy_error"] = np.asarray(self.energy_error).tolist()
         attributes["contact_opened"] = np.asarray(self.contact_opened).astype(int).tolist()
         return xr.Dataset(variables, {"time": np.asarray(self.ts)}, attributes)
+
+
+def named(run, solver, choice, remark):
+    """A run that a compiled function has just returned, with its names.
+
+    Written into it, which nobody else holds yet: making a Module anew takes longer than a short run.
+    """
+    for field, value in (("solver", solver), ("choice", choice), ("remark", remark)):
+        object.__setattr__(run, field, value)
+    return run
 
 
 def finite(tree):

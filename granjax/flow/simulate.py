@@ -9,15 +9,18 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import one_of, refuse, show, whole
+from .dispatch import facts, traced
 from .inputs import checked_records, checked_save_at, checked_state, checked_times
 from .integrate import integrate
-from .method import checked_method, fixed_step
-from .run import COMPLETED, NOT_FINITE
+from .method import checked_method, fixed_step, number, suspicion
+from .run import COMPLETED, NOT_FINITE, named
 
 # bounds a traced run whose number of steps is not known; a bound that is not reached costs nothing
 TRACED_STEPS = 2**24
 SAVED_STEPS = 2**16
-# built once: a module costs 20 microseconds
+# relative energy error from which on a run at a fixed step is remarked upon
+SUSPICIOUS = 0.02
+# built once: making a module takes longer than a short run
 _ADJOINTS = (diffrax.DirectAdjoint, diffrax.ForwardMode, diffrax.RecursiveCheckpointAdjoint)
 _FORWARD, _BOTH_MODES = diffrax.ForwardMode(), diffrax.DirectAdjoint()
 
@@ -43,6 +46,8 @@ def simulate(
       zero in a sonic vacuum).
     - `tolerance`: adaptive steps, each with a local error below `tolerance` times the scene's scale of velocity (and
       that over omega_max for displacements), in the largest norm over sites. Give `step` or `tolerance`, not both.
+      The mesh follows the state, not its tangents: for derivatives of a smooth orbit (a monodromy) give `step`. Lanes
+      share every step, and so the events of all: sort them and go in chunks, or give `step`.
     - `save_at`: `None` only the end; a whole number, that many frames from t0 to t1; an array of times; `"steps"`,
       the end of every step.
     - `record`: dict of `Peak`, `Arrival`, `Integral`, `Lowest`, reduced along the run and found between steps.
@@ -60,9 +65,9 @@ def simulate(
         one_of("keyword", name, KEYWORDS)
     state = checked_state(lattice, state)
     t0, t1 = checked_times(t0, t1)
-    given = jax.tree.leaves((lattice, state, t0, t1, step, tolerance, save_at, record))
-    traced = any(isinstance(x, jax.core.Tracer) for x in given)
-    if throw and traced:
+    dtype = facts(lattice).dtype
+    unknown = facts(lattice).traced or traced((state, t0, t1, step, tolerance, save_at, record))
+    if throw and unknown:
         remedy = "What becomes of a traced run is not known yet."
         refuse("throw", "None or False under a transformation", "True", remedy)
     solver, step, tolerance = checked_method(lattice, solver, step, tolerance)
@@ -72,20 +77,25 @@ def simulate(
         dt, steps, choice, remark = fixed_step(lattice, state, t0, t1, step, solver, frames)
     else:
         dt, steps, choice, remark = None, None, f"adaptive steps, tolerance {_shown(tolerance)}", ""
-    adjoint, limit = _adjoint(adjoint, traced, every, steps, max_steps)
+    adjoint, limit = _adjoint(adjoint, unknown, every, steps, max_steps)
 
     # diffrax raises the state to the type of the times
-    span = jnp.asarray(t0, lattice.dtype), jnp.asarray(t1, lattice.dtype)
-    dt, save_ts = (None if x is None else jnp.asarray(x, lattice.dtype) for x in (dt, save_ts))
+    span = number(t0, dtype), number(t1, dtype)
+    dt = None if dt is None else number(dt, dtype)
+    save_ts = None if save_ts is None else jnp.asarray(save_ts, dtype)
     arguments = (dt, tolerance, save_ts, records, solver, adjoint, limit, every, progress)
-    run = integrate(lattice, state, *span, *arguments)
-    run = dataclasses.replace(run, solver=type(solver).__name__, choice=choice, remark=remark)
-    if isinstance(run.code, jax.core.Tracer):
+    run = named(integrate(lattice, state, *span, *arguments), type(solver).__name__, choice, remark)
+    code = run.code
+    if isinstance(code, jax.core.Tracer):
         return run
+    code = np.asarray(code)
     if every:
         run = _cut(run)
-    if not np.all(np.asarray(run.code) == COMPLETED):
-        if int(np.max(run.code)) == NOT_FINITE:
+    lost = None if unknown or tolerance is not None or remark else np.asarray(run.energy_error).max()
+    if lost is not None and lost > SUSPICIOUS:
+        run = named(run, run.solver, choice, suspicion(lattice, state, t0, t1, step, solver))
+    if not (code == COMPLETED).all():
+        if code.max() == NOT_FINITE:
             run = _located(run, lattice, state, span, dt, tolerance, solver)
         if throw is None or throw:
             raise RuntimeError(run.outcome)
@@ -96,7 +106,7 @@ def _shown(x):
     return "traced" if isinstance(x, jax.core.Tracer) else show(x)
 
 
-def _adjoint(adjoint, traced, every, steps, max_steps):
+def _adjoint(adjoint, unknown, every, steps, max_steps):
     """The adjoint, and the most steps: `None` for a loop that may go on, which has no reverse mode."""
     if max_steps is not None:
         limit = whole("max_steps", max_steps, 1)
@@ -106,7 +116,7 @@ def _adjoint(adjoint, traced, every, steps, max_steps):
     else:
         limit = SAVED_STEPS if every else TRACED_STEPS
     if adjoint is None:
-        adjoint = _BOTH_MODES if traced else _FORWARD
+        adjoint = _BOTH_MODES if unknown else _FORWARD
     elif not isinstance(adjoint, _ADJOINTS):
         known = ", ".join(f"diffrax.{kind.__name__}()" for kind in _ADJOINTS)
         refuse("adjoint", f"one of {known}", repr(adjoint), "None serves both derivative modes.")

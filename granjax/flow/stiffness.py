@@ -10,7 +10,6 @@ exact for chains of next neighbours once w is the leading vector; a few power st
 
 import math
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 
@@ -18,6 +17,7 @@ from ..checks import concrete, refuse
 from ..laws import PowerLaw, Scaled, Sum, Yielding
 from ..strains import Stretch
 from ..terms import Bond, Damping, Dashpot, Drive, Modulated, OnSite, Wall
+from .dispatch import compiled
 
 POWER_STEPS = 40
 SAMPLES = 257
@@ -27,7 +27,21 @@ CLOSED_FRACTION = 0.05
 _BOUNDED = (Bond, Damping, Dashpot, Drive, Modulated, OnSite, Wall)
 
 
-@eqx.filter_jit
+def is_bounded(lattice):
+    """Whether the stiffness of every term is known."""
+    return all(isinstance(term, _BOUNDED) for term in lattice.terms)
+
+
+def has_bound(lattice):
+    """Whether every strain map gives one: a map of the user's own does so only on a small lattice."""
+    bare = [getattr(term, "term", term) for term in lattice.terms]
+    maps = [term.strain_map for term in bare if isinstance(term, Bond)]
+    maps = [getattr(strain_map, "pairs", strain_map) for strain_map in maps]
+    size = sum(x.size for x in jax.tree.leaves(lattice.template()))
+    return size <= DENSE_LIMIT or all(hasattr(strain_map, "reach") for strain_map in maps)
+
+
+@compiled
 def frequency_bound(lattice, state, t0, t1):
     """Upper bound on the angular frequencies that linearisation finds anywhere at the scene's energy.
 
@@ -50,7 +64,7 @@ def frequency_bound(lattice, state, t0, t1):
     return _bound(lattice, energy + 2 * heaviest * drives[3] ** 2, drives)
 
 
-@eqx.filter_jit
+@compiled
 def linear_frequency(lattice, power_steps=POWER_STEPS):
     """The same bound for infinitesimal motion about equilibrium: zero in a sonic vacuum.
 

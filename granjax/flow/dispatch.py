@@ -1,0 +1,80 @@
+"""What a call of `simulate` costs beside the run: compiled functions that are found quickly, and facts found once."""
+
+import weakref
+from functools import partial, wraps
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from ..terms import Damping
+
+_ARRAYS = (jax.Array, np.ndarray, np.generic)
+
+
+def compiled(function):
+    """`jax.jit` of a function of pytrees, in which everything but arrays is static.
+
+    As `equinox.filter_jit`, for positional arguments alone, with less to do at each call.
+    """
+
+    @partial(jax.jit, static_argnums=0)
+    def flat(static, arrays):
+        treedef, rest = static
+        arrays = iter(arrays)
+        leaves = [next(arrays) if leaf is _ARRAYS else leaf for leaf in rest]
+        return function(*jax.tree.unflatten(treedef, leaves))
+
+    def split(arguments):
+        leaves, treedef = jax.tree.flatten(arguments)
+        is_array = [isinstance(leaf, _ARRAYS) for leaf in leaves]
+        rest = tuple([_ARRAYS if own else leaf for own, leaf in zip(is_array, leaves)])
+        return (treedef, rest), [leaf for own, leaf in zip(is_array, leaves) if own]
+
+    @wraps(function)
+    def call(*arguments):
+        return flat(*split(arguments))
+
+    call.lower = lambda *arguments: flat.lower(*split(arguments))
+    return call
+
+
+class Facts(NamedTuple):
+    """What every call asks of a lattice, and what only its terms and shapes decide.
+
+    `traced`: whether a parameter is; `reads_velocity`: whether some force does; `splits`: whether none does but linear
+    damping; `known`: a dict for what is worked out when it is first asked for.
+    """
+
+    template: object
+    dtype: object
+    traced: bool
+    reads_velocity: bool
+    splits: bool
+    known: dict
+
+
+_FACTS = {}
+
+
+def facts(lattice):
+    """The `Facts` of a lattice, kept as long as the lattice lives: its parameters never change."""
+    key = id(lattice)
+    owner, found = _FACTS.get(key, (None, None))
+    if owner is None or owner() is not lattice:
+        found = _found(lattice)
+        _FACTS[key] = weakref.ref(lattice, lambda _: _FACTS.pop(key, None)), found
+    return found
+
+
+def _found(lattice):
+    velocity = [term for term in lattice.terms if term.reads_velocity]
+    return Facts(
+        lattice.template(), lattice.dtype, traced(lattice), bool(velocity),
+        all(isinstance(term, Damping) for term in velocity), {},
+    )
+
+
+def traced(tree):
+    """Whether some leaf is being traced."""
+    return any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(tree))
