@@ -1,13 +1,17 @@
 """XLA's flags and the floating type: what import sets, and what it could not.
 
-Two flags make every loop on the CPU faster, diffrax's own too. XLA reads them once, before JAX's first computation:
+Two flags make loops over lattices faster on the CPU, diffrax's own too; a loop over arrays so large that XLA would use
+all cores gets slower (benchmarks/flags.py). XLA reads them once, before JAX's first computation:
 
 - `xla_cpu_small_while_loop_byte_threshold`, an extra option of the backend: a loop becomes one native function instead
   of a dispatch per operation. Such a loop runs on one thread; cores are used through devices.
 - `xla_cpu_prefer_vector_width=512` on processors with AVX-512.
 """
 
+import hashlib
 import os
+import platform
+import sys
 from pathlib import Path
 from typing import NamedTuple
 
@@ -23,9 +27,18 @@ class Tuning(NamedTuple):
     message: str
 
 
-def _has_avx512():
+# seconds of compilation from which on a program is worth a file
+WORTH_KEEPING = 0.1
+
+
+def _processor():
+    """What tells this processor from others, as far as the system says."""
     cpuinfo = Path("/proc/cpuinfo")
-    return cpuinfo.is_file() and "avx512f" in cpuinfo.read_text()
+    return cpuinfo.read_text().split("\n\n")[0] if cpuinfo.is_file() else platform.processor()
+
+
+def _has_avx512():
+    return "avx512f" in _processor()
 
 
 def _missing(flags):
@@ -60,6 +73,45 @@ def tune():
         )
     os.environ["XLA_FLAGS"] = flags = " ".join([*missing, flags]).strip()
     return Tuning(flags, True, f"Set {' '.join(missing)}.")
+
+
+def keep_compiled(folder=None):
+    """Keep compiled programs on disk, so that the next process does not compile them again. The command line does so.
+
+    **Arguments:** `folder`: where; `None` is what `GRANJAX_CACHE` says, or granjax's folder in the user's cache
+    folder. Below it every kind of processor has its own folder.
+
+    **Returns:** the folder, or `None` where nothing is kept: `GRANJAX_CACHE=0`, or it cannot be written. A folder that
+    the user has given to JAX itself stays.
+    """
+    import jax
+
+    if jax.config.jax_compilation_cache_dir:
+        return Path(jax.config.jax_compilation_cache_dir)
+    chosen = folder or os.environ.get("GRANJAX_CACHE") or _user_cache() / "granjax"
+    if str(chosen) == "0":
+        return None
+    lines = [line for line in _processor().splitlines() if line.split(":")[0].strip() in ("model name", "flags")]
+    own = hashlib.sha256("".join(lines or [_processor()]).encode()).hexdigest()[:12]
+    place = Path(chosen) / f"{platform.machine()}-{own}"
+    try:
+        place.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return None
+    if not os.access(place, os.W_OK):
+        return None
+    jax.config.update("jax_compilation_cache_dir", str(place))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", WORTH_KEEPING)
+    jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+    return place
+
+
+def _user_cache():
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Caches"
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA", Path.home()))
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
 
 
 def prepare_import():

@@ -1,6 +1,11 @@
 """granjax is imported before JAX starts computing, so that its float type and XLA flags are in force for every test."""
 
+import os
+
 import granjax
+
+# the command line, called by tests, keeps nothing in the user's cache folder
+os.environ["GRANJAX_CACHE"] = "0"
 
 
 def pytest_report_header(config):

@@ -55,3 +55,52 @@ def test_what_the_user_set_stays(own):
         assert flags.endswith(own), "granjax's flags go in front of a bare word"
     else:
         assert flags.count("xla_backend_extra_options") == 1
+
+
+KEPT = """
+import json, os
+import granjax as gx
+import jax
+from granjax import tuning
+place = tuning.keep_compiled()
+print(json.dumps([place and str(place), jax.config.jax_compilation_cache_dir]))
+"""
+
+
+def kept(code=KEPT, **environment):
+    names = {k: v for k, v in os.environ.items() if k not in ("GRANJAX_CACHE", "JAX_COMPILATION_CACHE_DIR")}
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, env=names | environment
+    )
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def test_programs_are_kept_in_the_users_cache_folder(tmp_path):
+    place, used = kept(XDG_CACHE_HOME=str(tmp_path), HOME=str(tmp_path))
+    assert place == used and place.startswith(str(tmp_path)) and "granjax" in place
+
+
+def test_the_environment_chooses_where_and_turns_it_off(tmp_path):
+    assert kept(GRANJAX_CACHE="0") == [None, None]
+    assert kept(GRANJAX_CACHE=str(tmp_path / "mine"))[0].startswith(str(tmp_path / "mine"))
+    # a folder that cannot be made is no reason to fail
+    (tmp_path / "file").write_text("")
+    assert kept(GRANJAX_CACHE=str(tmp_path / "file")) == [None, None]
+
+
+def test_a_folder_of_the_users_own_stays(tmp_path):
+    assert kept(JAX_COMPILATION_CACHE_DIR=str(tmp_path)) == [str(tmp_path)] * 2
+
+
+@pytest.mark.slow
+def test_the_next_process_finds_what_was_compiled(tmp_path):
+    code = KEPT + """
+hits = []
+jax.monitoring.register_event_listener(lambda event, **_: hits.append(event) if "cache_hits" in event else None)
+chain = gx.scenes.monomer(9)
+run = gx.simulate(chain, gx.states.impact(chain), 3.0, step=0.1)
+print(json.dumps([len(hits), float(run.final.u[0])]))
+"""
+    first = kept(code, GRANJAX_CACHE=str(tmp_path))
+    second = kept(code, GRANJAX_CACHE=str(tmp_path))
+    assert first[0] == 0 and second[0] > 0 and first[1] == second[1]
