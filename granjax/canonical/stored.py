@@ -1,0 +1,61 @@
+"""Reading of the data files."""
+
+from functools import cache
+from importlib import resources
+from typing import NamedTuple
+
+import numpy as np
+
+
+class Stored(NamedTuple):
+    """What a data file holds.
+
+    `start_u`, `start_v`: where the scene starts, if that is not a matter of exact numbers. `u`, `v`: the reference at
+    `t1`, `matrix` for a map of tangents. `uncertainty`, `growth`: see `Scene`. `method`, `date`: how and when it was
+    made.
+    """
+
+    start_u: np.ndarray | None = None
+    start_v: np.ndarray | None = None
+    u: np.ndarray | None = None
+    v: np.ndarray | None = None
+    matrix: np.ndarray | None = None
+    t1: float = np.nan
+    uncertainty: float = np.nan
+    growth: float = np.nan
+    method: str = ""
+    date: str = ""
+
+
+@cache
+def read(name):
+    """The data of a scene, arrays that cannot be written to."""
+    with resources.files(__package__).joinpath("data", f"{name}.npz").open("rb") as file, np.load(file) as data:
+        arrays = {key: data[key] for key in data.files}
+    for x in arrays.values():
+        x.flags.writeable = False
+    return Stored(**{key: x if x.ndim else x.item() for key, x in arrays.items()})
+
+
+def write(folder, name, data):
+    """Write the data of a scene; returns the path."""
+    path = folder / f"{name}.npz"
+    np.savez_compressed(path, **{key: x for key, x in data._asdict().items() if x is not None})
+    return path
+
+
+def unfolded(data, sites):
+    """Displacements and velocities of all sites.
+
+    A window shorter than the chain is the half right of the middle of an odd motion, u(-n) = -u(n); further out all
+    moves with the velocity it started with.
+    """
+    if data.u.shape[0] == sites:
+        return data.u, data.v
+    inner, half = data.u.shape[0], sites // 2
+    out = []
+    for x, far in ((data.u, data.v[-1] * data.t1), (data.v, data.v[-1])):
+        right = np.full(half, far)
+        right[:inner] = x
+        out.append(np.concatenate([-right[::-1], right]))
+    return tuple(out)
