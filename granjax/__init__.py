@@ -1,7 +1,7 @@
 """granjax: a differentiable simulator of nonlinear lattices on JAX.
 
 `import granjax as gx` is enough. It switches float64 on unless the environment holds JAX_ENABLE_X64, and sets two XLA
-flags that speed up every loop on the CPU unless it holds GRANJAX_TUNE=0; `gx.tune()` says what is in force.
+flags that speed up its loops on the CPU unless it holds GRANJAX_TUNE=0; `gx.tune()` says what is in force.
 """
 
 from . import tuning as _tuning
@@ -25,9 +25,10 @@ from .solvers import (  # noqa: E402
 from .strains import Pairs, Shift, StrainMap, Stretch  # noqa: E402
 from .terms import Bond, Damping, Dashpot, Drive, Harmonic, Modulated, OnSite, Term, Wall  # noqa: E402
 from .tuning import tune  # noqa: E402
+from .work_precision import WorkPrecision, work_precision  # noqa: E402
 
 __version__ = "0.1.0"
-_LAZY = ("linear", "materials", "measures", "plots", "reproduce", "resonance", "scenes", "states")
+_LAZY = ("canonical", "linear", "materials", "measures", "plots", "reproduce", "resonance", "scenes", "states")
 
 
 def __getattr__(name):

@@ -1,4 +1,4 @@
-"""The command line: `granjax resonance`, `granjax reproduce`.
+"""The command line: `granjax resonance`, `granjax reproduce`, `granjax bench`.
 
 Results go to standard output, everything else to standard error. Exit codes: 0; 1 where a computation failed or a
 figure disagrees; 2 for input that cannot be meant, with a sentence.
@@ -6,15 +6,18 @@ figure disagrees; 2 for input that cannot be meant, with a sentence.
 
 import argparse
 import json
+import math
 import os
 import sys
 from pathlib import Path
 
 import granjax as gx
 
-from .checks import refuse, whole
+from .checks import one_of, refuse, whole
+from .tuning import keep_compiled
 
 LEAST_RATIOS = 3
+ADVISED = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
 LOWEST_RATIO = 0.05
 DEFINITION = (
     "largest force on a rigid wall behind a struck 1:1 dimer chain (heavy bead first, Hertz contacts, no "
@@ -29,7 +32,7 @@ def main(argv=None):
         if arguments.command is None:
             _parser().print_help()
             return 0
-        _prepare()
+        _prepare(not arguments.no_cache)
         return arguments.command(arguments)
     except (ValueError, OSError) as error:
         return _failed(error, 2)
@@ -52,6 +55,10 @@ class _Parser(argparse.ArgumentParser):
 def _parser():
     parser = _Parser(prog="granjax", description="Differentiable simulator of nonlinear lattices on JAX.")
     parser.add_argument("--version", action="version", version=f"granjax {gx.__version__}")
+    parser.add_argument(
+        "--no-cache", action="store_true",
+        help="compile anew; otherwise programs are kept in your cache folder (or in the folder GRANJAX_CACHE)",
+    )
     parser.set_defaults(command=None)
     commands = parser.add_subparsers(title="commands", metavar="COMMAND")
 
@@ -82,13 +89,24 @@ def _parser():
         "--set", action="append", default=[], metavar="NAME=VALUE", help="another value of a chosen parameter"
     )
     reproduce.set_defaults(command=_reproduce)
+
+    text = "Error against time of many solvers on the canonical scenes: charts, data, advice."
+    bench = commands.add_parser("bench", help=text, description=text)
+    bench.add_argument("scenes", nargs="*", metavar="SCENE", help="names of scenes (default: all)")
+    bench.add_argument("--list", action="store_true", help="list the scenes and stop")
+    bench.add_argument("--out", default=".", metavar="DIR", help="folder for bench-SCENE.png and bench-SCENE.json")
+    bench.add_argument("--json", action="store_true", help="print one JSON object instead of tables")
+    bench.add_argument("--repeats", type=int, default=5, metavar="N", help="timed calls of each point (default: 5)")
+    bench.set_defaults(command=_bench)
     return parser
 
 
-def _prepare():
-    """XLA's flags and one device per core, before JAX's first computation."""
+def _prepare(cache):
+    """XLA's flags, one device per core, and the cache of compiled programs, before JAX's first computation."""
     import jax
 
+    if cache:
+        keep_compiled()
     tuning = gx.tune()
     if not tuning.complete and os.environ.get("GRANJAX_TUNE", "1") != "0":
         print(f"granjax: {tuning.message}", file=sys.stderr)
@@ -131,14 +149,18 @@ def _resonance(arguments):
 def _places(out):
     """Paths of picture and data; their folder is made where it is missing."""
     stem = Path(out).with_suffix("") if Path(out).suffix in (".png", ".nc") else Path(out) / "resonance"
+    _make_folder(stem.parent)
+    return Path(f"{stem}.png"), Path(f"{stem}.nc")
+
+
+def _make_folder(folder):
     try:
-        stem.parent.mkdir(parents=True, exist_ok=True)
-        reason = "" if os.access(stem.parent, os.W_OK | os.X_OK) else "no permission to write"
+        folder.mkdir(parents=True, exist_ok=True)
+        reason = "" if os.access(folder, os.W_OK | os.X_OK) else "no permission to write"
     except OSError as error:
         reason = error.strerror
     if reason:
-        refuse("--out", "a folder that can be made and written", f"{str(stem.parent)!r} ({reason})")
-    return Path(f"{stem}.png"), Path(f"{stem}.nc")
+        refuse("--out", "a folder that can be made and written", f"{str(folder)!r} ({reason})")
 
 
 def _draw(sweep, extrema, path):
@@ -215,3 +237,51 @@ def _setting(text):
     if not name or not equals or not value:
         refuse("--set", "NAME=VALUE", repr(text))
     return name, value
+
+
+def _bench(arguments):
+    known = gx.canonical.names()
+    names = [one_of("SCENE", name, known) for name in arguments.scenes] or known
+    if arguments.list:
+        print("\n".join(f"{name:<20}{gx.canonical.scene(name).title}" for name in names))
+        return 0
+    repeats, out = whole("--repeats", arguments.repeats, 1), Path(arguments.out)
+    _make_folder(out)
+    done, failed = {}, 0
+    for name in names:
+        scene = gx.canonical.scene(name)
+        try:
+            table = _measured(scene, repeats)
+        except RuntimeError as error:
+            failed = _failed(f"{name}: {error}", 1)
+            continue
+        done[name] = {"scene": name, "title": scene.title, "t0": scene.t0, "t1": scene.t1, **table.to_dict()}
+        (out / f"bench-{name}.json").write_text(json.dumps(done[name], indent=1) + "\n")
+        _chart(scene, table, out / f"bench-{name}.png")
+        if not arguments.json:
+            print("\n".join([f"{name}: {scene.title}", str(table), *_advice(table), ""]))
+    if arguments.json:
+        print(json.dumps(done, allow_nan=False))
+    return failed
+
+
+def _measured(scene, repeats):
+    return gx.work_precision(
+        scene.lattice, scene.state, scene.t1, t0=scene.t0, repeats=repeats, tangents=scene.tangents,
+        reference=scene.reference, uncertainty=None if scene.reference is None else scene.uncertainty,
+    )
+
+
+def _advice(table):
+    reached = table.error[table.drawn].min(initial=math.inf)
+    return [str(table.advice(error)) for error in ADVISED if error >= reached]
+
+
+def _chart(scene, table, path):
+    with gx.plots.style():
+        canvas = gx.plots.figure(10.5, 4.2)
+        left, right = canvas.subplots(1, 2)
+        gx.plots.work_precision(table, left).get_legend().remove()
+        gx.plots.work_precision(table, right, against="evaluations")
+        canvas.suptitle(scene.title, fontsize="medium")
+        gx.plots.save(canvas, path)

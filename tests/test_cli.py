@@ -4,6 +4,8 @@ import json
 import os
 import subprocess
 import sys
+from types import SimpleNamespace
+from typing import NamedTuple
 
 import matplotlib.image
 import numpy as np
@@ -12,6 +14,7 @@ import xarray as xr
 
 import granjax as gx
 from granjax.cli import main
+from granjax.work_precision import Ladder, measure
 
 SMALL = ["resonance", "--beads", "11", "--ratios", "12"]
 
@@ -45,12 +48,25 @@ def test_resonance_from_a_shell(tmp_path):
 
 
 def test_the_command_makes_a_device_of_every_core(tmp_path):
-    code = "import jax; from granjax.cli import _cores, _prepare; _prepare(); print(jax.device_count() == _cores())"
+    code = (
+        "import jax; from granjax.cli import _cores, _prepare; _prepare(False); "
+        "print(jax.device_count() == _cores())"
+    )
     environment = {k: v for k, v in os.environ.items() if k != "JAX_NUM_CPU_DEVICES"}
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, env=environment, check=False
     )
     assert done.stdout.strip() == "True", done.stderr
+
+
+@pytest.mark.slow
+def test_compiled_programs_are_kept_unless_asked_not_to(tmp_path):
+    kept, none = tmp_path / "kept", tmp_path / "none"
+    for place, switch in ((kept, ()), (none, ("--no-cache",))):
+        done = command(*switch, *SMALL, cwd=tmp_path, GRANJAX_CACHE=str(place))
+        assert done.returncode == 0 and done.stderr == "", done.stderr
+    assert any(path.is_file() for path in kept.rglob("*")) and not none.exists()
+    assert command(*SMALL, cwd=tmp_path, GRANJAX_CACHE=str(kept)).stderr == "", "what is read back brings no warning"
 
 
 def test_resonance_prints_a_table(tmp_path, capsys):
@@ -78,6 +94,9 @@ def test_out_may_name_the_files(tmp_path):
         (["reproduce"], "FIGURE: expected labels of figures, or --all, got neither."),
         (["reproduce", "fig1.33"], "Did you mean"),
         (["reproduce", "fig1.3", "--set", "sites"], "--set: expected NAME=VALUE"),
+        (["bench", "--repeats", "0"], "--repeats: expected a whole number not below 1, got 0."),
+        (["bench", "--out", "FILE/folder"], "--out: expected a folder that can be made and written"),
+        (["bench", "no such scene"], "SCENE: expected one of"),
     ],
 )
 def test_bad_input_is_one_sentence_and_code_2(arguments, message, tmp_path, capsys):
@@ -156,3 +175,85 @@ def test_reproduce_passes_its_arguments_on(arguments, asked, outcome, code, monk
     assert main(["reproduce", *arguments, "--set", "sites=9"]) == code
     assert seen == [asked]
     assert str(outcome) in capsys.readouterr().out
+
+
+class Scene(NamedTuple):
+    """Stands for a canonical scene."""
+
+    name: str
+    title: str = "A scene of the tests"
+    lattice: object = "lattice"
+    state: object = "state"
+    t0: float = 1.0
+    t1: float = 2.0
+    reference: object = None
+    uncertainty: float = 1e-13
+    tangents: bool = False
+
+
+def measured(*scene, **keywords):
+    """A small table, in place of `gx.work_precision`; `t1` below `t0` is chaos."""
+    if scene[2] < keywords["t0"]:
+        raise RuntimeError("No reference exists.")
+
+    def call(step):
+        return (np.array([1 + step**2]), np.ones(1)), 1 / step, 1 / step
+
+    ladder = Ladder("method", "step", [0.08, 0.01, 0.001], call)
+    return measure([ladder], (np.ones(1), np.ones(1)), 1e-12, keywords["repeats"])
+
+
+@pytest.fixture
+def bench(monkeypatch, tmp_path, capsys):
+    """`granjax bench` on scenes of one's own: exit code, output, files, and what `work_precision` was asked for."""
+    def run(scenes, *arguments):
+        asked = []
+
+        def work_precision(*scene, **keywords):
+            asked.append((scene, keywords))
+            return measured(*scene, **keywords)
+
+        by_name = {scene.name: scene for scene in scenes}
+        monkeypatch.setattr(gx, "canonical", SimpleNamespace(names=lambda: tuple(by_name), scene=by_name.get), False)
+        monkeypatch.setattr(gx, "work_precision", work_precision)
+        code = main(["bench", "--out", str(tmp_path), *arguments])
+        return code, capsys.readouterr(), sorted(path.name for path in tmp_path.iterdir()), asked
+
+    return run
+
+
+def test_bench_writes_a_chart_and_a_table_for_every_scene(bench, tmp_path):
+    scenes = Scene("one"), Scene("two", reference="exact", uncertainty=1e-12, tangents=True)
+    code, printed, files, asked = bench(scenes)
+    own = {"t0": 1.0, "repeats": 5}
+    assert code == 0
+    assert files == ["bench-one.json", "bench-one.png", "bench-two.json", "bench-two.png"]
+    assert asked == [
+        (("lattice", "state", 2.0), {**own, "reference": None, "uncertainty": None, "tangents": False}),
+        (("lattice", "state", 2.0), {**own, "reference": "exact", "uncertainty": 1e-12, "tangents": True}),
+    ]
+    assert "one: A scene of the tests" in printed.out and "method, order 2.00" in printed.out
+    assert "For 0.0001: method, step" in printed.out
+    assert matplotlib.image.imread(tmp_path / "bench-one.png").shape[2] in (3, 4)
+    data = json.loads((tmp_path / "bench-two.json").read_text())
+    assert data["scene"] == "two" and data["t1"] == 2.0 and data["machine"]["jax"]
+    assert gx.WorkPrecision.from_json(data).methods == ("method",)
+
+
+def test_bench_of_some_scenes_as_json(bench):
+    code, printed, files, asked = bench([Scene("one"), Scene("two")], "two", "--json", "--repeats", "2")
+    assert code == 0 and files == ["bench-two.json", "bench-two.png"]
+    assert set(json.loads(printed.out)) == {"two"}
+    assert [keywords["repeats"] for _, keywords in asked] == [2]
+
+
+def test_bench_goes_on_after_a_scene_that_fails(bench):
+    code, printed, files, _ = bench([Scene("chaos", t1=0.5), Scene("fine")])
+    assert code == 1 and files == ["bench-fine.json", "bench-fine.png"]
+    assert "chaos: No reference exists." in printed.err
+
+
+def test_bench_lists_the_scenes(bench):
+    code, printed, files, asked = bench([Scene("one"), Scene("two")], "--list")
+    assert code == 0 and not files and not asked
+    assert [line.split()[0] for line in printed.out.splitlines()] == ["one", "two"]

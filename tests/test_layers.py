@@ -13,7 +13,7 @@ FLOORS = (
     {"lattice"},
     {"flow", "scenes"},
     {"floquet", "linear", "measures", "states"},
-    {"breathers", "travelling", "shocks", "resonance"},
+    {"breathers", "canonical", "travelling", "shocks", "resonance"},
     {"sweep", "fit", "identify", "work_precision", "reproduce"},
 )
 FLOOR = {name: level for level, names in enumerate(FLOORS) for name in names}

@@ -7,7 +7,11 @@ be told apart by colour-blind eyes.
 
 from .curves import profile, transmission
 from .histories import space_time, traces
+from .precision import work_precision
 from .style import COLOURS, figure, save, style
 from .waves import dispersion
 
-__all__ = ["COLOURS", "dispersion", "figure", "profile", "save", "space_time", "style", "traces", "transmission"]
+__all__ = [
+    "COLOURS", "dispersion", "figure", "profile", "save", "space_time", "style", "traces", "transmission",
+    "work_precision",
+]

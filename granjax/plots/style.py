@@ -1,5 +1,7 @@
 """The house style: fonts, colours, new figures. Nothing global is changed."""
 
+import contextlib
+
 import matplotlib
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -29,9 +31,16 @@ _STYLE = {
 }
 
 
+@contextlib.contextmanager
 def style():
     """The house style as a context: `with gx.plots.style(): ...` for Axes of your own."""
-    return matplotlib.rc_context(_STYLE)
+    # not matplotlib's own context: it would undo what a notebook's backend sets when it loads inside
+    kept = {name: matplotlib.rcParams[name] for name in _STYLE}
+    matplotlib.rcParams.update(_STYLE)
+    try:
+        yield
+    finally:
+        matplotlib.rcParams.update(kept)
 
 
 def figure(width=5.0, height=3.6):

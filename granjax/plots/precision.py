@@ -1,0 +1,59 @@
+"""Error against time or force evaluations, one line per method."""
+
+import numpy as np
+
+from ..checks import one_of, refuse
+from .arrays import numbers
+from .style import FAINT, axes_or_new, colour
+
+AGAINST = {"time": ("seconds", "time of one run (s)"), "evaluations": ("evaluations", "force evaluations of one run")}
+MARKS = ("o", "s", "^", "D", "v", "P", "X")
+DEFAULT = "default"
+
+
+def work_precision(wp, ax=None, *, against="time"):
+    """Error against the work that it takes, both logarithmic: down and to the left is better.
+
+    **Arguments:**
+
+    - `wp`: what `gx.work_precision` returns, or any table with one entry a point: `method`, `error`, `seconds`,
+      `evaluations`, `drawn`; with `methods`, their names in order, and `floor`, the uncertainty of the reference, which
+      is shaded (NaN: none). A method named `"default"` is a star.
+    - `against`: `"time"` or `"evaluations"`; methods that do not count those are left out.
+
+    **Returns:** the Axes; one line per method in `ax.lines`. **Raises** ValueError for anything else to draw against,
+    or a table where no point is drawn.
+    """
+    column, label = AGAINST[one_of("against", against, tuple(AGAINST))]
+    work, error = numbers(f"wp.{column}", getattr(wp, column), 1, finite=False), numbers("wp.error", wp.error, 1, False)
+    method = np.array(wp.method, dtype=object)
+    shown = np.asarray(wp.drawn, bool) & np.isfinite(work) & (work > 0) & (error > 0)
+    if not shown.any():
+        refuse("wp", "a table with points to draw", "none", "Its notes say why; print it.")
+    ax = axes_or_new(ax, 6.6, 4.0)
+    ax.set(xscale="log", yscale="log", xlabel=label, ylabel="relative error of the final state")
+    for i, name in enumerate(wp.methods):
+        own = np.flatnonzero(shown & (method == name))
+        if not own.size:
+            continue
+        if name == DEFAULT:
+            ax.plot(work[own], error[own], "*", color="black", ms=12, mec="white", mew=0.6, zorder=4, label=name)
+        else:
+            style = {"ms": 4, "mec": "white", "mew": 0.4, "lw": 1.2}
+            ax.plot(work[own], error[own], marker=MARKS[i // 7 % 7], color=colour(i), label=name, **style)
+            ax.lines[-1].set_linestyle(("-", "--", ":")[i // 7 % 3])
+    _shade(ax, float(wp.floor), float(error[shown].min()))
+    ax.grid(True, which="major", color=FAINT, alpha=0.25, lw=0.6)
+    ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+    return ax
+
+
+def _shade(ax, floor, lowest):
+    """The uncertainty of the reference, below which nothing is known."""
+    if not floor > 0:
+        return
+    bottom, top = min(floor, lowest) / 10, ax.get_ylim()[1]
+    ax.axhspan(bottom, floor, color=FAINT, alpha=0.3, lw=0, zorder=0)
+    ax.text(0.01, floor, "uncertainty of the reference", transform=ax.get_yaxis_transform(), va="bottom",
+            size="x-small", color="0.35")
+    ax.set_ylim(bottom, top)

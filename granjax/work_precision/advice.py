@@ -1,0 +1,150 @@
+"""What to choose for an error that is asked for."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ..checks import positive, refuse
+from .errors import distance
+from .ladder import DEFAULT
+from .timing import in_turns, once
+from .words import number, seconds_in_words
+
+# an advised error lies between asked/NEAR and asked
+NEAR = 3.0
+TRIALS = 8
+FASTEST = 3
+
+
+class Advice(NamedTuple):
+    """A method and its step or tolerance for an error; `str` of it says so in words.
+
+    - `asked`: the error that was asked for; `method`, `parameter`, `value`: what to use.
+    - `error`, `seconds`, `evaluations`: what that gave when it was run (evaluations NaN where not known).
+    - `default_error`, `default_seconds`: what no choice at all gives; NaN where that is not in the table.
+    - `solver`: the solver, where it is one of `gx.simulate`'s.
+    """
+
+    asked: float
+    method: str
+    parameter: str
+    value: float
+    error: float
+    seconds: float
+    evaluations: float
+    default_error: float
+    default_seconds: float
+    solver: object = None
+
+    @property
+    def keywords(self):
+        """For `gx.simulate(lattice, state, t1, **advice.keywords)`; without the solver where it is not known."""
+        solver = {} if self.solver is None else {"solver": self.solver}
+        return {**solver, self.parameter: self.value}
+
+    def __str__(self):
+        sentence = (
+            f"For {number(self.asked)}: {self.method}, {self.parameter} {self.value!r}, "
+            f"{seconds_in_words(self.seconds)} (error {number(self.error)})"
+        )
+        if math.isfinite(self.default_error):
+            sentence += (
+                f"; the default would give {number(self.default_error)} in {seconds_in_words(self.default_seconds)}"
+            )
+        return sentence + "."
+
+
+def advise(table, asked):
+    """`Advice` for an error, from a `WorkPrecision`; its docstring says how."""
+    asked = float(positive("error", asked))
+    known = [i for i in range(len(table.method)) if table.drawn[i] and table.method[i] != DEFAULT]
+    if not known:
+        refuse("error", "a table with points to choose from", "one where nothing is drawn", "The notes say why.")
+    if asked < table.least_error:
+        remedy = "The reference itself is no better."
+        refuse("error", f"at least {number(table.least_error)}, four times the floor", number(asked), remedy)
+    found = [_bracket(table, name, asked) for name in table.methods if name != DEFAULT]
+    found = sorted((one for one in found if one is not None), key=lambda one: one.seconds)[:FASTEST]
+    if not found:
+        best = min(known, key=lambda i: table.error[i])
+        remedy = f"The best point: {table.method[best]}, {table.parameter[best]} {number(table.value[best])}."
+        refuse("error", f"at least {number(table.error[best])}, the smallest in the table", number(asked), remedy)
+    if table.ladders:
+        found = _timed(table, [_approached(table, one, asked) for one in found])
+    best = min(found, key=lambda one: one.seconds)
+    default = [i for i, name in enumerate(table.method) if name == DEFAULT and table.drawn[i]]
+    without_choice = [float(x[default[0]]) if default else math.nan for x in (table.error, table.seconds)]
+    return Advice(
+        asked, best.name, best.parameter, best.value, best.error, best.seconds, best.evaluations, *without_choice,
+        best.ladder and best.ladder.solver,
+    )
+
+
+class _Choice(NamedTuple):
+    """A method with a value whose error is at most what was asked; `coarse`: a value and its error above that."""
+
+    name: str
+    parameter: str
+    value: float
+    error: float
+    seconds: float
+    evaluations: float
+    ladder: object
+    coarse: tuple | None = None
+
+
+def _bracket(table, name, asked):
+    """The coarsest measured point from which on all are good enough, with its coarser neighbour, which is not."""
+    own = [i for i in range(len(table.method)) if table.method[i] == name and table.drawn[i]]
+    own.sort(key=lambda i: -table.value[i])
+    bad = np.flatnonzero(table.error[own] > asked)
+    if len(bad) == len(own):
+        return None
+    # a dip among larger errors is luck; where rounding spoils the finest point, the first dip has to do
+    k = int(bad[-1]) + 1 if len(bad) else 0
+    if k == len(own):
+        k = int(np.argmax(table.error[own] <= asked))
+    i, coarse, seconds = own[k], None, table.seconds[own[k]]
+    if k and table.error[i] < asked / NEAR:
+        j = own[k - 1]
+        coarse = table.value[j], table.error[j]
+        share = math.log(asked / table.error[i]) / math.log(table.error[j] / table.error[i])
+        seconds *= (table.seconds[j] / seconds) ** share
+    ladder = next((ladder for ladder in table.ladders if ladder.name == name), None)
+    return _Choice(
+        name, table.parameter[i], float(table.value[i]), float(table.error[i]), float(seconds),
+        float(table.evaluations[i]), ladder, coarse,
+    )
+
+
+def _approached(table, choice, asked):
+    """The choice with a value, of three digits, whose error a run has shown to lie within [asked/3, asked].
+
+    Regula falsi in the logarithms, halved where it creeps. Where no run hits (a few steps of high order, of which one
+    less is too few), the coarsest that is good enough.
+    """
+    if choice.coarse is None:
+        return choice
+    coarse, fine = choice.coarse, (choice.value, choice.error)
+    aim = math.log(asked / math.sqrt(NEAR))
+    for trial in range(TRIALS):
+        share = (math.log(coarse[1]) - aim) / (math.log(coarse[1]) - math.log(max(fine[1], 1e-300)))
+        share = 0.5 if trial % 3 == 2 else min(max(share, 0.1), 0.9)
+        value = float(f"{coarse[0] * (fine[0] / coarse[0]) ** share:.2e}")
+        outcome = once(choice.ladder.call, value)
+        error = math.nan if outcome.note else distance(outcome.state, table.reference)
+        if error <= asked:
+            fine = value, error
+            choice = choice._replace(value=value, error=error, evaluations=outcome.evaluations)
+            if error >= asked / NEAR:
+                break
+        else:
+            coarse = value, error if math.isfinite(error) else max(coarse[1], 1.0)
+    return choice
+
+
+def _timed(table, choices):
+    """The choices with the median times of calls that take turns."""
+    seconds, _ = in_turns([(one.ladder.call, one.value) for one in choices], table.repeats)
+    return [one._replace(seconds=float(s)) for one, s in zip(choices, seconds)]

@@ -1,0 +1,99 @@
+"""Work and precision of solvers on a scene."""
+
+import math
+
+import jax
+import numpy as np
+
+from ..checks import non_negative, positive, refuse, whole
+from ..flow.inputs import checked_state, checked_times
+from .errors import distance
+from .measuring import measure
+from .reference import Reference, find_reference
+from .solvers import checked_solvers, checked_steps, default_ladder, solver_ladders
+from .table import LARGEST_FLOOR
+from .timing import warmed
+
+# a ladder ends where a call takes this many times as long as a coarse one; where that is slow [s], fewer times
+LONGER, LITTLE_LONGER = 20.0, 4.0
+AT_LEAST, SLOW = 0.1, 1.0
+
+
+def work_precision(
+    lattice, state, t1, solvers=None, steps=None, *, t0=0.0, reference=None, uncertainty=None, repeats=5, longest=None,
+    tangents=False,
+):
+    r"""Error at t1 against the time of `simulate`, and against force evaluations, for many solvers.
+
+    The error is dimensionless: the largest over sites of |u - u_ref| / max |u_ref| and |v - v_ref| / max |v_ref|.
+
+    **Arguments:**
+
+    - `lattice`, `state`, `t1`, `t0`: the scene, as for `simulate`.
+    - `solvers`: list of solvers, granjax's or diffrax's, or a dict from names of yours to them. `None`: VelocityVerlet,
+      SRKN6b, SRKN11b, SRKN14a, KahanLi8, SofroniouSpaletta10 where the scene splits, RKN86 and RKN1210 where no force
+      reads the velocity, diffrax's Tsit5 and Dopri8 always.
+    - `steps`: what they are tried with: one list for all (steps for solvers of fixed step, tolerances for adaptive
+      ones), a list of lists, or a dict from a solver's name to its list. `None`, or a name that is not in the dict:
+      steps from the stability limit down in ratios of 10^(1/order), tolerances in decades from 1e-2, until the error
+      reaches the floor or falls no more, or a call takes longer than `longest`.
+    - `reference`: the final state, a `State` or a pair; `uncertainty`: its, in the measure of the error; `None` if not
+      known, and then nothing is held back. `None`: two independent runs of high order, refined until their distance
+      stops falling; that is the floor.
+    - `repeats`: timed calls of each point, of which the median counts (fewer where they add up to more than 3 s);
+      solvers take turns. `longest` [s]; `None`: 20 times what solvers take at their coarsest, but at least 0.1 s, and
+      where that is more than 1 s four times.
+    - `tangents`: measure the map of tangents d(u, v)(t1)/d(u, v)(t0), (2N, 2N), in place of the final state; it then
+      needs a `reference` of that shape.
+
+    **Returns:** `WorkPrecision`: print it, `.advice(error)`, `.orders`, `.floor`, `.to_xarray()`, `.to_json()`;
+    `gx.plots.work_precision` draws it. Nothing below four floors is drawn or used. Refused and failed points stay,
+    with a sentence.
+
+    **Raises** ValueError for input that cannot be meant; RuntimeError where two runs of high order do not agree to
+    1e-3, so that the scene has no reference at t1: chains without precompression amplify rounding until nothing is
+    left of it.
+
+    Typical: ten solvers compile in 10 s; then a chain of 100 beads takes some seconds.
+    """
+    state = checked_state(lattice, state)
+    t0, t1 = (float(t) for t in checked_times(t0, t1))
+    repeats = whole("repeats", repeats, 1)
+    longest = None if longest is None else float(positive("longest", longest))
+    solvers = checked_solvers(solvers, lattice)
+    steps = checked_steps(steps, solvers)
+    given = _given(reference, uncertainty, state, tangents)
+    warm = [warmed(ladder) for ladder in solver_ladders(lattice, state, t0, t1, solvers, steps, tangents)]
+    ladders = [ladder for ladder, _ in warm] + [default_ladder(lattice, state, t0, t1, tangents)]
+    longest = _longest([seconds for _, seconds in warm]) if longest is None else longest
+    found = find_reference(lattice, state, t0, t1) if given is None else given
+    return measure(ladders, found.state, found.floor, repeats, longest=longest, note=found.note)
+
+
+def _longest(coarsest):
+    """The longest call of a ladder [s], from the times that the solvers take at their coarsest (NaN: none works)."""
+    known = [seconds for seconds in coarsest if math.isfinite(seconds)]
+    usual = float(np.median(known)) if known else 0.0
+    return max(AT_LEAST, min(LONGER * usual, SLOW), LITTLE_LONGER * usual)
+
+
+def _given(reference, uncertainty, state, tangents):
+    """The reference that was given, or `None`."""
+    if reference is None and not tangents:
+        if uncertainty is not None:
+            refuse("uncertainty", "a reference beside it", f"reference=None, uncertainty={uncertainty!r}")
+        return None
+    size = sum(x.size for x in jax.tree.leaves(state))
+    if tangents and np.shape(reference) != (size, size):
+        refuse("reference", f"a map of tangents, shape {(size, size)}", f"shape {np.shape(reference)}")
+    if not tangents and (not isinstance(reference, tuple | list) or len(reference) != 2):
+        refuse("reference", "State(u, v) or a pair (u, v)", repr(type(reference).__name__))
+    reference = np.asarray(reference) if tangents else tuple(reference)
+    if not math.isfinite(distance(np.zeros((size, size)) if tangents else state, reference)):
+        refuse("reference", "finite numbers", "some that are not", "Look for NaN or infinity.")
+    if uncertainty is None:
+        return Reference(reference, math.nan, "given, of unknown uncertainty")
+    uncertainty = float(np.max(non_negative("uncertainty", uncertainty)))
+    if uncertainty > LARGEST_FLOOR:
+        refuse("uncertainty", f"at most {LARGEST_FLOOR:g}", f"{uncertainty:g}", "A worse reference tells nothing.")
+    return Reference(reference, uncertainty, "given")

@@ -1,0 +1,632 @@
+"""Error against time: the measure, the table, its orders, its advice, on plain functions and on scenes."""
+
+import json
+import math
+import time
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import matplotlib
+
+matplotlib.use("Agg")
+
+import matplotlib.pyplot as plt  # noqa: E402
+import numpy as np  # noqa: E402
+import pytest  # noqa: E402
+from scipy.integrate import solve_ivp  # noqa: E402
+from scipy.linalg import expm  # noqa: E402
+
+import granjax as gx  # noqa: E402
+from granjax.work_precision import Ladder, WorkPrecision, distance, measure, timing  # noqa: E402
+from granjax.work_precision.orders import observed_order  # noqa: E402
+from granjax.work_precision.reference import find_reference  # noqa: E402
+from granjax.work_precision.solvers import sensible_solvers  # noqa: E402
+
+END = 2.0
+EXACT = np.array([math.cos(END)]), np.array([-math.sin(END)])
+FLOOR = 1e-13
+
+
+def verlet(step):
+    """u'' = -u from (1, 0) to t = 2."""
+    count = math.ceil(END / step)
+    h, u, v = END / count, 1.0, 0.0
+    for _ in range(count):
+        v -= h / 2 * u
+        u += h * v
+        v -= h / 2 * u
+    return (np.array([u]), np.array([v])), count, count
+
+
+def runge_kutta(step):
+    """The same by the classical method of order 4, which does not count its forces."""
+    count = math.ceil(END / step)
+    h, y, A = END / count, np.array([1.0, 0.0]), np.array([[0.0, 1.0], [-1.0, 0.0]])
+    for _ in range(count):
+        y = y + h * A @ (y + h / 2 * A @ (y + h / 3 * A @ (y + h / 4 * A @ y)))
+    return (y[:1], y[1:]), None
+
+
+def crude(value):
+    return verlet(0.5)
+
+
+STEPS = tuple(0.4 / 2.0 ** np.arange(8))
+VERLET, RK4 = Ladder("verlet", "step", STEPS, verlet), Ladder("rk4", "step", STEPS, runge_kutta)
+DEFAULT = Ladder("default", "step", (math.nan,), crude)
+
+
+@pytest.fixture(scope="module")
+def table():
+    return measure([VERLET, RK4, DEFAULT], EXACT, FLOOR, repeats=2, note="closed form")
+
+
+# --------------------------------------------------------------------------------------------------------- the measure
+
+
+def test_the_distance_takes_each_part_by_its_own_scale():
+    reference = np.array([1.0, -4.0]), np.array([0.1, 0.0])
+    assert distance((np.array([1.4, -4.0]), reference[1]), reference) == pytest.approx(0.1)
+    assert distance((reference[0], np.array([0.1, 0.02])), reference) == pytest.approx(0.2)
+    fields = {"a": np.array([1.0, 0.0]), "b": np.array([8.0])}
+    other = {"a": np.array([1.0, 2.0]), "b": np.array([8.0])}
+    assert distance(gx.State(other, fields), gx.State(fields, fields)) == 0.25
+    assert distance(np.ones((2, 3)), 2 * np.ones((2, 3))) == 0.5
+    assert distance((np.ones(2), np.full(2, 1e-3)), (np.ones(2), np.zeros(2))) == 1e-3
+
+
+@pytest.mark.parametrize("place", [0, 1])
+def test_the_distance_keeps_a_nan(place):
+    state = [np.ones(2), np.ones(2)]
+    state[place] = np.array([1.0, np.nan])
+    assert math.isnan(distance(state, (np.ones(2), 2 * np.ones(2))))
+
+
+def test_the_distance_of_other_shapes():
+    with pytest.raises(ValueError, match="reference: expected arrays of the shapes"):
+        distance((np.ones(2), np.ones(2)), (np.ones(1), np.ones(1)))
+
+
+# ----------------------------------------------------------------------------------------------------------- measuring
+
+
+def test_a_table_has_every_point_in_order(table):
+    assert table.methods == ("verlet", "rk4", "default")
+    assert table.method == ("verlet",) * 8 + ("rk4",) * 8 + ("default",)
+    np.testing.assert_array_equal(table.value[:8], STEPS)
+    np.testing.assert_array_equal(table.evaluations[:8], [math.ceil(END / h) for h in STEPS])
+    assert np.isnan(table.evaluations[8:16]).all()
+    assert table.drawn.all() and not any(table.note)
+    for point, step in zip((0, 3), STEPS[::3]):
+        assert table.error[point] == distance(verlet(step)[0], EXACT)
+    assert np.all(table.seconds[:16] >= table.fastest[:16]) and np.all(table.fastest > 0)
+    # an eighth of the step: eight times the loop
+    assert table.seconds[7] > 4 * table.seconds[2]
+
+
+def test_orders_with_their_uncertainty(table):
+    for name, expected in (("verlet", 2), ("rk4", 4)):
+        order, uncertain = table.orders[name]
+        assert order == pytest.approx(expected, abs=0.05)
+        assert 0 < uncertain < 0.05
+    assert all(math.isnan(x) for x in table.orders["default"])
+
+
+def test_calls_take_turns():
+    seen = []
+
+    def call(name):
+        return lambda value: seen.append((name, value)) or ((np.ones(1), np.ones(1)), None)
+
+    ladders = [Ladder(name, "step", (2.0, 1.0), call(name), compile_seconds=0.0) for name in "ABC"]
+    measure(ladders, (np.full(1, 1.5), np.ones(1)), repeats=2)
+    turns = [(name, value) for value in (2.0, 1.0) for name in "ABC"]
+    assert seen[6:] == 2 * turns
+
+
+def test_slow_calls_are_repeated_less(monkeypatch):
+    seen = []
+
+    def call(step):
+        seen.append(step)
+        time.sleep(step)
+        return (np.ones(1), np.ones(1)), None
+
+    monkeypatch.setattr(timing, "ENOUGH", 0.05)
+    ladder = Ladder("slow", "step", (0.1, 0.02, 1e-6), call, compile_seconds=0.0)
+    wp = measure([ladder], (np.full(1, 1.5), np.ones(1)), repeats=5)
+    # once for the error, then until 0.05 s are full
+    assert seen.count(0.1) == 1 and seen.count(0.02) in (3, 4) and seen.count(1e-6) == 6
+    assert wp.seconds[0] >= 0.1
+
+
+def test_compile_time_is_apart():
+    warm = []
+
+    def call(step):
+        time.sleep(0.0 if warm else 0.3)
+        warm.append(step)
+        return verlet(step)
+
+    wp = measure([Ladder("slow start", "step", STEPS, call)], EXACT, repeats=1)
+    assert wp.compile_seconds[0] > 0.25
+    assert wp.seconds.max() < 0.25
+
+
+def test_a_ladder_stops_at_the_floor_and_at_the_longest_call():
+    fine = measure([RK4._replace(stops=True)], EXACT, 1e-6, repeats=1)
+    assert fine.error[-1] < 4e-6 <= fine.error[-2]
+    assert not fine.drawn[-1] and "Below 4 times" in fine.note[-1] and math.isnan(fine.seconds[-1])
+    assert fine.drawn[:-1].all() and len(fine.value) < len(STEPS)
+    short = measure([RK4._replace(stops=True)], EXACT, repeats=1, longest=0.0)
+    assert len(short.value) == 1
+    assert len(measure([RK4], EXACT, 1e-6, repeats=1, longest=0.0).value) == len(STEPS)
+
+
+def test_a_ladder_stops_where_the_error_falls_no_more():
+    def values(error):
+        call = lambda step: ((EXACT[0] + error(step), EXACT[1]), None)
+        return measure([Ladder("some", "step", STEPS, call, stops=True)], EXACT, repeats=1).value
+
+    # rounding from the first step on; an error that is large yet; one that falls
+    assert len(values(lambda step: 1e-6 / step)) == 5
+    assert len(values(lambda step: 0.3)) == len(values(lambda step: step**2)) == len(STEPS)
+
+
+def test_failures_stay_with_a_sentence():
+    def call(step):
+        if step > 0.3:
+            raise ValueError("step: too long.")
+        if step > 0.15:
+            return (np.array([np.nan]), np.array([1.0])), 1
+        if step > 0.07:
+            return (np.array([9.0]), np.array([1.0])), 1
+        return verlet(step)
+
+    wp = measure([Ladder("fragile", "step", STEPS, call)], EXACT, FLOOR, repeats=1)
+    assert wp.note[0] == "step: too long." and "not finite" in wp.note[1] and "above 1" in wp.note[2]
+    np.testing.assert_array_equal(wp.drawn, [False] * 3 + [True] * 5)
+    assert math.isnan(wp.error[0]) and math.isnan(wp.seconds[2])
+    assert wp.orders["fragile"][0] == pytest.approx(2, abs=0.05)
+    assert "step: too long." in str(wp)
+    nothing = measure([Ladder("broken", "step", (0.4,), call)], EXACT, FLOOR, repeats=1)
+    with pytest.raises(ValueError, match="error: expected a table with points"):
+        nothing.advice(1e-3)
+
+
+@pytest.mark.parametrize(
+    "ladders, keywords, message",
+    [
+        ([], {}, "ladders: expected a list of Ladder"),
+        (VERLET, {}, "ladders: expected a list of Ladder"),
+        ([verlet], {}, r"ladders\[0\]: expected a Ladder"),
+        ([VERLET._replace(parameter="steps")], {}, "Did you mean 'step'"),
+        ([VERLET._replace(call=3)], {}, r"ladders\[0\].call: expected a function"),
+        ([VERLET, VERLET], {}, "'verlet' twice"),
+        ([VERLET._replace(values=())], {}, "steps of verlet: expected finite numbers above zero"),
+        ([VERLET._replace(values=(0.1, -0.1))], {}, "steps of verlet: expected finite numbers above zero"),
+        ([VERLET._replace(values="fine")], {}, "steps of verlet: .* got 'fine'"),
+        ([VERLET._replace(call=lambda step: EXACT[0])], {}, r"call: expected a function that returns \(state"),
+        ([VERLET], {"repeats": 0}, "repeats: expected a whole number not below 1"),
+        ([VERLET], {"floor": 0.1}, "floor: expected a number from 0 to 0.001"),
+        ([VERLET], {"floor": -1.0}, "floor: expected a number from 0 to 0.001"),
+        ([VERLET], {"reference": (np.ones(2), np.ones(2))}, "reference: expected arrays of the shapes"),
+    ],
+)
+def test_ladders_that_cannot_be_meant(ladders, keywords, message):
+    with pytest.raises(ValueError, match=message):
+        measure(ladders, **{"reference": EXACT, "repeats": 1, **keywords})
+
+
+# -------------------------------------------------------------------------------------------------------------- orders
+
+
+def test_the_order_leaves_out_what_rounding_has_spoilt():
+    h = 0.1 * 2.0 ** -np.arange(12)
+    law = 3 * h**4
+    assert observed_order(h, law, np.nan) == pytest.approx((4, 0), abs=1e-10)
+    # the same from the finest step on, and with an order that no fit through the rounding would give
+    spoilt = law + 1e-11 * 2.0 ** np.arange(12) / 2**6
+    order, uncertain = observed_order(h[::-1], spoilt[::-1], np.nan)
+    assert order == pytest.approx(4, abs=0.1) and uncertain < 0.1
+    # an error that the reference may have
+    order, _ = observed_order(h, np.maximum(law, 2e-10), 1e-10)
+    assert order == pytest.approx(4, abs=1e-10)
+
+
+@pytest.mark.parametrize("errors", [[1e-3, 1e-4], [0.5, 0.1, 1e-3, 1e-4], [np.nan, 1e-3, 1e-4], []])
+def test_no_order_from_fewer_than_three_points(errors):
+    assert all(math.isnan(x) for x in observed_order(np.linspace(1, 0.5, len(errors)), np.array(errors), 1e-15))
+
+
+def test_the_order_says_how_sure_it_is():
+    # residuals +-s about a line through four points at x = -3, -1, 1, 3: s^2 4/(2 20)
+    h, s = np.exp([-3.0, -1.0, 1.0, 3.0]), 0.2
+    errors = 1e-6 * h**2 * np.exp(s * np.array([1, -1, -1, 1]))
+    assert observed_order(h, errors, np.nan) == pytest.approx((2.0, s * math.sqrt(0.1)))
+
+
+# -------------------------------------------------------------------------------------------------------------- advice
+
+
+@pytest.mark.parametrize("asked", [3e-3, 1e-4, 2e-6, 1e-8])
+def test_advice_is_what_a_run_gives(table, asked):
+    advice = table.advice(asked)
+    assert asked / 3 <= advice.error <= asked
+    call = {"verlet": verlet, "rk4": runge_kutta}[advice.method]
+    assert distance(call(advice.value)[0], EXACT) == advice.error
+    # all the digits are in the sentence
+    assert f"{advice.method}, step {advice.value!r}," in str(advice)
+    assert advice.default_error == distance(crude(None)[0], EXACT)
+    assert "the default would give 0.0" in str(advice)
+    assert advice.keywords == {"step": advice.value}
+
+
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+def test_advice_takes_the_faster(order):
+    def slow(step):
+        time.sleep(0.005)
+        return verlet(step)
+
+    ladders = VERLET._replace(values=STEPS[:4]), Ladder("slow", "step", STEPS[:4], slow)
+    wp = measure([ladders[i] for i in order], EXACT, FLOOR, repeats=1)
+    assert wp.advice(1e-2).method == "verlet"
+
+
+def test_advice_below_the_floor_is_refused(table):
+    with pytest.raises(ValueError, match="error: expected at least 4e-13, four times the floor"):
+        table.advice(1e-13)
+
+
+def test_advice_below_all_that_was_measured_is_refused(table):
+    with pytest.raises(ValueError, match="The best point: rk4, step 0.0031"):
+        table.advice(table.error[15] / 2)
+
+
+@pytest.mark.parametrize("asked", [0.0, -1e-3, math.nan, "small"])
+def test_advice_for_no_error(table, asked):
+    with pytest.raises(ValueError, match="error: expected"):
+        table.advice(asked)
+
+
+def test_advice_for_more_than_the_coarsest_is_a_measured_point(table):
+    advice = table.advice(0.9)
+    assert advice.value in STEPS and advice.error < 0.3
+
+
+def test_advice_where_one_step_fewer_is_too_few():
+    # order 12 at a handful of steps: no error within a factor of three of what is asked
+    def call(step):
+        count = math.ceil(1 / step)
+        return (EXACT[0] + (0.8 / count) ** 12, EXACT[1]), count, count
+
+    wp = measure([Ladder("high", "step", (1.0, 0.1), call)], EXACT, repeats=1)
+    three, four = (distance(call(1 / count)[0], EXACT) for count in (3, 4))
+    for asked in (2.9 * four, 10 * four, 0.99 * three):
+        advice = wp.advice(asked)
+        assert advice.error == four and math.ceil(1 / advice.value) == 4 == advice.evaluations
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_advice_on_a_rugged_curve_promises_only_what_it_saw(seed):
+    # errors that jump by a factor of ten either way between neighbouring steps, as where contacts open
+    def rugged(step):
+        jump = np.random.default_rng([seed, int(1e6 * step)]).uniform(-1, 1)
+        return (EXACT[0] + step**2.5 * 10**jump, EXACT[1]), 1 / step
+
+    wp = measure([Ladder("rugged", "step", STEPS, rugged)], EXACT, FLOOR, repeats=1)
+    for asked in (1e-2, 1e-3, 1e-4):
+        try:
+            advice = wp.advice(asked)
+        except ValueError:
+            assert wp.error.min() > asked
+            continue
+        assert distance(rugged(advice.value)[0], EXACT) == advice.error <= asked
+
+
+# -------------------------------------------------------------------------------------------------- files and pictures
+
+
+def test_json_round_trip(table):
+    text = table.to_json()
+    data = json.loads(text)
+    assert {"processor", "cores", "jax", "jaxlib", "diffrax", "numpy", "granjax", "date", "commit"} <= set(
+        data["machine"]
+    )
+    assert data["points"][0]["error"] == table.error[0] and data["points"][-1]["value"] is None
+    back = WorkPrecision.from_json(text)
+    assert back.to_json() == text
+    for name in ("value", "error", "seconds", "fastest", "evaluations", "steps", "drawn"):
+        np.testing.assert_array_equal(getattr(back, name), getattr(table, name))
+    assert back.orders["rk4"] == table.orders["rk4"] and str(back) == str(table)
+    assert WorkPrecision.from_json(data).floor == FLOOR
+
+
+def test_a_table_from_a_file_advises_measured_points(table):
+    advice = WorkPrecision.from_json(table.to_json()).advice(1e-5)
+    assert advice.value in STEPS and advice.error <= 1e-5 and advice.solver is None
+
+
+@pytest.mark.parametrize("text", ["[]", "{}", "no json", '{"points": 3, "methods": []}'])
+def test_a_file_of_something_else(text):
+    with pytest.raises(ValueError, match="text: expected a table"):
+        WorkPrecision.from_json(text)
+
+
+def test_xarray_round_trip(table, tmp_path):
+    import xarray as xr
+
+    table.to_xarray().to_netcdf(tmp_path / "table.nc", engine="h5netcdf")
+    with xr.open_dataset(tmp_path / "table.nc", engine="h5netcdf") as data:
+        for name in ("value", "error", "seconds", "evaluations", "drawn"):
+            np.testing.assert_array_equal(data[name], getattr(table, name))
+        assert list(data["method"].values) == list(table.method)
+        assert data["order"].sel(method_name="rk4") == table.orders["rk4"][0]
+        assert data.attrs["floor"] == FLOOR and data.attrs["reference"] == "closed form"
+
+
+@pytest.fixture
+def ax():
+    figure, ax = plt.subplots()
+    yield ax
+    plt.close(figure)
+
+
+def test_the_chart_shows_the_table(table, ax):
+    assert gx.plots.work_precision(table, ax) is ax
+    assert [line.get_label() for line in ax.lines] == ["verlet", "rk4", "default"]
+    np.testing.assert_array_equal(ax.lines[0].get_xdata(), table.seconds[:8])
+    np.testing.assert_array_equal(ax.lines[1].get_ydata(), table.error[8:16])
+    assert ax.get_xscale() == ax.get_yscale() == "log"
+    assert ax.get_ylim()[0] < FLOOR and any("uncertainty" in text.get_text() for text in ax.texts)
+
+
+def test_the_chart_against_evaluations_leaves_out_what_does_not_count(table, ax):
+    gx.plots.work_precision(table, ax, against="evaluations")
+    assert [line.get_label() for line in ax.lines] == ["verlet", "default"]
+    np.testing.assert_array_equal(ax.lines[0].get_xdata(), table.evaluations[:8])
+
+
+def test_the_chart_leaves_out_what_is_not_drawn(ax):
+    wp = measure([RK4, VERLET], EXACT, 1e-6, repeats=1)
+    gx.plots.work_precision(wp, ax)
+    np.testing.assert_array_equal(ax.lines[0].get_ydata(), wp.error[:8][wp.error[:8] >= 4e-6])
+    assert len(ax.lines[0].get_ydata()) < 8
+
+
+def test_the_chart_without_a_known_floor(ax):
+    gx.plots.work_precision(measure([RK4], EXACT, repeats=1), ax)
+    assert not ax.texts and not ax.patches
+
+
+def test_charts_that_cannot_be_meant(table, ax):
+    with pytest.raises(ValueError, match="Did you mean 'time'"):
+        gx.plots.work_precision(table, ax, against="times")
+    with pytest.raises(ValueError, match="wp: expected a table with points"):
+        gx.plots.work_precision(measure([VERLET], (EXACT[0], EXACT[1] + 9), repeats=1), ax)
+
+
+# -------------------------------------------------------------------------------------------------------------- scenes
+
+
+def test_sensible_solvers():
+    chain = gx.scenes.monomer(6, precompression=1.0)
+    splitting = {"VelocityVerlet", "SRKN6b", "SRKN11b", "SRKN14a", "KahanLi8", "SofroniouSpaletta10"}
+    assert set(sensible_solvers(chain)) == splitting | {"RKN86", "RKN1210", "Tsit5", "Dopri8"}
+    damped = gx.Lattice(chain.mass, (*chain.terms, gx.Damping(0.1)), sites=6)
+    assert set(sensible_solvers(damped)) == splitting | {"Tsit5", "Dopri8"}
+    dashpot = gx.Lattice(chain.mass, (*chain.terms, gx.Dashpot(gx.Shift(1, "free"), 0.1)), sites=6)
+    assert set(sensible_solvers(dashpot)) == {"Tsit5", "Dopri8"}
+
+
+CHAIN = gx.scenes.monomer(6, precompression=1.0)
+STATE = gx.states.random(CHAIN, 1, displacement=0.1)
+REST = np.zeros(6), np.ones(6)
+
+
+@pytest.mark.parametrize(
+    "positional, keywords, message",
+    [
+        ((3, STATE, 1.0), {}, "lattice: expected a Lattice"),
+        ((CHAIN, STATE.u, 1.0), {}, "state: expected"),
+        ((CHAIN, STATE, -1.0), {}, "t1: expected a time after t0"),
+        ((CHAIN, STATE, 1.0, gx.RKN86), {}, "solvers: expected a list of solvers"),
+        ((CHAIN, STATE, 1.0, [gx.RKN86]), {}, "got RKN86. Solvers are instances"),
+        ((CHAIN, STATE, 1.0, []), {}, "solvers: expected a list of solvers"),
+        ((CHAIN, STATE, 1.0, [gx.RKN86(), gx.RKN86()]), {}, "'RKN86' twice. Give a dict"),
+        ((CHAIN, STATE, 1.0, {"default": gx.RKN86()}), {}, "solvers of different names, got 'default'"),
+        ((CHAIN, STATE, 1.0, [gx.RKN86()], {"RKN68": [1e-3]}), {}, "Did you mean 'RKN86'"),
+        ((CHAIN, STATE, 1.0, [gx.RKN86()], [[1e-3], [1e-4]]), {}, "steps: expected one list per solver"),
+        ((CHAIN, STATE, 1.0, [gx.RKN86()], [0.0]), {}, "steps of RKN86: expected finite numbers above zero"),
+        ((CHAIN, STATE, 1.0, [gx.RKN86()], "fine"), {}, "steps of RKN86: expected finite numbers above zero"),
+        ((CHAIN, STATE, 1.0), {"repeats": 0}, "repeats: expected a whole number"),
+        ((CHAIN, STATE, 1.0), {"longest": 0.0}, "longest: expected numbers above zero"),
+        ((CHAIN, STATE, 1.0), {"reference": STATE.u}, "reference: expected State"),
+        ((CHAIN, STATE, 1.0), {"reference": (REST[0][1:], REST[1])}, "reference: expected arrays of the shapes"),
+        ((CHAIN, STATE, 1.0), {"reference": (REST[0] + np.nan, REST[1])}, "reference: expected finite numbers"),
+        ((CHAIN, STATE, 1.0), {"tangents": True}, r"reference: expected a map of tangents, shape \(12, 12\)"),
+        ((CHAIN, STATE, 1.0), {"uncertainty": 1e-12}, "uncertainty: expected a reference beside it"),
+        ((CHAIN, STATE, 1.0), {"reference": REST, "uncertainty": 0.1}, "uncertainty: expected at most 0.001"),
+    ],
+)
+def test_input_that_cannot_be_meant(positional, keywords, message):
+    with pytest.raises(ValueError, match=message):
+        gx.work_precision(*positional, **keywords)
+
+
+@pytest.mark.slow
+def test_steps_of_ones_own_and_a_reference_of_ones_own():
+    reference = gx.simulate(CHAIN, STATE, 4.0, tolerance=1e-13).final
+    steps = {"mine": [0.1, 0.2, 3.0], "RKN86": [1e-4, 1e-8]}
+    solvers = {"mine": gx.VelocityVerlet(), "RKN86": gx.RKN86()}
+    wp = gx.work_precision(CHAIN, STATE, 4.0, solvers, steps, reference=reference, repeats=1)
+    assert wp.method == ("mine",) * 3 + ("RKN86",) * 2 + ("default",)
+    np.testing.assert_array_equal(wp.value[:5], [3.0, 0.2, 0.1, 1e-4, 1e-8])
+    assert wp.note[0].startswith("step: expected at most") and math.isnan(wp.floor)
+    assert wp.error[1] / wp.error[2] == pytest.approx(4, rel=0.1)
+    end = gx.simulate(CHAIN, STATE, 4.0, step=0.1, solver=gx.VelocityVerlet())
+    assert wp.error[2] == distance(end.final, reference) and wp.steps[2] == 40 == wp.evaluations[2]
+    assert "unknown uncertainty; floor not known" in str(wp)
+
+
+@pytest.mark.slow
+def test_a_solver_that_the_scene_refuses_stays_with_a_sentence():
+    chain = gx.Lattice(CHAIN.mass, (*CHAIN.terms, gx.Damping(0.1)), sites=6)
+    wp = gx.work_precision(chain, STATE, 1.0, [gx.RKN86()], reference=REST, uncertainty=0.0, repeats=1)
+    assert not wp.drawn[:-1].any() and "(Damping), which reads the velocity" in wp.note[0]
+    assert wp.methods == ("RKN86", "default") and "Damping" in str(wp)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("solver", [diffrax.Tsit5(), diffrax.Heun()])
+def test_evaluations_of_diffraxs_solvers_are_counted(solver):
+    seen = []
+
+    class Counting(gx.Law):
+        def force(self, e):
+            jax.debug.callback(lambda: seen.append(1))
+            return e
+
+        def energy(self, e):
+            return e**2 / 2
+
+    def calls(tolerance):
+        seen.clear()
+        gx.simulate(chain, state, 10.0, solver=solver, tolerance=tolerance)
+        jax.effects_barrier()
+        return len(seen)
+
+    chain = gx.Lattice(np.ones(3), gx.Bond(gx.Shift(1), Counting()))
+    state = gx.State(jnp.ones(3), jnp.zeros(3))
+    wp = gx.work_precision(chain, state, 10.0, [solver], [1e-3, 1e-5], reference=state, repeats=1)
+    # the difference: the first step's size and the tolerance's scale ask for forces too
+    assert wp.evaluations[1] - wp.evaluations[0] == calls(1e-5) - calls(1e-3)
+    assert math.isfinite(wp.evaluations[2])
+
+
+@pytest.mark.slow
+def test_tangents_of_a_linear_chain_are_a_matrix_exponential():
+    chain = gx.Lattice(np.ones(3), gx.Bond(gx.Shift(1), gx.Linear(1.0)))
+    K = np.array([[2.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 2.0]])
+    exact = expm(2.0 * np.block([[np.zeros((3, 3)), np.eye(3)], [-K, np.zeros((3, 3))]]))
+    state = gx.State(jnp.ones(3), jnp.zeros(3))
+    solvers = [gx.SRKN6b(), gx.RKN86()]
+    wp = gx.work_precision(chain, state, 2.0, solvers, tangents=True, reference=exact, uncertainty=1e-14, repeats=1)
+    assert wp.orders["SRKN6b"][0] == pytest.approx(4, abs=0.2)
+    assert all(wp.error[[name == method for method in wp.method]].min() < 1e-11 for name in ("SRKN6b", "RKN86"))
+    assert wp.evaluations[0] == 6 * wp.steps[0]
+
+
+@pytest.fixture(scope="module")
+def smooth():
+    chain = gx.scenes.disordered(16, 0.2, 3, precompression=1.0)
+    return gx.work_precision(chain, gx.states.random(chain, 5, displacement=0.1), 12.0, repeats=1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "solver", [gx.VelocityVerlet, gx.SRKN6b, gx.SRKN11b, gx.SRKN14a, gx.KahanLi8, gx.SofroniouSpaletta10]
+)
+def test_orders_on_a_smooth_scene(smooth, solver):
+    order, uncertain = smooth.orders[solver.__name__]
+    assert order == pytest.approx(solver.table().order, abs=0.2)
+    assert uncertain < 0.1
+
+
+@pytest.mark.slow
+def test_the_reference_is_as_good_as_it_says(smooth):
+    # one more method that had no part in it
+    chain = gx.scenes.disordered(16, 0.2, 3, precompression=1.0)
+    state = gx.states.random(chain, 5, displacement=0.1)
+    other = gx.simulate(chain, state, 12.0, solver=diffrax.Dopri8(), tolerance=1e-14)
+    assert distance(other.final, smooth.reference) < 10 * smooth.floor < 1e-11
+    assert smooth.error[smooth.drawn].min() >= 4 * smooth.floor
+    assert "RKN1210" in smooth.reference_note and "SofroniouSpaletta10" in smooth.reference_note
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["impact", "light_dimer", "driven"])
+def test_the_floor_is_above_the_error_of_the_reference(name):
+    # against references in extended precision
+    scene = gx.canonical.scene(name)
+    found = find_reference(scene.lattice, scene.state, scene.t0, scene.t1)
+    assert distance(found.state, scene.reference) < 2 * found.floor < 1e-10
+
+
+@pytest.mark.slow
+def test_contact_loss_makes_every_fixed_step_five_halves():
+    chain = gx.scenes.monomer(16)
+    solvers = [gx.SRKN11b(), gx.KahanLi8(), gx.RKN86()]
+    wp = gx.work_precision(chain, gx.states.impact(chain), 30.0, solvers, repeats=1)
+    assert "RKN86" in wp.reference_note
+    for name in ("SRKN11b", "KahanLi8"):
+        order, uncertain = wp.orders[name]
+        assert abs(order - 2.5) < 0.5 and uncertain < 0.3
+
+
+@pytest.mark.slow
+def test_a_chaotic_scene_is_refused():
+    chain = gx.scenes.monomer(32)
+    state = gx.states.random(chain, 1, velocity=1.0)
+    with pytest.raises(RuntimeError, match="No reference exists at t1 = 300.*chaos"):
+        gx.work_precision(chain, state, 300.0, [gx.RKN86()], repeats=1)
+
+
+def written_out(masses, F0, gamma, state, t1):
+    """The damped Hertz chain between walls once more, by SciPy."""
+    d0 = F0 ** (2 / 3)
+
+    def rates(t, y):
+        u, v = np.split(y, 2)
+        e = -np.diff(u, prepend=0.0, append=0.0)
+        return np.concatenate([v, -np.diff(np.maximum(d0 + e, 0) ** 1.5) / masses - gamma * v])
+
+    y = solve_ivp(rates, (0, t1), np.concatenate(state), method="DOP853", rtol=1e-12, atol=1e-14).y[:, -1]
+    return tuple(np.split(y, 2))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(2))
+def test_advice_on_a_random_damped_trimer_holds_when_followed(seed):
+    rng = np.random.default_rng(seed)
+    F0, gamma, t1 = rng.uniform(0.2, 2.0), rng.uniform(0.01, 0.2), rng.uniform(5, 25)
+    chain = gx.scenes.trimer(int(rng.integers(9, 30)), rng.uniform(0.2, 1.0, 2), precompression=F0)
+    chain = gx.Lattice(chain.mass, (*chain.terms, gx.Damping(gamma)))
+    state = gx.states.random(chain, seed, displacement=rng.uniform(0.05, 0.5), velocity=rng.uniform(0, 0.3))
+    wp = gx.work_precision(chain, state, t1, repeats=2)
+    exact = written_out(np.asarray(chain.mass), F0, gamma, state, t1)
+    assert distance(wp.reference, exact) < 1e-9 and wp.floor < 1e-10
+    for asked in (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7):
+        advice = wp.advice(asked)
+        error = distance(gx.simulate(chain, state, t1, **advice.keywords).final, exact)
+        assert advice.error / 3 < error < 3 * advice.error
+        assert error < 1.01 * asked
+        if error < asked / 3.03 and advice.value < wp.value[wp.method.index(advice.method)]:
+            # one step fewer is too few
+            count = int(gx.simulate(chain, state, t1, **advice.keywords).stats["steps"])
+            fewer = gx.simulate(chain, state, t1, solver=advice.solver, step=t1 / (count - 1))
+            assert advice.parameter == "step" and distance(fewer.final, exact) > asked
+
+
+@pytest.mark.slow
+def test_fields_lanes_and_a_nonlinear_drag_have_a_reference():
+    def cell(kappa):
+        bond = gx.Bond(gx.Shift(1, "fixed", "bead"), gx.Hertz(1.0, 0.4))
+        inner = gx.Bond(gx.Shift(0, "free", ("bead", "resonator")), gx.Linear(kappa))
+        drag = gx.Dashpot(gx.Shift(1, "free", "bead"), 0.05)
+        return gx.Lattice({"bead": jnp.ones(5), "resonator": jnp.full(5, 0.3)}, (bond, inner, drag))
+
+    chain = jax.vmap(cell, out_axes=-1)(jnp.array([0.5, 0.9]))
+    state = gx.states.random(chain, 2, displacement=0.1)
+    wp = gx.work_precision(chain, state, 5.0, repeats=1)
+    assert wp.methods == ("Tsit5", "Dopri8", "default") and wp.floor < 1e-11
+    assert wp.drawn[-1] and wp.error[-1] < 1e-5
+
+
+@pytest.mark.slow
+def test_a_single_precision_scene_is_measured_in_double():
+    chain, state = CHAIN.astype("float32"), jax.tree.map(lambda x: x.astype("float32"), STATE)
+    wp = gx.work_precision(chain, state, 4.0, [gx.RKN86()], repeats=1)
+    assert wp.floor < 1e-12
+    assert 1e-8 < wp.error[wp.drawn].min() < 1e-5
