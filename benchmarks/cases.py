@@ -91,10 +91,11 @@ def _compared(lattice, state, steps, rounds, peer, evaluations, arrange=lambda x
     }
 
 
-def chain(rounds, sites, steps, dtype=float, exponent=1.5):
-    """One precompressed chain, A = m = d0 = 1, rigid walls, displacements uniform in +-0.1."""
+def chain(rounds, sites, steps, dtype=float, exponent=1.5, traced=False):
+    """One precompressed chain, A = m = d0 = 1, rigid walls, displacements uniform in +-0.1; p `traced` is an array."""
     u, state = _start(sites, dtype)
-    lattice = gx.scenes.monomer(sites, exponent=exponent, precompression=1.0).astype(dtype)
+    p = jnp.asarray(exponent) if traced else exponent
+    lattice = gx.scenes.monomer(sites, exponent=p, precompression=1.0).astype(dtype)
     one = np.dtype(dtype).type(1)
     loop = peers.hertz if exponent == 1.5 else peers.power
     a, b = TABLE.a.astype(dtype), TABLE.b.astype(dtype)
@@ -108,12 +109,16 @@ def chain(rounds, sites, steps, dtype=float, exponent=1.5):
 
 
 def single(rounds, sites, steps):
-    """float64 over float32 beside the comparison in float32."""
-    out = chain(rounds, sites, steps, np.float32)
+    """The chain in float32, against a float32 loop."""
+    return chain(rounds, sites, steps, np.float32)
+
+
+def precisions(rounds, sites, steps):
+    """A run in float32 over the same run in float64."""
     chains = {dtype: gx.scenes.monomer(sites, precompression=1.0).astype(dtype) for dtype in ("float32", "float64")}
     states = {dtype: _start(sites, dtype)[1] for dtype in chains}
     times = alternate({dtype: lambda d=dtype: run(chains[d], states[d], steps) for dtype in chains}, rounds)
-    return {**out, "float32_over_float64": times["float32"]["ratio"], "cpu": times["float32"]["cpu_ratio"]}
+    return {"ratio": times["float32"]["ratio"], "cpu_ratio": times["float32"]["cpu_ratio"]}
 
 
 def _dimers(lanes):
@@ -184,30 +189,23 @@ def two_devices(rounds, steps):
     }
 
 
-def overhead(rounds, steps, calls):
-    """Seconds of one `simulate` of a 4-bead chain over few steps; numba's own beside."""
-    u, state = _start(4)
+def overhead(rounds, options, calls=50, further=1000):
+    """Microseconds that one `simulate` of a 4-bead chain takes beyond its steps.
+
+    The steps' own time is the slope between a short run and one that is `further` times longer.
+    """
+    _, state = _start(4)
     lattice = gx.scenes.monomer(4, precompression=1.0)
 
-    def peer():
-        for _ in range(calls):
-            peers.hertz(u.copy(), np.zeros_like(u), steps, STEP, 1.0, 1.0, 1.0, 1.5, 1.0, TABLE.a, TABLE.b)
+    def repeated(t1, calls):
+        return lambda: [jax.block_until_ready(gx.simulate(lattice, state, t1, **options)) for _ in range(calls)]
 
-    def repeated(f):
-        return lambda: [f() for _ in range(calls)]
-
-    times = alternate(
-        {
-            "simulate": repeated(lambda: run(lattice, state, steps)),
-            "diffeqsolve": repeated(lambda: jax.block_until_ready(_bare(lattice, state, steps * STEP, STEP))),
-            "numba": peer,
-        },
-        rounds,
-    )
-    return {
-        "ratio": 1e6 * times["simulate"]["wall"] / calls, "cpu_ratio": 1e6 * times["simulate"]["cpu"] / calls,
-        "microseconds": {name: 1e6 * x["wall"] / calls for name, x in times.items()}, "steps": steps,
-    }
+    times = alternate({"long": repeated(further * STEP, 1), "short": repeated(STEP, calls)}, rounds)
+    beyond = {}
+    for clock in ("wall", "cpu"):
+        short, long = times["short"][clock] / calls, times["long"][clock]
+        beyond[clock] = 1e6 * (short - (long - short) / (further - 1))
+    return {"ratio": beyond["wall"], "cpu_ratio": beyond["cpu"], "call": 1e6 * times["short"]["wall"] / calls}
 
 
 def scheduled():

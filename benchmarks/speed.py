@@ -26,19 +26,27 @@ AGREEMENT = 1e-9
 
 # name: (function, arguments, arguments of --quick, target)
 CASES = {
-    "N = 100": ("chain", dict(sites=100, steps=50000), dict(sites=100, steps=500), ("at most", 2.5)),
-    "N = 1000": ("chain", dict(sites=1000, steps=6000), dict(sites=1000, steps=50), ("at most", 2.0)),
-    "N = 100 000": ("chain", dict(sites=100_000, steps=100), dict(sites=10_000, steps=5), ("at most", 3.0)),
-    "256 dimers of 60": ("batch", dict(steps=400), dict(steps=4), ("at most", 1.3)),
-    "two cores": ("two_devices", dict(steps=800), dict(steps=8), ("at least", 1.7)),
+    "N = 100": ("chain", dict(sites=100, steps=50000), dict(sites=100, steps=500), ("at most", 1.5)),
+    "N = 1000": ("chain", dict(sites=1000, steps=6000), dict(sites=1000, steps=50), ("at most", 1.3)),
+    "N = 100 000": ("chain", dict(sites=100_000, steps=100), dict(sites=10_000, steps=5), ("at most", 2.0)),
+    "256 dimers of 60": ("batch", dict(steps=400), dict(steps=4), ("at most", 1.0)),
+    "two cores": ("two_devices", dict(steps=800), dict(steps=8), ("at least", 1.8)),
     "float32, N = 1000": ("single", dict(sites=1000, steps=6000), dict(sites=1000, steps=50), None),
+    "float32 / float64": ("precisions", dict(sites=1000, steps=6000), dict(sites=1000, steps=50), ("at most", 0.6)),
     "p = 1.4, N = 1000": ("chain", dict(sites=1000, steps=600, exponent=1.4), dict(sites=100, steps=20, exponent=1.4),
-                          None),
-    "call, 4 beads": ("overhead", dict(steps=10, calls=50), dict(steps=10, calls=2), None),
+                          ("at most", 0.5)),
+    "p traced, N = 1000": ("chain", dict(sites=1000, steps=600, exponent=1.4, traced=True),
+                           dict(sites=100, steps=20, exponent=1.4, traced=True), ("at most", 0.5)),
+    "call, step": ("overhead", dict(options=dict(step=0.1)), dict(options=dict(step=0.1), calls=2), ("at most", 150)),
+    "call, default": ("overhead", dict(options={}), dict(options={}, calls=2), None),
+    "call, tolerance": ("overhead", dict(options=dict(tolerance=1e-3)), dict(options=dict(tolerance=1e-3), calls=2),
+                        None),
     "impact, adaptive": ("impact", dict(), dict(quick=True), None),
 }
+CALL = "microseconds a call on 4 beads costs beyond its steps"
 UNITS = {
-    "two cores": "time on one core over time on two", "call, 4 beads": "microseconds a call",
+    "two cores": "time on one core over time on two", "float32 / float64": "time in float32 over that in float64",
+    "call, step": CALL, "call, default": CALL, "call, tolerance": CALL,
     "impact, adaptive": "time over that of the numba loop at equal error",
 }
 
@@ -176,7 +184,7 @@ def chart(result, path):
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    shown = [f for f in result["figures"] if f["value"] is not None and f["unit"] != UNITS["call, 4 beads"]]
+    shown = [f for f in result["figures"] if f["value"] is not None and f["unit"] != CALL]
     figure, axes = plt.subplots(figsize=(9, 4.5), layout="constrained")
     for i, f in enumerate(shown):
         for shift, key, colour in ((-0.2, "value", "tab:blue"), (0.2, "value_without_flags", "tab:gray")):

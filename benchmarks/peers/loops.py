@@ -1,14 +1,20 @@
-"""Fused numba loops of SRKN11b: what a specialist would write by hand for one chain between rigid walls.
+"""Fused numba loops of splitting methods: what a specialist would write by hand for chains between rigid walls.
 
 One pass kicks and drifts, one evaluates every contact force once; numbers that are alike along the chain stay scalars.
-Both passes compile to full-width vector instructions. Kick, drift and force are granjax's own, in the same order, so
-that final states agree to rounding.
+Both passes compile to vector instructions. Kick, drift and force are granjax's own, in the same order; final states
+differ by contracted multiplications (`fastmath`) alone.
 """
 
 import math
 
 import numba
 import numpy as np
+
+from granjax.solvers import tables
+
+from .chain import SPLITTING
+
+PARAMETER = "step"
 
 
 @numba.njit(inline="always")
@@ -22,7 +28,7 @@ def _power(s, p):
 
 
 def _make(power):
-    @numba.njit
+    @numba.njit(fastmath=True)
     def loop(u, v, steps, h, A, d0, F0, p, inverse_mass, a, b):
         """`steps` steps of length h on u, v (N,), in place; `inverse_mass` a number."""
         N, stages = u.size, a.size
@@ -54,7 +60,7 @@ hertz = _make(_hertz)
 power = _make(_power)
 
 
-@numba.njit
+@numba.njit(fastmath=True)
 def _hertz_masses(u, v, f, steps, h, A, d0, F0, inverse_mass, a, b):
     N, stages = u.size, a.size
     f[0] = A * _hertz(max(d0 - u[0], 0.0), 1.5) - F0
@@ -85,16 +91,30 @@ def hertz_batch(us, vs, steps, h, A, d0, F0, inverse_masses, a, b):
         _hertz_masses(us[k], vs[k], f, steps, h, A, d0, F0, inverse_masses[k], a, b)
 
 
-@numba.njit
-def hertz_rates(y, A, inverse_mass):
-    """dy/dt of y = (u, v) (2 N,) without precompression, for scipy's integrators."""
-    N = y.size // 2
-    rates = np.empty_like(y)
-    before = A * _hertz(max(-y[0], 0.0), 1.5)
-    for i in range(N):
-        overlap = y[i] - y[i + 1] if i < N - 1 else y[i]
-        after = A * _hertz(max(overlap, 0.0), 1.5)
-        rates[i] = y[N + i]
-        rates[N + i] = inverse_mass * (before - after)
-        before = after
-    return rates
+def calls(chain):
+    """All splitting methods; a batch as one chain after the other."""
+    run = _batch if chain.batch else _one
+    return {f"numba {name}": run(chain, tables.splitting(name)) for name in SPLITTING}
+
+
+def _one(chain, table):
+    c = chain.single("the numba loop")
+
+    def call(steps):
+        u, v = c.u.copy(), c.v.copy()
+        hertz(u, v, steps, c.t1 / steps, c.stiffness, c.overlap, c.force, 1.5, c.inverse_mass, table.a, table.b)
+        return u, v
+
+    return call
+
+
+def _batch(chain, table):
+    us, vs, inverse = (np.ascontiguousarray(x.T) for x in (chain.u, chain.v, chain.inverse_mass))
+
+    def call(steps):
+        u, v = us.copy(), vs.copy()
+        h = chain.t1 / steps
+        hertz_batch(u, v, steps, h, chain.stiffness, chain.overlap, chain.force, inverse, table.a, table.b)
+        return u.T, v.T
+
+    return call
