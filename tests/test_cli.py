@@ -27,6 +27,7 @@ def command(*arguments, cwd, **environment):
     )
 
 
+@pytest.mark.slow
 def test_resonance_from_a_shell(tmp_path):
     done = command(*SMALL, "--json", cwd=tmp_path)
     assert done.returncode == 0, done.stderr

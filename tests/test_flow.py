@@ -127,6 +127,7 @@ def test_a_chain_in_its_working_layout_is_the_plain_one(closed):
         assert np.allclose(runs[0].final.v, runs[1].final.v, rtol=0, atol=1e-13)
 
 
+@pytest.mark.slow
 def test_derivatives_in_both_modes_through_the_default():
     def last_velocity(stiffness):
         chain = gx.Lattice(1.0, gx.Bond(gx.Shift(1, "free"), gx.Hertz(stiffness)), sites=8)
@@ -292,6 +293,7 @@ def test_bad_input_is_refused_in_a_sentence(bad):
     assert "granjax" in str(caught.traceback[-1].path)
 
 
+@pytest.mark.slow
 def test_energy_error_of_every_saved_step(closed):
     chain, state = closed
     for how in ({"tolerance": 1e-8}, {"step": 0.1, "max_steps": 500}):
@@ -300,6 +302,7 @@ def test_energy_error_of_every_saved_step(closed):
         assert len(run.ts) == int(run.stats["accepted"]) + 1
 
 
+@pytest.mark.slow
 def test_a_contact_with_a_wall_opens_too():
     law = gx.Hertz(1.0, 1.0)
     walls = gx.Wall(law, "left"), gx.Wall(law, "right")
@@ -342,6 +345,7 @@ def test_uneven_times_leave_the_step_alone(closed):
     assert int(run.stats["steps"]) == 6
 
 
+@pytest.mark.slow
 def test_a_mapped_run_prints_itself(closed):
     chain, state = closed
     runs = jax.vmap(lambda a: gx.simulate(chain, gx.State(a * state.u, state.v), 1.0, save_at=3))(jnp.arange(1.0, 3.0))

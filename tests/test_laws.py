@@ -105,6 +105,7 @@ def test_derivatives_of_hertz_under_load_are_the_closed_form(order):
     np.testing.assert_allclose(opened, -0.9 if order == 0 else 0.0, rtol=4 * EPS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("p", [1.5, 2.0, 0.5, 1.0, 1.37, -3.0])
 def test_derivatives_in_the_exponent_are_the_closed_form(p):
     """d/dp s^p = s^p log s, and the mixed derivatives of second order."""
@@ -204,6 +205,7 @@ def test_taylor_of_magnets(exponent):
     np.testing.assert_allclose(np.array(taylor(gx.PowerLaw(1.0, exponent, 1.0))), [3, 6, 10], rtol=32 * EPS)
 
 
+@pytest.mark.slow
 def test_taylor_elsewhere_and_of_other_laws():
     np.testing.assert_allclose(np.array(taylor(gx.Polynomial(1.1, -0.4, 0.3))), [1.1, -0.4, 0.3], rtol=8 * EPS)
     np.testing.assert_allclose(np.array(taylor(gx.Toda(2.0, 3.0))), [6, 9, 9], rtol=8 * EPS)

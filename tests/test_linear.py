@@ -286,6 +286,7 @@ def test_edges_and_speed_are_differentiable_and_batched():
     np.testing.assert_allclose(omega[1], one, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_normal_modes_are_normalised_and_differentiable():
     chain = random_cells("fixed")
     found = linear.normal_modes(chain)

@@ -177,6 +177,7 @@ def test_modulated_contact_force_follows_the_time():
     np.testing.assert_allclose(ratio, 1 + 0.3 * np.cos(1.4), rtol=1e-14)
 
 
+@pytest.mark.slow
 def test_lanes_and_jit_give_the_same_as_one_by_one():
     lattice = batch()
     y = states.random(lattice, 5, 0.1, 0.1)

@@ -130,6 +130,7 @@ def test_the_wave_is_the_known_fixed_point():
     assert phi.sum() / solitary.POINTS == pytest.approx(2.71360995307778758, abs=1e-13)
 
 
+@pytest.mark.slow
 def test_the_wave_keeps_its_profile(data_of):
     data = data_of("fig1.3")
     crest = data.attrs["start"] + data.attrs["travel"]
@@ -163,12 +164,14 @@ def test_the_wall_feels_what_an_independent_integrator_says():
     np.testing.assert_allclose(got, [0.2683193, 0.2086785, 0.2096113], rtol=0, atol=2e-5)
 
 
+@pytest.mark.slow
 def test_the_deepest_minimum_is_at_the_first_resonance(data_of):
     ratio, value = transmission.deepest(data_of("fig2.2"))
     assert ratio == pytest.approx(0.595, abs=0.005)
     assert value == pytest.approx(0.2096, abs=0.001)
 
 
+@pytest.mark.slow
 def test_the_resonant_chain_has_its_ratio_and_keeps_its_energy(data_of):
     data = data_of("fig2.5")
     assert data.attrs["radius_light"] ** 3 / data.attrs["radius_heavy"] ** 3 == pytest.approx(0.59)

@@ -55,6 +55,7 @@ def test_the_monomer_is_computed_where_it_is_not_asked_for():
     assert sweep.transmission[0] == pytest.approx(with_it.transmission[0], rel=1e-6)
 
 
+@pytest.mark.slow
 def test_deepest_minimum_of_101_beads():
     # 0.2096 at 0.595; SciPy's DOP853 at tolerance 1e-10: cusp at 0.5944 with 0.208678
     sweep = gx.resonance.transmission(np.append(np.linspace(0.575, 0.615, 9), 1.0))
@@ -65,6 +66,7 @@ def test_deepest_minimum_of_101_beads():
     assert found.resonance_transmission[lowest] == pytest.approx(0.208678, abs=2e-5)
 
 
+@pytest.mark.slow
 def test_the_default_step_is_accurate_enough():
     # an eighth of the step; over 200 ratios the largest error is 5.5e-6, at 0.587
     for ratio in (0.05, 0.587):
@@ -127,6 +129,7 @@ def test_contact_forces_down_the_chain():
     np.testing.assert_allclose(forces[:, 1], MONOMER_FORCE, rtol=3e-6)
 
 
+@pytest.mark.slow
 def test_decay_is_fastest_at_the_second_and_third_resonance():
     # contacts 100 -> 200: 0.2399, 0.1225
     for centre in (0.2399, 0.1225):
@@ -153,6 +156,7 @@ def test_anti_resonances(low, high, expected):
     assert gx.resonance.anti_resonance(low, high) == pytest.approx(expected, abs=3e-6)
 
 
+@pytest.mark.slow
 def test_the_monomer_is_an_anti_resonance():
     assert gx.resonance.anti_resonance(0.9, 1.0, contacts=(40, 80)) == 1.0
 

@@ -289,6 +289,7 @@ def test_pytrees_and_complex_arrays(solver):
     assert end[0]["a"][0].dtype == jnp.float64 and end[0]["b"].dtype == jnp.complex128
 
 
+@pytest.mark.slow
 def test_dict_of_fields_equals_one_array():
     bond = lambda fields: gx.Bond(gx.Shift(1, "fixed", fields), gx.Hertz(precompression=1.0))  # noqa: E731
     cell = gx.Lattice({"bead": jnp.ones(N)}, (bond("bead"),))

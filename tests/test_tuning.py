@@ -80,6 +80,7 @@ def test_programs_are_kept_in_the_users_cache_folder(tmp_path):
     assert place == used and place.startswith(str(tmp_path)) and "granjax" in place
 
 
+@pytest.mark.slow
 def test_the_environment_chooses_where_and_turns_it_off(tmp_path):
     assert kept(GRANJAX_CACHE="0") == [None, None]
     assert kept(GRANJAX_CACHE=str(tmp_path / "mine"))[0].startswith(str(tmp_path / "mine"))
