@@ -9,7 +9,7 @@ from . import tuning as _tuning
 _tuning.prepare_import()
 
 from . import laws, strains, terms  # noqa: E402
-from .flow import Arrival, Integral, Lowest, Peak, Record, Run, simulate  # noqa: E402
+from .flow import Arrival, Flow, Integral, Lowest, Peak, Record, Run, simulate  # noqa: E402
 from .lattice import Lattice, State, vector_field  # noqa: E402
 from .laws import Hertz, Law, Linear, Polynomial, PowerLaw, Sine, Toda, Yielding  # noqa: E402
 from .solvers import (  # noqa: E402

@@ -1,0 +1,104 @@
+"""The map of a state over a time by a fixed number of steps, with tangents: what orbits and Floquet theory stand on."""
+
+from collections.abc import Callable
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
+
+from ..lattice import vector_field
+from ..solvers import SRKN14a
+
+
+class Flow(eqx.Module):
+    r"""The flow phi(y; t0, t1, args) of y' = f(t, y, args), by a fixed number of equal steps.
+
+    Mesh and method do not depend on the state, so that its derivative is that of a smooth map; a symplectic solver
+    gives a symplectic one. Tangents travel beside the state in a trailing axis, D phi times many vectors at once.
+
+    **Arguments:** `steps`: how many from t0 to t1. `solver`: any of granjax's or diffrax's, used at a fixed step.
+    `field`: f(t, y, args), by default that of a lattice, with the lattice as `args` and `State(u, v)` as y.
+    """
+
+    steps: int = eqx.field(static=True)
+    solver: diffrax.AbstractSolver = SRKN14a()
+    field: Callable = eqx.field(static=True, default=vector_field)
+
+    def __call__(self, y, t0, t1, args):
+        """The state at t1 of what is `y` at t0."""
+        return _march(self.solver, self.field, self.steps, y, t0, t1, args)
+
+    def tangents(self, y, tangents, t0, t1, args):
+        """(phi(y), D phi(y) tangents), with `tangents` like `y` plus a trailing axis."""
+        ends = _march(self.solver, _variational(self.field, y), self.steps, _join(y, tangents), t0, t1, args)
+        return _part(y, ends)
+
+    def derivative(self, y, t0, t1, args):
+        """(phi(y), D phi(y)), the derivative as a matrix over the raveled state."""
+        flat, unravel = ravel_pytree(y)
+        unit = jax.vmap(unravel, out_axes=-1)(jnp.eye(flat.size, dtype=flat.dtype))
+        end, tangents = self.tangents(y, unit, t0, t1, args)
+        return end, matrix(tangents)
+
+
+def matrix(tangents):
+    """Tangents as the columns of a matrix, rows raveled as a state is."""
+    return jnp.concatenate([x.reshape(-1, x.shape[-1]) for x in jax.tree.leaves(tangents)])
+
+
+def columns(like, vectors):
+    """Inverse of `matrix`: columns (n, m) as tangents of a state."""
+    _, unravel = ravel_pytree(like)
+    return jax.vmap(unravel, in_axes=-1, out_axes=-1)(vectors)
+
+
+def _march(solver, field, steps, y, t0, t1, args):
+    terms = diffrax.ODETerm(field)
+    if getattr(solver, "scan_kind", "own") is None:  # diffrax's loop over stages, in the kind with both modes
+        solver = eqx.tree_at(lambda s: s.scan_kind, solver, "bounded", is_leaf=lambda x: x is None)
+    flat = jnp.result_type(*jax.tree.leaves(y))
+    t0, h = jnp.asarray(t0, flat), jnp.asarray((t1 - t0) / steps, flat)
+    state = solver.init(terms, t0, t0 + h, y, args)
+
+    def step(carry, i):
+        y, state = carry
+        start = t0 + i * h
+        y, _, _, state, _ = solver.step(terms, start, start + h, y, args, state, False)
+        return (y, state), None
+
+    (y, _), _ = jax.lax.scan(step, (y, state), jnp.arange(steps, dtype=flat))
+    return y
+
+
+def _is_pair(y):
+    return isinstance(y, tuple) and len(y) == 2
+
+
+def _join(y, tangents):
+    """Positions with theirs, velocities with theirs, so that methods for (u, v) apply; any other state as it is."""
+    return ((y[0], tangents[0]), (y[1], tangents[1])) if _is_pair(y) else (y, tangents)
+
+
+def _part(like, ends):
+    if not _is_pair(like):
+        return ends
+    (u, U), (v, V) = ends
+    form = type(like) if hasattr(like, "_fields") else lambda *x: x
+    return form(u, v), form(U, V)
+
+
+def _variational(field, like):
+    """The variational equation of a field: its own, or by `jax.jvp`."""
+    own = getattr(field, "variational", None)
+    if own is not None:
+        return own
+
+    def extended(t, joined, args):
+        y, tangents = _part(like, joined)
+        f = lambda y: field(t, y, args)
+        slopes = jax.vmap(lambda dy: jax.jvp(f, (y,), (dy,))[1], in_axes=-1, out_axes=-1)(tangents)
+        return _join(f(y), slopes)
+
+    return extended
