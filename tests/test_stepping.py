@@ -14,7 +14,8 @@ MASS = jnp.asarray(RNG.uniform(0.3, 1, N))
 EVERYTHING = gx.Lattice(MASS, (
     gx.Bond(gx.Shift(1, "free"), HERTZ), gx.Damping(jnp.linspace(0.1, 0.2, N)), gx.OnSite(gx.Sine(0.4)),
     gx.Wall(HERTZ, "left", motion=gx.Harmonic(0.1, 1.3)), gx.Wall(HERTZ, "right"), gx.Drive(gx.Harmonic(0.1, 2.0), 3),
-    gx.Modulated(gx.Bond(gx.Pairs([0, 4], [7, 9], sites=N), gx.Polynomial(1.0, 0.3, 0.2)), gx.Harmonic(0.1, 2.0, mean=1.0)),
+    gx.Modulated(
+        gx.Bond(gx.Pairs([0, 4], [7, 9], sites=N), gx.Polynomial(1.0, 0.3, 0.2)), gx.Harmonic(0.1, 2.0, mean=1.0)),
 ))
 DASHPOT = gx.Lattice(MASS, (gx.Bond(gx.Shift(1, "fixed"), HERTZ), gx.Dashpot(gx.Shift(1, "fixed"), 0.1)))
 PLAIN = gx.scenes.dimer(N, ratio=0.4, precompression=1.0, boundary="free")
