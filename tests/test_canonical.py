@@ -46,8 +46,7 @@ def test_every_scene_builds_and_its_reference_fits(name):
         assert scene.error(gx.State(scene.reference.u, wrong)) == pytest.approx(1e-3, rel=1e-9)
     assert all(x.dtype == np.float64 and np.isfinite(x).all() for x in references_found)
     assert scene.error(scene.reference) == 0
-    # all but every seventeenth lane of the sweep were made in double precision
-    assert 2.0**-53 <= scene.uncertainty < (1e-11 if name == "dimer_sweep" else 1e-13)
+    assert 2.0**-53 <= scene.uncertainty < 1e-13
     assert scene.growth > 0 and scene.t1 > scene.t0 == 0
     assert stored.read(name).t1 == scene.t1 and stored.read(name).method
 
