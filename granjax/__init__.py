@@ -28,7 +28,10 @@ from .tuning import tune  # noqa: E402
 from .work_precision import WorkPrecision, work_precision  # noqa: E402
 
 __version__ = "0.1.0"
-_LAZY = ("canonical", "linear", "materials", "measures", "plots", "reproduce", "resonance", "scenes", "states")
+_LAZY = (
+    "breathers", "canonical", "continuation", "driven", "floquet", "linear", "materials", "measures", "newton",
+    "orbits", "plots", "reproduce", "resonance", "scenes", "states", "theory",
+)
 
 
 def __getattr__(name):

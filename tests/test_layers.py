@@ -12,8 +12,9 @@ FLOORS = (
     {"terms", "continuation"},
     {"lattice"},
     {"flow", "scenes"},
+    {"orbits"},
     {"floquet", "linear", "measures", "states"},
-    {"breathers", "canonical", "travelling", "shocks", "resonance"},
+    {"breathers", "canonical", "driven", "travelling", "shocks", "resonance"},
     {"sweep", "fit", "identify", "work_precision", "reproduce"},
 )
 FLOOR = {name: level for level, names in enumerate(FLOORS) for name in names}

@@ -18,11 +18,12 @@ class Flow(eqx.Module):
     Mesh and method do not depend on the state, so that its derivative is that of a smooth map; a symplectic solver
     gives a symplectic one. Tangents travel beside the state in a trailing axis, D phi times many vectors at once.
 
-    **Arguments:** `steps`: how many from t0 to t1. `solver`: any of granjax's or diffrax's, used at a fixed step.
-    `field`: f(t, y, args), by default that of a lattice, with the lattice as `args` and `State(u, v)` as y.
+    **Arguments:** `steps`: how many from t0 to t1; a whole number, or an array, whose value compiles nothing anew but
+    has no reverse mode. `solver`: any of granjax's or diffrax's, used at a fixed step. `field`: f(t, y, args), by
+    default that of a lattice, with the lattice as `args` and `State(u, v)` as y.
     """
 
-    steps: int = eqx.field(static=True)
+    steps: int | jax.Array
     solver: diffrax.AbstractSolver = SRKN14a()
     field: Callable = eqx.field(static=True, default=vector_field)
 
@@ -62,14 +63,13 @@ def _march(solver, field, steps, y, t0, t1, args):
     t0, h = jnp.asarray(t0, flat), jnp.asarray((t1 - t0) / steps, flat)
     state = solver.init(terms, t0, t0 + h, y, args)
 
-    def step(carry, i):
+    def step(i, carry):
         y, state = carry
         start = t0 + i * h
         y, _, _, state, _ = solver.step(terms, start, start + h, y, args, state, False)
-        return (y, state), None
+        return y, state
 
-    (y, _), _ = jax.lax.scan(step, (y, state), jnp.arange(steps, dtype=flat))
-    return y
+    return jax.lax.fori_loop(0, steps, step, (y, state))[0]
 
 
 def _is_pair(y):

@@ -1,0 +1,136 @@
+"""The monodromy matrix and what follows from it."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+
+from ..checks import refuse, whole
+from ..flow import Flow, linear_frequency
+from ..lattice import Lattice
+from ..solvers import KahanLi8
+from .record import RESOLUTION, Floquet, decide
+from .spectrum import product_multipliers, spectrum
+from .structure import NOTHING, defect, krein, structure
+
+# h omega of the coarser of the two step sizes, and where refinement ends
+COARSE = 0.6
+MOST_STEPS = 2**14
+TOLERANCE = 1e-9
+
+
+@eqx.filter_jit
+def _derivative(flow, y, t0, t1, args):
+    return flow.derivative(y, t0, t1, args)
+
+
+def floquet(system, state, period, *, t0=0.0, steps=None, solver=None, segments=1, tolerance=TOLERANCE, args=None,
+            resolution=RESOLUTION):
+    r"""Monodromy matrix, multipliers and stability of a periodic orbit.
+
+    M = d y(t0 + T)/d y(t0) by tangents through a fixed-step flow, with two step sizes whose difference is the error.
+
+    **Arguments:**
+
+    - `system`: a `Lattice`, or a `Flow` of any vector field together with `args` (of which neither masses nor
+      symmetries are known).
+    - `state`: the orbit at t0. `period`: T > 0. `t0`: phase of a drive.
+    - `steps`: steps of the finer flow over the period; `None` doubles them until the matrix is known to `tolerance`
+      (relative to its largest entry) or 16384 steps are reached, as may happen where contacts open.
+    - `solver`: `None` is KahanLi8, or the flow's own. `segments`: factors of which M is the product; several keep
+      multipliers that lie far below the largest one's rounding.
+    - `resolution`: what an undetected instability may be; an error above it leaves the verdict open.
+
+    **Returns:** `Floquet`. **Raises** ValueError for a period that is not positive, a state of another shape, and
+    segments that do not divide the steps.
+    """
+    if not period > 0:
+        refuse("period", "a time above zero", repr(period))
+    segments = whole("segments", segments, 1)
+    known = structure(system) if isinstance(system, Lattice) else NOTHING
+    args = system if isinstance(system, Lattice) else args
+    if isinstance(system, Lattice):
+        _check_state(system, state)
+        solver, field = solver or KahanLi8(), {}
+        start = steps or 2 * _coarse_steps(system, period, segments)
+    else:
+        solver, field = solver or system.solver, {"field": system.field}
+        start = steps or system.steps
+    if start % (2 * segments):
+        refuse("steps", f"a multiple of {2 * segments}, twice the segments", repr(start))
+
+    def factors(count):
+        flow = Flow(jnp.asarray(count // segments), solver, **field)
+        return _factors(flow, state, t0, period, segments, args)
+
+    count, coarse, fine = start, factors(start // 2), factors(start)
+    while steps is None and 2 * count <= MOST_STEPS:
+        size = max(np.abs(f).max() for f in fine)
+        if np.abs(_product(fine) - _product(coarse)).max() <= tolerance * max(size, np.abs(_product(fine)).max()):
+            break
+        count, coarse, fine = 2 * count, fine, factors(2 * count)
+    return _record(known, fine, coarse, state, period, count, resolution)
+
+
+def _record(known, fine, coarse, state, period, steps, resolution):
+    monodromy, rough = _product(fine), _product(coarse)
+    multipliers, vectors, error = spectrum(monodromy, rough)
+    if len(fine) > 1:
+        multipliers = product_multipliers(fine)
+        error = _relative_errors(multipliers, product_multipliers(coarse))
+    conserves = known.rate == 0
+    verdict, outcome = decide(multipliers, error, known.expected, conserves, resolution)
+    return Floquet(
+        monodromy, multipliers, vectors, error, krein(multipliers, vectors, known.mass, np.maximum(error, 1e-12)),
+        defect(monodromy, known.mass, known.rate, float(period)), float(np.abs(monodromy - rough).max()),
+        known.expected, verdict, outcome, float(period), int(steps), known.rate, state,
+    )
+
+
+def _relative_errors(fine, coarse):
+    """Largest first on both sides, so that each is compared with its like."""
+    return np.abs(fine - coarse) + 64 * np.finfo(float).eps * np.abs(fine)
+
+
+def _check_state(lattice, state):
+    shapes = [x.shape for x in jax.tree.leaves(lattice.template())]
+    for name, part in zip("uv", state):
+        got = [np.shape(x) for x in jax.tree.leaves(part)]
+        if got != shapes:
+            refuse(f"state.{name}", f"shape {lattice.shape}", f"{got}", "One orbit of one lattice at a time.")
+
+
+def _coarse_steps(lattice, period, segments):
+    omega = float(linear_frequency(lattice))
+    return segments * max(int(np.ceil(period * omega / COARSE / segments)), 4)
+
+
+def _factors(flow, state, t0, period, segments, args):
+    found, length = [], period / segments
+    for i in range(segments):
+        state, factor = _derivative(flow, state, t0 + i * length, t0 + (i + 1) * length, args)
+        found.append(np.asarray(factor))
+    return found
+
+
+def _product(factors):
+    total = factors[0]
+    for factor in factors[1:]:
+        total = factor @ total
+    return total
+
+
+def multipliers(flow, y, t0, period, args):
+    """Floquet multipliers alone, a pure function: (2n,) complex, for `jax.jacfwd`, `vmap` and `jit`.
+
+    **Arguments:** `flow`: a `Flow` over one period; `y`: the orbit at `t0`; `args`: of its field, such as the lattice.
+    In the order that LAPACK gives. Differentiate a simple one, `multipliers(...)[i]`.
+    """
+    _, monodromy = flow.derivative(y, t0, t0 + period, args)
+    return jnp.linalg.eigvals(monodromy)
+
+
+def raveled(state):
+    """A state as one array, in the order of the monodromy's rows."""
+    return ravel_pytree(state)[0]

@@ -1,0 +1,103 @@
+"""Eigenvalues of monodromy matrices, with errors; products that keep what is small."""
+
+from functools import cache, wraps
+
+import numpy as np
+from scipy.linalg import eig
+from scipy.optimize import linear_sum_assignment
+from threadpoolctl import ThreadpoolController
+
+ROUNDING = 8
+
+
+@cache
+def _pools():
+    return ThreadpoolController()
+
+
+def one_thread(function):
+    """The function with LAPACK on one thread: below some 500 rows more threads only wait for each other."""
+
+    @wraps(function)
+    def limited(*arguments, **keywords):
+        with _pools().limit(limits=1):
+            return function(*arguments, **keywords)
+
+    return limited
+
+
+@one_thread
+def spectrum(fine, coarse=None):
+    """Eigenvalues (largest modulus first), unit right eigenvectors, and an error of each, of a matrix.
+
+    The error is the first-order effect |y^H dM x|/|y^H x| of dM = fine - coarse (y, x left and right eigenvectors) or,
+    if more, the distance to the nearest eigenvalue of `coarse` in a one-to-one matching; plus the rounding of M by the
+    eigenvalue's condition. At a double multiplier the condition makes it a square root.
+    """
+    values, left, right = eig(fine, left=True)
+    order = np.lexsort((-np.angle(values), -np.abs(values).round(9)))
+    values, left, right = values[order], left[:, order], right[:, order]
+    overlap = np.abs(np.sum(np.conj(left) * right, axis=0))
+    overlap = np.maximum(overlap, np.finfo(float).eps)
+    error = ROUNDING * np.finfo(float).eps * np.linalg.norm(fine, 2) / overlap
+    if coarse is not None:
+        first = np.abs(np.sum(np.conj(left) * ((fine - coarse) @ right), axis=0)) / overlap
+        distance = np.abs(values[:, None] - np.linalg.eigvals(coarse)[None])
+        rows, columns = linear_sum_assignment(distance)
+        matched = np.empty(len(values))
+        matched[rows] = distance[rows, columns]
+        error = error + np.maximum(first, matched)
+    return values, right, error
+
+
+@one_thread
+def product_multipliers(factors):
+    """Eigenvalues of the product M_m ... M_1 from its factors, small and large ones to the same relative accuracy.
+
+    The product itself loses every multiplier below eps times the largest. The cyclic matrix with the factors below its
+    diagonal has the m-th roots, whose range is the m-th root of the product's.
+
+    **Arguments:** `factors`: (m, N, N), the first applied first. **Returns:** (N,), the largest modulus first.
+    """
+    factors = np.asarray(factors)
+    m, size, _ = factors.shape
+    if m == 1:
+        values = np.linalg.eigvals(factors[0])
+        return values[np.argsort(-np.abs(values))]
+    cyclic = np.zeros((m * size, m * size))
+    for i, factor in enumerate(factors):
+        to = (i + 1) % m
+        cyclic[to * size : (to + 1) * size, i * size : (i + 1) * size] = factor
+    roots = np.linalg.eigvals(cyclic)
+    return _of_roots(roots[np.argsort(-np.abs(roots))], m)
+
+
+def _of_roots(roots, m):
+    """The m-th powers, each of which stands m times among the roots, once."""
+    values, found = roots**m, []
+    while len(values):
+        near = np.argsort(np.abs(values - values[0]))[:m]
+        found.append(values[near].mean())
+        values = np.delete(values, near)
+    return np.array(found)
+
+
+@one_thread
+def reversible_multipliers(half, coarse=None):
+    r"""Multipliers of a time-reversible orbit from the tangent map of half a period between rests, with errors.
+
+    With half = [[A, B], [C, D]] over (u, p = m v) symplectic and the reversal R, M = R half^{-1} R half has
+    (M + M^{-1})/2 = diag(1 + 2 B^T C, 1 + 2 C^T B), so the n numbers (rho + 1/rho)/2 are the eigenvalues of
+    1 + 2 B^T C. They are simple where the multipliers are double (at +-1), and carry no square root of the error.
+
+    **Returns:** half-traces mu (n,), multipliers rho (2n,), the largest modulus first, and the error of each rho.
+    """
+    n = len(half) // 2
+    stiff = lambda h: np.eye(n) + 2 * h[:n, n:].T @ h[n:, :n]
+    mu, _, error = spectrum(stiff(half), None if coarse is None else stiff(coarse))
+    root = np.sqrt(mu.astype(complex) ** 2 - 1)
+    rho = mu + np.where(np.real(np.conj(mu) * root) >= 0, root, -root)
+    spread = error * np.abs(rho) / np.maximum(np.abs(root), np.sqrt(2 * error))
+    rho, spread = np.concatenate([rho, 1 / rho]), np.concatenate([spread, spread / np.abs(rho) ** 2])
+    order = np.argsort(-np.abs(rho), kind="stable")
+    return mu, rho[order], spread[order]

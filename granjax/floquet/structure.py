@@ -1,0 +1,83 @@
+"""What a lattice's equations promise of a monodromy matrix: the symplectic form, damping, multipliers at +1."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+
+from ..orbits import shifts
+from ..terms import Damping, Drive, Modulated, Wall
+
+
+class Structure(NamedTuple):
+    """`mass`: (n,) of the raveled displacements, or `None` for a flow of which nothing is known.
+
+    `rate`: gamma of a uniform damping, 0 for none, `None` where the flow is not even conformally symplectic.
+    `expected`: multipliers at +1. `autonomous`: nothing depends on time.
+    """
+
+    mass: np.ndarray | None
+    rate: float | None
+    expected: int
+    autonomous: bool
+
+
+NOTHING = Structure(None, None, 0, False)
+
+
+def structure(lattice):
+    """The `Structure` of a lattice.
+
+    Expected at +1: for an orbit of an autonomous, conservative lattice two (phase and energy), and two more for every
+    free displacement (position and momentum): four for a chain with free ends or a ring, two between walls; none where
+    it is driven or damped, but the free displacement of a damped or driven chain, which keeps one (or two).
+    """
+    mass = ravel_pytree(jax.tree.map(lambda m, u: m + jnp.zeros_like(u), lattice.mass, lattice.zeros()))[0]
+    damping = [term for term in lattice.terms if isinstance(term, Damping)]
+    others = [term for term in lattice.terms if term.reads_velocity and not isinstance(term, Damping)]
+    autonomous = not any(
+        isinstance(term, (Drive, Modulated)) or isinstance(term, Wall) and term.motion is not None
+        for term in lattice.terms)
+    moves = shifts(lattice).shape[1]
+    rates = {float(x) for term in damping for x in np.ravel(term.rate)}
+    everywhere = all(term.field is None for term in damping)
+    dissipates = bool(others or any(rates))
+    if dissipates:
+        expected = moves + (1 if autonomous else 0)
+    else:
+        expected = 2 * moves + (2 if autonomous else 0)
+    uniform = not others and everywhere and all(np.unique(np.ravel(term.rate)).size == 1 for term in damping)
+    rate = sum(float(np.ravel(term.rate)[0]) for term in damping) if uniform else None
+    return Structure(np.asarray(mass), rate, expected, autonomous)
+
+
+def form(mass):
+    """The symplectic form of (u, v) with momenta m v, (2n, 2n)."""
+    zero, m = np.zeros((len(mass),) * 2), np.diag(mass)
+    return np.block([[zero, m], [-m, zero]])
+
+
+def defect(monodromy, mass, rate, period):
+    """max |M^T J M - exp(-gamma T) J|/max |J|: rounding for a (conformally) symplectic map, whatever its time error."""
+    if mass is None or rate is None:
+        return float("nan")
+    J = form(mass)
+    return float(np.abs(monodromy.T @ J @ monodromy - np.exp(-rate * period) * J).max() / np.abs(J).max())
+
+
+def krein(multipliers, vectors, mass, tolerance):
+    """Signature of each multiplier on the unit circle: the sign of Im sum m conj(u) v; 0 off the circle or mixed.
+
+    +1: the motion exp(i omega t) of a positive energy, with its conjugate at -1. Two of one sign pass through each
+    other; of unlike signs they may leave the circle (M. G. Krein; Aubry, Physica D 216, 1 (2006)).
+    """
+    if mass is None:
+        return np.full(len(multipliers), np.nan)
+    n = len(mass)
+    u, v = vectors[:n], vectors[n:]
+    value = np.imag(np.sum(mass[:, None] * np.conj(u) * v, axis=0))
+    size = np.sum(mass[:, None] * np.abs(u) * np.abs(v), axis=0)
+    definite = (np.abs(np.abs(multipliers) - 1) <= tolerance) & (np.abs(value) > 1e-6 * size)
+    return np.where(definite, np.sign(value), 0.0)

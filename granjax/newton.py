@@ -1,0 +1,129 @@
+"""Newton's method for a square system, with outcomes as values and derivatives by the implicit function theorem."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+CONVERGED, STALLED, SPENT, NOT_FINITE = range(4)
+LEAST_FRACTION = 2.0**-8
+
+
+class Root(eqx.Module):
+    """Where Newton's method ended: its best iterate, whatever came of it.
+
+    **Fields:** `x`: the iterate (n,). `residual`: max |F(x)|. `first`: that of the guess. `steps`: Jacobians
+    evaluated. `code`: 0 converged, 1 stalled, 2 steps spent, 3 not finite.
+    """
+
+    x: jax.Array
+    residual: jax.Array
+    first: jax.Array
+    steps: jax.Array
+    code: jax.Array
+    tolerance: jax.Array
+
+    @property
+    def converged(self):
+        """Whether the residual came below the tolerance."""
+        return self.code == CONVERGED
+
+    @property
+    def outcome(self):
+        """What became of it, a sentence (of the worst where there are several)."""
+        if isinstance(self.code, jax.core.Tracer):
+            return "traced"
+        worst = int(np.argmax(np.asarray(self.code))) if np.ndim(self.code) else ()
+        code, steps, first, last, tolerance = (
+            np.ravel(x)[worst if np.size(x) > 1 else 0].item() if np.ndim(x) else np.asarray(x).item()
+            for x in (self.code, self.steps, self.first, self.residual, self.tolerance))
+        went = f"the residual went from {first:.1e} to {last:.1e} in {int(steps)} steps"
+        if code == CONVERGED:
+            return f"Converged: {went}."
+        wanted = f"{tolerance:.1e} was asked for"
+        why = {
+            STALLED: "no fraction of the step lowered it further (a poor guess, a fold, or the floor of rounding)",
+            SPENT: "the steps were spent", NOT_FINITE: "the next residual was not finite",
+        }[code]
+        return f"Newton did not converge: {went}, {wanted}; {why}."
+
+
+def newton(residual, x0, args=None, *, tolerance=1e-10, max_steps=20, linearise=None, throw=None):
+    r"""A root of F(x, args) = 0 by Newton's method with halved steps.
+
+    x <- x - lambda J^{-1} F with lambda = 1, 1/2, ... until max |F| falls. The root is differentiable in `args`, in
+    both modes and to any order: dx = -J^{-1} (dF/d args). Inside `jit` and `vmap` it is one loop.
+
+    **Arguments:**
+
+    - `residual`: F(x, args), arrays (n,) to (n,). `x0`: the guess. `args`: any pytree.
+    - `tolerance`: of max |F|, in the units of F. `max_steps`: the most Jacobians.
+    - `linearise`: (x, args) -> (F, J), where that is cheaper than `jax.jacfwd`.
+    - `throw`: raise where it does not converge; `None` does so outside of transformations.
+
+    **Returns:** `Root`, with the best iterate. **Raises** RuntimeError where `throw` and it did not converge: the
+    sentence says how far it came.
+    """
+    x0 = jnp.asarray(x0)
+    x0 = x0.astype(jnp.result_type(x0, float)) if not jnp.issubdtype(x0.dtype, jnp.floating) else x0
+    root = _solved(residual, linearise, x0, args, jnp.asarray(tolerance, x0.dtype), max_steps)
+    known = not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(root))
+    if known and (throw is None or throw) and not np.all(root.converged):
+        raise RuntimeError(root.outcome)
+    return root
+
+
+@eqx.filter_jit
+def _solved(residual, linearise, x0, args, tolerance, max_steps):
+    both = _by_forward_mode(residual) if linearise is None else linearise
+
+    def solve(f, x0):
+        del f
+        return _iterate(both, x0, jax.lax.stop_gradient(args), tolerance, max_steps)
+
+    def tangent_solve(g, y):
+        return jnp.linalg.solve(jax.jacfwd(g)(jnp.zeros_like(y)), y)
+
+    x, rest = jax.lax.custom_root(lambda x: residual(x, args), x0, solve, tangent_solve, has_aux=True)
+    return Root(x, *rest, tolerance)
+
+
+def _by_forward_mode(residual):
+    def both(x, args):
+        f = lambda x: (residual(x, args),) * 2
+        jacobian, value = jax.jacfwd(f, has_aux=True)(x)
+        return value, jacobian
+
+    return both
+
+
+def _size(f):
+    return jnp.where(jnp.all(jnp.isfinite(f)), jnp.max(jnp.abs(f)), jnp.inf)
+
+
+def _iterate(both, x0, args, tolerance, max_steps):
+    """(x, (residual, first, steps, code)) after the loop."""
+    f, jacobian = both(x0, args)
+    first = _size(f)
+
+    def going(carry):
+        _, _, size, _, fraction, steps = carry
+        return (size > tolerance) & jnp.isfinite(size) & (fraction >= LEAST_FRACTION) & (steps < max_steps)
+
+    def body(carry):
+        x, step, size, _, fraction, steps = carry
+        tried = x + fraction * step
+        f, jacobian = both(tried, args)
+        new = _size(f)
+        better = new < size
+        step = jax.lax.cond(better, lambda: -jnp.linalg.solve(jacobian, f), lambda: step)
+        x, size = jnp.where(better, tried, x), jnp.where(better, new, size)
+        fraction = jnp.where(better, jnp.minimum(2 * fraction, 1.0), fraction / 2)
+        return x, step, size, new, fraction, steps + 1
+
+    one = jnp.ones((), x0.dtype)
+    start = (x0, -jnp.linalg.solve(jacobian, f), first, first, one, jnp.ones((), int))
+    x, _, size, last, fraction, steps = jax.lax.while_loop(going, body, start)
+    code = jnp.where(fraction < LEAST_FRACTION, STALLED, SPENT)
+    code = jnp.where(jnp.isfinite(last), code, NOT_FINITE)
+    return x, (size, first, steps, jnp.where(size <= tolerance, CONVERGED, code))
