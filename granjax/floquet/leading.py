@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
-from scipy.sparse.linalg import LinearOperator, eigs
+from scipy.sparse.linalg import ArpackError, LinearOperator, eigs
 
 from ..checks import whole
 from ..flow import Flow
@@ -40,7 +40,7 @@ def leading(lattice, state, period, count=6, *, t0=0.0, steps=None, solver=None,
     start = np.random.default_rng(0).normal(size=size)
     try:
         values, vectors = eigs(LinearOperator((size, size), product, dtype=float), k=count, v0=start, tol=tolerance)
-    except Exception as error:
+    except ArpackError as error:
         raise RuntimeError(f"Arnoldi's method: {error}. Perhaps no multiplier leads: all on the circle.") from None
     order = np.argsort(-np.abs(values))
     return values[order], vectors[:, order]
