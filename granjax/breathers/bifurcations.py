@@ -1,0 +1,131 @@
+"""Where a family of breathers changes: its stability, its energy's extrema."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from ..checks import one_of
+from ..continuation import Bordered
+from ..floquet.spectrum import one_thread
+from ..newton import newton
+from .problem import TOLERANCE, energy_slope, spectrum_of
+
+KINDS = ("real pair at +1", "period doubling", "Krein collision", "extremum of energy")
+HALVINGS = 40
+# distance from +1 within which half-traces are taken together, and what their error is at least
+NEAR, LEAST_ERROR = 1e-4, 1e-12
+
+
+class Bifurcation(NamedTuple):
+    """`kind`, one of `KINDS`; `omega`; index of the breather `after` which it lies; `u` there.
+
+    `before`, `behind`: what the kind counts on the two sides (real pairs beyond +1, beyond -1, complex quadruples).
+    """
+
+    kind: str
+    omega: float
+    after: int
+    u: np.ndarray
+    before: int
+    behind: int
+
+
+@one_thread
+def bifurcations(branch, kinds=KINDS, *, accuracy=1e-9):
+    r"""Bifurcations along a family, each located between two neighbouring breathers.
+
+    With mu = (rho + 1/rho)/2: a pair leaves the circle at +1 where mu crosses 1, at -1 (period doubling) where it
+    crosses -1; two pairs of unlike Krein signature leave it together where two mu meet and become complex. Where mu is
+    1 within its error it counts as the symmetries', which stand there anyway.
+
+    **Arguments:** `branch`: of `gx.breathers.family`. `kinds`: which, of "real pair at +1", "period doubling", "Krein
+    collision", "extremum of energy". `accuracy`: relative, of the frequency.
+
+    **Returns:** a list of `Bifurcation` in the order of the branch. A pair that comes and goes between two breathers
+    is not seen: give the family a shorter `longest_step`.
+    """
+    for kind in kinds:
+        one_of("kinds", kind, KINDS)
+    found = []
+    for i in range(len(branch) - 1):
+        ends = [_at(branch, i, 0.0), _at(branch, i, None)]
+        for kind in kinds:
+            counts = [point.count(kind) for point in ends]
+            if counts[0] == counts[1]:
+                continue
+            point = _locate(branch, i, kind, ends, accuracy)
+            u = np.asarray(branch.problem.half.state(jnp.asarray(point.z[:-1])).u)
+            found.append(Bifurcation(kind, float(point.z[-1]), i, u, *counts))
+    return found
+
+
+class _Point:
+    """A solution near the i-th breather, with what is counted at it."""
+
+    def __init__(self, branch, i, s, z):
+        self.branch, self.i, self.s, self.z = branch, i, s, z
+        self._spectrum = None
+
+    @property
+    def spectrum(self):
+        if self._spectrum is None:
+            b = self.branch
+            self._spectrum = spectrum_of(b.problem, b.lattice, self.z[:-1], self.z[-1])
+        return self._spectrum
+
+    def count(self, kind):
+        """How many of a kind; the energy's slope along the branch, 0 or 1."""
+        if kind == "extremum of energy":
+            b = self.branch
+            along = b.tangents[self.i if self.s is not None else self.i + 1]
+            return int(energy_slope(b.problem, b.lattice, jnp.asarray(self.z[:-1]), jnp.asarray(along)) > 0)
+        traces, symmetries = self.spectrum.half_traces, self.spectrum.expected // 2
+        # mu that nearly meet split like a square root of the error, their sum does not: near 1 the sum decides
+        error = max(self.spectrum.step_error, LEAST_ERROR)
+        near = np.abs(traces - 1) < max(NEAR, 10 * np.sqrt(error))
+        apart = traces[~near]
+        real = np.abs(apart.imag) <= np.sqrt(error)
+        if kind == "Krein collision":
+            return int(np.sum(~real)) // 2
+        if kind == "period doubling":
+            return int(np.sum(apart[real].real < -1))
+        beyond = int(np.sum(apart[real].real > 1))
+        if np.sum(near) == symmetries + 1:
+            return beyond + int(np.sum(traces[near] - 1).real > 0)
+        return beyond + int(np.sum(np.sort(traces[near].real)[symmetries:] > 1 + np.sqrt(error)))
+
+
+def _at(branch, i, s):
+    """The solution at the length s along the i-th tangent; `None` is the next breather itself."""
+    b = branch
+    ends = [np.append(b.unknowns[j], b.omega[j]) for j in (i, i + 1)]
+    if s is None:
+        return _Point(b, i, None, ends[1])
+    tangent = b.tangents[i]
+    if s == 0:
+        return _Point(b, i, 0.0, ends[0])
+    whole = (ends[1] - ends[0]) @ tangent
+    guess = ends[0] + s / whole * (ends[1] - ends[0])
+    curve = Bordered(b.problem.residual, b.problem.linearise)
+    arguments = b.lattice, jnp.asarray(tangent), jnp.asarray(ends[0] + s * tangent)
+    root = newton(curve.residual, jnp.asarray(guess), arguments, tolerance=TOLERANCE, linearise=curve.linearise,
+                  throw=False)
+    return _Point(b, i, s, np.asarray(root.x))
+
+
+def _locate(branch, i, kind, ends, accuracy):
+    tangent = branch.tangents[i]
+    low, high = 0.0, float((ends[1].z - ends[0].z) @ tangent)
+    behind = ends[1].count(kind)
+    point = ends[0]
+    for _ in range(HALVINGS):
+        middle = (low + high) / 2
+        point = _at(branch, i, middle)
+        if point.count(kind) == behind:
+            high = middle
+        else:
+            low = middle
+        if abs((high - low) * tangent[-1]) < accuracy * point.z[-1] / 4:
+            break
+    return point

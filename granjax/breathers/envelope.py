@@ -1,0 +1,133 @@
+"""Breathers of small amplitude from the envelope equation of a chain, and whether they are bright or dark there."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from ..checks import refuse
+from ..lattice import State
+from ..laws import taylor
+from ..linear import bands
+from ..linear.cell import unit_cell
+from ..strains import Shift
+from ..terms import Bond
+from ..theory import nls
+
+# relative distance in omega below which a frequency is an edge's
+AT_EDGE = 1e-9
+
+
+class Edge(NamedTuple):
+    """An edge of a band: its place, the envelope's coefficients there, and whether its bright breathers lie at omega.
+
+    `above`: whether the gap lies above the edge.
+    """
+
+    k: float
+    branch: int
+    omega: float
+    above: bool
+    coefficients: nls.Coefficients
+
+
+def cell_of(chain):
+    """(mass, K2, K3, K4) of the unit cell of a chain of next neighbours, (P,) each, or `None` where it is none."""
+    if len(chain.terms) != 1 or not isinstance(chain.terms[0], Bond) or chain.fields or chain.axes != 1:
+        return None
+    bond = chain.terms[0]
+    if chain.dimension or not isinstance(bond.strain_map, Shift) or bond.strain_map.offset != (1,):
+        return None
+    try:
+        (size,) = unit_cell(chain).cell
+    except ValueError:
+        return None
+    coefficients = taylor(bond.law)
+    if not np.all(np.asarray(coefficients.K2) > 0):
+        return None
+    (sites,) = chain.sites
+    left = 1 if bond.strain_map.boundary[0] == "fixed" else 0
+    mass = np.broadcast_to(np.asarray(chain.mass), (sites,))[:size]
+    parts = [np.asarray(x) if np.ndim(x) == 0 else np.asarray(x)[left : left + size] for x in coefficients]
+    return mass, *(np.broadcast_to(x, (size,)) for x in parts)
+
+
+def edges_beside(chain, omega):
+    """The edges of the gap that holds omega, as `Edge`s; none inside a band or where there is no unit cell."""
+    cell = cell_of(chain)
+    if cell is None:
+        return []
+    found = bands(chain)
+    lower, upper = np.asarray(found.lower), np.asarray(found.upper)
+    if np.any((lower * (1 + AT_EDGE) < omega) & (omega < upper * (1 - AT_EDGE))):
+        return []
+    edges = [(k, b, w, True) for b, (k, w) in enumerate(zip(np.ravel(found.upper_k), upper)) if w <= omega]
+    edges = edges[-1:] + [
+        (k, b, w, False) for b, (k, w) in enumerate(zip(np.ravel(found.lower_k), lower)) if w >= omega > 0][:1]
+    return [Edge(float(k), b, float(w), above, nls.coefficients(*cell, float(k), b)) for k, b, w, above in edges]
+
+
+def supports_bright(edge):
+    """Whether a bright breather leaves this edge into the gap: focusing, and its frequency shifts that way."""
+    c = edge.coefficients
+    return bool(c.focusing) and (float(c.nu3_force) > 0) == edge.above
+
+
+def edge_of(chain, omega, kind):
+    """Frequency of the edge from which the bright or dark breathers at omega come."""
+    if kind == "dark":
+        upper = np.asarray(bands(chain).upper)
+        return float(upper[np.argmin(np.abs(upper - omega))])
+    found = [edge.omega for edge in edges_beside(chain, omega) if supports_bright(edge)]
+    return min(found, key=lambda edge: abs(edge - omega)) if found else omega
+
+
+def bright_seed(chain, omega, centre=None):
+    """The envelope's bright breather of a chain at a frequency in a gap, `State` at rest.
+
+    **Raises** ValueError where no edge of that gap has one.
+    """
+    found = [edge for edge in edges_beside(chain, omega) if supports_bright(edge)]
+    if not found:
+        refuse_bright(chain, omega)
+    edge = min(found, key=lambda edge: abs(edge.omega - omega))
+    return _state(chain, nls.bright_profile, edge.coefficients, omega, centre)
+
+
+def dark_seed(chain, omega, centre=None):
+    """The envelope's dark breather below the highest edge of a band, `State` at rest, N bonds wide.
+
+    Ends at constant force (free) or at fixed length (walls, a ring) as the chain has them. **Raises** ValueError where
+    the edge above omega has no dark breathers, and for a lattice that is no periodic chain of next neighbours.
+    """
+    cell = cell_of(chain)
+    if cell is None:
+        refuse("seed", "a State for this lattice", "'dark'", "The envelope equation needs a periodic chain of bonds.")
+    found = bands(chain)
+    tops = [(b, float(w), float(k)) for b, (w, k) in enumerate(zip(found.upper, np.ravel(found.upper_k)))]
+    branch, _, k = min(tops, key=lambda top: abs(top[1] - omega))
+    constraint = "force" if chain.terms[0].strain_map.boundary[0] == "free" else "length"
+    return _state(chain, nls.dark_profile, nls.coefficients(*cell, k, branch, constraint), omega, centre)
+
+
+def _state(chain, profile, coefficients, omega, centre):
+    (sites,) = chain.sites
+    cells = -(-sites // len(coefficients.mode))
+    centre = (sites - 1) / 2 if centre is None else centre
+    u = profile(coefficients, omega, cells, centre).displacement[:sites]
+    return State(u, jnp.zeros_like(u))
+
+
+def refuse_bright(chain, omega):
+    """Say why a chain has no bright breather at a frequency."""
+    edges = edges_beside(chain, omega)
+    said = []
+    for edge in edges:
+        c = edge.coefficients
+        name = "B" if len(c.mode) == 1 else "nu3"
+        nu2, nu3 = float(c.nu2), float(c.nu3_force)
+        relation = "<" if nu3 < 0 else ">"
+        what = f"{name} = {nu3:.6g} {relation} 0 with nu2 = {nu2:.6g} at omega = {edge.omega:.6g}"
+        said.append(f"{what}: only dark" if not c.focusing else f"{what}: bright, but on the other side of the edge")
+    remedy = "; ".join(said) if said else "No gap holds this frequency."
+    refuse("omega", "a frequency at which bright breathers exist", f"{omega:.6g}", remedy + ".")

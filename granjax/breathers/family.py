@@ -1,0 +1,181 @@
+"""Families of breathers by continuation from a linear mode or from a breather."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+
+from ..checks import refuse
+from ..continuation import continuation
+from ..floquet import decide
+from ..floquet.spectrum import one_thread
+from ..linear import normal_modes
+from .branch import Branch, Breather
+from .problem import (
+    DOUBLINGS,
+    LET_PASS,
+    TOLERANCE,
+    by_frequency,
+    checked_lattice,
+    energy,
+    half_steps,
+    spectrum_of,
+)
+
+# of the first orbit beside a linear mode, in units of the largest amplitude that a step may add
+FIRST = 0.1
+PROBE = 4
+# a doubling that lowers the error by less has met a contact that opens
+SLOW = 20
+
+
+@one_thread
+def family(chain, until=None, *, start=None, amplitude=None, mode=None, step=None, longest_step=None, points=200,
+           steps=None, solver=None, tolerance=TOLERANCE, stability=True, veto=None, stop=None):
+    r"""A family of time-reversible breathers, followed in (u, omega) with its stability.
+
+    Without a `start` it begins at a linear mode (a Lyapunov family): amplitude zero, the mode's frequency. The branch
+    is followed by pseudo-arclength through folds.
+
+    **Arguments:**
+
+    - `chain`: a conservative, autonomous `Lattice`; bright families need a gap, and a mode that shifts into it.
+    - `until`: the frequency at which to end; `amplitude`: the largest |u| at which to end. One of them, or `points`.
+    - `start`: a `Breather` to begin at. `mode`: index of the linear mode; `None` takes the one next to `until` whose
+      frequency moves towards it, and without `until` the highest.
+    - `step`, `longest_step`: of the length in (u, omega), in the unit of u; first 0.02 (0.01 of the lattice's length
+      scale for others) and 0.15 of it at most.
+    - `points`: the most breathers. `steps`: time steps in half a period; `None` takes h omega_max = 0.3 and doubles
+      them where the tangent map at the end still changes by more than 1e-8.
+    - `tolerance`: of max |v(T/2)|. `stability`: also the multipliers. `veto`, `stop`: as in `continuation`, on
+      (x, omega).
+
+    **Returns:** `Branch`. **Raises** ValueError for lattices that are damped, driven or in lanes, a mode that is not
+    there, and both `mode` and `start`; RuntimeError where the first breather is not found.
+    Source: Flach, Gorbach, Phys. Rep. 467, 1 (2008); Theocharis et al., Phys. Rev. E 82, 056604 (2010).
+    """
+    checked_lattice(chain)
+    if start is not None and mode is not None:
+        refuse("mode", "a mode or a start", "both", "A start says where the family begins.")
+    if start is not None and not isinstance(start, Breather):
+        refuse("start", "a Breather", f"a {type(start).__name__}", "gx.breathers.breather finds one.")
+    ways = [_from(chain, start)] if start is not None else _modes(chain, until, mode)
+    unit = 1.0 if step is None else step / 0.02
+    step = 0.02 * unit
+    longest_step = 0.15 * unit if longest_step is None else longest_step
+
+    def follow(way, count, most):
+        problem = by_frequency(chain, count, solver)
+        x0, omega, direction = way(problem.half)
+        grown = None if amplitude is None else _grown(problem.half, amplitude)
+        return problem, continuation(
+            problem.residual, x0, omega, args=chain, until=until, direction=direction(until), points=most,
+            step=step if start is not None else FIRST * step, longest_step=longest_step, least_step=1e-6 * step,
+            linearise=problem.linearise, tolerance=tolerance, veto=veto, stop=_both(grown, stop))
+
+    count = steps or half_steps(chain, 2 * np.pi / ways[0](by_frequency(chain, 8).half)[1])
+    chosen = ways[0] if len(ways) == 1 else _towards(ways, until, lambda way: follow(way, count, PROBE)[1])
+    problem, curve = follow(chosen, count, points)
+    enough = steps or _enough(problem, chain, curve, count)
+    if enough > count:
+        problem, curve = follow(chosen, enough, points)
+    return _branch(problem, chain, curve, stability)
+
+
+def _enough(problem, chain, curve, count):
+    """Steps for which the last tangent map is known well enough, or from which on more help little (open contacts)."""
+    before = np.inf
+    for doubled in count * 2 ** np.arange(DOUBLINGS):
+        problem = eqx.tree_at(lambda p: p.half.flow.steps, problem, jnp.asarray(doubled))
+        error = spectrum_of(problem, chain, curve.x[-1], curve.p[-1]).step_error
+        if error <= LET_PASS or error > before / SLOW:
+            break
+        before = error
+    return int(doubled)
+
+
+def _from(chain, start):
+    def way(half):
+        x0 = np.asarray(half.guess(start.state))
+        return x0, float(start.omega), lambda until: np.sign((until or np.inf) - float(start.omega)) or 1.0
+
+    return way
+
+
+def _modes(chain, until, mode):
+    """Ways to begin at a linear mode, those to try in their order."""
+    modes = normal_modes(chain)
+    omega = np.asarray(modes.omega)
+    shapes = np.concatenate([np.asarray(x).reshape(-1, len(omega)) for x in jax.tree.leaves(modes.modes)])
+    if mode is not None:
+        if not 0 <= mode < len(omega) or not omega[mode] > 0:
+            refuse("mode", f"a mode that oscillates, of {len(omega)}", repr(mode))
+        chosen = [mode]
+    elif until is None:
+        chosen = [len(omega) - 1]
+    else:
+        above, below = np.flatnonzero(omega > until), np.flatnonzero((omega < until) & (omega > 0))
+        chosen = [*above[:1], *below[-1:]]
+        chosen.sort(key=lambda i: abs(omega[i] - until))
+    if not chosen or not omega[chosen[0]] > 0:
+        refuse("chain", "a linear mode that oscillates", "none (a sonic vacuum?)",
+               "Give start=, from gx.breathers.breather with a seed.")
+    return [_beside(float(omega[i]), shapes[:, i]) for i in chosen]
+
+
+def _beside(omega, shape):
+    peak = np.argmax(np.abs(shape))
+    shape = shape / shape[peak]
+
+    def way(half):
+        free = half.moves.shape[1]
+        tangent = np.concatenate([shape, np.zeros(free + 1)])
+        return np.zeros(len(shape) + free), omega, lambda until: tangent
+
+    return way
+
+
+def _towards(ways, until, probe):
+    """The first way whose frequency moves towards `until`."""
+    for way in ways:
+        try:
+            found = probe(way)
+        except RuntimeError:
+            continue
+        if (found.p[-1] - found.p[0]) * (until - found.p[0]) > 0 or "reached" in found.outcome:
+            return way
+    refuse("until", "a frequency that a family moves to", f"{until:.6g}",
+           "The linear modes next to it shift away from it with amplitude: give mode= or start=.")
+
+
+def _grown(half, amplitude):
+    def stop(x, omega):
+        size = float(np.abs(x[: half.size]).max())
+        return f"the amplitude is {size:.4g}" if size >= amplitude else None
+
+    return stop
+
+
+def _both(first, second):
+    if first is None or second is None:
+        return first or second
+    return lambda x, omega: first(x, omega) or second(x, omega)
+
+
+def _branch(problem, chain, curve, stability):
+    states = [problem.half.state(jnp.asarray(x)) for x in curve.x]
+    found = [spectrum_of(problem, chain, x, p) for x, p in zip(curve.x, curve.p)] if stability else []
+    verdicts = [decide(s.multipliers, s.error, s.expected, True)[0] for s in found]
+    size = 2 * problem.half.size
+    none = np.full((len(curve.p), size), np.nan)
+    return Branch(
+        curve.p, np.array([float(energy(chain, y)) for y in states]),
+        np.array([np.abs(ravel_pytree(y.u)[0]).max() for y in states]),
+        jax.tree.map(lambda *x: np.stack([np.asarray(a) for a in x]), *[y.u for y in states]),
+        np.stack([s.multipliers for s in found]) if found else none.astype(complex),
+        np.stack([s.error for s in found]) if found else none,
+        np.array(verdicts if found else [""] * len(curve.p)),
+        np.array([s.step_error for s in found]) if found else np.full(len(curve.p), np.nan),
+        curve.folds, curve.branch_points, curve.outcome, curve.x, curve.tangents, curve, problem, chain,
+    )

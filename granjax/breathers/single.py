@@ -1,0 +1,119 @@
+"""One breather at a given frequency."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..checks import one_of, refuse
+from ..floquet.spectrum import one_thread
+from ..flow import Flow
+from ..lattice import State
+from ..newton import newton
+from ..orbits import HalfPeriod
+from ..solvers import KahanLi8
+from .branch import Breather
+from .envelope import bright_seed, cell_of, dark_seed, edge_of, edges_beside, refuse_bright, supports_bright
+from .family import family
+from .problem import TOLERANCE, checked_lattice, half_steps
+from .resonances import refuse_resonance
+
+SEEDS = ("bright", "dark")
+# share of the sites over which a state must spread (as a participation) to count as a background
+FILLS = 0.4
+# of the distance from the edge, where the envelope is a better guess
+NEARER = (0.5, 0.2, 0.1)
+
+
+@one_thread
+def breather(chain, omega, seed=None, *, centre=None, steps=None, solver=None, tolerance=TOLERANCE, max_steps=30,
+             check=True, throw=None):
+    r"""A time-reversible breather of frequency omega: v(0) = 0, v(T/2) = 0, T = 2 pi/omega.
+
+    **Arguments:**
+
+    - `chain`: a conservative, autonomous `Lattice`. `omega`: [rad/s].
+    - `seed`: where Newton's method starts. `None`: the family from the linear mode next to omega. `"bright"`,
+      `"dark"`: the envelope's soliton of a periodic chain, centred on `centre` (a site, or 3.5 for a bond; `None` the
+      middle); dark with the ends that the chain has (free: constant force; walls or a ring: fixed length). A `State`,
+      such as that of another breather, of `seeds.single_site`, or a simulated one, whose velocities are dropped.
+    - `steps`: time steps in half a period; `None` takes h omega_max = 0.3. `tolerance`: of max |v(T/2)|.
+    - `check`: refuse a frequency of which a harmonic meets a band, or whose gap has no bright breathers.
+    - `throw`: raise where Newton's method does not converge; `None` does so outside of transformations.
+
+    With a `State` and `steps` it works inside `jit` and `vmap`, and its state and energy are differentiable in every
+    parameter of the chain and in omega, by the implicit function theorem.
+
+    **Returns:** `Breather`; `throw=False` returns the best iterate. **Raises** ValueError for a frequency that has no
+    such breather, with the reason; RuntimeError where Newton's method does not converge.
+    """
+    if isinstance(seed, str):
+        one_of("seed", seed, SEEDS)
+    elif seed is not None and not (isinstance(seed, tuple) and len(seed) == 2):
+        refuse("seed", "None, 'bright', 'dark' or a State", f"a {type(seed).__name__}")
+    traced = any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves((chain, omega, seed)))
+    if not traced:
+        checked_lattice(chain)
+        if not omega > 0:
+            refuse("omega", "a frequency above zero", repr(omega))
+        if check:
+            _check(chain, float(omega), seed)
+    elif seed is None or isinstance(seed, str) or steps is None:
+        refuse("seed", "a State, and steps=, under a transformation", repr(seed), "Find one outside first.")
+    if seed is None:
+        found = family(chain, float(omega), stability=False, points=400, steps=steps, solver=solver)
+        if "reached" not in found.outcome:
+            raise RuntimeError(f"The family did not reach omega = {float(omega):.6g}: {found.outcome}")
+        seed = found.breather(-1).state
+    steps = steps or half_steps(chain, 2 * np.pi / float(omega))
+    half = HalfPeriod.of(chain, Flow(steps if traced else jnp.asarray(steps), solver or KahanLi8()))
+    if isinstance(seed, str):
+        seed = _from_envelope(chain, half, float(omega), seed, centre, tolerance)
+    return _solve(chain, half, State(*seed), omega, tolerance, max_steps, throw)
+
+
+def _from_envelope(chain, half, omega, kind, centre, tolerance):
+    """A State to start at: the envelope's soliton, or one nearer to the edge followed to omega."""
+    make = dark_seed if kind == "dark" else bright_seed
+    seed = make(chain, omega, centre)
+    if newton(half.residual, half.guess(seed), (chain, 2 * jnp.pi / omega), linearise=half.linearise, throw=False,
+              tolerance=tolerance).converged:
+        return seed
+    edge = edge_of(chain, omega, kind)
+    for fraction in NEARER:
+        near = edge + fraction * (omega - edge)
+        found = _solve(chain, half, make(chain, near, centre), near, tolerance, 30, False)
+        if found.converged:
+            branch = family(chain, omega, start=found, stability=False, points=400, steps=int(half.flow.steps))
+            return branch.breather(-1).state
+    return seed
+
+
+def _solve(chain, half, seed, omega, tolerance, max_steps, throw):
+    root = newton(half.residual, half.guess(seed), (chain, 2 * jnp.pi / omega), tolerance=tolerance,
+                  max_steps=max_steps, linearise=half.linearise, throw=throw)
+    state = half.state(root.x)
+    return Breather(state, omega, _energy(chain, state), root.residual, chain, root.code, root.outcome)
+
+
+@eqx.filter_jit
+def _energy(chain, state):
+    return chain.energy(0.0, state.u, state.v)
+
+
+def _check(chain, omega, seed):
+    # a State that fills the lattice is a wave with a dip: its first harmonic is in the band by nature
+    fills = isinstance(seed, tuple) and _spread(seed) > FILLS
+    refuse_resonance(chain, omega, fills or seed == "dark")
+    if seed == "dark" or isinstance(seed, tuple) or cell_of(chain) is None:
+        return
+    edges = edges_beside(chain, omega)
+    # a finite chain may have modes in a gap, at its ends, from which families leave too
+    if edges and not any(supports_bright(edge) for edge in edges) and (seed or len(edges[0].coefficients.mode) == 1):
+        refuse_bright(chain, omega)
+
+
+def _spread(seed):
+    u = np.concatenate([np.ravel(x) for x in jax.tree.leaves(seed[0])])
+    weight = (u - u.mean()) ** 2
+    return weight.sum() ** 2 / max((weight**2).sum() * len(u), np.finfo(float).tiny)

@@ -1,0 +1,176 @@
+"""Solitons of the envelope equation, the breathers that they seed, and modulational instability."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ...checks import concrete, parameter, refuse, show, whole
+
+
+def bright(X, T, kappa, nu2, nu3, X0=0.0):
+    r"""Bright soliton at rest: Y = (2 kappa/nu3)^{1/2} sech[(kappa/nu2)^{1/2} (X - X0)] exp(i kappa T).
+
+    **Arguments:** `X`, `T`: arrays that broadcast; `kappa`: shift of the frequency, of the sign of nu2 and nu3; `nu2`,
+    `nu3`: as in `coefficients`, at constant force; `X0`: centre. **Returns:** Y, complex.
+    **Raises** ValueError where nu2 nu3 < 0, which has only dark solitons, and where kappa nu3 <= 0.
+    """
+    amplitude, width = _bright(kappa, nu2, nu3)
+    return amplitude * _sech(width * (X - X0)) * jnp.exp(1j * kappa * T)
+
+
+def dark(X, T, kappa, nu2, nu3, X0=0.0, nu3_force=None):
+    r"""Black soliton: Y = (kappa/nu3)^{1/2} tanh[(-nu3_force kappa/(2 nu2 nu3))^{1/2} (X - X0)] exp(i kappa T).
+
+    At constant force nu3_force = nu3 and the inverse width is (-kappa/(2 nu2))^{1/2}. At fixed length the background
+    has the nu3 of fixed length (monomer at k = pi: 3 K4 K2^{-1/2}, m = 1), while the dip keeps that of constant force.
+
+    **Arguments:** as in `bright`; `nu3` of the background, `nu3_force` of the dip, `None` for the same.
+    **Returns:** Y, complex.
+    **Raises** ValueError where nu2 nu3_force > 0, which has only bright solitons, and where kappa nu3 <= 0.
+    """
+    amplitude, width = _dark(kappa, nu2, nu3, nu3 if nu3_force is None else nu3_force)
+    return amplitude * jnp.tanh(width * (X - X0)) * jnp.exp(1j * kappa * T)
+
+
+def growth_rate(Q, amplitude, nu2, nu3):
+    r"""Growth per unit T of a modulation e^{iQX} of a uniform wave: [nu2 Q^2 (2 nu3 |Y|^2 - nu2 Q^2)]^{1/2}.
+
+    Zero where the bracket is not positive. Largest, nu3 |Y|^2, at Q^2 = nu3 |Y|^2/nu2.
+
+    **Arguments:** `Q`: per cell; `amplitude`: |Y|; `nu2`, `nu3`: as in `coefficients`, at constant force, also where
+    the chain has a fixed length. **Returns:** array of their broadcast shape.
+    Source: T. B. Benjamin, J. E. Feir, J. Fluid Mech. 27, 417 (1967).
+    """
+    Q, amplitude = parameter("Q", Q), parameter("amplitude", amplitude)
+    square = nu2 * Q**2 * (2 * nu3 * amplitude**2 - nu2 * Q**2)
+    return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0)
+
+
+class Profile(eqx.Module):
+    """A breather at a turning point (all velocities zero), to second order in its amplitude; N sites.
+
+    - `strain` (N,): y_i = u_i - u_{i+1} of the bond to the right of site i; the last one leads out of the chain.
+    - `mean_strain` (N,): its part that does not oscillate. `displacement` (N,): sites, with `strain` as differences.
+    - `amplitude`: |Y|, at the centre (bright) or far from it (dark); `inverse_width`: per cell.
+    - `omega`: frequency of the breather; `kappa`: that less the linear one.
+    """
+
+    strain: jax.Array
+    mean_strain: jax.Array
+    displacement: jax.Array
+    amplitude: jax.Array
+    inverse_width: jax.Array
+    omega: jax.Array
+    kappa: jax.Array
+
+
+def bright_profile(coefficients, omega, cells, centre=None):
+    r"""Bright breather of frequency omega: 2 (2 kappa/nu3)^{1/2} sech[(kappa/nu2)^{1/2} x], kappa = omega - omega(k).
+
+    The strain holds the oscillation at its turning point, the second harmonic and the mean strain. Far away the chain
+    is at rest, so constant force and fixed length are the same.
+
+    **Arguments:**
+
+    - `coefficients`: what `nls.coefficients` returned at k = 0 or pi, where the packet stands still.
+    - `omega`: frequency of the breather, on the side of omega(k) to which the nonlinearity shifts it.
+    - `cells`: number of cells; the first site of the chain is the first of the cell.
+    - `centre`: in sites: 4 is site 4, 4.5 the bond between 4 and 5; `None` the middle, (N - 1)/2.
+
+    **Returns:** `Profile`. Relative error of the strain of the order of `inverse_width` squared.
+    **Raises** ValueError for another k, where nu2 nu3 < 0, and for omega on the other side.
+    Typical: dimer K2, K3, K4 = 3/2, 3/8, -1/16 with m = 1, M = 3 at the bottom of its optical branch,
+    omega = 0.99 sqrt3.
+    """
+    kappa = _kappa(coefficients, omega)
+    amplitude, width = _bright(kappa, coefficients.nu2, coefficients.nu3_force)
+    strains = _profile(coefficients, _sech, amplitude, width, 0.0, *_places(coefficients, cells, centre))
+    return Profile(*strains, amplitude, width, kappa + coefficients.omega, kappa)
+
+
+def dark_profile(coefficients, omega, cells, centre=None):
+    r"""Dark breather of frequency omega: 2 (kappa/nu3)^{1/2} tanh[b x], b as in `dark`, kappa = omega - omega(k).
+
+    As `bright_profile`. At fixed length (`coefficients` with `constraint="length"`) the mean strain vanishes far from
+    the dip, as in an infinite chain; a ring of N sites is stretched by the dip's mean strain over N.
+
+    **Raises** ValueError for k other than 0 or pi, where nu2 nu3_force > 0, and for omega on the other side.
+    Typical: monomer K2, K3, K4 = 3/2, 3/8, -1/16, m = 1, k = pi, omega = 0.99 sqrt6: amplitude 0.23094.
+    """
+    kappa, c = _kappa(coefficients, omega), coefficients
+    amplitude, width = _dark(kappa, c.nu2, c.nu3, c.nu3_force)
+    background = (c.mean_strain - c.mean_strain_force) * amplitude**2
+    strains = _profile(c, jnp.tanh, amplitude, width, background, *_places(c, cells, centre))
+    return Profile(*strains, amplitude, width, kappa + c.omega, kappa)
+
+
+def _sech(x):
+    # neither overflows nor has a kink
+    return 2 * jnp.exp(-(jax.nn.softplus(2 * x) + jax.nn.softplus(-2 * x)) / 2)
+
+
+def _bright(kappa, nu2, nu3):
+    kappa, nu2, nu3 = _signs(kappa, nu2, nu3, nu3, 1)
+    return jnp.sqrt(2 * kappa / nu3), jnp.sqrt(kappa / nu2)
+
+
+def _dark(kappa, nu2, nu3, nu3_force):
+    kappa, nu2, nu3 = _signs(kappa, nu2, nu3, nu3_force, -1)
+    return jnp.sqrt(kappa / nu3), jnp.sqrt(-nu3_force * kappa / (2 * nu2 * nu3))
+
+
+def _signs(kappa, nu2, nu3, nu3_force, focusing):
+    """Refuses what has no such soliton: `focusing` is the sign of nu2 nu3_force that it asks for."""
+    kappa, nu2, nu3 = parameter("kappa", kappa), parameter("nu2", nu2), parameter("nu3", nu3)
+    values = [concrete(x) for x in (kappa, nu2, nu3, nu3_force)]
+    if any(value is None for value in values):
+        return kappa, nu2, nu3
+    shift, two, three, force = values
+    wanted, other = ("bright", "dark") if focusing == 1 else ("dark", "bright")
+    if not (np.sign(two * force) == focusing).all():
+        signs = [f"{'>' if (x > 0).all() else '<' if (x < 0).all() else 'about'} 0" for x in (force, two)]
+        refuse("nu2, nu3", f"a pair with {wanted} solitons", f"nu3 = {_short(force)} and nu2 = {_short(two)}",
+               f"nu3 {signs[0]} with nu2 {signs[1]}: only {other} solitons exist here.")
+    if not (shift * three > 0).all():
+        refuse("kappa", f"a shift of the sign of nu3 = {_short(three)}", _short(shift),
+               f"The nonlinearity {'raises' if (three > 0).all() else 'lowers'} the frequency of this wave.")
+    return kappa, nu2, nu3
+
+
+def _short(x):
+    return f"{x:.6g}" if np.ndim(x) == 0 else show(x)
+
+
+def _kappa(coefficients, omega):
+    k, resonant = concrete(coefficients.k), concrete(coefficients.resonant)
+    if k is not None and abs(np.sin(k)) > 1e-9:
+        refuse("coefficients", "those of k = 0 or pi, where a packet stands still", f"k = {show(k)}")
+    if resonant is not None and resonant:
+        refuse("coefficients", "an envelope equation", "none", coefficients.outcome)
+    return parameter("omega", omega) - coefficients.omega
+
+
+def _places(coefficients, cells, centre):
+    cells = whole("cells", cells, 1)
+    return cells, parameter("centre", (len(coefficients.mode) * cells - 1) / 2 if centre is None else centre)
+
+
+@eqx.filter_jit
+def _profile(c, shape, amplitude, width, background, cells, centre):
+    """Strain, mean strain and displacement of a chain of cells under a real envelope (P sites per cell)."""
+    P = len(c.mode)
+    i = np.arange(P * cells)
+    j, sign = i % P, jnp.where(jnp.cos(c.k) > 0, 1, -1) ** (i // P)
+    envelope = lambda x: amplitude * shape(width * x / P)
+    bonds = i + 0.5 - centre
+    # a modulated wave strains bond j by s A - i (ds/dk) A'; of it, `lag` is what the place of the bond does not say
+    s, lag = jnp.real(c.strain), P * jnp.imag(c.strain_slope) - jnp.real(c.strain) * np.arange(P)
+    lag = lag - s * jnp.sum(s * lag) / jnp.sum(s**2)
+    A, slope = jax.jvp(envelope, (bonds,), (jnp.ones_like(bonds),))
+    swing = 2 * sign * (s[j] * A + lag[j] * slope) + 2 * jnp.real(c.harmonic_strain)[j] * A**2
+    mean = c.mean_strain_force[j] * A**2 + jnp.broadcast_to(background, P)[j]
+    u, drift = (-jnp.append(0, jnp.cumsum(strain)[:-1]) for strain in (swing, mean))
+    A = envelope(i - centre)
+    wave = 2 * sign * jnp.real(c.mode)[j] * A + 2 * jnp.real(c.harmonic_mode)[j] * A**2
+    return swing + mean, mean, u + jnp.mean(wave - u) + drift - jnp.mean(drift)
