@@ -98,17 +98,16 @@ def continuation(
         if there is None:
             step /= 2
             continue
-        crossed = [b for b in bounds if (here.p - b) * (there.p - b) < 0 or there.p == b]
-        if crossed:
-            bound = min(crossed, key=lambda b: abs(b - here.p))
-            there = system.at(there.z, bound, there.tangent)
+        bound, near = _met(system, here, there, bounds)
+        if near is not None:
+            there = system.at(near.z, bound, near.tangent)
             if there is None:
                 reason, step = f"Newton failed at p = {bound:.6g}", step / 2
                 continue
         special += [_located(system, kind, here, there, len(trace) - 1) for kind in find if here.crosses(there, kind)]
         trace.append(there)
         newton_steps += there.steps
-        if crossed:
+        if near is not None:
             outcome = f"p reached {bound:.6g}."
             break
         why = None if stop is None else stop(there.x, there.p)
@@ -147,7 +146,7 @@ class _Point(NamedTuple):
         return self.test(kind) * other.test(kind) < 0
 
 
-class _Augmented(eqx.Module):
+class Bordered(eqx.Module):
     """F(x, p) = 0 and border . (z - z_predicted) = 0, for Newton."""
 
     function: Callable
@@ -175,7 +174,7 @@ class _Augmented(eqx.Module):
 
 
 @eqx.filter_jit
-def _tangent(augmented, z, args, border):
+def tangent_at(augmented, z, args, border):
     """The unit tangent with border . tangent > 0, and the logarithm and sign of the bordered determinant."""
     _, jacobian = augmented.jacobian(z, args)
     square = jnp.vstack([jacobian, border])
@@ -189,7 +188,7 @@ class _System:
     """Corrector and tangents of one problem."""
 
     def __init__(self, residual, linearise, args, tolerance):
-        self.augmented, self.args, self.tolerance = _Augmented(residual, linearise), args, tolerance
+        self.augmented, self.args, self.tolerance = Bordered(residual, linearise), args, tolerance
         self.scale = None
 
     def first(self, x0, p0, direction, step):
@@ -229,7 +228,7 @@ class _System:
                       max_steps=most, linearise=self.augmented.linearise, throw=False)
 
     def _point(self, z, before, steps):
-        tangent, sign, size, _ = _tangent(self.augmented, jnp.asarray(z), self.args, jnp.asarray(before))
+        tangent, sign, size, _ = tangent_at(self.augmented, jnp.asarray(z), self.args, jnp.asarray(before))
         # relative to the first point's, so that its size means how near to zero it is
         self.scale = float(size) if self.scale is None else self.scale
         return _Point(z, np.asarray(tangent), float(sign * jnp.exp(jnp.clip(size - self.scale, -200, 200))), steps)
@@ -239,23 +238,42 @@ def _advance(system, here, step, veto):
     there, reason = system.correct(here.z + step * here.tangent, here.tangent, here.tangent)
     if there is None:
         return None, reason
-    if there.tangent @ here.tangent < LEAST_COSINE:
+    # no tangent (NaN) where the step has met a branch point itself
+    if not there.tangent @ here.tangent >= LEAST_COSINE:
         return None, "the branch turns faster than the step resolves, or another branch was met"
     why = None if veto is None else veto(there.x, there.p, here.x, here.p)
     return (None, f"vetoed, {why}") if why else (there, "")
 
 
+def _met(system, here, there, bounds):
+    """The bound that p meets first between two points, and a point of the branch near it."""
+    if bounds:
+        # p may turn back on the way: up to the fold and from there on it is monotone
+        turn = [_zero(system, here, there, lambda point: point.test("fold"))] if here.crosses(there, "fold") else []
+        for a, b in zip([here, *turn], [*turn, there]):
+            met = [bound for bound in bounds if (a.p - bound) * (b.p - bound) < 0 or b.p == bound]
+            if met:
+                bound = min(met, key=lambda bound: abs(bound - a.p))
+                return bound, _zero(system, a, b, lambda point: point.p - bound)
+    return None, None
+
+
 def _located(system, kind, here, there, after):
-    """A special point between two, by the method of Illinois on the length along the first's tangent."""
+    best = _zero(system, here, there, lambda point: point.test(kind))
+    return Special(kind, best.x, best.p, after, _directions(system, kind, best, here.tangent))
+
+
+def _zero(system, here, there, test):
+    """Where a function of the point changes its sign, by the method of Illinois on the length along the tangent."""
     low, high = 0.0, (there.z - here.z) @ here.tangent
-    f_low, f_high = here.test(kind), there.test(kind)
-    best = min((here, there), key=lambda point: abs(point.test(kind)))
+    f_low, f_high = test(here), test(there)
+    best = min((here, there), key=lambda point: abs(test(point)))
     for _ in range(LOCATE):
         s = high - f_high * (high - low) / (f_high - f_low)
         point, _ = system.correct(here.z + s * here.tangent, here.tangent, here.tangent)
         if point is None:
             break
-        f, best = point.test(kind), point
+        f, best = test(point), point
         if f * f_high <= 0:
             low, f_low = high, f_high
         else:
@@ -263,7 +281,7 @@ def _located(system, kind, here, there, after):
         high, f_high = s, f
         if not f or np.isnan(f) or abs(high - low) <= 1e-13 * abs(np.linalg.norm(there.z - here.z)) or f_high == f_low:
             break
-    return Special(kind, best.x, best.p, after, _directions(system, kind, best, here.tangent))
+    return best
 
 
 def _directions(system, kind, point, before):

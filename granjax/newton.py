@@ -66,7 +66,9 @@ def newton(residual, x0, args=None, *, tolerance=1e-10, max_steps=20, linearise=
     """
     x0 = jnp.asarray(x0)
     x0 = x0.astype(jnp.result_type(x0, float)) if not jnp.issubdtype(x0.dtype, jnp.floating) else x0
-    root = _solved(residual, linearise, x0, args, jnp.asarray(tolerance, x0.dtype), max_steps)
+    # a plain number is an input of what is compiled, not a part of it
+    args = jax.tree.map(lambda leaf: jnp.asarray(leaf) if isinstance(leaf, float) else leaf, args)
+    root = _solved(residual, linearise, x0, args, jnp.asarray(tolerance, x0.dtype), jnp.asarray(max_steps))
     known = not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(root))
     if known and (throw is None or throw) and not np.all(root.converged):
         raise RuntimeError(root.outcome)
@@ -79,13 +81,16 @@ def _solved(residual, linearise, x0, args, tolerance, max_steps):
 
     def solve(f, x0):
         del f
-        return _iterate(both, x0, jax.lax.stop_gradient(args), tolerance, max_steps)
+        x, rest = _iterate(both, x0, jax.lax.stop_gradient(args), tolerance, max_steps)
+        # whole numbers have no tangents of a kind that `custom_root` could give them
+        return x, tuple(jnp.asarray(part, x0.dtype) for part in rest)
 
     def tangent_solve(g, y):
         return jnp.linalg.solve(jax.jacfwd(g)(jnp.zeros_like(y)), y)
 
     x, rest = jax.lax.custom_root(lambda x: residual(x, args), x0, solve, tangent_solve, has_aux=True)
-    return Root(x, *rest, tolerance)
+    size, first, steps, code = rest
+    return Root(x, size, first, steps.astype(int), code.astype(int), tolerance)
 
 
 def _by_forward_mode(residual):

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import one_of
-from ..continuation import Bordered
+from ..continuation import Bordered, tangent_at
 from ..floquet.spectrum import one_thread
 from ..newton import newton
 from .problem import TOLERANCE, energy_slope, spectrum_of
@@ -77,9 +77,10 @@ class _Point:
     def count(self, kind):
         """How many of a kind; the energy's slope along the branch, 0 or 1."""
         if kind == "extremum of energy":
-            b = self.branch
-            along = b.tangents[self.i if self.s is not None else self.i + 1]
-            return int(energy_slope(b.problem, b.lattice, jnp.asarray(self.z[:-1]), jnp.asarray(along)) > 0)
+            b, along = self.branch, jnp.asarray(self.branch.tangents[self.i])
+            here = jnp.asarray(self.z)
+            along = tangent_at(Bordered(b.problem.residual, b.problem.linearise), here, b.lattice, along)[0]
+            return int(energy_slope(b.problem, b.lattice, here[:-1], along) > 0)
         traces, symmetries = self.spectrum.half_traces, self.spectrum.expected // 2
         # mu that nearly meet split like a square root of the error, their sum does not: near 1 the sum decides
         error = max(self.spectrum.step_error, LEAST_ERROR)
@@ -102,21 +103,21 @@ def _at(branch, i, s):
     ends = [np.append(b.unknowns[j], b.omega[j]) for j in (i, i + 1)]
     if s is None:
         return _Point(b, i, None, ends[1])
-    tangent = b.tangents[i]
+    along = b.tangents[i]
     if s == 0:
         return _Point(b, i, 0.0, ends[0])
-    whole = (ends[1] - ends[0]) @ tangent
+    whole = (ends[1] - ends[0]) @ along
     guess = ends[0] + s / whole * (ends[1] - ends[0])
     curve = Bordered(b.problem.residual, b.problem.linearise)
-    arguments = b.lattice, jnp.asarray(tangent), jnp.asarray(ends[0] + s * tangent)
+    arguments = b.lattice, jnp.asarray(along), jnp.asarray(ends[0] + s * along)
     root = newton(curve.residual, jnp.asarray(guess), arguments, tolerance=TOLERANCE, linearise=curve.linearise,
                   throw=False)
     return _Point(b, i, s, np.asarray(root.x))
 
 
 def _locate(branch, i, kind, ends, accuracy):
-    tangent = branch.tangents[i]
-    low, high = 0.0, float((ends[1].z - ends[0].z) @ tangent)
+    along = branch.tangents[i]
+    low, high = 0.0, float((ends[1].z - ends[0].z) @ along)
     behind = ends[1].count(kind)
     point = ends[0]
     for _ in range(HALVINGS):
@@ -126,6 +127,6 @@ def _locate(branch, i, kind, ends, accuracy):
             high = middle
         else:
             low = middle
-        if abs((high - low) * tangent[-1]) < accuracy * point.z[-1] / 4:
+        if abs((high - low) * along[-1]) < accuracy * point.z[-1] / 4:
             break
     return point
