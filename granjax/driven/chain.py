@@ -1,0 +1,106 @@
+"""A chain between walls that move."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from ..checks import one_of, parameter, refuse
+from ..lattice import Lattice
+from ..strains import Shift
+from ..terms import Bond, Damping, Harmonic, Wall
+
+SIDES = ("left", "right")
+
+
+def driven_chain(chain, amplitude, omega, *, ends=SIDES, damping=None, phase=0.0, field=None):
+    r"""A chain whose end walls shake: w(t) = a cos(omega t + phase), u_0 = w on the left, u_{N+1} = w on the right.
+
+    m_n u_n'' = F_n(u_{n-1} - u_n) - F_{n+1}(u_n - u_{n+1}) - gamma m_n u_n'. The end bonds keep their law and become
+    `Wall` terms; the bonds between become `Shift(1, "free")`; an end that is not driven keeps a wall at rest.
+
+    **Arguments:**
+
+    - `chain`: a `Lattice` whose walls are fixed, such as `gx.scenes.monomer(21, precompression=1.0)`.
+    - `amplitude`: a [m]; `omega`: angular frequency [rad/s]. Numbers, traced or swept.
+    - `ends`: which walls move, `"left"`, `"right"` or both.
+    - `damping`: gamma >= 0 [1/s] of every site, added to what the chain has; `None` for none.
+    - `phase` [rad]: a number for all, or one for each of `ends`. Equal phases move both walls in the same direction
+      at a time; (0, pi) makes them mirror images, which squeeze the chain together.
+    - `field`: name of the field that the walls touch, where a cell holds several.
+
+    **Returns:** a `Lattice`; its bond is where it was, walls follow after all other terms, left then right.
+    **Raises** ValueError for a lattice that is no chain with one bond to fixed walls, another term that reaches a
+    wall, an unknown or repeated end, or as many phases as do not fit.
+    Typical: a = 0.05 ... 0.5 d0, omega near a band edge, gamma = 0.01 ... 0.1 in scaled units (200/s for steel beads).
+    """
+    ends = _checked_ends(ends)
+    phases = _checked_phases(phase, ends)
+    if not isinstance(chain, Lattice) or chain.axes != 1 or chain.dimension is not None:
+        refuse("chain", "a chain with scalar displacements", _name(chain))
+    terms, law = [], None
+    for i, term in enumerate(chain.terms):
+        if law is None and _is_end_bond(term, field):
+            terms.append(Bond(Shift(1, "free", term.strain_map.fields), _inner(term.law, chain)))
+            law = term.law
+        elif _reaches_wall(term):
+            refuse("chain", "one Bond(Shift(1, 'fixed'), law) to the walls and no other term that reaches them",
+                   f"terms[{i}] ({type(term).__name__})", "Build such a scene from Wall terms.")
+        else:
+            terms.append(term)
+    if law is None:
+        refuse("chain", "a Bond(Shift(1, 'fixed'), law), which leads to walls", "none", "Use boundary='fixed'.")
+    if damping is not None:
+        terms.append(Damping(damping))
+    for side, end in (("left", 0), ("right", -1)):
+        motion = Harmonic(amplitude, omega, phases[ends.index(side)]) if side in ends else None
+        terms.append(Wall(_pick(law, chain, end), side, motion, field=field))
+    return eqx.tree_at(lambda c: c.terms, chain, tuple(terms))
+
+
+def _name(x):
+    return f"a lattice of shape {x.shape}" if isinstance(x, Lattice) else repr(x)
+
+
+def _checked_ends(ends):
+    ends = (ends,) if isinstance(ends, str) else tuple(ends)
+    ends = tuple(one_of("ends", end, SIDES) for end in ends)
+    if not ends or len(set(ends)) != len(ends):
+        refuse("ends", "'left', 'right' or both", repr(ends))
+    return ends
+
+
+def _checked_phases(phase, ends):
+    if not isinstance(phase, (tuple, list)):
+        return (parameter("phase", phase),) * len(ends)
+    if len(phase) != len(ends):
+        refuse("phase", f"a number, or {len(ends)}, one for each of {ends}", repr(phase))
+    return tuple(parameter("phase", p) for p in phase)
+
+
+def _is_end_bond(term, field):
+    strain_map = getattr(term, "strain_map", None)
+    fields = None if field is None else (field, field)
+    return (isinstance(term, Bond) and isinstance(strain_map, Shift) and strain_map.offset == (1,)
+            and strain_map.boundary == ("fixed",) and strain_map.fields == fields)
+
+
+def _reaches_wall(term):
+    strain_map = getattr(getattr(term, "term", term), "strain_map", None)
+    strain_map = getattr(strain_map, "pairs", strain_map)
+    fixed = "fixed" in getattr(strain_map, "boundary", ()) and any(strain_map.offset)
+    ends = (*getattr(strain_map, "tail", ()), *getattr(strain_map, "head", ()))
+    return isinstance(term, Wall) or fixed or -1 in ends
+
+
+def _inner(law, chain):
+    return _over_bonds(law, chain, lambda x: x if x.shape[0] == 1 else x[1:-1])
+
+
+def _pick(law, chain, end):
+    return _over_bonds(law, chain, lambda x: x[end])
+
+
+def _over_bonds(law, chain, choose):
+    """`choose` applied to every parameter that has an axis over the bonds."""
+    axes = 1 + len(chain.lanes)
+    return jax.tree.map(lambda x: choose(x) if jnp.ndim(x) == axes else x, law)

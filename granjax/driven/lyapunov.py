@@ -1,0 +1,116 @@
+"""Lyapunov exponents of a lattice, forced or free, by renormalised tangents."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+
+from ..checks import positive, refuse, whole
+from ..flow import Flow
+from ..flow.stepping import columns, matrix
+from ..lattice import State
+from ..solvers import SRKN11b
+from ..terms import Drive, Modulated, Wall
+from .settle import steps_per_period
+
+
+class Lyapunov(eqx.Module):
+    """What `lyapunov` returns.
+
+    - `exponents` (k,): from the largest down [1/time]. `uncertainty` (k,): the standard error of the mean over the
+      windows plus the difference between the first and the second half of the run.
+    - `rates` (P, k): growth rate over each interval. `state`: at the end.
+    - `verdict`: periodic, quasi-periodic, chaotic, ... within the uncertainty, a sentence.
+    """
+
+    exponents: np.ndarray
+    uncertainty: np.ndarray
+    rates: np.ndarray
+    state: State
+    verdict: str = eqx.field(static=True)
+
+    @property
+    def chaotic(self):
+        """Whether the largest exponent exceeds its uncertainty."""
+        return bool(self.exponents[0] > self.uncertainty[0])
+
+
+def lyapunov(lattice, state, period, *, periods=1000, transient=100, number=1, windows=10, steps=None,
+             solver=SRKN11b(), seed=0):
+    r"""The k largest Lyapunov exponents: mean growth of tangents that are made orthonormal again every period.
+
+    With Q_0 random and Phi_i the derivative of the flow over period i: Phi_i Q_i = Q_{i+1} R_i,
+    lambda_j = (1/(P T)) sum_i ln (R_i)_jj. Displacements count times the mean frequency of a step, so that both halves
+    of a tangent have one size; the exponents do not depend on it.
+
+    Exact: damping gamma of all sites makes the exponents pair, lambda_j + lambda_{2N+1-j} = -gamma, and the whole
+    spectrum sum to -gamma N. Autonomous lattices have one exponent zero along the orbit unless it is at rest.
+
+    **Arguments:**
+
+    - `lattice`, `state` at t = 0; forced or not. `period`: T of the forcing, or any time between two
+      orthonormalisations, short against 1/lambda.
+    - `periods`: P, that count; `transient`: that do not, while state and tangents turn to where they belong.
+    - `number`: k, from 1 to twice the number of displacements. `windows`: for the uncertainty, at least 4.
+    - `steps`, `solver`: as in `settle`. `seed`: of the first tangents.
+
+    **Returns:** `Lyapunov`. **Raises** ValueError for numbers that do not fit.
+    An exponent below ln(P)/(P T) is not told from zero: near-by orbits of an integrable lattice part linearly in time.
+    Source: Benettin, Galgani, Giorgilli, Strelcyn, Meccanica 15, 9 (1980); pairing: Dressler, Phys. Rev. A 38, 2103
+    (1988).
+    """
+    period = float(positive("period", period))
+    size = ravel_pytree(state)[0].size
+    number, windows = whole("number", number, 1), whole("windows", windows, 4)
+    if number > size:
+        refuse("number", f"at most {size}, twice the number of displacements", f"{number}")
+    periods, transient = whole("periods", periods, windows), whole("transient", transient, 0)
+    steps = steps_per_period(lattice, period) if steps is None else whole("steps", steps, 1)
+    start = np.random.default_rng(seed).normal(size=(size, number))
+    end, logs = _grow(Flow(steps, solver), lattice, State(*state), jnp.asarray(start), period, transient + periods)
+    rates = np.asarray(logs)[transient:] / period
+    order = np.argsort(-rates.mean(0), kind="stable")
+    rates = rates[:, order]
+    exponents, uncertainty = rates.mean(0), _uncertainty(rates, windows)
+    verdict = _verdict(lattice, exponents, uncertainty)
+    return Lyapunov(exponents, uncertainty, rates, end, verdict)
+
+
+@eqx.filter_jit
+def _grow(flow, lattice, state, start, period, periods):
+    weight = jnp.concatenate([
+        ravel_pytree(jax.tree.map(lambda x: jnp.full(x.shape, flow.steps / period), state.u))[0],
+        jnp.ones(ravel_pytree(state.v)[0].size),
+    ])[:, None]
+
+    def one(carry, _):
+        y, Q = carry
+        y, tangents = flow.tangents(y, columns(y, Q / weight), 0.0, period, lattice)
+        Q, R = jnp.linalg.qr(weight * matrix(tangents))
+        return (y, Q), jnp.log(jnp.abs(jnp.diagonal(R)))
+
+    (state, _), logs = jax.lax.scan(one, (state, jnp.linalg.qr(start)[0]), length=periods)
+    return state, logs
+
+
+def _uncertainty(rates, windows):
+    means = np.stack([part.mean(0) for part in np.array_split(rates, windows)])
+    half = len(rates) // 2
+    return means.std(0, ddof=1) / np.sqrt(windows) + np.abs(rates[:half].mean(0) - rates[half:].mean(0))
+
+
+def _verdict(lattice, exponents, uncertainty):
+    if not np.isfinite(exponents).all():
+        return "The state ceased to be finite: take more steps per period."
+    largest, doubt = exponents[0], uncertainty[0]
+    value = f"the largest exponent is {largest:.3g} +- {doubt:.1g}"
+    forced = any(isinstance(t, (Drive, Modulated)) or isinstance(t, Wall) and t.motion is not None
+                 for t in lattice.terms)
+    if largest > doubt:
+        return f"Chaotic: {value}."
+    if largest < -doubt:
+        return f"{'Periodic' if forced else 'At rest'}: {value}."
+    if forced:
+        return f"Quasi-periodic, or periodic at the edge of stability: {value}, zero within its uncertainty."
+    return f"Regular: {value}, zero within its uncertainty."

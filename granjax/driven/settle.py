@@ -1,0 +1,201 @@
+"""Periodically forced chains, period by period, until what is seen once a period repeats."""
+
+import math
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+
+from ..checks import positive, refuse, whole
+from ..flow import Flow, linear_frequency
+from ..lattice import State
+from ..measures import contact_force
+from ..solvers import SRKN11b
+from ..terms import Bond, Wall
+
+# h omega of the default step, with omega the highest linear frequency
+STEP_FRACTION = 0.4
+# periods after which a stroboscopic state may repeat
+MULTIPLES = (1, 2, 3, 4)
+# a repetition after m periods counts where that after a divisor of m is this many times worse
+APART = 1e3
+# the disturbance that the motion must forget, over the tolerance: too small to be taken for a doubled period
+DISTURBANCE = 1e2
+# periods that are kept of a motion that does not repeat
+KEPT = 16
+
+
+class Attractor(eqx.Module):
+    """Where a forced chain has settled; what `settle` returns.
+
+    - `state`: at phase 0, that is t = 0 modulo the period; `period`: T of the forcing; `periods`: how many were run.
+    - `multiple`: the motion repeats after that many periods, 1 to 4; 0 where it did not within the budget.
+    - `change`: last relative change over `multiple` periods (over one where that is 0); `changes` (periods,): over
+      one period, all along the run.
+    - `ts`, `us`, `vs`: one repetition, every step, from phase 0 on: (S,), (S, N), (S, N); sixteen periods where
+      nothing repeats. A field's name leads to its array where a cell holds several.
+    - `amplitude` (N,): largest speed of each site in it. `peak_force` (contacts,): largest contact force, F0 + F(e),
+      all bonds in the order of the terms, then walls. `energy`: mean energy.
+    - `outcome`: what became of the motion, a sentence.
+    """
+
+    state: State
+    period: float
+    periods: int
+    multiple: int
+    change: float
+    changes: np.ndarray
+    ts: jax.Array
+    us: object
+    vs: object
+    amplitude: object
+    peak_force: jax.Array
+    energy: jax.Array
+    outcome: str = eqx.field(static=True)
+
+    @property
+    def settled(self):
+        """Whether the motion repeats."""
+        return self.multiple > 0
+
+
+def settle(lattice, state, period, *, periods=4000, tolerance=1e-8, steps=None, solver=SRKN11b()):
+    r"""Run a periodically forced lattice until it repeats once a period, or after 2, 3 or 4 periods.
+
+    Two states are compared in displacements times 2 pi/T and velocities, by the largest difference over the largest
+    value. With damping gamma alone a change shrinks as exp(-gamma T/2) a period, so that the distance from the
+    attractor is about 2/(gamma T) times the last change. A repetition after m periods counts as one where that after
+    a divisor of m is a thousand times worse. What repeats is then disturbed, its velocities by a hundred times the
+    tolerance, and must come to repeat again: a start that an unstable orbit, or a symmetry, holds fast is not settled.
+
+    **Arguments:**
+
+    - `lattice`: forced with period T, `driven_chain(...)` or one of your own. `state`: at t = 0, where it starts.
+    - `period`: T > 0. `periods`: the budget, at least 8. `tolerance`: of the relative change.
+    - `steps`: per period; `None` takes h omega_max <= 0.4, with omega_max the highest linear frequency (a fixed mesh:
+      what repeats is the orbit of the discrete map). `solver`: any at a fixed step.
+
+    **Returns:** `Attractor`. **Raises** ValueError for T, a tolerance or numbers that are not above zero, or a lattice
+    without a linear frequency (a sonic vacuum) where `steps` is not given.
+    Typical: 200 to 2000 periods near a band edge with gamma T = 0.03.
+    """
+    period = float(positive("period", period))
+    tolerance = float(positive("tolerance", tolerance, "Typical: 1e-8."))
+    periods = whole("periods", periods, 8)
+    steps = steps_per_period(lattice, period) if steps is None else whole("steps", steps, 1)
+    end, used, multiple, changes = _follow(Flow(steps, solver), lattice, state, period, periods, tolerance)
+    used, multiple = int(used), int(multiple)
+    ts, us, vs, amplitude, force, energy = _watch(solver, lattice, end, period, multiple or KEPT, steps)
+    history = np.asarray(changes)[:used]
+    change = float(history[-1, MULTIPLES.index(multiple)] if multiple else history[-1, 0])
+    outcome = _sentence(used, multiple, change, history[:, 0], tolerance)
+    return Attractor(
+        end, period, used, multiple, change, history[:, 0], ts, us, vs, amplitude, force, energy, outcome,
+    )
+
+
+def steps_per_period(lattice, period, fraction=STEP_FRACTION):
+    """Steps in a period such that h omega_max <= fraction, with omega_max the highest linear frequency; at least 8."""
+    omega = float(linear_frequency(lattice))
+    if not omega > 0:
+        refuse("steps", "steps per period", "None", "Nothing is stiff at rest (a sonic vacuum): give steps=.")
+    return max(8, math.ceil(period * omega / fraction))
+
+
+def follow(flow, lattice, state, period, periods, tolerance):
+    """From phase 0 on until a state repeats, twice: (state, periods used, multiple or 0, changes (periods, 4)).
+
+    For use inside of `jax.jit`; `periods` is a Python integer.
+    """
+    flat, unravel = ravel_pytree(State(*state))
+    half = flat.size // 2
+    weight = jnp.concatenate([jnp.full(half, 2 * jnp.pi / period), jnp.ones(half)])
+    noise = np.concatenate([np.zeros(half), np.random.default_rng(0).uniform(-1, 1, half)])
+
+    def repeats(change):
+        found = 0
+        for i, m in reversed(list(enumerate(MULTIPLES))):
+            divisors = jnp.array([change[j] for j, d in enumerate(MULTIPLES[:i]) if m % d == 0])
+            found = jnp.where((change[i] <= tolerance) & jnp.all(divisors > APART * tolerance), m, found)
+        return found
+
+    def going(carry):
+        i, _, _, multiple, changes = carry
+        return (i < periods) & (multiple == 0) & jnp.isfinite(changes[jnp.maximum(i - 1, 0), 0])
+
+    def run(y, begin, changes):
+        def one(carry):
+            i, y, last, _, changes = carry
+            y = flow(y, 0.0, period, lattice)
+            x = weight * ravel_pytree(y)[0]
+            size = jnp.max(jnp.abs(x))
+            change = jnp.max(jnp.abs(x - last), 1) / jnp.where(size > 0, size, 1)
+            multiple = jnp.where(i >= begin + max(MULTIPLES), repeats(change), 0)
+            return i + 1, y, jnp.concatenate([x[None], last[:-1]]), multiple, changes.at[i].set(change)
+
+        x = weight * ravel_pytree(y)[0]
+        start = begin, y, jnp.broadcast_to(x, (max(MULTIPLES), x.size)), 0, changes
+        return jax.lax.while_loop(going, one, start)
+
+    begin = jnp.zeros((), int)
+    used, y, _, _, changes = run(State(*state), begin, jnp.zeros((periods, len(MULTIPLES)), flat.dtype))
+    x = ravel_pytree(y)[0]
+    y = unravel(x + DISTURBANCE * tolerance * jnp.max(jnp.abs(weight * x)) * noise)
+    used, y, _, multiple, changes = run(y, used, changes)
+    return y, used, multiple, changes
+
+
+def orbit(solver, lattice, state, period, count, steps):
+    """Every step of `count` periods from phase 0 on: (ts, State of (S, ...))."""
+    ts = jnp.arange(steps) * (period / steps)
+    flow = Flow(1, solver)
+
+    def step(y, t):
+        return flow(y, t, t + period / steps, lattice), y
+
+    _, ys = jax.lax.scan(step, State(*state), jnp.tile(ts, count))
+    return jnp.arange(count * steps) * (period / steps), ys
+
+
+def forces(lattice, y, t):
+    """Contact forces F0 + F(e) of all bonds in the order of the terms, then of all walls."""
+    contacts = [term for term in lattice.terms if isinstance(getattr(term, "term", term), (Bond, Wall))]
+    each = [contact_force(lattice, y, t, bond=i).ravel() for i in range(len(contacts))]
+    return jnp.concatenate(each) if each else jnp.zeros(0, lattice.dtype)
+
+
+def largest(x):
+    """Largest value over the first axis, equal steps of whole periods: top of the parabola through its neighbours."""
+    i = jnp.argmax(x, 0, keepdims=True)
+    a, b, c = (jnp.take_along_axis(x, (i + k) % len(x), 0)[0] for k in (-1, 0, 1))
+    curve = 2 * b - a - c
+    return b + (a - c) ** 2 / (8 * jnp.where(curve > 0, curve, 1))
+
+
+_follow = eqx.filter_jit(follow)
+
+
+@eqx.filter_jit
+def _watch(solver, lattice, state, period, count, steps):
+    ts, ys = orbit(solver, lattice, state, period, count, steps)
+    amplitude = jax.tree.map(lambda v: largest(jnp.abs(v)), ys.v)
+    force = largest(jax.vmap(lambda y, t: forces(lattice, y, t))(ys, ts))
+    energy = jnp.mean(jax.vmap(lambda y, t: lattice.energy(t, *y))(ys, ts))
+    return ts, ys.u, ys.v, amplitude, force, energy
+
+
+def _sentence(used, multiple, change, changes, tolerance):
+    if not np.isfinite(change):
+        return f"The state ceased to be finite after {used} periods: take more steps per period."
+    if multiple == 1:
+        return f"Settled: it repeats every period to {change:.1e}, after {used} periods."
+    if multiple:
+        name = {2: "period-doubled", 3: "period-tripled", 4: "doubled twice"}[multiple]
+        return f"Settled, {name}: it repeats every {multiple} periods to {change:.1e}, after {used} periods."
+    part = max(1, used // 8)
+    early, late = np.median(changes[used // 2 - part : used // 2]), np.median(changes[-part:])
+    if late < early / 2:
+        return f"Still settling after {used} periods: the change a period is {change:.1e} and falls; give more periods."
+    return f"Not periodic within {used} periods: quasi-periodic or chaotic, it changes by {change:.1e} a period."

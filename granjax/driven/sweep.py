@@ -1,0 +1,210 @@
+"""Response curves: the attractor followed up and down a parameter, with its jumps and its hysteresis."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..checks import concrete, parameter, positive, refuse, whole
+from ..flow import Flow
+from ..lattice import State
+from ..solvers import SRKN11b
+from .settle import follow, steps_per_period
+
+# periods over which a response is taken: a multiple of those after which a motion may repeat
+WATCHED = 12
+# of the largest response: a change below it is no jump
+SMALLEST = 1e-6
+
+
+class Jump(NamedTuple):
+    """A jump of the response at `value`: `before` and `after` it, in the direction of the sweep."""
+
+    value: float
+    before: float
+    after: float
+
+
+class Bifurcation(NamedTuple):
+    """A change at `value` of the periods after which the motion repeats, `before` and `after`; 0 where it does not."""
+
+    value: float
+    before: int
+    after: int
+
+
+class Way(eqx.Module):
+    """One way of a sweep, in the order of `Sweep.values` whichever way it went.
+
+    - `response` (P,): the chosen number. `velocity` (P, N): root mean square of each site's. `energy` (P,): mean.
+    - `multiple` (P,): periods after which the motion repeats, 0 where it does not. `periods` (P,): run at each value.
+    - `states`: at phase 0, (P, N). `jumps`, `bifurcations`: tuples of `Jump` and `Bifurcation`, as they were met.
+    """
+
+    response: np.ndarray
+    velocity: np.ndarray
+    energy: np.ndarray
+    multiple: np.ndarray
+    periods: np.ndarray
+    states: State
+    jumps: tuple[Jump, ...]
+    bifurcations: tuple[Bifurcation, ...]
+
+
+class Sweep(eqx.Module):
+    """What `sweep` returns: `values` (P,) ascending, the two ways `up` and `down`, and where they differ.
+
+    `hysteresis`: a list of pairs (low, high), intervals of the parameter in which the way up and the way down have
+    settled differently; their ends are jumps where there is one beside, else values of the sweep.
+    """
+
+    values: np.ndarray
+    up: Way
+    down: Way
+    hysteresis: list
+
+
+def rms_velocity(lattice, u, v, t):
+    """Root mean square of all velocities in a history (S, N): the default response."""
+    return jnp.sqrt(jnp.mean(v * v))
+
+
+def sweep(make: Callable, values, period_of: Callable, *, state=None, response=rms_velocity, jump=0.2, accuracy=1e-3,
+          periods=2000, tolerance=1e-6, watch=WATCHED, steps=None, solver=SRKN11b(), down=True):
+    r"""Follow the attractor of a forced lattice while one parameter goes up its values, and then down again.
+
+    Each value starts from the state that the one before left at phase 0, and runs until it repeats (`settle`) or has
+    spent its budget; the response is then taken over twelve periods more. A change of the response between two values
+    by more than `jump`, relative to the larger, is halved, each time from the state before it, until it is known to
+    `accuracy`; it is a jump if by then more than half of it is left. Changes between two motions that do not repeat
+    are none, nor those below 1e-6 of the largest response. A change of the period is halved in the same way; beside a
+    bifurcation the motion settles slowly, so that a small budget places it where settling first takes longer.
+
+    **Arguments:**
+
+    - `make(value)`: the lattice at a value of the parameter (a frequency, an amplitude, a preload); traced once, so
+      that all values share one compiled program. `period_of(value)`: T there, such as `lambda w: 2 * jnp.pi / w`.
+    - `values` (P,): ascending, P >= 2, as close as the attractor is to be followed. `state`: the first, at rest by
+      default. `down`: the way back too, from where the way up ended.
+    - `response(lattice, u, v, t)`: a number from one history u, v (S, N) over those periods, t (S,) from phase 0 on;
+      by default the root mean square of all velocities.
+    - `jump`, `accuracy`: above; both relative. `watch`: periods for the response, more where the motion does not
+      repeat. `periods`, `tolerance`, `steps`, `solver`: as in `settle`; the first or last value sets the steps.
+
+    **Returns:** `Sweep`; without `down` its `down` is `up`, and no hysteresis. **Raises** ValueError for fewer than
+    two values, or values that do not ascend.
+    """
+    values = np.asarray(parameter("values", values), float)
+    if values.ndim != 1 or len(values) < 2 or not (np.diff(values) > 0).all():
+        refuse("values", "at least two, ascending", f"shape {values.shape}", "The sweep itself goes down again.")
+    jump, accuracy = float(positive("jump", jump)), float(positive("accuracy", accuracy))
+    tolerance, periods = float(positive("tolerance", tolerance)), whole("periods", periods, 8)
+    watch = whole("watch", watch, 1)
+    first = make(jnp.asarray(values[0]))
+    if steps is None:
+        steps = max(steps_per_period(make(jnp.asarray(w)), float(period_of(w))) for w in values[[0, -1]])
+    flow = Flow(whole("steps", steps, 1), solver)
+    state = State(first.zeros(), first.zeros()) if state is None else State(*state)
+    if concrete(jax.tree.leaves(state)[0]) is None:
+        refuse("state", "numbers known before tracing", "a traced state", "A sweep runs outside of transformations.")
+
+    @jax.jit
+    def attractor(value, y):
+        lattice, period = make(value), period_of(value)
+        y, used, multiple, _ = follow(flow, lattice, y, period, periods, tolerance)
+        return _response(flow, lattice, y, period, response, watch, multiple, used)
+
+    up = _way(attractor, values, state, jump, accuracy, 1)
+    if not down:
+        return Sweep(values, up, up, [])
+    last = jax.tree.map(lambda x: x[-1], up.states)
+    back = _way(attractor, values, last, jump, accuracy, -1)
+    return Sweep(values, up, back, _hysteresis(values, up, back, jump))
+
+
+def _response(flow, lattice, y, period, response, watch, multiple, used):
+    steps = flow.steps
+    h = period / steps
+    one = Flow(1, flow.solver)
+
+    def step(y, i):
+        t = (i % steps) * h
+        return one(y, t, t + h, lattice), y
+
+    end, ys = jax.lax.scan(step, y, jnp.arange(watch * steps))
+    ts = jnp.arange(watch * steps) * h
+    velocity = jax.tree.map(lambda v: jnp.sqrt(jnp.mean(v * v, 0)), ys.v)
+    energy = jnp.mean(jax.vmap(lambda t, y: lattice.energy(t, *y))(ts, ys))
+    return {"response": response(lattice, ys.u, ys.v, ts), "velocity": velocity, "energy": energy,
+            "multiple": multiple, "periods": used, "states": end}
+
+
+def _way(attractor, values, state, jump, accuracy, direction):
+    found = []
+    for value in values[::direction]:
+        found.append(attractor(value, state))
+        state = found[-1]["states"]
+    floor = SMALLEST * max(abs(_number(x)) for x in found)
+    steps = list(zip(values[::direction][:-1], found[:-1], values[::direction][1:], found[1:]))
+    jumps = [_jump(attractor, step, accuracy, jump, floor) for step in steps]
+    changes = [_bifurcation(attractor, step, accuracy) for step in steps]
+    stacked = jax.tree.map(lambda *x: np.stack(x), *found[::direction])
+    return Way(**stacked, jumps=tuple(filter(None, jumps)), bifurcations=tuple(filter(None, changes)))
+
+
+def _number(result):
+    return float(result["response"])
+
+
+def _apart(a, b):
+    return abs(_number(a) - _number(b))
+
+
+def _halved(attractor, step, accuracy, belongs):
+    """A step between two values, halved to an accuracy: a middle that belongs to the start becomes the start."""
+    low, a, high, b = step
+    while abs(high - low) > accuracy * max(abs(low), abs(high)):
+        middle = (low + high) / 2
+        c = attractor(middle, a["states"])
+        if belongs(a, c, b):
+            low, a = middle, c
+        else:
+            high, b = middle, c
+    return float((low + high) / 2), a, b
+
+
+def _jump(attractor, step, accuracy, share, floor):
+    def is_jump(a, b):
+        return _apart(a, b) > max(share * max(abs(_number(a)), abs(_number(b))), floor)
+
+    _, a, _, b = step
+    if not is_jump(a, b) or a["multiple"] == b["multiple"] == 0:
+        return None
+    first = _apart(a, b)
+    value, a, b = _halved(attractor, step, accuracy, lambda a, c, b: _apart(a, c) < _apart(c, b))
+    if _apart(a, b) < first / 2 or not is_jump(a, b):
+        return None
+    return Jump(value, _number(a), _number(b))
+
+
+def _bifurcation(attractor, step, accuracy):
+    _, a, _, b = step
+    if a["multiple"] == b["multiple"]:
+        return None
+    value, _, _ = _halved(attractor, step, accuracy, lambda a, c, b: a["multiple"] == c["multiple"])
+    return Bifurcation(value, int(a["multiple"]), int(b["multiple"]))
+
+
+def _hysteresis(values, up, down, share):
+    apart = np.abs(up.response - down.response) > share * np.maximum(np.abs(up.response), np.abs(down.response))
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], apart, [False]]).astype(int)))
+    places = sorted(jump.value for way in (up, down) for jump in way.jumps)
+    intervals = []
+    for start, stop in zip(edges[::2], edges[1::2] - 1):
+        below = [p for p in places if start > 0 and values[start - 1] <= p <= values[start]]
+        above = [p for p in places if stop < len(values) - 1 and values[stop] <= p <= values[stop + 1]]
+        intervals.append((float(below[0] if below else values[start]), float(above[-1] if above else values[stop])))
+    return intervals

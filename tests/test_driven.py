@@ -1,0 +1,278 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from cases import MASS_IN_MASS
+
+import granjax as gx
+from granjax import driven
+from granjax.driven.sweep import Jump
+
+RNG = np.random.default_rng(5)
+
+
+def state(lattice, size=0.3, seed=1):
+    rng = np.random.default_rng(seed)
+    return gx.State(*(jnp.asarray(x) for x in rng.normal(0, size, (2, *lattice.shape))))
+
+
+def rest(lattice):
+    return gx.State(lattice.zeros(), lattice.zeros())
+
+
+def duffing(force, omega, K2=1.0, K4=0.0, damping=0.02):
+    """x'' + gamma x' + K2 x + K4 x^3 = f cos(omega t) on site 0, unforced on site 1."""
+    law = gx.Polynomial(K2, 0.0, K4)
+    terms = gx.OnSite(law), gx.Damping(damping), gx.Drive(gx.Harmonic(force, omega), 0)
+    return gx.Lattice(jnp.ones(2), terms)
+
+
+# --------------------------------------------------------------------------------------------------------- driven_chain
+
+
+def test_moving_walls_are_the_ends_of_the_chain():
+    N, F0 = 5, 0.6
+    A, m = RNG.uniform(0.5, 2, N + 1), RNG.uniform(0.5, 1, N)
+    chain = gx.scenes.monomer(N, mass=m, stiffness=A, precompression=F0)
+    lattice = driven.driven_chain(chain, 0.2, 1.7, damping=0.3, phase=(0.4, 1.1))
+    y, t = state(chain), 2.3
+    u = np.concatenate([[0.2 * np.cos(1.7 * t + 0.4)], y.u, [0.2 * np.cos(1.7 * t + 1.1)]])
+    d0 = (F0 / A) ** (2 / 3)
+    F = A * np.maximum(d0 + u[:-1] - u[1:], 0) ** 1.5
+    expected = (F[:-1] - F[1:]) / m - 0.3 * np.asarray(y.v)
+    np.testing.assert_allclose(jax.jit(lambda c: c.acceleration(t, *y))(lattice), expected, rtol=0, atol=1e-14)
+
+
+def test_an_end_that_is_not_driven_keeps_its_wall():
+    chain = gx.scenes.beads(["steel 316", "aluminium 6061-T6"], 9.53e-3, 20.0, cells=3)
+    lattice = driven.driven_chain(chain, 0.0, 1.0, ends="right")
+    y = state(chain, 1e-7)
+    assert lattice.terms[1].motion is None and lattice.terms[1].side == "left"
+    totals = jax.jit(lambda a, b: [(c.energy(0.0, *y), c.force(0.0, *y)) for c in (a, b)])
+    (energy, force), (expected, pull) = totals(lattice, chain)
+    np.testing.assert_allclose(force, pull, rtol=1e-12)
+    assert float(energy) == pytest.approx(float(expected), rel=1e-13)
+
+
+def test_batches_take_moving_walls_and_amplitudes_have_derivatives():
+    chain = lambda r: gx.scenes.dimer(4, r, precompression=1.0)
+    lanes = driven.driven_chain(jax.vmap(chain, out_axes=-1)(jnp.array([0.4, 0.7])), 0.2, 2.0, damping=0.1)
+    y = state(chain(0.7))
+
+    @jax.jit
+    def first(a):
+        one = driven.driven_chain(chain(0.7), a, 2.0, damping=0.1)
+        return one.acceleration(0.3, *y)
+
+    many = gx.State(*(jnp.stack([x, x], -1) for x in y))
+    np.testing.assert_allclose(jax.jit(lambda c: c.acceleration(0.3, *many))(lanes)[:, 1], first(0.2), rtol=1e-13)
+    change = (first(0.2 + 1e-5) - first(0.2 - 1e-5)) / 2e-5
+    np.testing.assert_allclose(jax.jacfwd(first)(0.2), change, rtol=0, atol=1e-9)
+
+
+def test_walls_touch_the_beads_of_a_cell_and_not_what_is_in_them():
+    lattice = driven.driven_chain(MASS_IN_MASS, 0.0, 1.0, field="bead")
+    y = jax.tree.map(lambda shape: jnp.asarray(np.random.default_rng(2).normal(0, 0.1, shape.shape)),
+                     gx.State(lattice.template(), lattice.template()))
+    force, expected = jax.jit(lambda a, b: (a.force(0.2, *y), b.force(0.2, *y)))(lattice, MASS_IN_MASS)
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=0, atol=1e-15), force, expected)
+
+
+@pytest.mark.parametrize("chain, keywords, word", [
+    (gx.scenes.monomer(4, boundary="free"), {}, "boundary='fixed'"),
+    (gx.scenes.monomer(4), {"ends": "top"}, "ends"),
+    (gx.scenes.monomer(4), {"ends": ("left", "left")}, "both"),
+    (gx.scenes.monomer(4), {"phase": (0.0,)}, "phase"),
+    (gx.Lattice(np.ones(4), (gx.Bond(gx.Shift(1), gx.Hertz()), gx.Bond(gx.Shift(2), gx.Linear()))), {}, "terms\\[1\\]"),
+    (gx.Lattice(np.ones(4), (gx.Bond(gx.Shift(1), gx.Hertz()), gx.Dashpot(gx.Shift(1), 1.0))), {}, "Dashpot"),
+])
+def test_what_cannot_be_driven_is_refused(chain, keywords, word):
+    with pytest.raises(ValueError, match=word):
+        driven.driven_chain(chain, 0.1, 1.0, **keywords)
+
+
+# --------------------------------------------------------------------------------------------------------------- settle
+
+
+def test_a_linear_chain_settles_to_its_linear_response():
+    N, omega, gamma, a = 6, 1.3, 0.2, 0.3
+    chain = gx.Lattice(np.ones(N), gx.Bond(gx.Shift(1, "fixed"), gx.Linear(1.0)))
+    found = driven.settle(driven.driven_chain(chain, a, omega, damping=gamma), rest(chain), 2 * np.pi / omega)
+    K = 2 * np.eye(N) - np.eye(N, k=1) - np.eye(N, k=-1)
+    pull = np.zeros(N)
+    pull[[0, -1]] = a
+    u = np.linalg.solve(K - (omega**2 + 0j) * np.eye(N) + 1j * omega * gamma * np.eye(N), pull)
+    assert found.multiple == 1 and found.change < 1e-8 and "every period" in found.outcome
+    # 3.5e-10, at h omega_max = 0.4 and a tolerance of 1e-8; largest speeds by a parabola through 24 steps, 1.4e-4
+    np.testing.assert_allclose(found.state.u, u.real, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(found.amplitude, omega * np.abs(u), rtol=2e-4)
+    np.testing.assert_allclose(found.us, np.real(u * np.exp(1j * omega * found.ts)[:, None]), rtol=0, atol=1e-8)
+    assert found.peak_force.shape == (N + 1,)
+
+
+# x'' + 0.3 x' - x + x^3 = f cos 1.2 t: the textbook cascade (Jordan and Smith, Nonlinear Ordinary Differential
+# Equations, 2007)
+DOUBLE_WELL = dict(omega=1.2, K2=-1.0, K4=1.0, damping=0.3)
+WELL = gx.State(jnp.array([1.0, 1.0]), jnp.zeros(2))
+
+
+@pytest.mark.parametrize("force, multiple, word", [
+    (0.20, 1, "every period"), (0.28, 2, "period-doubled"), (0.29, 4, "doubled twice"), (0.50, 0, "Not periodic"),
+])
+def test_period_doubling_is_told(force, multiple, word):
+    lattice = duffing(jnp.asarray(force), **DOUBLE_WELL)
+    found = driven.settle(lattice, WELL, 2 * np.pi / 1.2, steps=48, periods=1500)
+    assert (found.multiple, found.settled) == (multiple, multiple > 0) and word in found.outcome
+    assert len(found.ts) == 48 * (multiple or 16)
+
+
+def test_a_budget_that_is_too_small_is_told():
+    lattice = duffing(0.01, 1.0, damping=1e-3)
+    found = driven.settle(lattice, gx.State(jnp.array([1.0, 0.0]), jnp.zeros(2)), 2 * np.pi, periods=600, steps=24,
+                          tolerance=1e-12)
+    assert not found.settled and found.periods == 600 and "Still settling" in found.outcome
+
+
+def test_an_unstable_orbit_is_left():
+    # site 1 starts on the ridge between its two wells, where it would stay for ever
+    lattice = duffing(jnp.asarray(0.2), **DOUBLE_WELL)
+    start = gx.State(jnp.array([1.0, 0.0]), jnp.zeros(2))
+    found = driven.settle(lattice, start, 2 * np.pi / 1.2, steps=48, periods=1500)
+    assert found.multiple == 1 and abs(float(found.state.u[1])) == pytest.approx(1.0, abs=1e-7)
+
+
+def test_a_sonic_vacuum_asks_for_steps():
+    lattice = driven.driven_chain(gx.scenes.monomer(3), 0.1, 1.0, damping=0.1)
+    with pytest.raises(ValueError, match="sonic vacuum"):
+        driven.settle(lattice, rest(lattice), 1.0)
+
+
+# ---------------------------------------------------------------------------------------------------------------- sweep
+
+
+def folds(force, damping, K4):
+    """Where the curve of one harmonic, [(1 + 3 K4 a^2/4 - w^2)^2 + g^2 w^2] a^2 = f^2, turns back: its right branch."""
+    a = np.linspace(0.05, force / damping, 400001)
+    stiff = 1 + 0.75 * K4 * a**2
+    middle = stiff - damping**2 / 2
+    squared = middle**2 - stiff**2 + (force / a) ** 2
+    real = squared > 0
+    right = np.sqrt(middle[real] + np.sqrt(squared[real]))
+    turns = np.flatnonzero(np.diff(np.sign(np.diff(right)))) + 1
+    return right[turns]
+
+
+def test_jumps_and_hysteresis_of_a_duffing_oscillator():
+    values = np.linspace(0.98, 1.06, 17)
+    found = driven.sweep(lambda w: duffing(0.01, w, K4=0.4), values, lambda w: 2 * jnp.pi / w, accuracy=1e-4)
+    (up,), (down,) = found.up.jumps, found.down.jumps
+    lower, upper = folds(0.01, 0.02, 0.4)
+    # 1.02601 and 1.03516 with one harmonic; found 1.02605 and 1.03527
+    assert isinstance(up, Jump) and up.value == pytest.approx(upper, rel=2e-4) and up.before > 3 * up.after
+    assert down.value == pytest.approx(lower, rel=2e-4) and down.before < down.after / 1.7
+    assert found.hysteresis == [(down.value, up.value)]
+    assert (found.up.multiple == 1).all() and found.up.velocity.shape == (17, 2)
+    outside = (values < down.value) | (values > up.value)
+    np.testing.assert_allclose(found.up.response[outside], found.down.response[outside], rtol=1e-4)
+
+
+def test_a_period_doubling_is_located_from_either_side():
+    make = lambda force: duffing(force, **DOUBLE_WELL)
+    found = driven.sweep(make, [0.24, 0.27, 0.282], lambda force: 2 * jnp.pi / 1.2, state=WELL, steps=48)
+    (up,), (down,) = found.up.bifurcations, found.down.bifurcations
+    assert (up.before, up.after) == (1, 2) and (down.before, down.after) == (2, 1)
+    # Newton's method puts a multiplier at -1 at 0.2655818; found within the accuracy, 1e-3
+    assert up.value == pytest.approx(0.2655818, rel=1e-3) and down.value == pytest.approx(0.2655818, rel=1e-3)
+    assert found.up.jumps == found.down.jumps == () and found.hysteresis == []
+
+
+# ------------------------------------------------------------------------------------------------------------- lyapunov
+
+
+def test_a_linear_chain_loses_half_of_its_damping_rate():
+    lattice = gx.Lattice(np.ones(4), (gx.Bond(gx.Shift(1, "fixed"), gx.Linear(1.0)), gx.Damping(0.1)))
+    found = driven.lyapunov(lattice, state(lattice), 2.0, periods=400, number=8)
+    # -0.0496 +- 0.0019
+    assert abs(found.exponents[0] + 0.05) < found.uncertainty[0] < 0.005
+    assert found.exponents.sum() == pytest.approx(-0.4, abs=1e-12)
+    assert "At rest" in found.verdict and not found.chaotic
+
+
+@pytest.mark.slow
+def test_exponents_of_a_damped_driven_chain_pair():
+    lattice = driven.driven_chain(gx.scenes.monomer(4, precompression=1.0), 0.3, 2.0, damping=0.05)
+    found = driven.lyapunov(lattice, state(lattice), np.pi, periods=400, number=8)
+    # pairs sum to -0.05 within 2e-4, all of them to -0.2 within 2e-15
+    np.testing.assert_allclose(found.exponents + found.exponents[::-1], -0.05, rtol=0, atol=5e-4)
+    assert found.exponents.sum() == pytest.approx(-0.2, abs=1e-12)
+    assert "Periodic" in found.verdict
+
+
+def test_an_integrable_ring_is_regular_and_a_beta_chain_chaotic():
+    ring = gx.scenes.toda(8, boundary="periodic")
+    found = driven.lyapunov(ring, state(ring, 0.7), 2.0, periods=4000)
+    # 4.6e-4 +- 7.8e-4; the same energy per site in the beta chain gives 0.06
+    assert abs(found.exponents[0]) < found.uncertainty[0] < 2e-3 and "Regular" in found.verdict
+    beta = gx.scenes.fput(8, alpha=0.0, beta=1.0)
+    found = driven.lyapunov(beta, state(beta, 1.0), 2.0, periods=1000)
+    assert found.exponents[0] > 0.03 and found.chaotic and "Chaotic" in found.verdict
+
+
+def test_the_double_well_is_chaotic_where_it_does_not_repeat():
+    found = driven.lyapunov(duffing(0.5, **DOUBLE_WELL), WELL, 2 * np.pi / 1.2, steps=48, number=4)
+    assert found.chaotic and found.exponents[0] > 0.1
+    assert found.exponents.sum() == pytest.approx(-0.6, abs=1e-12)
+
+
+# ---------------------------------------------------------------------------------------------------------- experiments
+
+
+@pytest.mark.slow
+def test_walls_that_push_together_make_a_dark_breather():
+    chain = driven.steel_chain()
+    found = driven.dark_by_interference(chain)
+    assert float(chain.terms[0].law.stiffness) == pytest.approx(1.0114e10, rel=1e-4)
+    assert found.attractor.multiple == 1 and found.cutoff == pytest.approx(7350.3, abs=0.1)
+    # the middle bead is at rest to 2e-8, its neighbours alternate, the ends stand at 0.89 of the largest speed
+    assert found.depth > 1 - 1e-6 and found.staggering < -0.99
+    assert found.background == pytest.approx(0.01111, rel=1e-3) and found.width == pytest.approx(3.678, abs=0.01)
+    assert found.velocity[0] > 0.88 * found.velocity.max()
+    # one frequency: what lies at its multiples is below half a percent
+    assert found.harmonics[1:].max() == pytest.approx(4.8e-3 * found.harmonics[0].max(), rel=0.05)
+    assert np.argmin(found.strain) in (10, 11) and found.strain.max() < 0.55e-6
+    # a tenth of the drive makes the arches of a sine, which end at 0.38 of the largest
+    linear = driven.dark_by_interference(chain, amplitude=0.02e-6)
+    assert linear.velocity[0] == pytest.approx(0.380 * linear.velocity.max(), rel=0.01)
+
+
+@pytest.mark.slow
+def test_walls_that_move_the_same_way_make_an_antinode():
+    found = driven.dark_by_interference(phase=0.0, amplitude=0.05e-6)
+    assert found.attractor.multiple == 1 and found.depth == pytest.approx(-0.455, abs=0.01) and found.width == 0
+
+
+@pytest.mark.slow
+def test_a_shaken_dimer_leaves_a_bright_breather_in_the_gap():
+    found = driven.bright_by_instability()
+    assert found.localised, found.outcome
+    assert found.held > 0.5 and found.gap[0] < found.frequency < 0.99 * found.gap[1]
+    # not while the drive is on: the wave fills the chain first
+    assert found.fraction[found.driven_for // 2 : found.driven_for].min() < 0.4
+
+
+@pytest.mark.slow
+def test_a_defect_beside_the_driver_rectifies():
+    amplitudes = np.linspace(0.05e-6, 0.35e-6, 7)
+    found = driven.rectifier(amplitudes)
+    assert found.cutoff < found.frequency < found.defect
+    # from the defect's side the motion ceases to be periodic at 0.16 um, from the other it always is
+    assert found.threshold_near == pytest.approx(0.16e-6, rel=0.05) and found.threshold_far == np.inf
+    assert (found.far.up.multiple == 1).all()
+    # milliwatts against femtowatts
+    assert found.near.up.response[-2:].min() > 1e-4 and found.far.up.response.max() < 1e-13
+    last = jax.tree.map(lambda x: jnp.asarray(x[-1]), found.near.up.states)
+    omega, radii = 2 * np.pi * found.frequency, np.full(20, 9.53e-3)
+    radii[1] = 7e-3
+    chain = gx.scenes.beads("steel 316", radii, 8.0)
+    lattice = driven.driven_chain(chain, amplitudes[-1], omega, ends="left", damping=1 / 1.75e-3)
+    assert driven.lyapunov(lattice, last, 2 * np.pi / omega, periods=1000).chaotic
