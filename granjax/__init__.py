@@ -29,8 +29,8 @@ from .work_precision import WorkPrecision, work_precision  # noqa: E402
 
 __version__ = "0.1.0"
 _LAZY = (
-    "breathers", "canonical", "continuation", "driven", "floquet", "linear", "materials", "measures", "newton",
-    "orbits", "plots", "reproduce", "resonance", "scenes", "states", "theory",
+    "breathers", "canonical", "continuation", "driven", "floquet", "forced", "linear", "materials", "measures",
+    "newton", "orbits", "plots", "reproduce", "resonance", "scenes", "states", "theory",
 )
 
 

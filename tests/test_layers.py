@@ -14,7 +14,7 @@ FLOORS = (
     {"flow", "scenes"},
     {"orbits"},
     {"floquet", "linear", "measures", "states"},
-    {"breathers", "canonical", "driven", "travelling", "shocks", "resonance"},
+    {"breathers", "canonical", "driven", "forced", "travelling", "shocks", "resonance"},
     {"sweep", "fit", "identify", "work_precision", "reproduce"},
 )
 FLOOR = {name: level for level, names in enumerate(FLOORS) for name in names}

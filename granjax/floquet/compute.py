@@ -8,10 +8,10 @@ from jax.flatten_util import ravel_pytree
 
 from ..checks import refuse, whole
 from ..flow import Flow, linear_frequency
-from ..lattice import Lattice
+from ..lattice import Lattice, vector_field
 from ..solvers import KahanLi8
 from .record import RESOLUTION, Floquet, decide
-from .spectrum import product_multipliers, spectrum
+from .spectrum import product_spectrum, spectrum
 from .structure import NOTHING, defect, krein, structure
 
 # h omega of the coarser of the two step sizes, and where refinement ends
@@ -48,10 +48,12 @@ def floquet(system, state, period, *, t0=0.0, steps=None, solver=None, segments=
     if not period > 0:
         refuse("period", "a time above zero", repr(period))
     segments = whole("segments", segments, 1)
-    known = structure(system) if isinstance(system, Lattice) else NOTHING
-    args = system if isinstance(system, Lattice) else args
+    known = NOTHING
     if isinstance(system, Lattice):
         _check_state(system, state)
+        known, args = structure(system), system
+        if known.autonomous and _rests(system, state, t0):  # has neither phase nor energy
+            known = known._replace(expected=known.expected - (2 if known.rate == 0 else 1))
         solver, field = solver or KahanLi8(), {}
         start = steps or 2 * _coarse_steps(system, period, segments)
     else:
@@ -75,10 +77,7 @@ def floquet(system, state, period, *, t0=0.0, steps=None, solver=None, segments=
 
 def _record(known, fine, coarse, state, period, steps, resolution):
     monodromy, rough = _product(fine), _product(coarse)
-    multipliers, vectors, error = spectrum(monodromy, rough)
-    if len(fine) > 1:
-        multipliers = product_multipliers(fine)
-        error = _relative_errors(multipliers, product_multipliers(coarse))
+    multipliers, vectors, error = spectrum(monodromy, rough) if len(fine) == 1 else product_spectrum(fine, coarse)
     conserves = known.rate == 0
     verdict, outcome = decide(multipliers, error, known.expected, conserves, resolution)
     return Floquet(
@@ -86,11 +85,6 @@ def _record(known, fine, coarse, state, period, steps, resolution):
         defect(monodromy, known.mass, known.rate, float(period)), float(np.abs(monodromy - rough).max()),
         known.expected, verdict, outcome, float(period), int(steps), known.rate, state,
     )
-
-
-def _relative_errors(fine, coarse):
-    """Largest first on both sides, so that each is compared with its like."""
-    return np.abs(fine - coarse) + 64 * np.finfo(float).eps * np.abs(fine)
 
 
 def _check_state(lattice, state):
@@ -101,6 +95,13 @@ def _check_state(lattice, state):
             refuse(f"state.{name}", f"shape {lattice.shape}", f"{got}", "One orbit of one lattice at a time.")
 
 
+def _rests(lattice, state, t0):
+    """Whether the state is an equilibrium, to rounding."""
+    (v, a), omega = vector_field(t0, state, lattice), linear_frequency(lattice)
+    u, v, a = (np.abs(ravel_pytree(x)[0]).max() for x in (state[0], v, a))
+    return bool(max(v * omega, a) <= 1e-12 * omega**2 * u)
+
+
 def _coarse_steps(lattice, period, segments):
     omega = float(linear_frequency(lattice))
     return segments * max(int(np.ceil(period * omega / COARSE / segments)), 4)
@@ -109,7 +110,8 @@ def _coarse_steps(lattice, period, segments):
 def _factors(flow, state, t0, period, segments, args):
     found, length = [], period / segments
     for i in range(segments):
-        state, factor = _derivative(flow, state, t0 + i * length, t0 + (i + 1) * length, args)
+        times = jnp.asarray(t0 + i * length), jnp.asarray(t0 + (i + 1) * length)
+        state, factor = _derivative(flow, state, *times, args)
         found.append(np.asarray(factor))
     return found
 

@@ -7,7 +7,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from scipy.sparse.linalg import ArpackError, LinearOperator, eigs
 
-from ..checks import whole
+from ..checks import refuse, whole
 from ..flow import Flow
 from ..solvers import KahanLi8
 from .compute import _coarse_steps
@@ -32,10 +32,13 @@ def leading(lattice, state, period, count=6, *, t0=0.0, steps=None, solver=None,
     count = whole("count", count, 1)
     steps = steps or 2 * _coarse_steps(lattice, period, 1)
     flow = Flow(jnp.asarray(steps), solver or KahanLi8())
+    times = jnp.asarray(float(t0)), jnp.asarray(float(period))
     size = ravel_pytree(state)[0].size
+    if count > size - 2:
+        refuse("count", f"at most {size - 2}, two below the size", repr(count), "gx.floquet.floquet gives them all.")
 
     def product(x):
-        return np.asarray(_push(flow, state, t0, float(period), lattice, jnp.asarray(x.ravel())))
+        return np.asarray(_push(flow, state, *times, lattice, jnp.asarray(x.ravel())))
 
     start = np.random.default_rng(0).normal(size=size)
     try:

@@ -59,27 +59,41 @@ def product_multipliers(factors):
 
     **Arguments:** `factors`: (m, N, N), the first applied first. **Returns:** (N,), the largest modulus first.
     """
+    roots = np.linalg.eigvals(_cyclic(factors))
+    roots = roots[np.argsort(-np.abs(roots))]
+    m = len(factors)
+    return np.array([(roots[copies] ** m).mean() for copies in _copies(roots, m)])
+
+
+def product_spectrum(fine, coarse):
+    """`spectrum` of the product M_m ... M_1 by way of its cyclic matrix: what it keeps, see `product_multipliers`."""
+    roots, vectors, error = spectrum(_cyclic(fine), _cyclic(coarse))
+    m, size = len(fine), len(fine[0])
+    copies = _copies(roots, m)
+    values = np.array([(roots[c] ** m).mean() for c in copies])
+    errors = np.array([(m * np.abs(roots[c]) ** (m - 1) * error[c]).max() for c in copies])
+    # the first block of the cyclic matrix's eigenvector is one of the product
+    vectors = np.stack([vectors[:size, c[0]] for c in copies], axis=-1)
+    return values, vectors / np.linalg.norm(vectors, axis=0), errors
+
+
+def _cyclic(factors):
     factors = np.asarray(factors)
     m, size, _ = factors.shape
-    if m == 1:
-        values = np.linalg.eigvals(factors[0])
-        return values[np.argsort(-np.abs(values))]
-    cyclic = np.zeros((m * size, m * size))
+    cyclic = np.zeros((m, size, m, size))
     for i, factor in enumerate(factors):
-        to = (i + 1) % m
-        cyclic[to * size : (to + 1) * size, i * size : (i + 1) * size] = factor
-    roots = np.linalg.eigvals(cyclic)
-    return _of_roots(roots[np.argsort(-np.abs(roots))], m)
+        cyclic[(i + 1) % m, :, i] = factor
+    return cyclic.reshape(m * size, m * size)
 
 
-def _of_roots(roots, m):
-    """The m-th powers, each of which stands m times among the roots, once."""
-    values, found = roots**m, []
-    while len(values):
-        near = np.argsort(np.abs(values - values[0]))[:m]
-        found.append(values[near].mean())
-        values = np.delete(values, near)
-    return np.array(found)
+def _copies(roots, m):
+    """Each multiplier stands m times among the m-th powers of the roots: the indices of its copies."""
+    values, left, found = roots**m, np.arange(len(roots)), []
+    while len(left):
+        near = np.argsort(np.abs(values[left] - values[left[0]]), kind="stable")[:m]
+        found.append(left[near])
+        left = np.delete(left, near)
+    return found
 
 
 @one_thread

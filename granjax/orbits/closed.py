@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
 from ..flow import Flow
-from ..lattice import vector_field
+from ..lattice import State, vector_field
 from .symmetry import shifts
 
 
@@ -38,10 +38,10 @@ class FullPeriod(eqx.Module):
     @classmethod
     def of(cls, lattice, flow, reference=None, t0=0.0, segments=1):
         """For a lattice; with a `reference` its free displacements are found."""
-        zeros = lattice.zeros()
         moves = shifts(lattice)
         moves = moves[:, :0] if reference is None else moves
-        return cls(flow, (zeros, zeros) if reference is None else reference, moves, reference, t0, segments)
+        like = State(lattice.zeros(), lattice.zeros()) if reference is None else reference
+        return cls(flow, like, moves, reference, t0, segments)
 
     @property
     def size(self):

@@ -7,11 +7,12 @@ be told apart by colour-blind eyes.
 
 from .curves import profile, transmission
 from .histories import space_time, traces
+from .orbits import branch, breather, floquet_circle, hysteresis, strain_map
 from .precision import work_precision
 from .style import COLOURS, figure, save, style
 from .waves import dispersion
 
 __all__ = [
-    "COLOURS", "dispersion", "figure", "profile", "save", "space_time", "style", "traces", "transmission",
-    "work_precision",
+    "COLOURS", "branch", "breather", "dispersion", "figure", "floquet_circle", "hysteresis", "profile", "save",
+    "space_time", "strain_map", "style", "traces", "transmission", "work_precision",
 ]

@@ -1,16 +1,13 @@
 """The review's sixteen figures by their labels: those that are made, and those that wait for a capability."""
 
 from ..checks import one_of, refuse
-from . import dimer, experiment, solitary, transmission
+from . import breathers, dimer, experiment, solitary, transmission
 from .figure import Awaited, Figure
 
-_MADE = (*solitary.FIGURES, *experiment.FIGURES, *transmission.FIGURES, *dimer.FIGURES)
+_MADE = (*solitary.FIGURES, *experiment.FIGURES, *transmission.FIGURES, *dimer.FIGURES, *breathers.FIGURES)
 
 _AWAITED = (
     Awaited("fig1.2", "The travelling wave's profile, its derivative and its tail", "travelling waves"),
-    Awaited("breather.1", "Dark breather of the granular chain and its NLS approximation", "breathers"),
-    Awaited("breather.2", "Dark breather, experiment and model", "breathers"),
-    Awaited("breather.3", "Breather of a dimer chain, its multipliers and unstable mode", "breathers"),
     Awaited("DSW.1", "Dispersive shock from a step", "dispersive shocks"),
     Awaited("DSW.2", "Two zooms into the dispersive shock", "dispersive shocks"),
     Awaited("DSW.3", "Granular velocity shock and its KdV prediction", "dispersive shocks"),

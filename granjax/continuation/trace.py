@@ -1,0 +1,101 @@
+"""The walk along a branch."""
+
+import numpy as np
+
+from ..checks import one_of, refuse
+from .curve import Curve
+from .locate import bound_met, located
+from .system import System
+
+TARGET = 4
+LEAST_COSINE = 0.9
+
+
+def continuation(
+    residual, x0, p0, *, args=None, until=None, direction=1.0, step=0.01, least_step=None, longest_step=None,
+    points=200, tolerance=1e-10, linearise=None, veto=None, stop=None, find=("fold", "branch point"),
+):
+    r"""Follow F(x, p) = 0 from (x0, p0) by pseudo-arclength.
+
+    Each point is predicted along the tangent, at a distance s in the plain norm of (x, p), and corrected by Newton's
+    method in the plane across it; so the branch is followed through folds, where dp = 0. The step grows where Newton
+    needs few iterations and shrinks where it needs many, fails, or turns by more than 25 degrees.
+
+    **Arguments:**
+
+    - `residual`: F(x, p, args), (n,) to (n,). `x0`, `p0`: a solution, or near one: it is corrected first.
+    - `until`: end where p reaches this value (a pair: either of two); the last point lies exactly there.
+    - `direction`: +-1, the way p changes first; or a tangent (n + 1,), as in `Special.directions`: then `x0`, `p0` is a
+      branch point, and the first point is sought beside it.
+    - `step`, `least_step`, `longest_step`: first, least (step/1e4) and longest (10 step) length along the branch.
+    - `points`: the most points. `tolerance`: of max |F|.
+    - `linearise`: (x, p, args) -> (F, dF/dx), where that is cheaper than `jax.jacfwd`.
+    - `veto`: (x, p, x_before, p_before) -> a reason to take a shorter step instead, or `None`.
+    - `stop`: (x, p) -> a reason to end the branch there, or `None`.
+    - `find`: which special points are located, of "fold" and "branch point".
+
+    **Returns:** `Curve`; `outcome` says why it ended. **Raises** ValueError for input that cannot be meant,
+    RuntimeError where the first point does not converge.
+    """
+    for kind in find:
+        one_of("find", kind, ("fold", "branch point"))
+    if not step > 0:
+        refuse("step", "a length above zero", repr(step))
+    least_step, longest_step = least_step or step * 1e-4, longest_step or step * 10
+    bounds = () if until is None else tuple(np.atleast_1d(np.asarray(until, float)))
+    system = System(residual, linearise, args, tolerance)
+    here = system.first(np.asarray(x0, float), float(p0), direction, step)
+    trace, special, outcome = [here], [], f"The {points} points that were asked for."
+    newton_steps, reason = here.steps, ""
+    while len(trace) < points:
+        if step < least_step:
+            outcome = f"The step fell below {least_step:.1e}: {reason}."
+            break
+        here = trace[-1]
+        there, reason = _advance(system, here, step, veto)
+        if there is None:
+            step /= 2
+            continue
+        bound, near = bound_met(system, here, there, bounds)
+        if near is not None:
+            there = system.at(near.z, bound, near.tangent)
+            if there is None:
+                reason, step = f"Newton failed at p = {bound:.6g}", step / 2
+                continue
+        special += [located(system, kind, here, there, len(trace) - 1) for kind in find if here.crosses(there, kind)]
+        trace.append(there)
+        newton_steps += there.steps
+        if near is not None:
+            outcome = f"p reached {bound:.6g}."
+            break
+        why = None if stop is None else stop(there.x, there.p)
+        if why:
+            outcome = f"Stopped: {why}."
+            break
+        if _closed(trace, step):
+            outcome = "The branch closed upon itself."
+            break
+        step = float(np.clip(step * 2.0 ** ((TARGET - there.steps) / 2), least_step, longest_step))
+    z = np.stack([point.z for point in trace])
+    tangents = np.stack([point.tangent for point in trace])
+    return Curve(z[:, :-1], z[:, -1], tangents, tuple(special), newton_steps, outcome)
+
+
+def _advance(system, here, step, veto):
+    there, reason = system.correct(here.z + step * here.tangent, here.tangent, here.tangent)
+    if there is None:
+        return None, reason
+    # no tangent (NaN) where the step has met a branch point itself
+    if not there.tangent @ here.tangent >= LEAST_COSINE:
+        return None, "the branch turns faster than the step resolves, or another branch was met"
+    why = None if veto is None else veto(there.x, there.p, here.x, here.p)
+    return (None, f"vetoed, {why}") if why else (there, "")
+
+
+def _closed(trace, step):
+    if len(trace) < 4:
+        return False
+    away = np.array([np.linalg.norm(point.z - trace[0].z) for point in trace])
+    crossed = (trace[-2].z - trace[0].z) @ trace[0].tangent < 0 <= (trace[-1].z - trace[0].z) @ trace[0].tangent
+    return bool(crossed and away[-1] < 2 * step and away.max() > 4 * away[-1] and
+                trace[-1].tangent @ trace[0].tangent > LEAST_COSINE)

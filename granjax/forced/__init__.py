@@ -1,0 +1,7 @@
+"""Periodic orbits of damped, driven lattices by Newton's method, stable or not, and their branches."""
+
+from .branch import ForcedBranch, forced_branch
+from .events import Bifurcation
+from .orbit import ForcedOrbit, OrbitRun, forced_orbit
+
+__all__ = ["Bifurcation", "ForcedBranch", "ForcedOrbit", "OrbitRun", "forced_branch", "forced_orbit"]

@@ -1,0 +1,244 @@
+"""Time-periodic orbits: Floquet multipliers, breathers, branches, response curves up and down, strain over time."""
+
+import numpy as np
+
+from ..checks import refuse
+from .arrays import history, numbers, rising
+from .histories import space_time
+from .style import COLOURS, FAINT, axes_or_new, style
+
+# Krein signature -> colour, mark, what it is called
+_KREIN = {1: (COLOURS[0], "o", "Krein +"), -1: (COLOURS[1], "s", "Krein $-$"), 0: ("0.25", "^", "Krein 0")}
+_VERDICTS = {
+    "stable": (COLOURS[0], "-", "stable"), "unstable": (COLOURS[1], "--", "unstable"),
+    "undecided": (FAINT, ":", "undecided"), "": (COLOURS[0], "-", None),
+}
+_ORBITS = {
+    "stable": ("0.2", "-", "orbit, stable"), "unstable": ("0.2", "--", "orbit, unstable"),
+    "undecided": ("0.2", ":", "orbit, undecided"),
+}
+
+
+def floquet_circle(fl, ax=None, *, legend=True):
+    r"""Floquet multipliers in the complex plane with the unit circle.
+
+    Colours and marks tell the Krein signature; 0 is off the circle, at a meeting of two signs, or of a flow without
+    one. Unstable multipliers, but for those that symmetry puts at +1, have a ring. With uniform damping the circle of
+    radius exp(-gamma T/2), about which multipliers pair, is dotted.
+
+    **Arguments:** `fl`: a `Floquet`, or anything with `multipliers` (2n,), `krein` (2n,), `error` (2n,), `expected`,
+    `rate` and `period`. `legend`: whether signatures are named.
+
+    **Returns:** the Axes; the rings are the last of `ax.lines`, labelled "unstable".
+    """
+    rho, signature = np.asarray(fl.multipliers), np.nan_to_num(np.asarray(fl.krein))
+    ax = axes_or_new(ax, 4.2, 4.0)
+    angle = np.linspace(0, 2 * np.pi, 361)
+    ax.plot(np.cos(angle), np.sin(angle), color=FAINT, lw=0.8, zorder=1)
+    if fl.rate:
+        radius = np.exp(-fl.rate * fl.period / 2)
+        ax.plot(radius * np.cos(angle), radius * np.sin(angle), ":", color=FAINT, lw=1.0, zorder=1)
+    for sign, (tone, mark, name) in _KREIN.items():
+        own = signature == sign
+        if own.any():
+            ax.plot(rho[own].real, rho[own].imag, mark, color=tone, ms=4, mec="white", mew=0.3, label=name, zorder=2)
+    outside = unstable_of(fl)
+    if len(outside):
+        ax.plot(rho[outside].real, rho[outside].imag, "o", ms=10, mfc="none", mec=COLOURS[6], mew=1.2,
+                label="unstable", zorder=3)
+    ax.set_aspect("equal", adjustable="datalim")
+    ax.set_xlabel(r"Re $\rho$")
+    ax.set_ylabel(r"Im $\rho$")
+    if legend:
+        ax.legend(loc="center", handletextpad=0.2)
+    return ax
+
+
+def unstable_of(fl):
+    """Indices of the multipliers outside the unit circle by more than their error, symmetries' at +1 left out."""
+    rho = np.asarray(fl.multipliers)
+    symmetry = np.argsort(np.abs(rho - 1))[: fl.expected]
+    outside = np.flatnonzero(np.abs(rho) - 1 > np.asarray(fl.error))
+    return np.setdiff1d(outside, symmetry)
+
+
+def breather(breather, fl=None, axes=None, *, mode=None):
+    """A breather in four panels: displacements, Floquet multipliers, displacement and velocity of an eigenvector.
+
+    **Arguments:**
+
+    - `breather`: a `Breather` of a chain with scalar displacements, or anything with `state` (u, v), and `floquet()`
+      unless `fl` is given. `fl`: its `Floquet`.
+    - `axes`: four Axes in any shape, for (a) to (d); by default those of a new figure.
+    - `mode`: index of the multiplier whose eigenvector is shown; by default the largest unstable one. A stable orbit
+      has none: (c) and (d) then say so. The eigenvector is turned so that its largest displacement is real, positive
+      and 1; imaginary parts, of complex multipliers, are dashed.
+
+    **Returns:** the Axes, (2, 2) or as given. **Raises** ValueError for several fields or lanes, other than four Axes,
+    a mode that is not there.
+    """
+    fl = breather.floquet() if fl is None else fl
+    axes = _axes(axes, 2, 2, 8.4, 6.4)
+    a, b, c, d = axes.ravel()
+    u = numbers("breather.state.u", breather.state[0], 1)
+    site = np.arange(len(u))
+    _bars(a, site, u, COLOURS[0])
+    a.set_ylabel("displacement $u_n(0)$")
+    floquet_circle(fl, b)
+    mode = _mode(fl, mode)
+    words = (("displacement", c), ("velocity", d))
+    if mode is None:
+        for word, ax in words:
+            ax.text(0.5, 0.5, "no growing mode", ha="center", va="center", color="0.35", transform=ax.transAxes)
+            ax.set_ylabel(f"{word} of the mode")
+    else:
+        vector = np.asarray(fl.vectors)[:, mode]
+        vector = vector / vector[np.argmax(np.abs(vector[: len(u)]))]
+        complex_pair = abs(fl.multipliers[mode].imag) > fl.error[mode]
+        for (word, ax), part in zip(words, np.split(vector, 2)):
+            _bars(ax, site, part.real, COLOURS[0])
+            if complex_pair:
+                ax.plot(site, part.imag, "--", color=COLOURS[1], lw=1.0, label="imaginary part")
+                ax.legend(loc="upper right")
+            ax.set_ylabel(f"{word} of the mode")
+        c.set_title(rf"$\rho$ = {_written(fl.multipliers[mode], complex_pair)}")
+    for letter, ax in zip("abcd", (a, b, c, d)):
+        if ax is not b:
+            ax.set_xlabel("site $n$")
+            ax.set_xlim(-0.5, len(u) - 0.5)
+        ax.annotate(f"({letter})", (0.02, 0.98), xycoords="axes fraction", va="top")
+    return axes
+
+
+def _axes(axes, rows, columns, width, height):
+    """The Axes that were given, as an array, or those of a new pyplot figure in the house style."""
+    if axes is None:
+        import matplotlib.pyplot as plt
+
+        with style():
+            return plt.subplots(rows, columns, figsize=(width, height), layout="constrained")[1]
+    axes = np.asarray(axes, dtype=object)
+    if axes.size != rows * columns:
+        refuse("axes", f"{rows * columns} Axes", f"{axes.size}")
+    return axes
+
+
+def _mode(fl, mode):
+    if mode is None:
+        outside = unstable_of(fl)
+        return outside[np.argmax(np.abs(np.asarray(fl.multipliers)[outside]))] if len(outside) else None
+    if not -len(fl.multipliers) <= mode < len(fl.multipliers):
+        refuse("mode", f"an index of {len(fl.multipliers)} multipliers", repr(mode))
+    return mode
+
+
+def _bars(ax, site, u, tone):
+    ax.axhline(0, color=FAINT, lw=0.8, zorder=0)
+    ax.plot(site, u, "-", color=FAINT, lw=0.8, zorder=1)
+    ax.plot(site, u, "o", color=tone, ms=3.5, mec="white", mew=0.3, zorder=2)
+
+
+def _written(rho, complex_pair):
+    return f"{rho.real:.6f} {'+-'[rho.imag < 0]} {abs(rho.imag):.6f}i" if complex_pair else f"{rho.real:.6f}"
+
+
+def branch(br, axes=None, *, bands=None, marks=None, omega_label=r"frequency $\omega_b$"):
+    """A family of breathers: energy and amplitude over frequency, stable and unstable parts, bands, bifurcations.
+
+    **Arguments:**
+
+    - `br`: a `Branch`, or anything with `omega`, `energy`, `amplitude`, (P,) each, and `verdict`: P words "stable",
+      "unstable", "undecided", or "".
+    - `axes`: two Axes; by default those of a new figure. `bands`: intervals (B, 2) of the linear spectrum to shade,
+      such as `gx.breathers.bands_of(chain)[0]`; `marks`: frequencies to mark, such as those of `bifurcations`.
+    - `omega_label`: of the frequencies' axis.
+
+    **Returns:** the two Axes. **Raises** ValueError for shapes that do not fit, or other than two Axes.
+    """
+    omega = numbers("br.omega", br.omega, 1)
+    heights = [numbers(f"br.{name}", getattr(br, name), 1) for name in ("energy", "amplitude")]
+    bands = np.zeros((0, 2)) if bands is None else numbers("bands", bands, 2)
+    if bands.shape[1:] != (2,):
+        refuse("bands", "intervals, shape (B, 2)", f"shape {bands.shape}")
+    axes = _axes(axes, 1, 2, 8.4, 3.4)
+    room = 0.06 * (np.ptp(omega) or omega[0])
+    for ax, height, name in zip(axes.ravel(), heights, ("energy", r"amplitude $\max_n |u_n|$")):
+        _line(ax, omega, height, br.verdict, _VERDICTS)
+        for low, high in bands:
+            ax.axvspan(low, high, color=FAINT, alpha=0.3, lw=0, zorder=0)
+        for i, mark in enumerate(np.atleast_1d([] if marks is None else marks)):
+            ax.axvline(mark, color=COLOURS[2], ls=":", lw=1.0, zorder=1, label=None if i else "bifurcation")
+        ax.set_xlim(omega.min() - room, omega.max() + room)
+        ax.set_ylim(0, 1.06 * height.max())
+        ax.set_xlabel(omega_label)
+        ax.set_ylabel(name)
+    if axes.ravel()[0].get_legend_handles_labels()[0]:
+        axes.ravel()[0].legend(loc="best")
+    return axes
+
+
+def _line(ax, x, y, verdict, looks):
+    """A line in parts of one verdict each; a step looks like the point where it begins."""
+    verdict = np.asarray(verdict)
+    if len(x) != len(verdict):
+        refuse("verdict", f"{len(x)} words, one a point", f"{len(verdict)}")
+    named = set()
+    for own in np.split(np.arange(len(x)), np.flatnonzero(verdict[1:] != verdict[:-1]) + 1):
+        tone, dash, name = looks[str(verdict[own[0]])]
+        reach = slice(own[0], own[-1] + 2)
+        ax.plot(x[reach], y[reach], dash, color=tone, lw=1.4, zorder=2, label=None if name in named else name)
+        named.add(name)
+
+
+def hysteresis(sweep, ax=None, *, orbits=None, x_label="parameter", y_label="response", scale=1.0):
+    """Response while a parameter goes up and down again; where the two differ is shaded.
+
+    **Arguments:**
+
+    - `sweep`: a `gx.driven.Sweep`, or arrays (values, up, down), (P,) each, values ascending; `down` may be `None`.
+    - `orbits`: a `ForcedBranch`, or anything with `p`, `response` and `verdicts` (P,), drawn behind, unstable parts
+      dashed. `x_label`, `y_label`: of the axes. `scale`: what responses are multiplied with, such as 1e3 for mm/s.
+
+    **Returns:** the Axes. **Raises** ValueError for shapes that do not fit, or values that do not ascend.
+    """
+    values, up, down, intervals = _ways(sweep)
+    ax = axes_or_new(ax, 5.6, 3.6)
+    for low, high in intervals:
+        ax.axvspan(low, high, color=FAINT, alpha=0.2, lw=0, zorder=0)
+    if orbits is not None:
+        p, response = numbers("orbits.p", orbits.p, 1), numbers("orbits.response", orbits.response, 1)
+        _line(ax, p, scale * response, orbits.verdicts, _ORBITS)
+    ax.plot(values, scale * up, ">-", color=COLOURS[0], ms=5, lw=1.2, mec="white", mew=0.3, label="up")
+    if down is not None:
+        ax.plot(values, scale * down, "<--", color=COLOURS[1], ms=5, lw=1.2, mec="white", mew=0.3, label="down")
+    ax.set_xlabel(x_label)
+    ax.set_ylabel(y_label)
+    ax.legend(loc="best")
+    return ax
+
+
+def _ways(sweep):
+    if all(hasattr(sweep, name) for name in ("values", "up", "down")):
+        values, up, down, intervals = sweep.values, sweep.up.response, sweep.down.response, sweep.hysteresis
+        down = None if sweep.down is sweep.up else down
+    elif isinstance(sweep, (tuple, list)) and len(sweep) == 3:
+        (values, up, down), intervals = sweep, []
+    else:
+        refuse("sweep", "a Sweep, or arrays (values, up, down)", f"a {type(sweep).__name__}")
+    up = numbers("up", up, 1)
+    values = rising("values", values, len(up))
+    down = None if down is None else numbers("down", down, 1)
+    if down is not None and len(down) != len(up):
+        refuse("down", f"{len(up)} numbers, as many as up", f"{len(down)}")
+    return values, up, down, intervals
+
+
+def strain_map(run, ax=None, **options):
+    """Space-time map of the strain of a chain, y_n = u_n - u_{n+1} (compression positive) at n + 1/2.
+
+    Contacts with walls are left out. **Arguments:** `run`: anything with `ts`, `us`, `vs`; `options`: as in
+    `space_time`. **Returns:** the Axes. **Raises** ValueError for several fields, lanes or components.
+    """
+    ts, u = history(run, "u", options.pop("ts", None))
+    options = {"label": "strain", "site_label": "contact", "sites": np.arange(u.shape[1] - 1) + 0.5} | options
+    return space_time(u[:, :-1] - u[:, 1:], ax, ts=ts, **options)

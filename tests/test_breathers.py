@@ -1,0 +1,342 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import granjax as gx
+from granjax.breathers.envelope import cell_of, edges_beside
+from granjax.theory import nls
+
+# precompressed dimer, A = d0 = 1, light mass 1, heavy 2.957949; Theocharis et al., Phys. Rev. E 82, 056604 (2010)
+HEAVY, OMEGA2 = 2.957949, 3**0.5
+
+
+def dimer(sites, centre="light", law=None):
+    light = (np.arange(sites) - sites // 2) % 2 == (0 if centre == "light" else 1)
+    law = gx.Hertz(1.0, 1.0) if law is None else law
+    return gx.Lattice(np.where(light, 1.0, HEAVY), (gx.Bond(gx.Shift(1, "free"), law),))
+
+
+def monomer(sites, exponent=1.5, boundary="free"):
+    return gx.scenes.monomer(sites, exponent=exponent, precompression=1.0, boundary=boundary)
+
+
+@pytest.fixture(scope="module")
+def short():
+    # contacts stay closed down to 0.983 omega_2
+    return gx.breathers.family(dimer(25), until=0.985 * OMEGA2)
+
+
+def test_a_family_from_the_linear_mode(short):
+    omega = np.asarray(gx.linear.normal_modes(dimer(25)).omega)
+    start = omega[omega > OMEGA2].min()
+    assert short.omega[0] == pytest.approx(start, rel=1e-5) and short.omega[-1] == 0.985 * OMEGA2
+    assert "reached" in short.outcome and len(short) < 120
+    # E = omega^2 a^2 (half the mass) for small amplitudes
+    np.testing.assert_allclose(short.energy[:2] / short.amplitude[:2] ** 2, short.energy[2] / short.amplitude[2] ** 2,
+                               rtol=1e-3)
+    assert short.multipliers.shape == (len(short), 50) and short.u.shape == (len(short), 25)
+    assert short.verdict[0] == "stable" and short.step_error.max() < 1e-6
+
+
+def test_each_member_is_periodic(short):
+    for i in (3, -1):
+        b = short.breather(i)
+        end = gx.Flow(200)(b.state, 0.0, b.period, b.lattice)
+        assert max(np.abs(end.u - b.state.u).max(), np.abs(end.v).max()) < 1e-9
+        assert b.residual < 1e-10 and b.converged
+
+
+def test_multipliers_of_the_family_are_those_of_floquet(short):
+    i = len(short) - 1
+    fl = short.breather(i).floquet()
+    assert fl.verdict == short.verdict[i]
+    outside = np.abs(fl.multipliers) > 1 + 1e-3
+    np.testing.assert_allclose(np.sort(np.abs(short.multipliers[i]))[::-1][: outside.sum()],
+                               np.abs(fl.multipliers[outside]), rtol=1e-6)
+
+
+def test_a_family_exports(short):
+    table = short.to_xarray()
+    assert table.sizes["multiplier"] == 50 and table.attrs["outcome"] == short.outcome
+
+
+def test_a_breather_by_the_family_and_by_a_state_is_the_same(short):
+    i = int(np.argmin(np.abs(short.omega - 0.99 * OMEGA2)))
+    by_family = gx.breathers.breather(dimer(25), float(short.omega[i]))
+    by_state = gx.breathers.breather(dimer(25), float(short.omega[i]), short.breather(i - 1).state)
+    for b in (by_family, by_state):
+        assert float(b.energy) == pytest.approx(short.energy[i], rel=1e-9)
+
+
+@pytest.mark.slow
+def test_a_breather_by_the_envelope_is_the_family_s():
+    by_family, by_envelope = (gx.breathers.breather(dimer(121), 0.985 * OMEGA2, seed) for seed in (None, "bright"))
+    assert float(by_envelope.energy) == pytest.approx(float(by_family.energy), rel=1e-9)
+
+
+def test_newton_that_fails_says_how_far_it_came():
+    chain = dimer(25)
+    rough = gx.State(2.0 * jnp.cos(jnp.arange(25.0) ** 2), jnp.zeros(25))
+    with pytest.raises(RuntimeError, match="residual went from .* in .* steps"):
+        gx.breathers.breather(chain, 0.985 * OMEGA2, rough, max_steps=4)
+    b = gx.breathers.breather(chain, 0.985 * OMEGA2, rough, max_steps=4, throw=False)
+    assert not b.converged and np.isfinite(b.state.u).all() and "did not converge" in b.outcome
+
+
+@pytest.mark.parametrize("ask, words", [
+    (lambda: gx.breathers.breather(monomer(24), 1.01 * 6**0.5), r"B = -0\.459279 < 0 .* only dark"),
+    (lambda: gx.breathers.breather(monomer(24), 0.9 * 6**0.5), r"n = 1: .* lies in the band 0 \.\.\. 2\.449.* finite"),
+    (lambda: gx.breathers.breather(dimer(25), 0.99), r"n = 1: "),
+    (lambda: gx.breathers.breather(gx.scenes.pattern(24, (1.0, 3.2), precompression=1.0), 0.985), r"n = 2: .* 1\.97 "),
+    (lambda: gx.breathers.breather(monomer(24), 1.0, "dark"), r"dark.*n = 2"),
+    (lambda: gx.breathers.breather(monomer(24), -1.0), "above zero"),
+    (lambda: gx.breathers.breather(monomer(24), 2.5, "brigth"), "bright"),
+    (lambda: gx.breathers.family(gx.scenes.monomer(8), until=1.0), "sonic vacuum"),
+    (lambda: gx.breathers.family(gx.Lattice(np.ones(4), (gx.Bond(gx.Shift(1), gx.Linear()), gx.Damping(0.1)))),
+     "positions alone, got Damping"),
+    (lambda: gx.breathers.family(dimer(25), mode=60), "a mode that oscillates, of 25"),
+])
+def test_what_does_not_exist_is_refused_with_the_reason(ask, words):
+    with pytest.raises(ValueError, match=words):
+        ask()
+
+
+def test_a_dark_breather_in_its_band_is_not_refused():
+    b = gx.breathers.breather(monomer(32), 0.97 * 6**0.5, "dark")
+    strain = np.abs(gx.measures.strain(b.lattice, b.state))
+    assert b.converged and strain[15] < 0.05 * strain[7]
+
+
+def test_forced_continuation_of_a_bright_breather_in_a_monomer_leads_to_nothing():
+    chain = monomer(41)
+    n = np.arange(41) - 20
+    pulse = gx.State(0.3 * (-1.0) ** n / np.cosh(0.3 * n), np.zeros(41))
+    b = gx.breathers.breather(chain, 1.01 * 6**0.5, pulse, check=False, throw=False)
+    u = np.asarray(b.state.u)
+    decays = np.abs(u[[0, 1, -2, -1]]).max() < 0.1 * np.abs(u).max()
+    assert np.abs(u).max() < 1e-6 or not decays or not b.converged
+
+
+def test_one_site_at_the_anticontinuous_limit():
+    terms = gx.Bond(gx.Shift(1, "free"), gx.Linear(0.02)), gx.OnSite(gx.Polynomial(1.0, 0.0, 1.0))
+    chain = gx.Lattice(np.ones(7), terms)
+    seed = gx.breathers.seeds.single_site(chain, 1.4, 3)
+    a = float(seed.u[3])
+    alone = solve_ivp(lambda t, y: (y[1], -1.04 * y[0] - y[0] ** 3), (0, np.pi / 1.4), (a, 0), rtol=1e-12, atol=1e-13)
+    assert alone.y[1, -1] == pytest.approx(0, abs=1e-9)
+    np.testing.assert_allclose(np.delete(seed.u, 3), 0, atol=1e-12)  # the mean of the linear bond's force is zero
+    b = gx.breathers.breather(chain, 1.4, seed)
+    assert b.converged and 0.9 < float(b.state.u[3]) / a < 1.1
+    pair = gx.breathers.breather(chain, 1.4, gx.breathers.seeds.single_site(chain, 1.4, [2, 4], amplitudes=[1, -1]))
+    np.testing.assert_allclose(pair.state.u, -np.asarray(pair.state.u)[::-1], atol=1e-9)
+    assert pair.floquet().expected == 2
+    with pytest.raises(ValueError, match="wrong side"):
+        gx.breathers.seeds.single_site(chain, 0.5, 3)
+
+
+def test_light_beads_between_heavy_ones_tend_to_their_own_limit():
+    omega = 0.995 * 3**0.5
+
+    def limit_and_orbit(heavy):
+        chain = gx.Lattice(np.where(np.arange(9) == 4, 1.0, heavy), (gx.Bond(gx.Shift(1), gx.Hertz(1.0, 1.0)),))
+        seed = gx.breathers.seeds.single_site(chain, omega, 4)
+        return np.asarray(seed.u), np.asarray(gx.breathers.breather(chain, omega, seed, check=False).state.u)
+
+    (limit, near), (same, nearer) = limit_and_orbit(400.0), limit_and_orbit(1600.0)
+    np.testing.assert_allclose(limit, same, atol=1e-9)
+    # the neighbours stand elsewhere, by an amount that the mass ratio does not make small, and the error falls as it
+    assert limit[3] < -0.01 < 0.01 < limit[5]
+    assert (near - limit)[4] / (nearer - limit)[4] == pytest.approx(4, rel=0.1)
+    np.testing.assert_allclose(nearer, limit, atol=0.03 * limit[4])
+
+
+def test_a_defect_carries_a_family_from_its_mode():
+    chain = gx.scenes.defects(31, {15: 0.5}, precompression=1.0)
+    mode = float(gx.linear.normal_modes(chain).omega[-1])
+    br = gx.breathers.family(chain, until=0.99 * mode)
+    assert br.omega[0] == pytest.approx(mode, rel=1e-5) and np.argmax(np.abs(br.u[-1])) == 15
+    assert np.all(np.diff(br.omega) < 0)
+
+
+def test_frequencies_and_amplitudes_end_a_family():
+    br = gx.breathers.family(dimer(25), amplitude=0.3, mode=13, points=60, stability=False)
+    assert "amplitude" in br.outcome and 0.3 <= br.amplitude[-1] < 0.5
+    again = gx.breathers.family(dimer(25), start=br.breather(4), until=float(br.omega[8]), stability=False)
+    assert again.omega[-1] == br.omega[8] and again.energy[-1] == pytest.approx(br.energy[8], rel=1e-8)
+
+
+@pytest.fixture(scope="module")
+def seed15(short):
+    return gx.breathers.breather(dimer(15), 0.985 * OMEGA2, steps=24)
+
+
+def test_energy_is_differentiable_in_the_chain_and_in_omega(seed15):
+    omega = 0.985 * OMEGA2
+
+    def energy(ratio, omega):
+        chain = gx.Lattice(dimer(15).mass * jnp.where(dimer(15).mass > 1, ratio, 1.0), dimer(15).terms)
+        b = gx.breathers.breather(chain, omega, seed15.state, steps=24, throw=False, tolerance=1e-12)
+        return b.energy
+
+    f = jax.jit(energy)
+    for argument, h in ((0, 1e-4), (1, 1e-4)):
+        at = lambda d: float(f(*(x + d * (i == argument) for i, x in enumerate((1.0, omega)))))
+        finite = (8 * (at(h) - at(-h)) - (at(2 * h) - at(-2 * h))) / (12 * h)
+        exact = [float(jax.jit(mode(energy, argument))(1.0, omega)) for mode in (jax.jacfwd, jax.jacrev)]
+        np.testing.assert_allclose(exact, finite, rtol=1e-6)
+
+
+def test_mass_ratios_in_a_batch(seed15):
+    ratios = jnp.array([2.9, 2.957949, 3.0])
+
+    @jax.vmap
+    def energies(heavy):
+        chain = gx.Lattice(jnp.where(dimer(15).mass > 1, heavy, 1.0), dimer(15).terms)
+        return gx.breathers.breather(chain, 0.985 * OMEGA2, seed15.state, steps=24, throw=False).energy
+
+    found = energies(ratios)
+    assert float(found[1]) == pytest.approx(float(seed15.energy), rel=1e-9) and np.all(np.diff(found) != 0)
+
+
+# ------------------------------------------------------------------------------------------------ the envelope equation
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", ["dark Hertz", "bright p = 1/2", "dimer's optical edge"])
+def test_the_error_of_the_envelope_is_proportional_to_the_shift(case):
+    shifts, errors = np.array([0.001, 0.002, 0.004]), []
+    for shift in shifts:
+        if case == "dark Hertz":
+            chain, omega, seed, i = monomer(260), 6**0.5 * (1 - shift), gx.breathers.dark_seed, 65
+        elif case == "bright p = 1/2":
+            chain, omega, seed, i = monomer(201, 0.5), 2**0.5 * (1 + shift), gx.breathers.bright_seed, 100
+        else:
+            chain, omega, seed, i = dimer(241), OMEGA2 * (1 - shift), gx.breathers.bright_seed, 120
+        b = gx.breathers.breather(chain, omega, seed(chain, omega), check=False)
+        half = gx.Flow(64)(b.state, 0.0, float(b.period) / 2, chain)
+        odd = np.asarray(b.state.u - half.u) / 2
+        if case == "dark Hertz":
+            found, expected = abs(odd[i] - odd[i + 1]), 2 * (shift * 6**0.5 / 0.459279327) ** 0.5
+        else:
+            edge = min(edges_beside(chain, omega), key=lambda edge: abs(edge.omega - omega))
+            profile = nls.bright_profile(edge.coefficients, omega, 121 if len(cell_of(chain)[0]) == 2 else 201)
+            expected = 2 * float(profile.amplitude) * float(np.abs(edge.coefficients.mode).max())
+            found = abs(odd[i])
+        errors.append(abs(expected / found - 1))
+    slope = np.polyfit(np.log(shifts), np.log(errors), 1)[0]
+    assert slope == pytest.approx(1.0, abs=0.1), errors
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", ["softening at pi", "Hertz dimer's optical bottom"])
+def test_modulational_instability_grows_at_the_envelopes_rate(case):
+    cells, a = 100, 0.1
+    if case == "softening at pi":
+        chain, n = monomer(cells, 0.5, "periodic"), np.arange(cells)
+        shape, omega0, k, branch = (-1.0) ** n, 2**0.5, np.pi, 0
+    else:
+        chain = gx.scenes.pattern(2 * cells, (HEAVY, 1.0), precompression=1.0, boundary="periodic")
+        n = np.arange(2 * cells)
+        shape, omega0, k, branch = np.where(n % 2, (-1.0) ** (n // 2), 0.0), OMEGA2, np.pi, 1
+    c = nls.coefficients(*cell_of(chain), k, branch)
+    uniform = nls.coefficients(*cell_of(chain), k, branch, constraint="length")
+    amplitude = a / (2 * float(np.abs(c.mode).max()))
+    omega = omega0 + float(uniform.nu3) * amplitude**2
+    wave = gx.breathers.breather(chain, omega, gx.State(a * shape, np.zeros(len(n))), check=False)
+    found = np.sort(np.log(np.abs(wave.floquet(tolerance=1e-11).multipliers)) / float(wave.period))[::-1]
+    Q = 2 * np.pi / cells * np.arange(1, cells // 2)
+    y = float(np.abs(np.asarray(wave.state.u)).max()) / (2 * float(np.abs(c.mode).max()))
+    expected = np.sort(np.asarray(nls.growth_rate(Q, y, float(c.nu2), float(c.nu3_force))))[::-1]
+    assert expected[0] > 0
+    # +Q and -Q grow alike
+    np.testing.assert_allclose(found[:2], expected[0], rtol=0.05)
+
+
+def test_no_modulational_instability_in_the_hertz_monomer():
+    chain = monomer(40, boundary="periodic")
+    wave = gx.State(0.05 * (-1.0) ** np.arange(40), np.zeros(40))
+    c = nls.coefficients(*cell_of(chain), np.pi, 0, constraint="length")
+    omega = 6**0.5 + float(c.nu3) * (0.05 / (2 * float(np.abs(c.mode).max()))) ** 2
+    b = gx.breathers.breather(chain, omega, wave, check=False)
+    assert np.abs(b.state.u).max() > 0.03 and b.floquet(tolerance=1e-11).verdict == "stable"
+
+
+# --------------------------------------------------------------------------------------------------- published numbers
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fraction, E, u, largest", [
+    (0.9900, 2.6192908, (0.6377287, 0.0398740, -0.4638610), 1.0),
+    (0.9875, 2.7263022, (0.7122202, 0.0471627, -0.4697628), 1.0),
+    (0.9850, 2.7015770, (0.7784533, 0.0526330, -0.4492773), 1.126536),
+])
+def test_light_centred_breathers_of_the_dimer(fraction, E, u, largest):
+    b = gx.breathers.breather(dimer(121), fraction * OMEGA2)
+    assert float(b.energy) == pytest.approx(E, abs=1e-6)
+    np.testing.assert_allclose(b.state.u[60:63], u, atol=1e-6)
+    fl = b.floquet()
+    if largest == 1.0:
+        assert fl.verdict == "stable" and fl.expected == 4
+    else:
+        assert fl.verdict == "unstable" and abs(fl.multipliers[0]) == pytest.approx(largest, abs=1e-5)
+    assert fl.defect < 1e-12
+
+
+@pytest.mark.slow
+def test_the_real_pair_leaves_where_the_energy_has_its_extremum():
+    br = gx.breathers.family(dimer(121), until=0.98 * OMEGA2, longest_step=0.1)
+    assert "reached" in br.outcome
+    found = gx.breathers.bifurcations(br, ("real pair at +1", "extremum of energy"))
+    at = {b.kind: b.omega for b in found}
+    assert at["real pair at +1"] == pytest.approx(at["extremum of energy"], rel=1e-6)
+    assert at["extremum of energy"] / OMEGA2 == pytest.approx(0.9866761, abs=1e-6)
+
+
+@pytest.mark.slow
+def test_the_heavy_centred_family_is_real_unstable():
+    br = gx.breathers.family(dimer(121, "heavy"), until=0.98 * OMEGA2, longest_step=0.1)
+    assert "reached" in br.outcome
+    below = br.omega < 0.993 * OMEGA2
+    largest = br.multipliers[below, 0]
+    assert np.all(br.verdict[below] == "unstable") and np.all(np.abs(largest.imag) < 1e-6) and np.all(largest.real > 1)
+
+
+@pytest.mark.slow
+def test_the_dark_breather_of_the_monomer():
+    chain = monomer(82)
+    b = gx.breathers.breather(chain, 0.99 * 6**0.5, "dark")
+    # the number of the literature, 9.321146696, is that of an integrator whose frequency is 4.7e-8 off
+    assert float(b.energy) == pytest.approx(9.321099312, rel=1e-8)
+    half = gx.Flow(64)(b.state, 0.0, float(b.period) / 2, chain)
+    odd = np.asarray(gx.measures.strain(chain, b.state) - gx.measures.strain(chain, half)) / 2
+    assert abs(odd[20]) == pytest.approx(0.448960, abs=2e-6)
+
+    def field(t, y):
+        force = np.maximum(1 - np.diff(y[:82]), 0) ** 1.5 - 1
+        return np.concatenate([y[82:], np.diff(force, prepend=0, append=0) * -1])
+
+    start = np.concatenate([b.state.u, np.zeros(82)])
+    end = solve_ivp(field, (0, float(b.period) / 2), start, method="DOP853", rtol=1e-13, atol=1e-14).y[82:, -1]
+    assert np.abs(end).max() < 1e-11
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("gap", [0, 1])
+def test_trimers_have_breathers_in_each_gap(gap):
+    chain = gx.scenes.trimer(61, (0.5, 0.25), precompression=1.0, boundary="free")
+    low, high = gx.linear.bands(chain).gaps[gap]
+    br = gx.breathers.family(chain, until=high - 0.05 * (high - low), points=300)
+    assert "reached" in br.outcome
+    energy = np.asarray(gx.measures.site_energy(chain, br.breather(-1).state))
+    assert gx.measures.participation(energy) < 20
+
+
+@pytest.mark.slow
+def test_alternating_softening_and_hardening_contacts():
+    chain = dimer(41, law=gx.PowerLaw(1.0, np.where(np.arange(40) % 2, 1.5, 0.5), 1.0))
+    found = gx.linear.bands(chain)
+    (low, high), = [g for g in found.gaps if g[0] > 0][-1:]
+    br = gx.breathers.family(chain, until=high - 0.02 * (high - low), points=300)
+    assert len(br) > 3 and np.isfinite(br.multipliers).all()
