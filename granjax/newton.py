@@ -12,11 +12,12 @@ LEAST_FRACTION = 2.0**-8
 class Root(eqx.Module):
     """Where Newton's method ended: its best iterate, whatever came of it.
 
-    **Fields:** `x`: the iterate (n,). `residual`: max |F(x)|. `first`: that of the guess. `steps`: Jacobians
-    evaluated. `code`: 0 converged, 1 stalled, 2 steps spent, 3 not finite.
+    **Fields:** `x`: the iterate (n,). `jacobian`: dF/dx there (n, n). `residual`: max |F(x)|. `first`: that of the
+    guess. `steps`: Jacobians evaluated. `code`: 0 converged, 1 stalled, 2 steps spent, 3 not finite.
     """
 
     x: jax.Array
+    jacobian: jax.Array
     residual: jax.Array
     first: jax.Array
     steps: jax.Array
@@ -68,15 +69,29 @@ def newton(residual, x0, args=None, *, tolerance=1e-10, max_steps=20, linearise=
     x0 = x0.astype(jnp.result_type(x0, float)) if not jnp.issubdtype(x0.dtype, jnp.floating) else x0
     # a plain number is an input of what is compiled, not a part of it
     args = jax.tree.map(lambda leaf: jnp.asarray(leaf) if isinstance(leaf, float) else leaf, args)
-    root = _solved(residual, linearise, x0, args, jnp.asarray(tolerance, x0.dtype), jnp.asarray(max_steps))
-    known = not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(root))
-    if known and (throw is None or throw) and not np.all(root.converged):
+    inputs = residual, linearise, x0, args, jnp.asarray(tolerance, x0.dtype), jnp.asarray(max_steps)
+    # without tracers nobody differentiates; a function may hide some, which the result then shows
+    root = None if _traced(inputs) else _plain(*inputs)
+    if root is None or _traced(root):
+        root = _differentiable(*inputs)
+    if not _traced(root) and (throw is None or throw) and not np.all(root.converged):
         raise RuntimeError(root.outcome)
     return root
 
 
+def _traced(tree):
+    return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(tree))
+
+
 @eqx.filter_jit
-def _solved(residual, linearise, x0, args, tolerance, max_steps):
+def _plain(residual, linearise, x0, args, tolerance, max_steps):
+    both = _by_forward_mode(residual) if linearise is None else linearise
+    x, (jacobian, size, first, steps, code) = _iterate(both, x0, args, tolerance, max_steps)
+    return Root(x, jacobian, size, first, steps, code, tolerance)
+
+
+@eqx.filter_jit
+def _differentiable(residual, linearise, x0, args, tolerance, max_steps):
     both = _by_forward_mode(residual) if linearise is None else linearise
 
     def solve(f, x0):
@@ -89,8 +104,8 @@ def _solved(residual, linearise, x0, args, tolerance, max_steps):
         return jnp.linalg.solve(jax.jacfwd(g)(jnp.zeros_like(y)), y)
 
     x, rest = jax.lax.custom_root(lambda x: residual(x, args), x0, solve, tangent_solve, has_aux=True)
-    size, first, steps, code = rest
-    return Root(x, size, first, steps.astype(int), code.astype(int), tolerance)
+    jacobian, size, first, steps, code = rest
+    return Root(x, jacobian, size, first, steps.astype(int), code.astype(int), tolerance)
 
 
 def _by_forward_mode(residual):
@@ -107,28 +122,26 @@ def _size(f):
 
 
 def _iterate(both, x0, args, tolerance, max_steps):
-    """(x, (residual, first, steps, code)) after the loop."""
-    f, jacobian = both(x0, args)
-    first = _size(f)
-
+    """(x, (jacobian, residual, first, steps, code)) after the loop, whose first turn looks at the guess."""
     def going(carry):
-        _, _, size, _, fraction, steps = carry
-        return (size > tolerance) & jnp.isfinite(size) & (fraction >= LEAST_FRACTION) & (steps < max_steps)
+        _, _, _, size, _, _, fraction, steps = carry
+        unfinished = (size > tolerance) & jnp.isfinite(size) & (fraction >= LEAST_FRACTION) & (steps < max_steps)
+        return (steps == 0) | unfinished
 
     def body(carry):
-        x, step, size, _, fraction, steps = carry
+        x, jacobian, step, size, first, _, fraction, steps = carry
         tried = x + fraction * step
-        f, jacobian = both(tried, args)
+        f, slope = both(tried, args)
         new = _size(f)
         better = new < size
-        step = jax.lax.cond(better, lambda: -jnp.linalg.solve(jacobian, f), lambda: step)
-        x, size = jnp.where(better, tried, x), jnp.where(better, new, size)
+        step = jax.lax.cond(better, lambda: -jnp.linalg.solve(slope, f), lambda: step)
+        x, jacobian, size = (jnp.where(better, *pair) for pair in ((tried, x), (slope, jacobian), (new, size)))
         fraction = jnp.where(better, jnp.minimum(2 * fraction, 1.0), fraction / 2)
-        return x, step, size, new, fraction, steps + 1
+        return x, jacobian, step, size, jnp.where(steps == 0, new, first), new, fraction, steps + 1
 
-    one = jnp.ones((), x0.dtype)
-    start = (x0, -jnp.linalg.solve(jacobian, f), first, first, one, jnp.ones((), int))
-    x, _, size, last, fraction, steps = jax.lax.while_loop(going, body, start)
+    one, n = jnp.ones((), x0.dtype), x0.size
+    start = x0, jnp.full((n, n), jnp.nan, x0.dtype), 0 * x0, jnp.inf * one, one, one, one, jnp.zeros((), int)
+    x, jacobian, _, size, first, last, fraction, steps = jax.lax.while_loop(going, body, start)
     code = jnp.where(fraction < LEAST_FRACTION, STALLED, SPENT)
     code = jnp.where(jnp.isfinite(last), code, NOT_FINITE)
-    return x, (size, first, steps, jnp.where(size <= tolerance, CONVERGED, code))
+    return x, (jacobian, size, first, steps, jnp.where(size <= tolerance, CONVERGED, code))

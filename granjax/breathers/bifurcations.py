@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
@@ -60,6 +61,11 @@ def bifurcations(branch, kinds=KINDS, *, accuracy=1e-9):
     return found
 
 
+@eqx.filter_jit
+def _slopes(bordered, z, lattice):
+    return bordered.jacobian(z, lattice)[1]
+
+
 class _Point:
     """A solution near the i-th breather, with what is counted at it."""
 
@@ -79,7 +85,8 @@ class _Point:
         if kind == "extremum of energy":
             b, along = self.branch, jnp.asarray(self.branch.tangents[self.i])
             here = jnp.asarray(self.z)
-            along = tangent_at(Bordered(b.problem.residual, b.problem.linearise), here, b.lattice, along)[0]
+            slopes = _slopes(Bordered(b.problem.residual, b.problem.linearise), here, b.lattice)
+            along = jnp.asarray(tangent_at(np.asarray(slopes), along)[0])
             return int(energy_slope(b.problem, b.lattice, here[:-1], along) > 0)
         traces, symmetries = self.spectrum.half_traces, self.spectrum.expected // 2
         # mu that nearly meet split like a square root of the error, their sum does not: near 1 the sum decides

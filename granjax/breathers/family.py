@@ -4,7 +4,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.flatten_util import ravel_pytree
 
 from ..checks import refuse
 from ..continuation import continuation
@@ -18,8 +17,9 @@ from .problem import (
     TOLERANCE,
     by_frequency,
     checked_lattice,
-    energy,
+    energies,
     half_steps,
+    spectra_of,
     spectrum_of,
 )
 
@@ -60,7 +60,8 @@ def family(chain, until=None, *, start=None, amplitude=None, mode=None, step=Non
         refuse("mode", "a mode or a start", "both", "A start says where the family begins.")
     if start is not None and not isinstance(start, Breather):
         refuse("start", "a Breather", f"a {type(start).__name__}", "gx.breathers.breather finds one.")
-    ways = [_from(chain, start)] if start is not None else _modes(chain, until, mode)
+    modes = normal_modes(chain) if start is None else None
+    ways = [_from(chain, start)] if start is not None else _modes(modes, until, mode)
     unit = 1.0 if step is None else step / 0.02
     step = 0.02 * unit
     longest_step = 0.15 * unit if longest_step is None else longest_step
@@ -74,7 +75,8 @@ def family(chain, until=None, *, start=None, amplitude=None, mode=None, step=Non
             step=step if start is not None else FIRST * step, longest_step=longest_step, least_step=1e-6 * step,
             linearise=problem.linearise, tolerance=tolerance, veto=veto, stop=_both(grown, stop))
 
-    count = steps or half_steps(chain, 2 * np.pi / ways[0](by_frequency(chain, 8).half)[1])
+    fastest = None if modes is None else modes.omega[-1]
+    count = steps or half_steps(chain, 2 * np.pi / ways[0](by_frequency(chain, 8).half)[1], fastest)
     chosen = ways[0] if len(ways) == 1 else _towards(ways, until, lambda way: follow(way, count, PROBE)[1])
     problem, curve = follow(chosen, count, points)
     enough = steps or _enough(problem, chain, curve, count)
@@ -87,7 +89,7 @@ def _enough(problem, chain, curve, count):
     """Steps for which the last tangent map is known well enough, or from which on more help little (open contacts)."""
     before = np.inf
     for doubled in count * 2 ** np.arange(DOUBLINGS):
-        problem = eqx.tree_at(lambda p: p.half.flow.steps, problem, jnp.asarray(doubled))
+        problem = eqx.tree_at(lambda p: p.half.flow.steps, problem, jnp.asarray(doubled, int))
         error = spectrum_of(problem, chain, curve.x[-1], curve.p[-1]).step_error
         if error <= LET_PASS or error > before / SLOW:
             break
@@ -103,9 +105,8 @@ def _from(chain, start):
     return way
 
 
-def _modes(chain, until, mode):
+def _modes(modes, until, mode):
     """Ways to begin at a linear mode, those to try in their order."""
-    modes = normal_modes(chain)
     omega = np.asarray(modes.omega)
     shapes = np.concatenate([np.asarray(x).reshape(-1, len(omega)) for x in jax.tree.leaves(modes.modes)])
     if mode is not None:
@@ -164,15 +165,14 @@ def _both(first, second):
 
 
 def _branch(problem, chain, curve, stability):
-    states = [problem.half.state(jnp.asarray(x)) for x in curve.x]
-    found = [spectrum_of(problem, chain, x, p) for x, p in zip(curve.x, curve.p)] if stability else []
+    states = jax.vmap(problem.half.state)(jnp.asarray(curve.x))
+    found = list(spectra_of(problem, chain, curve.x, curve.p)) if stability else []
     verdicts = [decide(s.multipliers, s.error, s.expected, True)[0] for s in found]
     size = 2 * problem.half.size
     none = np.full((len(curve.p), size), np.nan)
     return Branch(
-        curve.p, np.array([float(energy(chain, y)) for y in states]),
-        np.array([np.abs(ravel_pytree(y.u)[0]).max() for y in states]),
-        jax.tree.map(lambda *x: np.stack([np.asarray(a) for a in x]), *[y.u for y in states]),
+        curve.p, np.asarray(energies(chain, states)), np.abs(curve.x[:, : problem.half.size]).max(1),
+        jax.tree.map(np.asarray, states.u),
         np.stack([s.multipliers for s in found]) if found else none.astype(complex),
         np.stack([s.error for s in found]) if found else none,
         np.array(verdicts if found else [""] * len(curve.p)),

@@ -28,8 +28,9 @@ class ByFrequency(eqx.Module):
         return self.half.residual(x, (lattice, 2 * jnp.pi / omega))
 
     def linearise(self, x, omega, lattice):
-        """Gaps and their derivative in x."""
-        return self.half.linearise(x, (lattice, 2 * jnp.pi / omega))
+        """Gaps and their derivatives in x and in omega."""
+        gaps, in_x, in_period = self.half.slopes(x, (lattice, 2 * jnp.pi / omega))
+        return gaps, in_x, -2 * jnp.pi / omega**2 * in_period
 
 
 def checked_lattice(lattice):
@@ -47,21 +48,28 @@ def checked_lattice(lattice):
     return lattice
 
 
-def half_steps(lattice, period):
-    """Steps of half a period for which h omega_max is at most `FINE`, with omega_max that of small motion."""
-    omega = float(linear_frequency(lattice))
+def half_steps(lattice, period, fastest=None):
+    """Steps of half a period for which h omega_max is at most `FINE`, with omega_max, `fastest`, that of small motion.
+    """
+    omega = float(linear_frequency(lattice) if fastest is None else fastest)
     return max(int(np.ceil(period / 2 * omega / FINE)), 8)
 
 
 def by_frequency(lattice, steps, solver=None):
     """The root problem with a number of steps that may change without compiling anew."""
-    return ByFrequency(HalfPeriod.of(lattice, Flow(jnp.asarray(steps), solver or KahanLi8())))
+    return ByFrequency(HalfPeriod.of(lattice, Flow(jnp.asarray(steps, int), solver or KahanLi8())))
 
 
 @eqx.filter_jit
 def energy(lattice, state):
     """Energy from equilibrium."""
     return lattice.energy(0.0, state.u, state.v)
+
+
+@eqx.filter_jit
+def energies(lattice, states):
+    """Of states along a leading axis."""
+    return jax.lax.map(lambda y: lattice.energy(0.0, y.u, y.v), states)
 
 
 @eqx.filter_jit
@@ -77,12 +85,12 @@ def _half_maps(flow, x, half, omega, lattice):
     y = half.state(x)
     mass = ravel_pytree(jax.tree.map(lambda m, u: m + jnp.zeros_like(u), lattice.mass, y.u))[0]
     weight = jnp.concatenate([jnp.ones_like(mass), mass])
-    maps = []
-    for factor in (1, 2):
-        finer = Flow(flow.steps * factor, flow.solver, flow.field)
-        end, map_ = finer.derivative(y, 0.0, jnp.pi / omega, lattice)
-        maps.append(map_ * weight[:, None] / weight)
-    return *maps, end
+
+    def scaled(steps):
+        _, map_ = Flow(steps, flow.solver, flow.field).derivative(y, 0.0, jnp.pi / omega, lattice)
+        return map_ * weight[:, None] / weight
+
+    return jax.lax.map(scaled, flow.steps * jnp.array([1, 2]))
 
 
 class Spectrum(eqx.Module):
@@ -97,12 +105,26 @@ class Spectrum(eqx.Module):
 
 def spectrum_of(problem, lattice, x, omega):
     """Multipliers of the orbit x, from half a period, with twice the steps of the problem and its own for the error."""
-    coarse, fine, _ = _half_maps(problem.half.flow, jnp.asarray(x), problem.half, omega, lattice)
-    coarse, fine = np.asarray(coarse), np.asarray(fine)
-    traces, multipliers, error = reversible_multipliers(fine, coarse)
+    return next(spectra_of(problem, lattice, [x], [omega]))
+
+
+def spectra_of(problem, lattice, xs, omegas):
+    """The `Spectrum` of each of several orbits; while one is decomposed the next one's maps are on their way."""
+    flow = eqx.tree_at(lambda f: f.steps, problem.half.flow, jnp.asarray(problem.half.flow.steps, int))
     expected = 2 + 2 * problem.half.moves.shape[1]
-    return Spectrum(traces, multipliers, error, float(np.abs(fine - coarse).max()), expected)
+
+    def launched(i):
+        return _half_maps(flow, jnp.asarray(xs[i]), problem.half, jnp.asarray(omegas[i]), lattice)
+
+    coming = launched(0)
+    for i in range(len(xs)):
+        maps, coming = coming, launched(i + 1) if i + 1 < len(xs) else None
+        coarse, fine = np.asarray(maps)
+        traces, multipliers, error = reversible_multipliers(fine, coarse)
+        yield Spectrum(traces, multipliers, error, float(np.abs(fine - coarse).max()), expected)
 
 
-__all__ = ["ByFrequency", "by_frequency", "checked_lattice", "energy", "energy_slope", "half_steps", "spectrum_of",
-           "structure"]
+__all__ = [
+    "ByFrequency", "by_frequency", "checked_lattice", "energies", "energy", "energy_slope", "half_steps", "spectra_of",
+    "spectrum_of", "structure",
+]

@@ -52,7 +52,7 @@ def directions(system, kind, point, before):
     if kind == "fold":
         return point.tangent[None]
     # dF has two null vectors and one from the left, psi: a tangent v is in their plane, and psi . D^2 F [v, v] = 0
-    left, _, right = np.linalg.svd(system.jacobian(point.z))
+    left, _, right = np.linalg.svd(point.jacobian)
     plane, psi = right[-2:], left[:, -1]
     form = np.array([[psi @ system.second(point.z, v, w) for v in plane] for w in plane])
     (low, high), axes = np.linalg.eigh((form + form.T) / 2)

@@ -14,9 +14,11 @@ MOST_NEWTON = 10
 
 
 class Point(NamedTuple):
-    """A corrected point: tangent, sign of det of (dF; tangent), which changes where branches cross."""
+    """A corrected point: derivatives (n, n + 1), tangent, sign of det of the two, which changes where branches cross.
+    """
 
     z: np.ndarray
+    jacobian: np.ndarray
     tangent: np.ndarray
     sign: float
     steps: int
@@ -58,20 +60,21 @@ class Bordered(eqx.Module):
             twice = lambda z: (self.function(z[:-1], z[-1], inner),) * 2
             jacobian, f = jax.jacfwd(twice, has_aux=True)(z)
             return f, jacobian
-        f, in_x = self.slopes(x, p, inner)
-        _, in_p = jax.jvp(lambda p: self.function(x, p, inner), (p,), (jnp.ones_like(p),))
-        return f, jnp.column_stack([in_x, in_p])
+        f, in_x, *in_p = self.slopes(x, p, inner)
+        if not in_p:
+            in_p = [jax.jvp(lambda p: self.function(x, p, inner), (p,), (jnp.ones_like(p),))[1]]
+        return f, jnp.column_stack([in_x, *in_p])
 
 
-@eqx.filter_jit
-def tangent_at(augmented, z, args, border):
-    """The unit tangent with border . tangent > 0, and the logarithm and sign of the bordered determinant."""
-    _, jacobian = augmented.jacobian(z, args)
-    square = jnp.vstack([jacobian, border])
-    tangent = jnp.linalg.solve(square, jnp.zeros_like(z).at[-1].set(1.0))
-    tangent = tangent / jnp.linalg.norm(tangent)
-    sign, size = jnp.linalg.slogdet(jnp.vstack([jacobian, tangent]))
-    return tangent, sign, size, jacobian
+def tangent_at(jacobian, border):
+    """The unit tangent of derivatives (n, n + 1) with border . tangent > 0, and slogdet of the two together."""
+    square = np.vstack([jacobian, border])
+    try:
+        tangent = np.linalg.solve(square, np.eye(len(square))[-1])
+    except np.linalg.LinAlgError:
+        return np.full(len(square), np.nan), np.nan, np.nan
+    tangent = tangent / np.linalg.norm(tangent)
+    return tangent, *np.linalg.slogdet(np.vstack([jacobian, tangent]))
 
 
 @eqx.filter_jit
@@ -99,24 +102,21 @@ class System:
         root = self._newton(z, only_p, z, 2 * MOST_NEWTON)
         if not root.converged:
             raise RuntimeError(f"The first point: {root.outcome}")
-        return self._point(np.asarray(root.x), direction * only_p, int(root.steps))
+        return self._point(root, direction * only_p)
 
     def correct(self, predicted, border, before):
         """A `Point` in the plane across `border`, or `None` and why not."""
         root = self._newton(predicted, border, predicted, MOST_NEWTON)
         if not root.converged:
             return None, root.outcome.rstrip(".")
-        return self._point(np.asarray(root.x), before, int(root.steps)), ""
+        return self._point(root, before), ""
 
     def at(self, z, p, before):
         """The point with this p, or `None`."""
         only_p = np.append(np.zeros(len(z) - 1), 1.0)
         guess = np.append(z[:-1] + before[:-1] * np.clip((p - z[-1]) / (before[-1] or 1), -1, 1), p)
         root = self._newton(guess, only_p, guess, MOST_NEWTON)
-        return self._point(np.asarray(root.x), before, int(root.steps)) if root.converged else None
-
-    def jacobian(self, z):
-        return np.asarray(eqx.filter_jit(self.augmented.jacobian)(jnp.asarray(z), self.args)[1])
+        return self._point(root, before) if root.converged else None
 
     def second(self, z, v, w):
         """D^2 F [v, w]."""
@@ -127,8 +127,10 @@ class System:
         return newton(self.augmented.residual, jnp.asarray(guess), arguments, tolerance=self.tolerance,
                       max_steps=most, linearise=self.augmented.linearise, throw=False)
 
-    def _point(self, z, before, steps):
-        tangent, sign, size, _ = tangent_at(self.augmented, jnp.asarray(z), self.args, jnp.asarray(before))
+    def _point(self, root, before):
+        jacobian = np.asarray(root.jacobian)[:-1]
+        tangent, sign, size = tangent_at(jacobian, before)
         # relative to the first point's, so that its size means how near to zero it is
-        self.scale = float(size) if self.scale is None else self.scale
-        return Point(z, np.asarray(tangent), float(sign * jnp.exp(jnp.clip(size - self.scale, -200, 200))), steps)
+        self.scale = size if self.scale is None else self.scale
+        sign = sign * np.exp(np.clip(size - self.scale, -200, 200))
+        return Point(np.asarray(root.x), jacobian, tangent, float(sign), int(root.steps))

@@ -29,7 +29,7 @@ def continuation(
       branch point, and the first point is sought beside it.
     - `step`, `least_step`, `longest_step`: first, least (step/1e4) and longest (10 step) length along the branch.
     - `points`: the most points. `tolerance`: of max |F|.
-    - `linearise`: (x, p, args) -> (F, dF/dx), where that is cheaper than `jax.jacfwd`.
+    - `linearise`: (x, p, args) -> (F, dF/dx) or (F, dF/dx, dF/dp), where that is cheaper than `jax.jacfwd`.
     - `veto`: (x, p, x_before, p_before) -> a reason to take a shorter step instead, or `None`.
     - `stop`: (x, p) -> a reason to end the branch there, or `None`.
     - `find`: which special points are located, of "fold" and "branch point".

@@ -55,6 +55,11 @@ class HalfPeriod(eqx.Module):
 
     def linearise(self, x, scene):
         """The residual and its derivative in the unknowns, from one pass with tangents."""
+        return self.slopes(x, scene)[:2]
+
+    def slopes(self, x, scene):
+        """The residual, its derivative in the unknowns, and that in the period, which is half the end's acceleration.
+        """
         lattice, period = scene
         unravel = ravel_pytree(self.like)[1]
         unit = jax.vmap(unravel, out_axes=-1)(jnp.eye(self.size, dtype=x.dtype))
@@ -62,7 +67,9 @@ class HalfPeriod(eqx.Module):
         end, moved = self.flow.tangents(self.state(x), tangents, 0.0, period / 2, lattice)
         rows = jnp.concatenate([leaf.reshape(-1, self.size) for leaf in jax.tree.leaves(moved.v)])
         jacobian = jnp.block([[rows, self.moves], [self._mean(lattice), jnp.zeros((self.moves.shape[1],) * 2)]])
-        return self._conditions(x, ravel_pytree(end.v)[0], lattice), jacobian
+        acceleration = ravel_pytree(lattice.acceleration(period / 2, *end))[0]
+        in_period = jnp.append(acceleration / 2, jnp.zeros(self.moves.shape[1]))
+        return self._conditions(x, ravel_pytree(end.v)[0], lattice), jacobian, in_period
 
     def _mean(self, lattice):
         weights = ravel_pytree(jax.tree.map(lambda m, u: m + jnp.zeros_like(u), lattice.mass, self.like))[0]
