@@ -7,6 +7,8 @@ import numpy as np
 
 CONVERGED, STALLED, SPENT, NOT_FINITE = range(4)
 LEAST_FRACTION = 2.0**-8
+# singular values, relative to the norm, below which a step is not trusted when Newton's has failed
+FLAT = 1e-6
 
 
 class Root(eqx.Module):
@@ -52,8 +54,10 @@ class Root(eqx.Module):
 def newton(residual, x0, args=None, *, tolerance=1e-10, max_steps=20, linearise=None, throw=None):
     r"""A root of F(x, args) = 0 by Newton's method with halved steps.
 
-    x <- x - lambda J^{-1} F with lambda = 1, 1/2, ... until max |F| falls. The root is differentiable in `args`, in
-    both modes and to any order: dx = -J^{-1} (dF/d args). Inside `jit` and `vmap` it is one loop.
+    x <- x - lambda J^{-1} F with lambda = 1, 1/2, ... until max |F| falls. Where the full step fails, J^{-1} is that of
+    Levenberg and Marquardt from then on: a derivative that is almost singular along a family of almost-roots, such as a
+    soliton that may stand anywhere, would make large steps of rounding. The root is differentiable in `args`, in both
+    modes and to any order: dx = -J^{-1} (dF/d args). Inside `jit` and `vmap` it is one loop.
 
     **Arguments:**
 
@@ -121,27 +125,44 @@ def _size(f):
     return jnp.where(jnp.all(jnp.isfinite(f)), jnp.max(jnp.abs(f)), jnp.inf)
 
 
+def _gentle(jacobian, f):
+    """The step of Levenberg and Marquardt, without what lies along directions that the derivative hardly sees."""
+    damping = (FLAT * jnp.linalg.norm(jacobian)) ** 2 * jnp.eye(f.size, dtype=f.dtype)
+    return -jnp.linalg.solve(jacobian.T @ jacobian + damping, jacobian.T @ f)
+
+
 def _iterate(both, x0, args, tolerance, max_steps):
     """(x, (jacobian, residual, first, steps, code)) after the loop, whose first turn looks at the guess."""
     def going(carry):
-        _, _, _, size, _, _, fraction, steps = carry
-        unfinished = (size > tolerance) & jnp.isfinite(size) & (fraction >= LEAST_FRACTION) & (steps < max_steps)
-        return (steps == 0) | unfinished
+        size, steps = carry["size"], carry["steps"]
+        unfinished = (size > tolerance) & jnp.isfinite(size) & (carry["fraction"] >= LEAST_FRACTION)
+        return (steps == 0) | unfinished & (steps < max_steps)
 
-    def body(carry):
-        x, jacobian, step, size, first, _, fraction, steps = carry
-        tried = x + fraction * step
-        f, slope = both(tried, args)
+    def body(c):
+        tried = c["x"] + c["fraction"] * c["step"]
+        f, jacobian = both(tried, args)
         new = _size(f)
-        better = new < size
-        step = jax.lax.cond(better, lambda: -jnp.linalg.solve(slope, f), lambda: step)
-        x, jacobian, size = (jnp.where(better, *pair) for pair in ((tried, x), (slope, jacobian), (new, size)))
-        fraction = jnp.where(better, jnp.minimum(2 * fraction, 1.0), fraction / 2)
-        return x, jacobian, step, size, jnp.where(steps == 0, new, first), new, fraction, steps + 1
+        better = new < c["size"]
+        best = {"x": tried, "f": f, "jacobian": jacobian, "size": new}
+        best = {name: jnp.where(better, value, c[name]) for name, value in best.items()}
+        # Newton's step, or the gentle one where the first has failed, or half of that
+        again = ~better & ~c["gentle"]
+        step = jax.lax.cond(
+            better | again, lambda: jax.lax.cond(
+                better, lambda: -jnp.linalg.solve(jacobian, f), lambda: _gentle(best["jacobian"], best["f"])),
+            lambda: c["step"])
+        fraction = jnp.where(better | again, 1.0, c["fraction"] / 2).astype(x0.dtype)
+        first = jnp.where(c["steps"] == 0, new, c["first"])
+        return {**best, "step": step, "gentle": ~better, "fraction": fraction, "first": first, "last": new,
+                "steps": c["steps"] + 1}
 
     one, n = jnp.ones((), x0.dtype), x0.size
-    start = x0, jnp.full((n, n), jnp.nan, x0.dtype), 0 * x0, jnp.inf * one, one, one, one, jnp.zeros((), int)
-    x, jacobian, _, size, first, last, fraction, steps = jax.lax.while_loop(going, body, start)
-    code = jnp.where(fraction < LEAST_FRACTION, STALLED, SPENT)
-    code = jnp.where(jnp.isfinite(last), code, NOT_FINITE)
-    return x, (jacobian, size, first, steps, jnp.where(size <= tolerance, CONVERGED, code))
+    start = {
+        "x": x0, "f": 0 * x0, "jacobian": jnp.full((n, n), jnp.nan, x0.dtype), "size": jnp.inf * one, "step": 0 * x0,
+        "gentle": jnp.zeros((), bool), "fraction": one, "first": one, "last": one, "steps": jnp.zeros((), int),
+    }
+    end = jax.lax.while_loop(going, body, start)
+    code = jnp.where(end["fraction"] < LEAST_FRACTION, STALLED, SPENT)
+    code = jnp.where(jnp.isfinite(end["last"]), code, NOT_FINITE)
+    code = jnp.where(end["size"] <= tolerance, CONVERGED, code)
+    return end["x"], (end["jacobian"], end["size"], end["first"], end["steps"], code)

@@ -206,7 +206,8 @@ def test_mass_ratios_in_a_batch(seed15):
 @pytest.mark.slow
 @pytest.mark.parametrize("case", ["dark Hertz", "bright p = 1/2", "dimer's optical edge"])
 def test_the_error_of_the_envelope_is_proportional_to_the_shift(case):
-    shifts, errors = np.array([0.001, 0.002, 0.004]), []
+    # nearer to the band a dark soliton of a chain this long may stand anywhere: its place is held by less than 1e-10
+    shifts, errors = np.array([0.002, 0.004, 0.008] if case == "dark Hertz" else [0.001, 0.002, 0.004]), []
     for shift in shifts:
         if case == "dark Hertz":
             chain, omega, seed, i = monomer(260), 6**0.5 * (1 - shift), gx.breathers.dark_seed, 65
@@ -306,7 +307,7 @@ def test_the_heavy_centred_family_is_real_unstable():
 @pytest.mark.slow
 def test_the_dark_breather_of_the_monomer():
     chain = monomer(82)
-    b = gx.breathers.breather(chain, 0.99 * 6**0.5, "dark")
+    b = gx.breathers.breather(chain, 0.99 * 6**0.5, "dark", steps=48)
     # the number of the literature, 9.321146696, is that of an integrator whose frequency is 4.7e-8 off
     assert float(b.energy) == pytest.approx(9.321099312, rel=1e-8)
     half = gx.Flow(64)(b.state, 0.0, float(b.period) / 2, chain)

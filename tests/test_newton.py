@@ -40,6 +40,20 @@ def test_halved_steps_save_a_guess_that_full_steps_lose():
     assert newton(lambda x, a: jnp.log(x), [3.0]).x[0] == pytest.approx(1.0, abs=1e-10)
 
 
+def test_a_family_of_almost_roots_is_not_left_by_rounding():
+    # x on the unit circle, the angle held by 1e-14 alone: J^{-1} makes steps of rounding along the circle
+    def f(x, a):
+        r = jnp.sqrt(x @ x)
+        return jnp.stack([jnp.log(r) + a * jnp.sin(3 * x[0]), 1e-15 * x[1] + a * 1e-13 * (r - 1)])
+
+    guess, x = jnp.array([0.9, 0.7]), np.array([0.9, 0.7])
+    for _ in range(12):
+        x = x - np.linalg.solve(jax.jacfwd(f)(x, 0.3), f(x, 0.3))
+    assert not np.abs(f(x, 0.3)).max() < 1e-12
+    root = newton(f, guess, 0.3, tolerance=1e-12)
+    assert np.abs(f(root.x, 0.3)).max() < 1e-12 and np.abs(root.x - guess).max() < 1
+
+
 CASES = {
     0: (meeting, GUESS, ARGS, 20, "Converged: the residual went from 2.0e+00 to"),
     1: (lambda x, a: x**2 + 1.0, [0.5], None, 40, "no fraction of the step lowered it further"),

@@ -11,6 +11,9 @@ from jax.flatten_util import ravel_pytree
 from ..lattice import vector_field
 from ..solvers import SRKN14a
 
+# numbers that go through a processor at once, at most: rows of tangents that are a multiple of it are up to 1.2x faster
+VECTOR = 8
+
 
 class Flow(eqx.Module):
     r"""The flow phi(y; t0, t1, args) of y' = f(t, y, args), by a fixed number of equal steps.
@@ -33,8 +36,12 @@ class Flow(eqx.Module):
 
     def tangents(self, y, tangents, t0, t1, args):
         """(phi(y), D phi(y) tangents), with `tangents` like `y` plus a trailing axis."""
+        count = jax.tree.leaves(tangents)[0].shape[-1]
+        idle = -count % VECTOR if count > VECTOR else 0
+        tangents = jax.tree.map(lambda x: jnp.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, idle)]), tangents)
         ends = _march(self.solver, _variational(self.field, y), self.steps, _join(y, tangents), t0, t1, args)
-        return _part(y, ends)
+        end, moved = _part(y, ends)
+        return end, jax.tree.map(lambda x: x[..., :count], moved)
 
     def derivative(self, y, t0, t1, args):
         """(phi(y), D phi(y)), the derivative as a matrix over the raveled state."""
