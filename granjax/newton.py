@@ -34,7 +34,7 @@ class Root(eqx.Module):
     @property
     def outcome(self):
         """What became of it, a sentence (of the worst where there are several)."""
-        if isinstance(self.code, jax.core.Tracer):
+        if _traced((self.code, self.steps, self.first, self.residual, self.tolerance)):
             return "traced"
         worst = int(np.argmax(np.asarray(self.code))) if np.ndim(self.code) else ()
         code, steps, first, last, tolerance = (

@@ -188,6 +188,47 @@ def test_energy_is_differentiable_in_the_chain_and_in_omega(seed15):
         np.testing.assert_allclose(exact, finite, rtol=1e-6)
 
 
+def of_ratio(ratio):
+    return gx.Lattice(dimer(15).mass * jnp.where(dimer(15).mass > 1, ratio, 1.0), dimer(15).terms)
+
+
+def five_points(f, h):
+    return (8 * (f(1 + h) - f(1 - h)) - (f(1 + 2 * h) - f(1 - 2 * h))) / (12 * h)
+
+
+def test_the_frequency_at_constant_energy_is_differentiable(seed15):
+    near = gx.breathers.breather(dimer(15), 0.986 * OMEGA2, seed15.state, energy=float(seed15.energy), steps=24)
+    assert float(near.omega) == pytest.approx(float(seed15.omega), rel=1e-9)
+
+    @jax.jit
+    def omega(ratio):
+        chain, energy = of_ratio(ratio), seed15.energy
+        return gx.breathers.breather(
+            chain, seed15.omega, seed15.state, energy=energy, steps=24, throw=False, tolerance=1e-12).omega
+
+    slope = float(jax.jacfwd(omega)(1.0))
+    assert slope == pytest.approx(float(five_points(omega, 1e-4)), rel=1e-6) and abs(slope) > 1e-3
+
+
+@pytest.mark.slow
+def test_the_largest_multiplier_is_differentiable_in_the_mass_ratio():
+    def chain(heavy):
+        return gx.Lattice(jnp.where(dimer(61).mass > 1, heavy, 1.0), dimer(61).terms)
+
+    ratio, omega = 2.957949, 0.985 * OMEGA2
+    seed = gx.breathers.breather(chain(ratio), omega).state
+
+    def largest(heavy):
+        b = gx.breathers.breather(chain(heavy), omega, seed, steps=24, throw=False, tolerance=1e-13)
+        return jnp.abs(gx.floquet.multipliers(gx.Flow(48), b.state, 0.0, 2 * jnp.pi / omega, chain(heavy))).max()
+
+    assert float(largest(ratio)) == pytest.approx(1.1265, abs=1e-3)
+    h = 1e-4
+    at = lambda d: float(largest(ratio + d))
+    finite = (8 * (at(h) - at(-h)) - (at(2 * h) - at(-2 * h))) / (12 * h)
+    assert float(jax.jacfwd(largest)(ratio)) == pytest.approx(finite, rel=1e-6)
+
+
 def test_mass_ratios_in_a_batch(seed15):
     ratios = jnp.array([2.9, 2.957949, 3.0])
 

@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import one_of, refuse
+from ..checks import one_of, positive, refuse
 from ..floquet.spectrum import one_thread
 from ..flow import Flow
 from ..lattice import State
@@ -26,13 +26,15 @@ NEARER = (0.5, 0.2, 0.1)
 
 
 @one_thread
-def breather(chain, omega, seed=None, *, centre=None, steps=None, solver=None, tolerance=TOLERANCE, max_steps=30,
-             check=True, throw=None):
+def breather(chain, omega, seed=None, *, energy=None, centre=None, steps=None, solver=None, tolerance=TOLERANCE,
+             max_steps=30, check=True, throw=None):
     r"""A time-reversible breather of frequency omega: v(0) = 0, v(T/2) = 0, T = 2 pi/omega.
 
     **Arguments:**
 
     - `chain`: a conservative, autonomous `Lattice`. `omega`: [rad/s].
+    - `energy`: where given, the breather of this energy, above zero, is sought from the one at omega on, and has its
+      own frequency, which is then differentiable too: d omega/d parameter at constant energy.
     - `seed`: where Newton's method starts. `None`: the family from the linear mode next to omega. `"bright"`,
       `"dark"`: the envelope's soliton of a periodic chain, centred on `centre` (a site, or 3.5 for a bond; `None` the
       middle); dark with the ends that the chain has (free: constant force; walls or a ring: fixed length). A `State`,
@@ -51,11 +53,13 @@ def breather(chain, omega, seed=None, *, centre=None, steps=None, solver=None, t
         one_of("seed", seed, SEEDS)
     elif seed is not None and not (isinstance(seed, tuple) and len(seed) == 2):
         refuse("seed", "None, 'bright', 'dark' or a State", f"a {type(seed).__name__}")
-    traced = any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves((chain, omega, seed)))
+    traced = any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves((chain, omega, seed, energy)))
     if not traced:
         checked_lattice(chain)
         if not omega > 0:
             refuse("omega", "a frequency above zero", repr(omega))
+        if energy is not None:
+            positive("energy", energy)
         if check:
             _check(chain, float(omega), seed)
     elif seed is None or isinstance(seed, str) or steps is None:
@@ -69,7 +73,15 @@ def breather(chain, omega, seed=None, *, centre=None, steps=None, solver=None, t
     half = HalfPeriod.of(chain, Flow(steps if traced else jnp.asarray(steps), solver or KahanLi8()))
     if isinstance(seed, str):
         seed = _from_envelope(chain, half, float(omega), seed, centre, tolerance)
-    return _solve(chain, half, State(*seed), omega, tolerance, max_steps, throw)
+    if energy is None:
+        return _solve(chain, half, State(*seed), omega, tolerance, max_steps, throw)
+    if not traced:  # a step of its own to omega: the seed's energy may be far off
+        seed = _solve(chain, half, State(*seed), omega, tolerance, max_steps, throw).state
+    problem, guess = AtEnergy(half), jnp.append(half.guess(State(*seed)), omega)
+    root = newton(problem.residual, guess, (chain, jnp.asarray(energy, float)), tolerance=tolerance,
+                  max_steps=max_steps, linearise=problem.linearise, throw=throw)
+    state = half.state(root.x[:-1])
+    return Breather(state, root.x[-1], _energy(chain, state), root.residual, chain, root.code, root.outcome)
 
 
 def _from_envelope(chain, half, omega, kind, centre, tolerance):
@@ -94,6 +106,30 @@ def _solve(chain, half, seed, omega, tolerance, max_steps, throw):
                   max_steps=max_steps, linearise=half.linearise, throw=throw)
     state = half.state(root.x)
     return Breather(state, omega, _energy(chain, state), root.residual, chain, root.code, root.outcome)
+
+
+class AtEnergy(eqx.Module):
+    """F(x, omega; chain, energy) = 0: half a period from rest to rest, and the energy's relative error."""
+
+    half: HalfPeriod
+
+    def _excess(self, x, scene):
+        chain, energy = scene
+        state = self.half.state(x)
+        return chain.energy(0.0, state.u, state.v) / energy - 1
+
+    def residual(self, z, scene):
+        """The half period's gaps at the frequency that is the last unknown, and the energy's."""
+        gaps = self.half.residual(z[:-1], (scene[0], 2 * jnp.pi / z[-1]))
+        return jnp.append(gaps, self._excess(z[:-1], scene))
+
+    def linearise(self, z, scene):
+        """The residual and its derivative."""
+        x, omega = z[:-1], z[-1]
+        gaps, in_x, in_period = self.half.slopes(x, (scene[0], 2 * jnp.pi / omega))
+        excess, gradient = jax.value_and_grad(self._excess)(x, scene)
+        in_omega = -2 * jnp.pi / omega**2 * in_period
+        return jnp.append(gaps, excess), jnp.block([[in_x, in_omega[:, None]], [gradient, jnp.zeros(1, x.dtype)]])
 
 
 @eqx.filter_jit
