@@ -382,3 +382,40 @@ def test_alternating_softening_and_hardening_contacts():
     (low, high), = [g for g in found.gaps if g[0] > 0][-1:]
     br = gx.breathers.family(chain, until=high - 0.02 * (high - low), points=300)
     assert len(br) > 3 and np.isfinite(br.multipliers).all()
+
+
+@pytest.mark.slow
+def test_defects_lead_from_their_modes_to_the_dimers_optical_band():
+    # light beads of mass 1/2 at every other of n places in a monomer, whose band ends at sqrt 6; of the dimer the
+    # optical band is sqrt 6 ... 3
+    lowest, highest = [], []
+    for n in (1, 2, 6):
+        chain = gx.scenes.defects(63, {32 - n + 2 * i: 0.5 for i in range(n)}, precompression=1.0)
+        omega = np.asarray(gx.linear.normal_modes(chain).omega)
+        modes = np.flatnonzero(omega > 6**0.5 + 1e-9)
+        assert len(modes) == n and omega[-1] < 3
+        lowest, highest = [*lowest, omega[modes[0]]], [*highest, omega[-1]]
+        br = gx.breathers.family(chain, mode=int(modes[0]), amplitude=0.3, points=40)
+        assert "amplitude" in br.outcome and np.all(np.diff(br.omega) < 0) and np.all(np.diff(br.energy) > 0)
+        energy = np.asarray(gx.measures.site_energy(chain, br.breather(-1).state))
+        assert energy[32 - n - 2 : 32 + n + 2].sum() > 0.95 * energy.sum()
+    assert np.all(np.diff(lowest) < 0) and np.all(np.diff(highest) > 0) and 3 - highest[-1] < 0.02
+
+
+@pytest.mark.slow
+def test_a_dark_breather_at_fixed_length():
+    errors, shifts = [], np.array([0.0025, 0.005, 0.01])
+    for shift in shifts:
+        chain, omega = monomer(162, boundary="fixed"), 6**0.5 * (1 - shift)
+        b = gx.breathers.breather(chain, omega, "dark")
+        half = gx.Flow(64)(b.state, 0.0, float(b.period) / 2, chain)
+        odd = np.asarray(b.state.u - half.u) / 2
+        # kappa = B |Y|^2, B between those of constant force and fixed length as the mean of |Y|^2 over the chain says:
+        # tanh^2(x/w) lacks 2 w at the dip and as much at the walls
+        force, length, nu2, r = -0.459279327, -0.153093109, 0.306186218, 1.0
+        for _ in range(50):
+            B = force + r * (length - force)
+            amplitude = (-shift * 6**0.5 / B) ** 0.5
+            r = 1 - 4 / 162 / (-force * amplitude**2 / (2 * nu2)) ** 0.5
+        errors.append(2 * amplitude / abs(odd[40] - odd[41]) - 1)
+    assert np.all(np.abs(errors) < 6 * shifts)

@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
@@ -16,6 +17,8 @@ from ..theory import nls
 
 # relative distance in omega below which a frequency is an edge's
 AT_EDGE = 1e-9
+# of an iteration that contracts by the dips' share of the chain
+ROUNDS = 30
 
 
 class Edge(NamedTuple):
@@ -107,7 +110,25 @@ def dark_seed(chain, omega, centre=None):
     tops = [(b, float(w), float(k)) for b, (w, k) in enumerate(zip(found.upper, np.ravel(found.upper_k)))]
     branch, _, k = min(tops, key=lambda top: abs(top[1] - omega))
     constraint = "force" if chain.terms[0].strain_map.boundary[0] == "free" else "length"
-    return _state(chain, nls.dark_profile, nls.coefficients(*cell, k, branch, constraint), omega, centre)
+    coefficients = nls.coefficients(*cell, k, branch, constraint)
+    if constraint == "length":
+        coefficients = _held(coefficients, omega, chain.sites[0] / len(coefficients.mode))
+    return _state(chain, nls.dark_profile, coefficients, omega, centre)
+
+
+def _held(c, omega, cells):
+    """Coefficients of a background in a chain of fixed length that is not infinite.
+
+    The mean of |Y|^2 over the chain, which sets its mean strain, lacks the dip and a second one, at the walls or where
+    a ring closes: r = 1 - 4/(inverse width * cells) of the background's.
+    """
+    r, kappa = 1.0, omega - c.omega
+    effective = lambda r: c.nu3_force + r * (c.nu3 - c.nu3_force)
+    for _ in range(ROUNDS):
+        width = jnp.sqrt(jnp.abs(c.nu3_force * kappa / (2 * c.nu2 * effective(r))))
+        r = jnp.maximum(1 - 4 / (width * cells), 0.0)
+    strain = c.mean_strain_force + r * (c.mean_strain - c.mean_strain_force)
+    return eqx.tree_at(lambda c: (c.nu3, c.mean_strain), c, (effective(r), strain))
 
 
 def _state(chain, profile, coefficients, omega, centre):
