@@ -15,7 +15,7 @@ class Breather(eqx.Module):
     """A time-periodic orbit, at rest at t = 0 (and, half a period later, again).
 
     **Fields:** `state`: (u, v = 0). `omega`: 2 pi/T. `energy`: from equilibrium. `residual`: max |v(T/2)|. `lattice`.
-    `outcome`: what became of Newton's method. `code`: 0 where it converged.
+    `outcome`: what became of Newton's method. `code`: 0 where it converged, 4 where it found the equilibrium alone.
     """
 
     state: State

@@ -23,6 +23,8 @@ SEEDS = ("bright", "dark")
 FILLS = 0.4
 # of the distance from the edge, where the envelope is a better guess
 NEARER = (0.5, 0.2, 0.1)
+# of the guess's size, below which an orbit is none; and its code, beside those of `newton`
+AT_REST, FELL = 1e-6, 4
 
 
 @one_thread
@@ -102,10 +104,20 @@ def _from_envelope(chain, half, omega, kind, centre, tolerance):
 
 
 def _solve(chain, half, seed, omega, tolerance, max_steps, throw):
-    root = newton(half.residual, half.guess(seed), (chain, 2 * jnp.pi / omega), tolerance=tolerance,
+    guess = half.guess(seed)
+    root = newton(half.residual, guess, (chain, 2 * jnp.pi / omega), tolerance=tolerance,
                   max_steps=max_steps, linearise=half.linearise, throw=throw)
-    state = half.state(root.x)
-    return Breather(state, omega, _energy(chain, state), root.residual, chain, root.code, root.outcome)
+    state, code, outcome = half.state(root.x), root.code, root.outcome
+    if not any(isinstance(x, jax.core.Tracer) for x in (guess, root.x)) and _fell(guess, root):
+        code, outcome = FELL, f"The guess fell to rest, where every frequency is a period's: {root.outcome}"
+        if throw is None or throw:
+            raise RuntimeError(outcome)
+    return Breather(state, omega, _energy(chain, state), root.residual, chain, code, outcome)
+
+
+def _fell(guess, root):
+    """Whether Newton's method has found the equilibrium in place of an orbit."""
+    return bool(root.converged) and float(jnp.abs(root.x).max()) <= AT_REST * float(jnp.abs(guess).max())
 
 
 class AtEnergy(eqx.Module):

@@ -26,7 +26,7 @@ def _derivative(flow, y, t0, t1, args):
 
 
 def floquet(system, state, period, *, t0=0.0, steps=None, solver=None, segments=1, tolerance=TOLERANCE, args=None,
-            resolution=RESOLUTION):
+            expected=None, resolution=RESOLUTION):
     r"""Monodromy matrix, multipliers and stability of a periodic orbit.
 
     M = d y(t0 + T)/d y(t0) by tangents through a fixed-step flow, with two step sizes whose difference is the error.
@@ -40,6 +40,8 @@ def floquet(system, state, period, *, t0=0.0, steps=None, solver=None, segments=
       (relative to its largest entry) or 16384 steps are reached, as may happen where contacts open.
     - `solver`: `None` is KahanLi8, or the flow's own. `segments`: factors of which M is the product; several keep
       multipliers that lie far below the largest one's rounding.
+    - `expected`: multipliers that symmetry puts at +1; `None` is what the terms of a lattice say, and none for a
+      `Flow`: give 1 for a limit cycle of an autonomous one.
     - `resolution`: what an undetected instability may be; an error above it leaves the verdict open.
 
     **Returns:** `Floquet`. **Raises** ValueError for a period that is not positive, a state of another shape, and
@@ -59,6 +61,8 @@ def floquet(system, state, period, *, t0=0.0, steps=None, solver=None, segments=
     else:
         solver, field = solver or system.solver, {"field": system.field}
         start = steps or system.steps
+    if expected is not None:
+        known = known._replace(expected=whole("expected", expected, 0))
     if start % (2 * segments):
         refuse("steps", f"a multiple of {2 * segments}, twice the segments", repr(start))
 
@@ -80,8 +84,10 @@ def _record(known, fine, coarse, state, period, steps, resolution):
     multipliers, vectors, error = spectrum(monodromy, rough) if len(fine) == 1 else product_spectrum(fine, coarse)
     conserves = known.rate == 0
     verdict, outcome = decide(multipliers, error, known.expected, conserves, resolution)
+    signature = krein(multipliers, vectors, known.mass, np.maximum(error, 1e-12))
+    signature[np.argsort(np.abs(multipliers - 1))[: known.expected]] *= 0.0  # those of symmetry have none
     return Floquet(
-        monodromy, multipliers, vectors, error, krein(multipliers, vectors, known.mass, np.maximum(error, 1e-12)),
+        monodromy, multipliers, vectors, error, signature,
         defect(monodromy, known.mass, known.rate, float(period)), float(np.abs(monodromy - rough).max()),
         known.expected, verdict, outcome, float(period), int(steps), known.rate, state,
     )

@@ -15,8 +15,8 @@ class Floquet(eqx.Module):
     - `monodromy`: M, (2n, 2n), over the raveled (u, v). `multipliers`: its eigenvalues rho (2n,), the largest
       modulus first; `vectors`: eigenvectors in columns, of norm 1.
     - `error`: of each multiplier, from two step sizes and its condition number; it grows like a square root where
-      multipliers meet, as those at +1 do.
-    - `krein`: signature +1, -1, or 0 off the circle (NaN for a flow without masses).
+      multipliers meet, as those at +1 do. Of the flow alone: the error of the orbit is not in it.
+    - `krein`: signature +1, -1, or 0 off the circle and for those of symmetry (NaN for a flow without masses).
     - `defect`: max |M^T J M - exp(-gamma T) J|, relative; it is blind to time errors. `step_error`: max |M - M_coarse|.
     - `expected`: how many multipliers symmetry puts at +1; these are left out of the verdict.
     - `verdict`: "stable", "unstable" or "undecided"; `outcome` says why.

@@ -7,7 +7,7 @@ from scipy.linalg import eig
 from scipy.optimize import linear_sum_assignment
 from threadpoolctl import ThreadpoolController
 
-ROUNDING = 8
+ROUNDING, SAFETY = 8, 2
 
 
 @cache
@@ -30,9 +30,10 @@ def one_thread(function):
 def spectrum(fine, coarse=None):
     """Eigenvalues (largest modulus first), unit right eigenvectors, and an error of each, of a matrix.
 
-    The error is the first-order effect |y^H dM x|/|y^H x| of dM = fine - coarse (y, x left and right eigenvectors) or,
-    if more, the distance to the nearest eigenvalue of `coarse` in a one-to-one matching; plus the rounding of M by the
-    eigenvalue's condition. At a double multiplier the condition makes it a square root.
+    The error is twice the bound |dM|/|y^H x| of the first-order effect of dM = fine - coarse (y, x left and right unit
+    eigenvectors) or, if more, the distance to the nearest eigenvalue of `coarse` in a one-to-one matching; plus the
+    rounding of M by the eigenvalue's condition. At a double multiplier the condition makes it a square root. The effect
+    y^H dM x itself may be small by accident, above all where contacts open and steps do not converge evenly.
     """
     values, left, right = eig(fine, left=True)
     order = np.lexsort((-np.angle(values), -np.abs(values).round(9)))
@@ -41,7 +42,7 @@ def spectrum(fine, coarse=None):
     overlap = np.maximum(overlap, np.finfo(float).eps)
     error = ROUNDING * np.finfo(float).eps * np.linalg.norm(fine, 2) / overlap
     if coarse is not None:
-        first = np.abs(np.sum(np.conj(left) * ((fine - coarse) @ right), axis=0)) / overlap
+        first = SAFETY * np.linalg.norm(fine - coarse, 2) / overlap
         distance = np.abs(values[:, None] - np.linalg.eigvals(coarse)[None])
         rows, columns = linear_sum_assignment(distance)
         matched = np.empty(len(values))
@@ -52,10 +53,11 @@ def spectrum(fine, coarse=None):
 
 @one_thread
 def product_multipliers(factors):
-    """Eigenvalues of the product M_m ... M_1 from its factors, small and large ones to the same relative accuracy.
+    """Eigenvalues of the product M_m ... M_1 from its factors, small ones kept beside large ones.
 
     The product itself loses every multiplier below eps times the largest. The cyclic matrix with the factors below its
-    diagonal has the m-th roots, whose range is the m-th root of the product's.
+    diagonal has the m-th roots, whose range is the m-th root of the product's: what is lost is what falls below eps
+    times the largest within one factor, so that the more factors, the better.
 
     **Arguments:** `factors`: (m, N, N), the first applied first. **Returns:** (N,), the largest modulus first.
     """
