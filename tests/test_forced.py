@@ -275,3 +275,19 @@ def test_an_orbit_of_the_branch_is_an_orbit(hump):
     assert orbit.converged
     np.testing.assert_allclose(orbit.state.u, hump.states.u[40], rtol=0, atol=1e-9)
     assert float(np.sqrt(np.mean(orbit.rms_velocity**2))) == pytest.approx(hump.response[40], rel=1e-9)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("masses", [(1.0, 0.5), (1.0, 0.5, 0.25)])
+def test_shaken_dimers_and_trimers_settle_to_newtons_orbit(masses):
+    chain = gx.scenes.pattern(12, masses, precompression=1.0)
+    low, high = gx.linear.bands(chain).gaps[-1]
+    omega = 0.5 * (low + high)
+    lattice = driven_chain(chain, 0.05, omega, ends="left", damping=0.1)
+    orbit = forced_orbit(lattice, 2 * np.pi / omega)
+    run = settle(lattice, gx.State(lattice.zeros(), lattice.zeros()), 2 * np.pi / omega, tolerance=1e-10)
+    assert run.multiple == 1 and orbit.floquet().verdict == "stable"
+    for found, settled in zip(orbit.state, run.state):
+        assert np.abs(found - settled).max() < 1e-6 * np.abs(settled).max()
+    # in the gap the wave does not pass
+    assert float(orbit.amplitude[-1]) < 0.1 * float(orbit.amplitude[0])
