@@ -232,7 +232,7 @@ def test_walls_that_push_together_make_a_dark_breather():
     chain = driven.steel_chain()
     found = driven.dark_by_interference(chain)
     assert float(chain.terms[0].law.stiffness) == pytest.approx(1.0114e10, rel=1e-4)
-    assert found.attractor.multiple == 1 and found.cutoff == pytest.approx(7350.3, abs=0.1)
+    assert found.attractor.multiple == 1 and found.highest_mode == pytest.approx(7350.3, abs=0.1)
     # the middle bead is at rest to 2e-8, its neighbours alternate, the ends stand at 0.89 of the largest speed
     assert found.depth > 1 - 1e-6 and found.staggering < -0.99
     assert found.background == pytest.approx(0.01111, rel=1e-3) and found.width == pytest.approx(3.678, abs=0.01)

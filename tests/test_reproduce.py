@@ -18,7 +18,9 @@ LABELS = [
     "fig1.2", "fig1.3", "fig1.4", "fig1.5", "fig2.2", "fig2.3", "fig2.4", "fig2.5", "breather.1", "breather.2",
     "breather.3", "DSW.1", "DSW.2", "DSW.3", "DSW.4", "DSW.5",
 ]
-MADE = ("fig1.3", "fig1.4", "fig1.5", "fig2.2", "fig2.3", "fig2.4", "fig2.5")
+MADE = (
+    "fig1.3", "fig1.4", "fig1.5", "fig2.2", "fig2.3", "fig2.4", "fig2.5", "breather.1", "breather.2", "breather.3",
+)
 
 _computed = {}
 

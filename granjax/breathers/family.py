@@ -17,10 +17,10 @@ from .problem import (
     TOLERANCE,
     by_frequency,
     checked_lattice,
-    energies,
     half_steps,
     spectra_of,
     spectrum_of,
+    states_of,
 )
 
 # of the first orbit beside a linear mode, in units of the largest amplitude that a step may add
@@ -75,7 +75,7 @@ def family(chain, until=None, *, start=None, amplitude=None, mode=None, step=Non
             step=step if start is not None else FIRST * step, longest_step=longest_step, least_step=1e-6 * step,
             linearise=problem.linearise, tolerance=tolerance, veto=veto, stop=_both(grown, stop))
 
-    fastest = None if modes is None else modes.omega[-1]
+    fastest = None if modes is None else np.asarray(modes.omega)[-1]
     count = steps or half_steps(chain, 2 * np.pi / ways[0](by_frequency(chain, 8).half)[1], fastest)
     chosen = ways[0] if len(ways) == 1 else _towards(ways, until, lambda way: follow(way, count, PROBE)[1])
     problem, curve = follow(chosen, count, points)
@@ -165,13 +165,13 @@ def _both(first, second):
 
 
 def _branch(problem, chain, curve, stability):
-    states = jax.vmap(problem.half.state)(jnp.asarray(curve.x))
+    states, energy = states_of(problem, chain, jnp.asarray(curve.x))
     found = list(spectra_of(problem, chain, curve.x, curve.p)) if stability else []
     verdicts = [decide(s.multipliers, s.error, s.expected, True)[0] for s in found]
     size = 2 * problem.half.size
     none = np.full((len(curve.p), size), np.nan)
     return Branch(
-        curve.p, np.asarray(energies(chain, states)), np.abs(curve.x[:, : problem.half.size]).max(1),
+        curve.p, np.asarray(energy), np.abs(curve.x[:, : problem.half.size]).max(1),
         jax.tree.map(np.asarray, states.u),
         np.stack([s.multipliers for s in found]) if found else none.astype(complex),
         np.stack([s.error for s in found]) if found else none,

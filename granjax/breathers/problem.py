@@ -67,9 +67,10 @@ def energy(lattice, state):
 
 
 @eqx.filter_jit
-def energies(lattice, states):
-    """Of states along a leading axis."""
-    return jax.lax.map(lambda y: lattice.energy(0.0, y.u, y.v), states)
+def states_of(problem, lattice, xs):
+    """States and energies of several unknowns along a leading axis."""
+    states = jax.vmap(problem.half.state)(xs)
+    return states, jax.lax.map(lambda y: lattice.energy(0.0, y.u, y.v), states)
 
 
 @eqx.filter_jit
@@ -125,6 +126,6 @@ def spectra_of(problem, lattice, xs, omegas):
 
 
 __all__ = [
-    "ByFrequency", "by_frequency", "checked_lattice", "energies", "energy", "energy_slope", "half_steps", "spectra_of",
-    "spectrum_of", "structure",
+    "ByFrequency", "by_frequency", "checked_lattice", "energy", "energy_slope", "half_steps", "spectra_of",
+    "spectrum_of", "states_of", "structure",
 ]

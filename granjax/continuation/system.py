@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..newton import newton
+from ..newton import CONVERGED, newton
 
 MOST_NEWTON = 10
 
@@ -83,6 +83,10 @@ def _second(function, z, v, w, args):
     return jax.jvp(lambda z: jax.jvp(f, (z,), (v,))[1], (z,), (w,))[1]
 
 
+def _converged(root):
+    return int(root.code) == CONVERGED
+
+
 class System:
     """Corrector and tangents of one problem."""
 
@@ -100,14 +104,14 @@ class System:
             return point
         only_p = np.append(np.zeros_like(x0), 1.0)
         root = self._newton(z, only_p, z, 2 * MOST_NEWTON)
-        if not root.converged:
+        if not _converged(root):
             raise RuntimeError(f"The first point: {root.outcome}")
         return self._point(root, direction * only_p)
 
     def correct(self, predicted, border, before):
         """A `Point` in the plane across `border`, or `None` and why not."""
         root = self._newton(predicted, border, predicted, MOST_NEWTON)
-        if not root.converged:
+        if not _converged(root):
             return None, root.outcome.rstrip(".")
         return self._point(root, before), ""
 
@@ -116,7 +120,7 @@ class System:
         only_p = np.append(np.zeros(len(z) - 1), 1.0)
         guess = np.append(z[:-1] + before[:-1] * np.clip((p - z[-1]) / (before[-1] or 1), -1, 1), p)
         root = self._newton(guess, only_p, guess, MOST_NEWTON)
-        return self._point(root, before) if root.converged else None
+        return self._point(root, before) if _converged(root) else None
 
     def second(self, z, v, w):
         """D^2 F [v, w]."""

@@ -31,7 +31,8 @@ def steel_chain(sites=21, precompression=PRECOMPRESSION):
 class DarkBreather(eqx.Module):
     """What `dark_by_interference` returns, in SI.
 
-    - `attractor`: where the chain has settled. `lattice`: the driven chain. `frequency`, `cutoff` [Hz].
+    - `attractor`: where the chain has settled. `lattice`: the driven chain. `frequency`, `highest_mode` of
+      the chain between its walls [Hz].
     - `velocity` (N,): largest speed of each bead [m/s]. `strain` (N + 1,): largest compression |u_n - u_{n+1}| of each
       contact, walls included [m].
     - `background`: mean largest speed of the beads further than a quarter of the chain from the middle. `depth`:
@@ -44,7 +45,7 @@ class DarkBreather(eqx.Module):
     attractor: Attractor
     lattice: Lattice
     frequency: float
-    cutoff: float
+    highest_mode: float
     velocity: np.ndarray
     strain: np.ndarray
     background: float
@@ -63,9 +64,9 @@ def dark_by_interference(chain=None, *, amplitude=0.2e-6, frequency=7290.0, damp
                          phase=(0.0, math.pi), periods=8000, tolerance=1e-8):
     r"""Drive both walls of a precompressed chain just below its cut-off, from rest, until it settles.
 
-    The walls push towards the chain at the same time, u_0 = a cos(omega t) and u_{N+1} = -a cos(omega t). That is in
-    phase for two actuators that face each other; by the mirror symmetry of the chain the two waves then cancel at the
-    middle bead of an odd chain. Walls that move in the same direction, phase = (0, 0), make an antinode there.
+    The walls push towards the chain at the same time, u_0 = a cos(omega t) and u_{N+1} = -a cos(omega t), as two
+    actuators that face each other do with one signal; by the mirror symmetry of the chain the two waves then cancel at
+    the middle bead of an odd chain. Walls that move in the same direction, phase = (0, 0), make an antinode there.
 
     **Arguments:** `chain`: an odd number of beads between fixed walls, by default `steel_chain()`; `amplitude` [m];
     `frequency` [Hz]; `damping_time`: tau [s]; `phase`: of the left and right wall; `periods`, `tolerance`: as in
@@ -73,13 +74,13 @@ def dark_by_interference(chain=None, *, amplitude=0.2e-6, frequency=7290.0, damp
 
     **Returns:** `DarkBreather`. **Raises** ValueError as `driven_chain` and `settle` do.
     Measured: settled after 3112 periods, middle bead at rest to 2e-8, background 11 mm/s, 3.7 sites wide, the ends
-    at 0.89 of the largest speed; 0.02 um makes the arches of a sine instead (0.38). At 0.3 um the motion is
-    chaotic, its exponent 0.065 a period.
+    at 0.89 of the largest speed; 0.02 um makes the arches of a sine instead (0.38). From 0.20324 um on (at 7290 Hz) the
+    orbit is unstable by a Neimark-Sacker bifurcation; at 0.3 um the motion is chaotic, its exponent 0.065 a period.
     Source: as `steel_chain`.
     """
     chain = steel_chain() if chain is None else chain
     sites = whole("sites", chain.shape[0], 5)
-    cutoff = float(normal_modes(chain).omega[-1]) / (2 * math.pi)
+    highest = float(normal_modes(chain).omega[-1]) / (2 * math.pi)
     omega = 2 * math.pi * frequency
     lattice = driven_chain(chain, amplitude, omega, damping=1 / damping_time, phase=phase)
     rest = State(chain.zeros(), chain.zeros())
@@ -96,7 +97,7 @@ def dark_by_interference(chain=None, *, amplitude=0.2e-6, frequency=7290.0, damp
     spectrum = 2 * np.abs(np.fft.rfft(v, axis=0)) / len(v)
     repeats = len(v) // STEPS
     return DarkBreather(
-        found, lattice, float(frequency), cutoff, speed, strain, float(background),
+        found, lattice, float(frequency), highest, speed, strain, float(background),
         float(1 - speed[middle] / background), _width(speed, middle, background / 2), float(neighbours[outer].mean()),
         spectrum[repeats : (HARMONICS + 1) * repeats : repeats],
     )

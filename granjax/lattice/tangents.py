@@ -13,7 +13,10 @@ from .split import acceleration_only, split_system, vector_field
 
 
 class TangentSplit(eqx.Module):
-    """Kicks and drifts of a lattice and of the lattice linearised about where it is."""
+    """Kicks and drifts of a lattice and of the lattice linearised about where the force was evaluated last.
+
+    The linearised one travels with the working form and with what is kept between steps.
+    """
 
     lattice: Lattice
 
@@ -24,42 +27,40 @@ class TangentSplit(eqx.Module):
     def _outer(self, t, u):
         return split_system(linearised(self.lattice, t, u))
 
-    def _moving(self, u):
-        """For what does not read the stiffness."""
-        return self._outer(0.0, u)
-
     def start(self, t, y):
         (u, U), (v, V) = y
-        return self._inner.start(t, (u, v)), self._outer(t, u).start(t, (U, V))
+        outer = self._outer(t, u)
+        return self._inner.start(t, (u, v)), outer.start(t, (U, V)), outer
 
     def enter(self, y, cache):
         (u, U), (v, V) = y
-        return self._inner.enter((u, v), cache[0]), self._moving(u).enter((U, V), cache[1])
+        inner, many, outer = cache
+        return self._inner.enter((u, v), inner), outer.enter((U, V), many), outer
 
     def leave(self, w, like):
-        one, many = w
+        one, many, outer = w
         (u, v), kept = self._inner.leave(one, (None, None))
-        (U, V), kept_too = self._moving(u).leave(many, (None, None))
-        return ((u, U), (v, V)), (kept, kept_too)
+        (U, V), kept_too = outer.leave(many, (None, None))
+        return ((u, U), (v, V)), (kept, kept_too, outer)
 
     def refresh(self, w, t):
-        one, many = w
+        one, many, _ = w
         (u, _), _ = self._inner.leave(one, (None, None))
-        return self._inner.refresh(one, t), self._outer(t, u).refresh(many, t)
+        outer = self._outer(t, u)
+        return self._inner.refresh(one, t), outer.refresh(many, t), outer
 
     def kick(self, w, bh):
-        return self._inner.kick(w[0], bh), self._moving(self._position(w)).kick(w[1], bh)
+        one, many, outer = w
+        return self._inner.kick(one, bh), outer.kick(many, bh), outer
 
     def drift(self, w, ah):
-        return self._inner.drift(w[0], ah), self._moving(self._position(w)).drift(w[1], ah)
-
-    def _position(self, w):
-        return self._inner.leave(w[0], (None, None))[0][0]
+        one, many, outer = w
+        return self._inner.drift(one, ah), outer.drift(many, ah), outer
 
     def acceleration(self, y, cache):
         (u, U), (v, V) = y
-        inner, outer = self._inner, self._moving(u)
-        return inner.acceleration((u, v), cache[0]), outer.acceleration((U, V), cache[1])
+        inner, many, outer = cache
+        return self._inner.acceleration((u, v), inner), outer.acceleration((U, V), many)
 
 
 def variational(t, y, lattice):

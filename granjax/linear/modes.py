@@ -51,7 +51,7 @@ def normal_modes(chain):
     chain = at_rest(chain)
     result, uneven = _solve(chain)
     uneven = jax.lax.stop_gradient(uneven)
-    if not isinstance(uneven, jax.core.Tracer) and uneven > 1e3 * np.finfo(chain.dtype).eps:
+    if not isinstance(uneven, jax.core.Tracer) and float(uneven) > 1e3 * np.finfo(chain.dtype).eps:
         refuse_one_way()
     return result
 

@@ -36,4 +36,4 @@ def _is_free(term, one):
     if not isinstance(term, (Bond, Dashpot)):
         return isinstance(term, (Damping, Drive, Modulated))
     pairs = getattr(term.strain_map, "pairs", term.strain_map)
-    return not np.any(np.asarray(pairs.strain(one)))
+    return not np.any(np.asarray(jax.jit(pairs.strain)(one)))

@@ -50,7 +50,7 @@ def floquet_circle(fl, ax=None, *, legend=True):
     ax.set_xlabel(r"Re $\rho$")
     ax.set_ylabel(r"Im $\rho$")
     if legend:
-        ax.legend(loc="center", handletextpad=0.2)
+        ax.legend(loc="center", handletextpad=0.2, frameon=False)
     return ax
 
 
@@ -99,9 +99,9 @@ def breather(breather, fl=None, axes=None, *, mode=None):
             _bars(ax, site, part.real, COLOURS[0])
             if complex_pair:
                 ax.plot(site, part.imag, "--", color=COLOURS[1], lw=1.0, label="imaginary part")
-                ax.legend(loc="upper right")
+                ax.legend(loc="upper right", frameon=False)
             ax.set_ylabel(f"{word} of the mode")
-        c.set_title(rf"$\rho$ = {_written(fl.multipliers[mode], complex_pair)}")
+        c.set_title(rf"$\rho$ = {_written(fl.multipliers[mode], complex_pair)}", loc="left")
     for letter, ax in zip("abcd", (a, b, c, d)):
         if ax is not b:
             ax.set_xlabel("site $n$")
@@ -139,7 +139,9 @@ def _bars(ax, site, u, tone):
 
 
 def _written(rho, complex_pair):
-    return f"{rho.real:.6f} {'+-'[rho.imag < 0]} {abs(rho.imag):.6f}i" if complex_pair else f"{rho.real:.6f}"
+    if not complex_pair:
+        return f"{rho.real:.6f}"
+    return f"{rho.real:.6f} {'-' if rho.imag < 0 else '+'} {abs(rho.imag):.6f}i"
 
 
 def branch(br, axes=None, *, bands=None, marks=None, omega_label=r"frequency $\omega_b$"):
@@ -173,7 +175,7 @@ def branch(br, axes=None, *, bands=None, marks=None, omega_label=r"frequency $\o
         ax.set_xlabel(omega_label)
         ax.set_ylabel(name)
     if axes.ravel()[0].get_legend_handles_labels()[0]:
-        axes.ravel()[0].legend(loc="best")
+        axes.ravel()[0].legend(loc="best", frameon=False)
     return axes
 
 
@@ -213,7 +215,7 @@ def hysteresis(sweep, ax=None, *, orbits=None, x_label="parameter", y_label="res
         ax.plot(values, scale * down, "<--", color=COLOURS[1], ms=5, lw=1.2, mec="white", mew=0.3, label="down")
     ax.set_xlabel(x_label)
     ax.set_ylabel(y_label)
-    ax.legend(loc="best")
+    ax.legend(loc="best", frameon=False)
     return ax
 
 

@@ -1,0 +1,288 @@
+"""Plots of time-periodic orbits: lines hold the numbers that they were given, colours the signature and verdict."""
+
+from types import SimpleNamespace
+
+import matplotlib
+
+matplotlib.use("Agg")
+
+import matplotlib.pyplot as plt  # noqa: E402
+import numpy as np  # noqa: E402
+import pytest  # noqa: E402
+from matplotlib.colors import to_hex  # noqa: E402
+
+import granjax as gx  # noqa: E402
+
+plots = gx.plots
+BLUE, RED, GREEN = plots.COLOURS[:3]
+ROUND = np.exp(0.4j)
+
+
+@pytest.fixture
+def ax():
+    figure, ax = plt.subplots()
+    yield ax
+    plt.close(figure)
+
+
+@pytest.fixture
+def axes():
+    figure, axes = plt.subplots(2, 2)
+    yield axes
+    plt.close(figure)
+
+
+@pytest.fixture
+def fl():
+    """A stable pair, an unstable real pair, and a pair at +1 of which rounding has moved one outside."""
+    vectors = np.array([[0.1, 0, 2, 0, 0, 0], [0.2, 0, -4, 0, 0, 0], [0.3, 0, 1, 0, 0, 0],
+                        [0.0, 0, 6, 0, 0, 0], [0.5, 0, 8, 0, 0, 0], [0.0, 0, -2, 0, 0, 0]], complex)
+    return SimpleNamespace(
+        multipliers=np.array([ROUND, ROUND.conj(), 1.2, 1 / 1.2, 1 + 1e-5, 1 - 1e-5], complex), vectors=vectors,
+        krein=np.array([1, -1, 0, 0, 0, np.nan]), error=np.full(6, 1e-8), expected=2, rate=0.0, period=2.0,
+    )
+
+
+def points(ax, label):
+    (line,) = [line for line in ax.lines if line.get_label() == label]
+    return line.get_xydata(), to_hex(line.get_color()), line
+
+
+def labels(ax):
+    return [line.get_label() for line in ax.lines if not line.get_label().startswith("_")]
+
+
+def spans(ax):
+    """(low, high) of every shaded interval."""
+    return [(patch.get_x(), patch.get_x() + patch.get_width()) for patch in ax.patches]
+
+
+# -------------------------------------------------------------------------------------------------- Floquet multipliers
+
+
+def test_multipliers_are_coloured_by_their_signature(ax, fl):
+    assert plots.floquet_circle(fl, ax) is ax
+    for label, colour, mark, rho in (("Krein +", BLUE, "o", [ROUND]), ("Krein $-$", RED, "s", [ROUND.conj()]),
+                                     ("Krein 0", to_hex("0.25"), "^", fl.multipliers[2:])):
+        shown, tone, line = points(ax, label)
+        np.testing.assert_array_equal(shown @ [1, 1j], rho)
+        assert (tone, line.get_marker()) == (colour.lower(), mark)
+    assert (ax.get_xlabel(), ax.get_ylabel()) == (r"Re $\rho$", r"Im $\rho$")
+    assert [text.get_text() for text in ax.get_legend().get_texts()] == labels(ax)
+
+
+def test_unstable_multipliers_have_rings_and_those_of_symmetry_none(ax, fl):
+    plots.floquet_circle(fl, ax, legend=False)
+    assert ax.get_legend() is None and ax.lines[-1].get_label() == "unstable"
+    np.testing.assert_array_equal(points(ax, "unstable")[0], [[1.2, 0.0]])
+    # without a symmetry the one outside at +1 counts, and an error as large hides it
+    fl.expected = 0
+    np.testing.assert_array_equal(plots.orbits.unstable_of(fl), [2, 4])
+    fl.error = np.full(6, 1e-4)
+    np.testing.assert_array_equal(plots.orbits.unstable_of(fl), [2])
+
+
+def test_an_orbit_without_growth_has_no_ring(ax, fl):
+    fl.multipliers[2:4] = 1j, -1j
+    plots.floquet_circle(fl, ax)
+    assert "unstable" not in labels(ax)
+
+
+@pytest.mark.parametrize("rate, radii", [(0.0, [1.0]), (None, [1.0]), (0.3, [1.0, np.exp(-0.3)])])
+def test_damping_adds_the_circle_about_which_multipliers_pair(ax, fl, rate, radii):
+    fl.rate = rate
+    plots.floquet_circle(fl, ax)
+    circles = [line for line in ax.lines if len(line.get_xdata()) > 6]
+    assert [line.get_linestyle() for line in circles] == ["-", ":"][: len(radii)]
+    for circle, radius in zip(circles, radii):
+        np.testing.assert_allclose(np.hypot(*circle.get_data()), radius, rtol=1e-15)
+
+
+# ----------------------------------------------------------------------------------------------------------- a breather
+
+
+def breather():
+    return SimpleNamespace(state=(np.array([0.5, -1.0, 0.25]), np.zeros(3)))
+
+
+def dots(ax):
+    (line,) = [line for line in ax.lines if line.get_marker() == "o"]
+    return line.get_xydata()
+
+
+def test_a_breather_shows_its_sites_and_its_growing_mode(axes, fl):
+    assert plots.breather(breather(), fl, axes) is axes
+    (a, b), (c, d) = axes
+    np.testing.assert_array_equal(dots(a), [[0, 0.5], [1, -1.0], [2, 0.25]])
+    assert "unstable" in labels(b)
+    # the eigenvector (2, -4, 1, 6, 8, -2), whose largest displacement becomes 1
+    np.testing.assert_array_equal(dots(c)[:, 1], [-0.5, 1.0, -0.25])
+    np.testing.assert_array_equal(dots(d)[:, 1], [-1.5, -2.0, 0.5])
+    assert c.get_title("left") == r"$\rho$ = 1.200000"
+    assert [ax.texts[0].get_text() for ax in axes.ravel()] == ["(a)", "(b)", "(c)", "(d)"]
+
+
+def test_a_breather_brings_its_own_multipliers(axes, fl):
+    own = breather()
+    own.floquet = lambda: fl
+    np.testing.assert_array_equal(dots(plots.breather(own, axes=axes.ravel())[2])[:, 1], [-0.5, 1.0, -0.25])
+
+
+def test_a_complex_mode_has_an_imaginary_part(axes, fl):
+    fl.vectors[:, 0] = np.array([1, 2j, 0, 0, 1, 0]) * ROUND
+    plots.breather(breather(), fl, axes, mode=0)
+    c, d = axes[1]
+    np.testing.assert_allclose(dots(c)[:, 1], [0, 1, 0], atol=1e-15)
+    np.testing.assert_allclose(points(c, "imaginary part")[0][:, 1], [-0.5, 0, 0], atol=1e-15)
+    np.testing.assert_allclose(points(d, "imaginary part")[0][:, 1], [0, -0.5, 0], atol=1e-15)
+    assert c.get_title("left") == r"$\rho$ = 0.921061 + 0.389418i"
+
+
+def test_a_stable_breather_says_that_nothing_grows(axes, fl):
+    fl.multipliers[2:4] = 1j, -1j
+    plots.breather(breather(), fl, axes)
+    for ax in axes[1]:
+        assert ax.texts[0].get_text() == "no growing mode" and not ax.lines
+
+
+def test_bad_breathers_are_refused(axes, fl):
+    with pytest.raises(ValueError, match="axes: expected 4 Axes, got 3"):
+        plots.breather(breather(), fl, axes.ravel()[:3])
+    with pytest.raises(ValueError, match="mode: expected an index of 6 multipliers, got 6"):
+        plots.breather(breather(), fl, axes, mode=6)
+    with pytest.raises(ValueError, match=r"breather\.state\.u"):
+        plots.breather(SimpleNamespace(state=(np.zeros((3, 2)), None)), fl, axes)
+
+
+# ------------------------------------------------------------------------------------------------------------- a family
+
+
+@pytest.fixture
+def family():
+    return SimpleNamespace(
+        omega=np.array([1.0, 0.9, 0.8, 0.7, 0.6]), energy=np.array([0.0, 1.0, 3.0, 2.0, 4.0]),
+        amplitude=np.array([0.0, 0.1, 0.2, 0.3, 0.5]),
+        verdict=np.array(["stable", "stable", "unstable", "unstable", "stable"]),
+    )
+
+
+def test_a_family_is_drawn_in_parts_of_one_verdict(axes, family):
+    pair = axes[0]
+    assert plots.branch(family, pair)[0] is pair[0]
+    for ax, height in zip(pair, (family.energy, family.amplitude)):
+        whole = np.column_stack([family.omega, height])
+        parts = [line.get_xydata() for line in ax.lines]
+        # each part reaches to where the next one begins
+        assert [len(part) for part in parts] == [3, 3, 1]
+        for part, first in zip(parts, (0, 2, 4)):
+            np.testing.assert_array_equal(part, whole[first : first + 3])
+        assert [to_hex(line.get_color()) for line in ax.lines] == [BLUE.lower(), RED.lower(), BLUE.lower()]
+        assert [line.get_linestyle() for line in ax.lines] == ["-", "--", "-"]
+        assert labels(ax) == ["stable", "unstable"]
+    assert [ax.get_ylabel() for ax in pair] == ["energy", r"amplitude $\max_n |u_n|$"]
+
+
+def test_bands_are_shaded_and_bifurcations_marked(axes, family):
+    plots.branch(family, axes[0], bands=[[0.0, 0.65], [0.95, 1.2]], marks=[0.75, 0.85], omega_label="f (Hz)")
+    for ax in axes[0]:
+        np.testing.assert_allclose(spans(ax), [(0.0, 0.65), (0.95, 1.2)], rtol=1e-15)
+        marks = [line for line in ax.lines if line.get_linestyle() == ":"]
+        assert [line.get_xdata()[0] for line in marks] == [0.75, 0.85]
+        assert labels(ax).count("bifurcation") == 1
+        np.testing.assert_allclose(ax.get_xlim(), (0.6 - 0.024, 1.0 + 0.024))
+        assert ax.get_xlabel() == "f (Hz)"
+
+
+def test_a_family_without_stability_is_one_line(axes, family):
+    family.verdict = np.array([""] * 5)
+    plots.branch(family, axes[0])
+    (line,) = axes[0, 0].lines
+    np.testing.assert_array_equal(line.get_xdata(), family.omega)
+    assert labels(axes[0, 0]) == [] and axes[0, 0].get_legend() is None
+
+
+@pytest.mark.parametrize("change, options, message", [
+    ({}, {"bands": [[1.0, 2.0, 3.0]]}, r"bands: expected intervals, shape \(B, 2\)"),
+    ({"verdict": np.array(["stable"])}, {}, "verdict: expected 5 words, one a point, got 1"),
+    ({"omega": np.ones((5, 1))}, {}, r"br\.omega"),
+])
+def test_bad_families_are_refused(axes, family, change, options, message):
+    vars(family).update(change)
+    with pytest.raises(ValueError, match=message):
+        plots.branch(family, axes[0], **options)
+
+
+def test_a_family_needs_two_axes(axes, family):
+    with pytest.raises(ValueError, match="axes: expected 2 Axes, got 4"):
+        plots.branch(family, axes)
+
+
+# ----------------------------------------------------------------------------------------------------------- hysteresis
+
+
+@pytest.fixture
+def sweep():
+    way = lambda *response: SimpleNamespace(response=np.array(response))
+    return SimpleNamespace(values=np.array([1.0, 2.0, 3.0, 4.0]), up=way(1.0, 2.0, 5.0, 6.0),
+                           down=way(1.0, 4.0, 5.0, 6.0), hysteresis=[(1.6, 2.4)])
+
+
+def test_both_ways_and_what_lies_between(ax, sweep):
+    assert plots.hysteresis(sweep, ax, scale=1e3, x_label="f (Hz)", y_label="velocity (mm/s)") is ax
+    for label, way, colour, mark in (("up", sweep.up, BLUE, ">"), ("down", sweep.down, RED, "<")):
+        shown, tone, line = points(ax, label)
+        np.testing.assert_array_equal(shown, np.column_stack([sweep.values, 1e3 * way.response]))
+        assert (tone, line.get_marker()) == (colour.lower(), mark)
+    np.testing.assert_allclose(spans(ax), [(1.6, 2.4)])
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("f (Hz)", "velocity (mm/s)")
+
+
+def test_arrays_will_do_and_one_way_is_enough(ax, sweep):
+    plots.hysteresis((sweep.values, sweep.up.response, None), ax)
+    assert labels(ax) == ["up"] and not ax.patches
+    sweep.down = sweep.up
+    plots.hysteresis(sweep, ax)
+    assert labels(ax) == ["up", "up"]
+
+
+def test_orbits_lie_behind_with_unstable_parts_dashed(ax, sweep):
+    orbits = SimpleNamespace(p=np.array([1.0, 2.4, 1.6, 4.0]), response=np.array([1.0, 3.0, 4.0, 6.0]),
+                             verdicts=np.array(["stable", "unstable", "undecided", "stable"]))
+    plots.hysteresis(sweep, ax, orbits=orbits, scale=10.0)
+    dashes = [(line.get_linestyle(), line.get_label()) for line in ax.lines[:4]]
+    assert [dash for dash, _ in dashes] == ["-", "--", ":", "-"]
+    assert [name for _, name in dashes][:3] == ["orbit, stable", "orbit, unstable", "orbit, undecided"]
+    np.testing.assert_array_equal(ax.lines[1].get_xydata(), [[2.4, 30.0], [1.6, 40.0]])
+    assert max(line.get_zorder() for line in ax.lines[:4]) <= min(line.get_zorder() for line in ax.lines[4:])
+
+
+@pytest.mark.parametrize("given, message", [
+    ("sweep", r"sweep: expected a Sweep, or arrays \(values, up, down\), got a str"),
+    (([1.0, 2.0], [1.0, 2.0]), "sweep: expected"),
+    (([2.0, 1.0], [1.0, 2.0], None), "values"),
+    (([1.0, 2.0, 3.0], [1.0, 2.0], None), "values.*2 numbers"),
+    (([1.0, 2.0], [1.0, 2.0], [1.0]), "down: expected 2 numbers, as many as up, got 1"),
+])
+def test_bad_sweeps_are_refused(ax, given, message):
+    with pytest.raises(ValueError, match=message):
+        plots.hysteresis(given, ax)
+
+
+# --------------------------------------------------------------------------------------------------------------- strain
+
+
+def test_a_map_of_strain_shows_differences_between_the_sites(ax):
+    u = np.array([[0.0, 1.0, 3.0], [2.0, 2.0, -1.0]])
+    run = SimpleNamespace(ts=np.array([0.0, 0.5]), us=u, vs=0 * u)
+    assert plots.strain_map(run, ax, unit="um") is ax
+    image = ax.images[0]
+    np.testing.assert_array_equal(image.get_array(), [[-1.0, -2.0], [0.0, 3.0]])
+    # a pixel is centred on its contact, n + 1/2
+    np.testing.assert_allclose(image.get_extent(), (0.0, 2.0, -0.25, 0.75))
+    assert ax.get_xlabel() == "contact" and image.colorbar.ax.get_ylabel() == "strain (um)"
+
+
+def test_a_map_of_strain_of_lanes_is_refused(ax):
+    u = np.zeros((2, 3, 4))
+    with pytest.raises(ValueError, match="expected"):
+        plots.strain_map(SimpleNamespace(ts=np.array([0.0, 1.0]), us=u, vs=u), ax)
