@@ -62,6 +62,23 @@ def claims():
         f"1/{smooth[2]:.1f} at 1e-10, and 1/{smooth[1]:.0f} and 1/{smooth[3]:.0f} of heyoka's.",
         {"figures": smooth}, "precision.json: scenes.smooth.figures",
     )
+    maps, family = data("monodromy")["monodromy"], data("monodromy")["family"]
+    row = maps["figures"]["1e-09"]
+    whole = min(t for name, t in row["seconds"].items() if name.startswith("granjax") and "half" not in name)
+    ratios = [row["ratio"] for row in maps["like_with_like"].values()]
+    others = [row["families"][x]["seconds"] / whole for x in ("heyoka", "scipy")]
+    yield (
+        "README.md",
+        f"Known to 1e-9, it takes {min(ratios):.1f} to {max(ratios):.1f} times what a numba loop of the same method "
+        f"with tangents takes, 1/{others[0]:.0f} of heyoka's time and 1/{others[1]:.0f} of that of SciPy's DOP853.",
+        {"numba": ratios, "others": others}, "monodromy.json: monodromy",
+    )
+    yield (
+        "README.md",
+        f"A family of {family['points']} breathers with all multipliers takes {family['fresh']['median']:.1f} s from a "
+        f"cold shell, import and compiling included.",
+        {"seconds": family["fresh"]["median"]}, "monodromy.json: family",
+    )
     numba = [over(scene, e, "numba, Nyström") for scene in ("impact", "smooth") for e in ("1e-06", "1e-08", "1e-10")]
     yield (
         "README.md",

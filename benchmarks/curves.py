@@ -90,7 +90,7 @@ def envelope(curves, errors):
     return np.where(np.isfinite(best), best, np.nan)
 
 
-def chart(scene, path):
+def chart(scene, path, of="the final state"):
     """Error against time: of every family the method that is best at the error."""
     methods = by_method(scene)
     errors = np.geomspace(FINEST, COARSEST, 600)
@@ -105,7 +105,7 @@ def chart(scene, path):
             ax.plot(best, errors, color=shade, ls=dashes, lw=3.0 if ours else 1.4, alpha=1.0 if ours else MUTED,
                     label=family, zorder=4 if ours else 3)
         ax.set(xscale="log", yscale="log", xlabel="time of one run on one core (s)",
-               ylabel="relative error of the final state", title=scene["title"])
+               ylabel=f"relative error of {of}", title=scene["title"])
         ax.grid(True, which="major", color=FAINT, alpha=0.25, lw=0.6)
         made.legend(loc="outside right center")
     save(made, path)

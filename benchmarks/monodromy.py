@@ -58,7 +58,7 @@ def main():
     options = parser.parse_args()
     folder = options.out or (None if options.quick else HERE)
     if options.draw:
-        chart(json.loads((folder / "monodromy.json").read_text())["monodromy"], folder / "monodromy.png")
+        chart(json.loads((folder / "monodromy.json").read_text())["monodromy"], folder / "monodromy.png", "the monodromy matrix")
         return
     result = {**machine(), "peers": versions(), "load": os.getloadavg(), "monodromy": monodromy(options)}
     if not options.quick:
@@ -67,7 +67,7 @@ def main():
     if folder is not None:
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "monodromy.json").write_text(json.dumps(result, indent=1, allow_nan=False) + "\n")
-        chart(result["monodromy"], folder / "monodromy.png")
+        chart(result["monodromy"], folder / "monodromy.png", "the monodromy matrix")
     if result["monodromy"]["disagreeing"]:
         sys.exit(f"Never within {AGREEMENT:g} of the reference: {', '.join(result['monodromy']['disagreeing'])}.")
 

@@ -40,6 +40,7 @@ def test_a_family_from_the_linear_mode(short):
     assert short.verdict[0] == "stable" and short.step_error.max() < 1e-6
 
 
+@pytest.mark.slow
 def test_each_member_is_periodic(short):
     for i in (3, -1):
         b = short.breather(i)
@@ -62,6 +63,7 @@ def test_a_family_exports(short):
     assert table.sizes["multiplier"] == 50 and table.attrs["outcome"] == short.outcome
 
 
+@pytest.mark.slow
 def test_a_breather_by_the_family_and_by_a_state_is_the_same(short):
     i = int(np.argmin(np.abs(short.omega - 0.99 * OMEGA2)))
     by_family = gx.breathers.breather(dimer(25), float(short.omega[i]))
@@ -103,12 +105,14 @@ def test_what_does_not_exist_is_refused_with_the_reason(ask, words):
         ask()
 
 
+@pytest.mark.slow
 def test_a_dark_breather_in_its_band_is_not_refused():
     b = gx.breathers.breather(monomer(32), 0.97 * 6**0.5, "dark")
     strain = np.abs(gx.measures.strain(b.lattice, b.state))
     assert b.converged and strain[15] < 0.05 * strain[7]
 
 
+@pytest.mark.slow
 def test_forced_continuation_of_a_bright_breather_in_a_monomer_leads_to_nothing():
     chain = monomer(41)
     n = np.arange(41) - 20
@@ -119,6 +123,7 @@ def test_forced_continuation_of_a_bright_breather_in_a_monomer_leads_to_nothing(
     assert np.abs(u).max() < 1e-6 or not decays or not b.converged
 
 
+@pytest.mark.slow
 def test_one_site_at_the_anticontinuous_limit():
     terms = gx.Bond(gx.Shift(1, "free"), gx.Linear(0.02)), gx.OnSite(gx.Polynomial(1.0, 0.0, 1.0))
     chain = gx.Lattice(np.ones(7), terms)
@@ -136,6 +141,7 @@ def test_one_site_at_the_anticontinuous_limit():
         gx.breathers.seeds.single_site(chain, 0.5, 3)
 
 
+@pytest.mark.slow
 def test_light_beads_between_heavy_ones_tend_to_their_own_limit():
     omega = 0.995 * 3**0.5
 
@@ -152,6 +158,7 @@ def test_light_beads_between_heavy_ones_tend_to_their_own_limit():
     np.testing.assert_allclose(nearer, limit, atol=0.03 * limit[4])
 
 
+@pytest.mark.slow
 def test_a_defect_carries_a_family_from_its_mode():
     chain = gx.scenes.defects(31, {15: 0.5}, precompression=1.0)
     mode = float(gx.linear.normal_modes(chain).omega[-1])
@@ -172,6 +179,7 @@ def seed15(short):
     return gx.breathers.breather(dimer(15), 0.985 * OMEGA2, steps=24)
 
 
+@pytest.mark.slow
 def test_energy_is_differentiable_in_the_chain_and_in_omega(seed15):
     omega = 0.985 * OMEGA2
 
@@ -196,6 +204,7 @@ def five_points(f, h):
     return (8 * (f(1 + h) - f(1 - h)) - (f(1 + 2 * h) - f(1 - 2 * h))) / (12 * h)
 
 
+@pytest.mark.slow
 def test_the_frequency_at_constant_energy_is_differentiable(seed15):
     near = gx.breathers.breather(dimer(15), 0.986 * OMEGA2, seed15.state, energy=float(seed15.energy), steps=24)
     assert float(near.omega) == pytest.approx(float(seed15.omega), rel=1e-9)
@@ -229,6 +238,7 @@ def test_the_largest_multiplier_is_differentiable_in_the_mass_ratio():
     assert float(jax.jacfwd(largest)(ratio)) == pytest.approx(finite, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_mass_ratios_in_a_batch(seed15):
     ratios = jnp.array([2.9, 2.957949, 3.0])
 
@@ -296,6 +306,7 @@ def test_modulational_instability_grows_at_the_envelopes_rate(case):
     np.testing.assert_allclose(found[:2], expected[0], rtol=0.05)
 
 
+@pytest.mark.slow
 def test_no_modulational_instability_in_the_hertz_monomer():
     chain = monomer(40, boundary="periodic")
     wave = gx.State(0.05 * (-1.0) ** np.arange(40), np.zeros(40))

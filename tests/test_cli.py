@@ -70,6 +70,7 @@ def test_compiled_programs_are_kept_unless_asked_not_to(tmp_path):
     assert command(*SMALL, cwd=tmp_path, GRANJAX_CACHE=str(kept)).stderr == "", "what is read back brings no warning"
 
 
+@pytest.mark.slow
 def test_resonance_prints_a_table(tmp_path, capsys):
     assert main([*SMALL, "--out", str(tmp_path / "made" / "here")]) == 0
     out = capsys.readouterr().out

@@ -47,6 +47,7 @@ def _scene(stiffness, velocity):
     return chain, gx.states.impact(chain, velocity=velocity)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [pytest.param(x, marks=() if x == "default" else pytest.mark.slow) for x in CALLS])
 def test_equal_shapes_compile_once(name, compilations):
     options = CALLS[name]

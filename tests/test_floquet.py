@@ -149,6 +149,7 @@ def unpaired(fl, product=1.0):
     return np.abs(rho[:, None] * rho[None] / product - 1).min(1).max()
 
 
+@pytest.mark.slow
 def test_multipliers_of_a_breather_come_in_pairs_and_four_at_one(dimers):
     b = nearest(dimers, 0.25)
     assert gx.measures.overlap(b.lattice, b.state).min() > 0.5
@@ -185,6 +186,7 @@ def test_coarse_steps_leave_a_stable_breather_undecided(dimers):
     assert b.floquet(steps=14, resolution=1e-6).verdict == "undecided"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("amplitude", (0.25, 0.7358))
 def test_half_a_period_gives_the_multipliers_of_the_whole(dimers, amplitude):
     b = nearest(dimers, amplitude)
@@ -313,6 +315,7 @@ def test_the_word_follows_from_the_error(rho, error, expected, conserves, verdic
 # large lattices -----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_leading_multipliers_are_those_of_the_matrix():
     chain, state, growth = inverted(40)
     values, vectors = leading(chain, state, 3.0, 4)

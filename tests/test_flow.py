@@ -96,6 +96,7 @@ def test_peak_between_steps_and_arrival_and_integral(struck):
     assert float(fine.recorded["impulse"][0]) == pytest.approx(float(lost), abs=1e-7)
 
 
+@pytest.mark.slow
 def test_lanes_are_a_loop(struck):
     ratios = jnp.array([0.3, 0.6, 1.0])
     make = lambda r: gx.scenes.dimer(20, ratio=r)  # noqa: E731
@@ -110,6 +111,7 @@ def test_lanes_are_a_loop(struck):
         assert np.allclose(mapped[i], one.final.u, rtol=0, atol=1e-11)
 
 
+@pytest.mark.slow
 def test_a_chain_in_its_working_layout_is_the_plain_one(closed):
     from granjax.lattice.split import ChainSplit, PlainSplit
 
@@ -166,6 +168,7 @@ def test_gradient_of_a_recorded_peak(struck):
     assert float(jax.grad(peak)(1.0)) == pytest.approx(1.2 * float(peak(1.0)), rel=1e-4)
 
 
+@pytest.mark.slow
 def test_damping_is_exact_and_a_dashpot_is_refused(closed):
     chain, state = closed
     damped = gx.Lattice(1.0, (*chain.terms, gx.Damping(0.3)), sites=12)
@@ -193,6 +196,7 @@ def test_float32_runs_stay_float32(struck):
     assert adaptive.final.u.dtype == jnp.float32
 
 
+@pytest.mark.slow
 def test_non_finite_states_are_located():
     # a magnet thrown at the next one so hard that one step jumps through it
     chain = gx.Lattice(1.0, gx.Bond(gx.Shift(1, "fixed"), gx.PowerLaw(1.0, -3, 1.0)), sites=10)
@@ -205,18 +209,21 @@ def test_non_finite_states_are_located():
     assert not bool(run.completed)
 
 
+@pytest.mark.slow
 def test_stopped_runs_say_so(struck):
     chain, state = struck
     with pytest.raises(RuntimeError, match="Stopped after 5 steps"):
         gx.simulate(chain, state, 10.0, tolerance=1e-9, max_steps=5)
 
 
+@pytest.mark.slow
 def test_softening_contacts_have_no_step_bound():
     chain = gx.scenes.monomer(6, exponent=0.5, precompression=1.0)
     run = gx.simulate(chain, gx.states.impact(chain, velocity=0.01), 1.0)
     assert "no step bound" in run.outcome
 
 
+@pytest.mark.slow
 def test_a_run_prints_itself_and_exports(struck):
     chain, state = struck
     run = gx.simulate(chain, state, 5.0, save_at=6, record={"peak": PEAK})
@@ -229,6 +236,7 @@ def test_a_run_prints_itself_and_exports(struck):
     assert set(run.to_numpy()) == {"ts", "us", "vs", "peak"}
 
 
+@pytest.mark.slow
 def test_any_diffrax_solver_and_a_bare_diffeqsolve(closed):
     chain, state = closed
     fine = gx.simulate(chain, state, 3.0, step=0.01)
@@ -311,6 +319,7 @@ def test_a_contact_with_a_wall_opens_too():
     assert not bool(gx.simulate(chain, (np.zeros(2), np.full(2, -0.1)), 1.0, step=0.05).contact_opened)
 
 
+@pytest.mark.slow
 def test_a_piston_does_not_collapse_the_default_step():
     # the wall has gone 50 by the end, at a speed of 0.5: bonds are pushed by the speed and not by the way
     chain = gx.scenes.toda(20, boundary="free")
@@ -378,6 +387,7 @@ def test_nothing_stiff_asks_for_a_step():
         gx.simulate(chain, (AT_REST, AT_REST), 1.0)
 
 
+@pytest.mark.slow
 def test_a_step_past_stability_at_this_energy_is_remarked_upon():
     # below the linear limit, so that it is not refused; far above it where contacts are pressed
     chain = gx.scenes.monomer(8, precompression=1.0)

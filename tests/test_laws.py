@@ -73,6 +73,7 @@ def test_no_derivative_is_nan(case, order):
     assert not np.isnan(np.asarray(derivative(case.law.force, order)(e))).any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("p", EXPONENTS)
 @pytest.mark.parametrize("kind", ["static", "array"])
 @pytest.mark.parametrize("order", [0, 1, 2, 3])
@@ -131,6 +132,7 @@ def test_derivatives_in_the_exponent_are_the_closed_form(p):
 
 
 # magnets have no equilibrium without a static force
+@pytest.mark.slow
 @pytest.mark.parametrize("p, F0", [(p, F0) for p in (*EXPONENTS, -3.0, -1.0, -2.5) for F0 in (0.0, 0.7) if p > 0 or F0])
 def test_array_exponent_equals_static_exponent(p, F0):
     e = jnp.array([-0.4, -1e-3, 0.0, 1e-3, 0.3])
@@ -140,6 +142,7 @@ def test_array_exponent_equals_static_exponent(p, F0):
     assert_ulps(free.energy(e), static.energy(e), 64, float(jnp.max(jnp.abs(static.energy(e)))) + F0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("p", [1.5, 0.5, -3.0, -1.0])
 @pytest.mark.parametrize("build", ["jit", "vmap", "grad"])
 def test_a_law_built_from_traced_numbers_is_the_same_law(p, build):

@@ -69,6 +69,7 @@ def random_cells(boundary="periodic", size=5, cells=4):
     return springs(np.tile(mass, cells), stiffness, boundary)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("boundary", ["fixed", "free", "periodic"])
 def test_monomer(boundary):
     # omega = 2 sqrt(K2/m) |sin(k/2)|, K2 = 3/2 A d0^(1/2) = 1.5 F0^(1/3) A^(2/3)
@@ -134,6 +135,7 @@ def test_dead_bonds_stop_sound():
     assert linear.sound_speed(springs(np.ones(8), np.resize([1.0, 0.0], 9))) == 0
 
 
+@pytest.mark.slow
 def test_speeds_of_the_triangular_lattice():
     # isotropic, Lame constants sqrt(3)/4 K, density 2 m/sqrt(3): c_T^2 = 3/8, c_L^2 = 9/8
     vectors = np.array([[1, 0], [0.5, np.sqrt(3) / 2]])
@@ -156,6 +158,7 @@ RINGS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", RINGS)
 def test_bloch_waves_are_the_modes_of_a_ring(name):
     chain = RINGS[name]
@@ -200,6 +203,7 @@ def test_bloch_vectors_solve_the_lattice():
         np.testing.assert_allclose(np.sum(np.array([1, MASS]) * abs(found.vectors[:, band]) ** 2), 1, rtol=1e-13)
 
 
+@pytest.mark.slow
 def test_shapes_of_vectors():
     assert linear.dispersion(triangular(), np.ones((2, 2)), (5, 1)).vectors.shape == (2, 5, 1, 2, 10)
     parts = linear.dispersion(mass_in_mass(), WAVES).vectors
@@ -259,6 +263,7 @@ def test_derivatives_in_k_and_parameters():
     np.testing.assert_allclose(got, expected[1], rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_waves_inside_jit():
     chain = two_masses(12)
     expected = linear.dispersion(chain, WAVES).omega
@@ -336,6 +341,7 @@ def test_ssh_states(first, expected):
     np.testing.assert_allclose(linear.bands(chain).gaps, [np.sqrt([2.0, 4.0])], rtol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("prestress, boundary", [(0.0, "periodic"), (0.1, "periodic"), (0.1, "fixed")])
 def test_triangular_lattice(prestress, boundary):
     # central springs K = m = a = 1: omega^2 = 4.5 (K - f) twice at K; 2 K - 6 f and 6 K - 2 f at M
@@ -382,6 +388,7 @@ def test_lieb():
     np.testing.assert_allclose(squared, np.stack([4 - E, np.full(7, 4.0), 4 + E], -1), atol=1e-12)
 
 
+@pytest.mark.slow
 def test_long_reach_of_pairs_is_found():
     n = np.arange(30)
     chain = Lattice(np.ones(30), (Bond(Shift(1, "periodic"), Linear(1.0)), Bond(Pairs(n, (n + 5) % 30), Linear(0.2))))
@@ -452,6 +459,7 @@ REFUSALS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", REFUSALS)
 def test_refusals(name):
     call, message = REFUSALS[name]

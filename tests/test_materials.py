@@ -124,6 +124,7 @@ def crossed(x):
     return crossed_cylinders(Material("mine", 1e9 * x[0], 0.3, 1.0), 1e-3 * x[1], "steel 316", 2e-3, x[2]) / 1e7
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("function", [sphere_on_plane, crossed])
 def test_gradients(function):
     x, step = jnp.array([2.0, 3.0, 1.0]), 1e-5

@@ -240,6 +240,7 @@ def test_centre_and_second_moment():
 # ---- normal modes
 
 
+@pytest.mark.slow
 def test_modal_energies_sum_to_the_energy_of_a_linear_chain():
     N = 12
     lattice = gx.Lattice(jnp.full(N, 2.0), (gx.Bond(gx.Shift(1, "fixed"), gx.Linear(3.0)),))
@@ -327,6 +328,7 @@ def test_derivative_of_an_arrival_time():
     np.testing.assert_allclose(slope, (arrival(1.1 + 1e-5) - arrival(1.1 - 1e-5)) / 2e-5, rtol=1e-7)
 
 
+@pytest.mark.slow
 def test_derivative_of_a_peak_time():
     ts = jnp.linspace(0.0, 10.0, 1200)
 
@@ -340,6 +342,7 @@ def test_derivative_of_a_peak_time():
 # ---- spectra
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("direction", [1, -1])
 @pytest.mark.parametrize("window", ["hann", "none"])
 def test_a_plane_wave_has_its_line_at_its_wave_number_and_frequency(direction, window):

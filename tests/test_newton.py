@@ -99,6 +99,7 @@ def differences(f, x, h):
     return np.moveaxis(plus - minus, 0, -1) / (2 * h)
 
 
+@pytest.mark.slow
 def test_derivatives_of_the_root_in_the_arguments():
     root = lambda args: newton(meeting, GUESS, args, tolerance=1e-13).x
     first = differences(root, ARGS, 1e-5)
@@ -111,6 +112,7 @@ def test_derivatives_of_the_root_in_the_arguments():
     assert np.abs(first).min() > 0.05 and np.abs(second).min() > 0.005
 
 
+@pytest.mark.slow
 def test_inside_jit_and_vmap():
     find = lambda args: newton(meeting, GUESS, args)
     one = find(ARGS)

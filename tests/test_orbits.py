@@ -95,6 +95,7 @@ def breather():
     return half.state(jnp.asarray(curve.x[-1])), 2 * np.pi / curve.p[-1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", (
     "free", pytest.param("walls", marks=pytest.mark.slow), pytest.param("resonators", marks=pytest.mark.slow)))
 def test_the_half_periods_linearisation(case):
@@ -127,6 +128,7 @@ def test_a_half_periods_unknowns_and_state(breather):
     assert np.array_equal(half_of(MASS_IN_MASS).guess(fields)[:6], np.arange(6.0))
 
 
+@pytest.mark.slow
 def test_newton_over_a_half_period_is_quadratic_and_differentiable(breather):
     state, period = breather
     half = half_of(DIMER)
@@ -148,6 +150,7 @@ def test_newton_over_a_half_period_is_quadratic_and_differentiable(breather):
 # whole periods ------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("segments", (pytest.param(1, marks=pytest.mark.slow), 3))
 def test_an_orbit_over_half_a_period_is_one_over_a_whole(breather, segments):
     state, period = breather
@@ -203,6 +206,7 @@ FORCED = gx.Lattice(1.0, (
     gx.Bond(gx.Shift(1, "fixed"), gx.Hertz(1.0, 1.0)), gx.Damping(0.3), gx.Drive(gx.Harmonic(0.4, OMEGA), 0)), sites=N)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("segments, t0", (pytest.param(1, 0.0, marks=pytest.mark.slow), (3, 0.4)))
 def test_a_forced_damped_orbit_is_where_a_long_run_settles(segments, t0):
     period, scene = 2 * np.pi / OMEGA, (FORCED, 2 * np.pi / OMEGA)

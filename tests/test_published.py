@@ -49,6 +49,7 @@ def test_wall_minimum_of_the_dimer():
     assert abs(transmission[lowest] - 0.2096) <= 0.001
 
 
+@pytest.mark.slow
 def test_toda_soliton_after_500_sites():
     # closed form: exp(y_n) - 1 = sinh^2 k sech^2(k (n - n0) - t sinh k), speed sinh k/k
     k, sites, start = 1.0, 640, 60.5
@@ -71,6 +72,7 @@ def test_toda_soliton_after_500_sites():
     assert np.max(np.abs(jnp.expm1(y) - crest**2)) < 1e-9
 
 
+@pytest.mark.slow
 def test_fput_energy_and_first_recurrence():
     # H of the first mode, a = 1; first recurrence t = 9376.5 (E1/H = 0.9813), minimum 0.0882 at t = 6275.5
     chain = gx.scenes.fput(31, alpha=0.25)

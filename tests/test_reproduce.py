@@ -144,6 +144,7 @@ def test_the_wave_keeps_its_profile(data_of):
     assert np.abs(last[: crest - 5]).max() < 1e-10
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("material, radius, striker", [("PTFE", 2.38e-3, 1.5), ("aluminium", 12.7e-3, 0.05)])
 def test_the_striker_experiment_scales(material, radius, striker):
     data = experiment.compute(material, radius, striker, 32)
@@ -160,6 +161,7 @@ def test_velocities_are_in_metres_per_second(data_of):
     assert 500 < speed < 620
 
 
+@pytest.mark.slow
 def test_the_wall_feels_what_an_independent_integrator_says():
     # SciPy's DOP853 at rtol 1e-10; 0.2096 at 0.595 is also the literature's minimum
     got = gx.resonance.transmission([0.59, 0.5944, 0.595], 101).transmission
@@ -183,7 +185,7 @@ def test_the_resonant_chain_has_its_ratio_and_keeps_its_energy(data_of):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("label", MADE)
+@pytest.mark.parametrize("label", ["fig1.3", "breather.1"])
 def test_check_writes_what_it_says(label, tmp_path):
     (result,) = reproduce.run(label, tmp_path, True, gx.plots)
     assert result.passed is True and ": agrees" in result.sentence and "chosen here" in result.sentence

@@ -47,6 +47,7 @@ def test_a_sweep_is_what_single_runs_give():
     assert sweep.run_time == 41.5
 
 
+@pytest.mark.slow
 def test_the_monomer_is_computed_where_it_is_not_asked_for():
     sweep = gx.resonance.transmission([0.5], 21)
     with_it = gx.resonance.transmission([0.5, 1.0], 21)
@@ -84,6 +85,7 @@ def test_a_longer_run_meets_no_larger_force():
     np.testing.assert_allclose(longer.transmission, usual.transmission, rtol=2e-6)
 
 
+@pytest.mark.slow
 def test_refined_extrema_are_extrema():
     sweep = gx.resonance.transmission(np.linspace(0.1, 1, 46), 31)
     found = gx.resonance.refine(sweep, accuracy=1e-4)
@@ -121,6 +123,7 @@ def test_refinement_finds_a_known_place():
     np.testing.assert_allclose(found.anti_resonance_transmission, [1.1], atol=1e-5)
 
 
+@pytest.mark.slow
 def test_contact_forces_down_the_chain():
     # converged with the step: 0.3019048, 0.2574079, 0.2309435 (at a coarser sampling in time 0.301903, ...)
     forces = gx.resonance.contact_forces([0.5, 1.0], (20, 40, 60))
@@ -142,6 +145,7 @@ def test_decay_is_fastest_at_the_second_and_third_resonance():
         assert tops[np.argmin(np.abs(tops - centre))] == pytest.approx(centre, abs=1e-4)
 
 
+@pytest.mark.slow
 def test_anti_resonance_of_a_shorter_chain():
     # between contacts 40 and 120 the zero is already within 1e-5 of the asymptotic 0.342846
     assert gx.resonance.anti_resonance(0.32, 0.37, contacts=(40, 120)) == pytest.approx(0.342846, abs=1e-5)
@@ -161,6 +165,7 @@ def test_the_monomer_is_an_anti_resonance():
     assert gx.resonance.anti_resonance(0.9, 1.0, contacts=(40, 80)) == 1.0
 
 
+@pytest.mark.slow
 def test_an_interval_without_anti_resonance():
     with pytest.raises(RuntimeError, match="no minimum inside"):
         gx.resonance.anti_resonance(0.4, 0.5, contacts=(40, 80))

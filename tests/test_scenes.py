@@ -44,6 +44,7 @@ def same_acceleration(first, second, rtol=1e-14):
     np.testing.assert_allclose(a, b, rtol=rtol, atol=rtol * float(jnp.abs(a).max()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", BALANCED.values(), ids=BALANCED.keys())
 def test_rest_is_an_equilibrium(make):
     lattice = make()

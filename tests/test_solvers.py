@@ -100,6 +100,7 @@ def truth(lanes):
     return jax.tree.map(lambda x: x[-1], saved)
 
 
+@pytest.mark.slow
 @mostly_slow(ALL_SOLVERS, VelocityVerlet, SRKN11b, RKN86)
 def test_observed_order(solver, lanes, truth):
     scene, y = lanes
@@ -160,6 +161,7 @@ def test_symplectic(solver):
     assert np.abs(M.T @ J @ M - J).max() < 2e-14 * max(1.0, np.abs(M).max() ** 2)
 
 
+@pytest.mark.slow
 def test_a_nystrom_pair_is_not_symplectic():
     M = monodromy(RKN86, chain(), smooth(), 2.0, 0.5)
     J = symplectic_form(N)
@@ -174,6 +176,7 @@ def test_uniform_damping_contracts_the_symplectic_form():
     assert np.abs(M.T @ J @ M - np.exp(-gamma * t1) * J).max() < 1e-14
 
 
+@pytest.mark.slow
 def test_damping_keeps_the_order():
     lattice = chain(extra=(gx.Damping(0.2), gx.Drive(gx.Harmonic(0.1, 1.1), 2)))
     reference = flat(last(solve(diffrax.Dopri8(), smooth(), 8.0, 0.01, lattice)))
@@ -259,6 +262,7 @@ def test_plain_field_equals_lattice(solver):
     assert np.abs(ours - plain).max() < 1e-14
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", (SRKN11b, RKN86), ids=lambda s: s.__name__)
 def test_pendulum_as_a_plain_pair(solver):
     # energy v^2/2 - cos u; the period at amplitude 2 is 4 K(sin 1)
@@ -313,6 +317,7 @@ def test_damping_is_refused_by_pairs(solver):
         solve(solver(), smooth(), 1.0, 0.1, chain(extra=(gx.Damping(0.1),)))
 
 
+@pytest.mark.slow
 @pairs
 def test_plain_field_that_reads_the_velocity_is_refused(solver):
     with pytest.raises(ValueError, match="reads the velocity"):
@@ -441,6 +446,7 @@ def test_dense_output_meets_the_ends_and_runs_backwards(solver):
     assert np.abs(flat(back.interpolation.evaluate(0.6)) - flat(middle)).max() < close
 
 
+@pytest.mark.slow
 @pair
 def test_nobody_pays_for_dense_output_that_is_not_read(solver):
     def roots(**options):
@@ -466,6 +472,7 @@ def test_tolerance_is_kept(solver, between):
         assert found.stats["num_rejected_steps"] < 0.3 * found.stats["num_steps"]
 
 
+@pytest.mark.slow
 @pair
 def test_a_jump_in_time_drops_the_kept_force(solver):
     # stiffness 1 before t = 1 and 3 after: u = cos(1) cos(w s) - sin(1) sin(w s)/w, w = sqrt 3, s = t - 1
@@ -488,6 +495,7 @@ def test_a_jump_in_time_drops_the_kept_force(solver):
     assert found.stats["num_steps"] < 60
 
 
+@pytest.mark.slow
 @pair
 def test_contact_loss_by_small_steps(solver):
     # uncompressed chain hit at its end: energy is kept to the tolerance although contacts open
@@ -518,6 +526,7 @@ def test_lanes_and_vmap(solver, lanes):
     assert np.abs(flat(jax.tree.map(lambda x: x[:, 0], together)) - flat(single)).max() < 1e-14
 
 
+@pytest.mark.slow
 @pair
 def test_adaptive_vmap(solver):
     def alone(mass):
@@ -569,6 +578,7 @@ def test_forward_and_reverse_derivatives_agree(solver):
     assert abs(forward - gk * DIRECTION[0] - gu @ DIRECTION[1]) < 1e-12 * abs(forward)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver, options", (
     (SRKN11b, {}), (RKN86, {"stepsize_controller": diffrax.PIDController(rtol=1e-9, atol=1e-9)}),
     pytest.param(RKN86, {}, marks=pytest.mark.slow), pytest.param(RKN1210, {}, marks=pytest.mark.slow),

@@ -179,6 +179,7 @@ def test_wave_packet_runs_one_way_with_the_group_velocity(direction, sign):
     assert behind < 1e-12 * e.sum()
 
 
+@pytest.mark.slow
 def test_wave_packet_with_a_frequency_of_ones_own():
     uniform = chain(200, gx.Linear(1.0), "free")
     own = states.wave_packet(uniform, 1.2, 100)
@@ -203,6 +204,7 @@ def test_wave_packet_counts_site_springs_and_far_neighbours():
     np.testing.assert_allclose(own.v, told.v, atol=1e-15)
 
 
+@pytest.mark.slow
 def test_states_work_inside_jit_and_derivatives():
     def energy(a):
         lattice = chain(8, gx.Hertz(1.0, precompression=1.0))

@@ -30,6 +30,7 @@ def flat(y):
     return jnp.concatenate([y.u, y.v])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
 def test_tangents_are_the_derivative_of_the_flow(case):
     lattice, solver = CASES[case]
@@ -40,6 +41,7 @@ def test_tangents_are_the_derivative_of_the_flow(case):
     np.testing.assert_allclose(matrix, jax.jit(jax.jacfwd(ends))(flat(STATE)), rtol=0, atol=1e-13)
 
 
+@pytest.mark.slow
 def test_tangents_of_an_open_contact_and_of_vectors():
     lattice = gx.scenes.monomer(N, precompression=0.0)
     flow = gx.Flow(20)
@@ -49,6 +51,7 @@ def test_tangents_of_an_open_contact_and_of_vectors():
     np.testing.assert_allclose(matrix, jax.jacfwd(ends)(flat(STATE)), rtol=0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_step_is_that_of_simulate():
     run = gx.simulate(PLAIN, STATE, 3.0, step=0.1, solver=gx.SRKN14a())
     np.testing.assert_allclose(flat(gx.Flow(30)(STATE, 0.0, 3.0, PLAIN)), flat(run.final), rtol=0, atol=1e-13)
@@ -68,6 +71,7 @@ def test_a_complex_field_of_first_order():
     np.testing.assert_allclose(matrix, expected, rtol=0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_batches_of_lattices_have_their_own_tangents():
     lattices = jax.vmap(lambda r: gx.scenes.dimer(N, ratio=r, precompression=1.0), out_axes=-1)(jnp.array([0.4, 0.7]))
     flow = gx.Flow(6, gx.SRKN6b())

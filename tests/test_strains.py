@@ -98,6 +98,7 @@ def test_load_and_energy_are_the_forms_of_the_base_class(case):
     assert_ulps(x.energy, x.base_energy, 64, 1.0)
 
 
+@pytest.mark.slow
 @over(ALL_STRAIN_MAPS)
 def test_load_is_the_gradient_of_the_energy(case):
     _, _, x = forms(case)

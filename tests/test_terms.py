@@ -13,6 +13,7 @@ def force(*terms, u, v=None, t=0.3, mass=MASS, **how):
     return lattice.force(t, u, jnp.zeros_like(u) if v is None else v)
 
 
+@pytest.mark.slow
 @over([case for case in ALL_TERMS if case.lattice.terms[0].reads_velocity])
 def test_friction_never_does_positive_work(case):
     u, v = random_like(case.lattice.template(), 0), random_like(case.lattice.template(), 1)

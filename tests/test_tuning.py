@@ -47,6 +47,7 @@ def test_too_late_is_said():
 OWN = ("--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=7", "bare_word=1")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("own", OWN)
 def test_what_the_user_set_stays(own):
     flags, complete, _, _ = report(XLA_FLAGS=own)

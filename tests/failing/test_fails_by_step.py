@@ -72,6 +72,7 @@ def verlet(u, v, t1, step):
 # symplectic or not -------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_energy_of_a_method_that_is_not_symplectic_drifts():
     t1, h = 400.0, 0.1
     drift = energy_errors(runge_kutta(*START, h, round(t1 / h)))

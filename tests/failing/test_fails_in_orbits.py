@@ -25,6 +25,7 @@ def breather():
     return gx.breathers.family(DIMER, until=0.98 * top, stability=False).breather(-1)
 
 
+@pytest.mark.slow
 def test_newton_at_a_given_frequency_falls_to_rest_from_a_small_guess(breather):
     half = HalfPeriod.of(DIMER, gx.Flow(jnp.asarray(20), gx.KahanLi8()))
     shape = np.asarray(gx.linear.normal_modes(DIMER).modes)[:, -1]
