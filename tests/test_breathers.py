@@ -49,6 +49,7 @@ def test_each_member_is_periodic(short):
         assert b.residual < 1e-10 and b.converged
 
 
+@pytest.mark.slow
 def test_multipliers_of_the_family_are_those_of_floquet(short):
     i = len(short) - 1
     fl = short.breather(i).floquet()

@@ -48,6 +48,7 @@ def test_resonance_from_a_shell(tmp_path):
         assert "A = 1" in data.attrs["units"]
 
 
+@pytest.mark.slow
 def test_the_command_makes_a_device_of_every_core(tmp_path):
     code = (
         "import jax; from granjax.cli import _cores, _prepare; _prepare(False); "
@@ -112,6 +113,7 @@ def test_bad_input_is_one_sentence_and_code_2(arguments, message, tmp_path, caps
     assert message in complaint[0]
 
 
+@pytest.mark.slow
 def test_bad_input_from_a_shell(tmp_path):
     done = command("resonance", "--beads", "2", cwd=tmp_path)
     assert done.returncode == 2

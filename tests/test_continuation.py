@@ -67,6 +67,7 @@ def chebyshev(n):
     return (x[1:-1] + 1) / 2, 4 * (d @ d)[1:-1, 1:-1]
 
 
+@pytest.mark.slow
 def test_bratu():
     # u'' + p e^u = 0, u(0) = u(1) = 0: p = 8 (s^2 - 1) at the fold, where s tanh s = 1
     s = 1.0

@@ -54,6 +54,7 @@ def test_an_end_that_is_not_driven_keeps_its_wall():
     assert float(energy) == pytest.approx(float(expected), rel=1e-13)
 
 
+@pytest.mark.slow
 def test_batches_take_moving_walls_and_amplitudes_have_derivatives():
     chain = lambda r: gx.scenes.dimer(4, r, precompression=1.0)
     lanes = driven.driven_chain(jax.vmap(chain, out_axes=-1)(jnp.array([0.4, 0.7])), 0.2, 2.0, damping=0.1)
@@ -116,6 +117,7 @@ DOUBLE_WELL = dict(omega=1.2, K2=-1.0, K4=1.0, damping=0.3)
 WELL = gx.State(jnp.array([1.0, 1.0]), jnp.zeros(2))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("force, multiple, word", [
     (0.20, 1, "every period"), (0.28, 2, "period-doubled"), (0.29, 4, "doubled twice"), (0.50, 0, "Not periodic"),
 ])
@@ -162,6 +164,7 @@ def folds(force, damping, K4):
     return right[turns]
 
 
+@pytest.mark.slow
 def test_jumps_and_hysteresis_of_a_duffing_oscillator():
     values = np.linspace(0.98, 1.06, 17)
     found = driven.sweep(lambda w: duffing(0.01, w, K4=0.4), values, lambda w: 2 * jnp.pi / w, accuracy=1e-4)
@@ -208,6 +211,7 @@ def test_exponents_of_a_damped_driven_chain_pair():
     assert "Periodic" in found.verdict
 
 
+@pytest.mark.slow
 def test_an_integrable_ring_is_regular_and_a_beta_chain_chaotic():
     ring = gx.scenes.toda(8, boundary="periodic")
     found = driven.lyapunov(ring, state(ring, 0.7), 2.0, periods=4000)

@@ -25,6 +25,7 @@ def rest(chain):
 # equilibria ---------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("boundary, law", [("free", gx.Hertz(1.0, 1.0)), ("fixed", gx.Linear(1.5))])
 def test_at_rest_multipliers_are_those_of_the_normal_modes(boundary, law):
     chain = gx.Lattice(1.0, (gx.Bond(gx.Shift(1, boundary), law),), sites=6)
@@ -42,6 +43,7 @@ def test_at_rest_multipliers_are_those_of_the_normal_modes(boundary, law):
     assert np.abs(fl.multipliers[~own] - 1).max(initial=0) < 1e-7 and not fl.krein[~own].any()
 
 
+@pytest.mark.slow
 def test_krein_signatures_are_the_signs_of_the_symplectic_form():
     chain = gx.scenes.dimer(6, ratio=0.5, precompression=1.0, boundary="fixed")
     fl = floquet(chain, rest(chain), 2.0)
@@ -80,6 +82,7 @@ def pendula():
     return exact, {m: floquet(chain, state, LONG, segments=m) for m in (1, 4, 16)}
 
 
+@pytest.mark.slow
 def test_the_whole_product_loses_the_small_multipliers_and_says_so(pendula):
     exact, found = pendula
     fl = found[1]

@@ -40,6 +40,7 @@ def test_default_step_comes_from_the_energy(struck):
     assert float(run.energy_error) < 1e-5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ratio", [0.1, 0.5, 1.0])
 def test_frequency_bound_is_the_dimers_own_in_the_linear_limit(ratio):
     # dimer of infinitesimal amplitude: omega^2 <= 2 K2 (1/m + 1/M), reached by a long chain
@@ -51,6 +52,7 @@ def test_frequency_bound_is_the_dimers_own_in_the_linear_limit(ratio):
     assert exact <= float(linear_frequency(chain)) * (1 + 1e-12)
 
 
+@pytest.mark.slow
 def test_saved_times(closed):
     chain, state = closed
     end = gx.simulate(chain, state, 4.0, step=0.1)
@@ -332,6 +334,7 @@ def test_a_piston_does_not_collapse_the_default_step():
         gx.simulate(alpha, state, 100.0)
 
 
+@pytest.mark.slow
 def test_a_term_of_unknown_stiffness_asks_for_a_step():
     class Spring(gx.Term):
         k: jax.Array
@@ -346,6 +349,7 @@ def test_a_term_of_unknown_stiffness_asks_for_a_step():
     assert np.max(np.abs(gx.simulate(chain, state, 20.0, step=0.05).final.v)) < 2
 
 
+@pytest.mark.slow
 def test_uneven_times_leave_the_step_alone(closed):
     chain, state = closed
     run = gx.simulate(chain, state, 1.0, step=0.05, save_at=[0.0, 1e-4, 1.0])
@@ -404,6 +408,7 @@ class OwnMap(gx.StrainMap):
         return u[:-1] - u[1:]
 
 
+@pytest.mark.slow
 def test_a_large_lattice_of_a_map_of_ones_own_runs_at_a_given_step():
     # no bound on its stiffness exists, so that the step cannot be judged; it is not refused for that
     chain = gx.Lattice(1.0, (gx.Bond(OwnMap(), gx.Hertz(1.0, 1.0)),), sites=4100)
@@ -413,6 +418,7 @@ def test_a_large_lattice_of_a_map_of_ones_own_runs_at_a_given_step():
         gx.simulate(chain, gx.State(chain.zeros(), chain.zeros()), 0.2)
 
 
+@pytest.mark.slow
 def test_the_default_step_is_one_that_is_not_refused():
     chain = gx.scenes.monomer(4, precompression=1.0)
     state = gx.State(jnp.asarray([0.01, 0.0, 0.0, 0.0]), jnp.zeros(4))

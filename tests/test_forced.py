@@ -64,6 +64,7 @@ def test_the_folds_are_those_of_harmonic_balance(hump):
     assert hump.outcome == "p reached 1."
 
 
+@pytest.mark.slow
 def test_an_orbit_has_the_harmonics_of_harmonic_balance():
     omega, expected = balance(0.5)
     orbit = forced_orbit(duffing(omega), period_of(omega))
@@ -270,6 +271,7 @@ def test_runs_on_either_side_of_a_bifurcation(omega, kind, at):
         assert doubled.floquet().verdict == "stable"
 
 
+@pytest.mark.slow
 def test_an_orbit_of_the_branch_is_an_orbit(hump):
     orbit = hump.orbit(40)
     assert orbit.converged

@@ -29,6 +29,7 @@ def size_of(case):
     return float(jnp.max(jnp.abs(case.law.force(e))) + jnp.max(jnp.asarray(case.law.preload)))
 
 
+@pytest.mark.slow
 @over(ALL_LAWS)
 def test_nothing_at_equilibrium(case):
     at = jnp.zeros(3)
@@ -43,6 +44,7 @@ def test_force_is_the_derivative_of_the_energy(case):
     assert_ulps(derivative(case.law.energy, 1)(e), case.law.force(e), 64, size_of(case))
 
 
+@pytest.mark.slow
 @over([c for c in ALL_LAWS if c.law.overlap(jnp.array(0.0)) is not None and not isinstance(c.law, gx.laws.Sum)])
 def test_a_contact_pushes_while_its_overlap_is_positive(case):
     e = jnp.array(case.strains)
@@ -54,6 +56,7 @@ def test_a_contact_pushes_while_its_overlap_is_positive(case):
     assert closed.any()
 
 
+@pytest.mark.slow
 @over(ALL_LAWS)
 def test_nan_stays_nan(case):
     e = jnp.array([0.1, jnp.nan])
@@ -178,6 +181,7 @@ def test_python_numbers_are_checked_while_tracing():
         jax.jit(lambda e: gx.Hertz(-1.0).force(e))(0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("exponent", [-3.0, jnp.asarray(-3.0), -1.0, jnp.asarray(-1.0)])
 def test_magnets_that_met_are_nan(exponent):
     law = gx.PowerLaw(2.0, exponent, 2.0)  # d0 = 1
@@ -193,6 +197,7 @@ def test_taylor_of_hertz():
     assert_ulps(tuple(taylor(gx.Hertz(1.0, 1.0))), (np.array(1.5), np.array(0.375), np.array(-0.0625)), 8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("p", EXPONENTS)
 @pytest.mark.parametrize("kind", ["static", "array"])
 def test_taylor_of_the_power_law(p, kind):

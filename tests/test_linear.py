@@ -97,6 +97,7 @@ def test_speed_of_precompressed_hertz():
     np.testing.assert_allclose(linear.sound_speed(monomer(50, precompression=1.0)), np.sqrt(1.5), rtol=1e-14)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("boundary", ["fixed", "free", "periodic"])
 def test_dimer_edges(boundary):
     # sqrt(2 K2/M), sqrt(2 K2/m), sqrt(2 K2 (1/m + 1/M)), K2 = 1.5: 1.0070830, 1.7320508, 2.0035509
@@ -190,6 +191,7 @@ def test_walls_and_drives_do_not_count():
     np.testing.assert_allclose(modes.omega_squared, np.linalg.eigvalsh(K), atol=1e-13)
 
 
+@pytest.mark.slow
 def test_bloch_vectors_solve_the_lattice():
     chain = two_masses(12, "periodic")
     k = 2 * np.pi / 6
@@ -212,6 +214,7 @@ def test_shapes_of_vectors():
     np.testing.assert_allclose(weight, 1.0, rtol=1e-13)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["dimer", "trimer", "next nearest", "random cells", "mass in mass"])
 def test_derivatives_of_bands(name):
     chain, h = RINGS[name], 1e-4
@@ -234,6 +237,7 @@ def test_derivatives_of_bands_in_the_plane():
         np.testing.assert_allclose(here.curvature[:, axis], change, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_derivatives_that_do_not_exist_are_nan():
     # two cells in one: bands cross at pi; an acoustic band has a corner at 0
     folded = linear.dispersion(springs(np.ones(12)), np.array([0.0, np.pi]), cell=2)
@@ -369,6 +373,7 @@ def test_folded_bands_touch():
     assert linear.bands(springs(np.ones(12)), cell=3).gaps == []
 
 
+@pytest.mark.slow
 def test_kagome():
     # omega^2 = 4 - E: E = -2 (flat), 1 +- sqrt(4 (c1^2 + c2^2 + c3^2) - 3), c_i = cos(k_i/2), k_3 = k_1 - k_2
     k = np.random.default_rng(0).uniform(-3, 3, (7, 2))
@@ -414,6 +419,7 @@ def test_long_chains_take_little_memory():
     np.testing.assert_allclose(linear.dispersion(chain, np.pi).omega, np.sqrt([3.0, 6.0]), rtol=1e-13)
 
 
+@pytest.mark.slow
 def test_disordered_ring_as_one_cell():
     mass = np.random.default_rng(5).uniform(0.5, 1.5, 7)
     chain = springs(mass, 1.0, "periodic")

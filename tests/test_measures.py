@@ -124,6 +124,7 @@ def test_momentum_in_the_plane_is_a_vector():
     np.testing.assert_array_equal(measures.momentum(lattice, y), [0.5, -2.0])
 
 
+@pytest.mark.slow
 def test_species_energies_sum_to_the_energy():
     dimer = chain(10)
     y = states.random(dimer, 1, 0.1, 0.5)
@@ -226,6 +227,7 @@ def test_participation_of_uniform_and_of_one():
     np.testing.assert_allclose(measures.participation(jnp.array([3.0, 1.0])), 1.6, rtol=1e-15)
 
 
+@pytest.mark.slow
 def test_centre_and_second_moment():
     free = gx.Lattice(jnp.ones(10), (gx.Bond(gx.Shift(1, "free"), gx.Linear()),))
     y = gx.State(jnp.zeros(10), jnp.zeros(10).at[jnp.array([2, 6])].set(1.0))
@@ -265,6 +267,7 @@ def pulse(frames, sites, speed, width):
     return ts, np.exp(-(((np.arange(sites) + 5 - speed * ts[:, None]) / width) ** 2) / 2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("by", ["peak", "arrival"])
 def test_front_speed_of_a_pulse(by):
     ts, q = pulse(800, 40, 0.84, 1.5)
@@ -273,6 +276,7 @@ def test_front_speed_of_a_pulse(by):
     assert front.arrivals.shape == (40,)
 
 
+@pytest.mark.slow
 def test_arrival_and_peak_times_converge_with_order_four():
     errors = {"arrival": [], "peak": []}
     for frames in (300, 600):
@@ -297,6 +301,7 @@ def test_arrival_that_never_comes_is_nan_and_one_at_the_start_is_the_start():
     assert np.isnan(measures.peak_times(ts, q).times).all()
 
 
+@pytest.mark.slow
 def test_a_front_that_runs_left_and_skips_silent_sites():
     ts, q = pulse(800, 40, 0.84, 1.5)
     q[:, 7] = 0.0
@@ -316,6 +321,7 @@ def test_error_of_the_front_speed_is_that_of_a_straight_line():
     np.testing.assert_allclose(front.error, np.sqrt(covariance[0, 0]) / slope**2, rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_derivative_of_an_arrival_time():
     ts = jnp.linspace(0.0, 10.0, 1200)
 

@@ -40,6 +40,7 @@ def test_halved_steps_save_a_guess_that_full_steps_lose():
     assert newton(lambda x, a: jnp.log(x), [3.0]).x[0] == pytest.approx(1.0, abs=1e-10)
 
 
+@pytest.mark.slow
 def test_a_family_of_almost_roots_is_not_left_by_rounding():
     # x on the unit circle, the angle held by 1e-14 alone: J^{-1} makes steps of rounding along the circle
     def f(x, a):
@@ -76,6 +77,7 @@ def test_outcomes_are_sentences(code):
         assert newton(f, guess, args, max_steps=most).x == pytest.approx(root.x)
 
 
+@pytest.mark.slow
 def test_the_best_iterate_is_returned():
     # no root: |x^2 + 1| is least, 1, at 0
     root = newton(lambda x, a: x**2 + 1.0, [0.5], max_steps=40, throw=False)
@@ -130,6 +132,7 @@ def test_inside_jit_and_vmap():
     assert jax.eval_shape(find, ARGS).x.shape == (2,)
 
 
+@pytest.mark.slow
 def test_a_given_linearisation_is_used():
     calls = []
 

@@ -43,6 +43,7 @@ FREE = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", FREE)
 def test_free_displacements_cost_no_force(case):
     lattice, count = FREE[case]
@@ -175,6 +176,7 @@ def test_an_orbit_over_half_a_period_is_one_over_a_whole(breather, segments):
     assert np.array_equal(full.state(roots[-1].x).u, roots[-1].x[:N])
 
 
+@pytest.mark.slow
 def test_the_reference_fixes_the_phase(breather):
     state, period = breather
     later = gx.Flow(16, gx.KahanLi8())(state, 0.0, period / 5, DIMER)

@@ -239,6 +239,7 @@ def test_bad_transmission_is_refused(ax, arguments, message):
         plots.transmission(*arguments, ax)
 
 
+@pytest.mark.slow
 def test_dispersion_shades_the_gap(ax):
     chain = gx.scenes.dimer(20, ratio=0.5, precompression=1.0, boundary="periodic")
     curve = gx.linear.dispersion(chain, jnp.linspace(0.0, jnp.pi, 33))
@@ -252,6 +253,7 @@ def test_dispersion_shades_the_gap(ax):
     assert ax.get_xlabel() == "wave number $k$ (rad/cell of 2 sites)"
 
 
+@pytest.mark.slow
 def test_a_spectrum_lies_under_its_dispersion(ax):
     k, n, t = 2 * np.pi * 5 / 32, np.arange(32), np.linspace(0, 60, 512)
     omega = 2 * abs(np.sin(k / 2))

@@ -111,6 +111,7 @@ def test_exponents():
     same_acceleration(scenes.monomer(6, exponent=jnp.asarray(1.5)), scenes.monomer(6), rtol=1e-13)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("special", [
     lambda **k: scenes.dimer(12, ratio=1.0, **k),
     lambda **k: scenes.trimer(12, (1.0, 1.0), **k),
@@ -135,6 +136,7 @@ def frequencies(lattice):
     return np.sqrt(np.sort(np.abs(np.linalg.eigvals(-np.asarray(matrix)))))
 
 
+@pytest.mark.slow
 def test_dimer_band_edges():
     # K2 = 1.5, m = 1, M = 2.957949: sqrt(2 K2/M), sqrt(2 K2/m), sqrt(2 K2 (1/m + 1/M))
     M = 2.957949
@@ -142,6 +144,7 @@ def test_dimer_band_edges():
     np.testing.assert_allclose([omega[3], omega[4], omega[-1]], [1.0070830, 1.7320508, 2.0035509], atol=5e-8)
 
 
+@pytest.mark.slow
 def test_a_light_defect_has_its_mode_above_the_band():
     # omega^2 = 4 K/(m_d (2 - m_d/m)), K = m = 1, m_d = 0.6
     omega = frequencies(scenes.defects(61, {30: 0.6}, exponent=1, precompression=1.0))
@@ -305,6 +308,7 @@ def test_units_of_ones_own_and_their_products():
     np.testing.assert_allclose(small.terms[0].law.K2, 16 / (24 / 3), rtol=1e-15)
 
 
+@pytest.mark.slow
 def test_a_batch_shares_its_units():
     batch = jax.vmap(lambda r: scenes.beads(["brass", "PTFE"], [r, 2e-3], 2.0, cells=3), out_axes=-1)(
         jnp.array([1e-3, 2e-3])

@@ -168,6 +168,7 @@ def test_a_nystrom_pair_is_not_symplectic():
     assert np.abs(M.T @ J @ M - J).max() > 1e-8
 
 
+@pytest.mark.slow
 def test_uniform_damping_contracts_the_symplectic_form():
     # exact damping in the drift: M'JM = exp(-gamma T) J whatever the step
     gamma, t1 = 0.3, 2.0

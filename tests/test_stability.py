@@ -54,6 +54,7 @@ def outside(solver):
     return min(1.01 * first.start, (first.start + first.end) / 2)
 
 
+@pytest.mark.slow
 @over(ALL_SOLVERS + RUNGE_KUTTA)
 def test_limit_is_that_of_the_steps_that_are_taken(solver):
     matrix, until, count = taken(solver), 10.0, 20_001
@@ -92,6 +93,7 @@ def test_runs_grow_outside_alone_and_as_computed(solver):
     assert size[:, :2].max() < 30
 
 
+@pytest.mark.slow
 @each
 def test_simulate_refuses_just_outside(solver):
     chain = gx.scenes.monomer(4, precompression=1.0)

@@ -73,6 +73,7 @@ def test_impact_with_one_velocity_per_lane():
     np.testing.assert_array_equal(swept[:, 1], [1, 4])
 
 
+@pytest.mark.slow
 def test_random_is_uniform_and_seeded():
     long = chain(20000)
     state = states.random(long, 3, 0.2, 0.5)
@@ -101,6 +102,7 @@ def test_fput_first_mode_has_its_energy():
         assert abs(fput.energy(0.0, *state) - 0.0770443732448498) < 1e-14
 
 
+@pytest.mark.slow
 def test_modes_of_the_uniform_chain_are_sines():
     lattice = chain(9, gx.Linear(2.0), mass=0.5)
     for k in range(1, 10):
@@ -125,6 +127,7 @@ def test_a_normal_mode_turns_with_its_frequency(make, index):
     np.testing.assert_allclose(largest, 1e-3, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_normal_mode_of_a_vector_lattice_fits():
     state = states.normal_mode(plane(), -1, 0.1)
     assert state.u.shape == (3, 4, 2) and abs(np.abs(state.u).max() - 0.1) < 1e-15
@@ -193,6 +196,7 @@ def test_wave_packet_with_a_frequency_of_ones_own():
     states.wave_packet(dimer(), 0.5, omega=0.3)
 
 
+@pytest.mark.slow
 def test_wave_packet_counts_site_springs_and_far_neighbours():
     terms = (gx.Bond(gx.Shift(1), gx.Linear(1.0)), gx.Bond(gx.Shift(2), gx.Linear(0.3)), gx.OnSite(gx.Sine(0.5)))
     lattice = gx.Lattice(2 * jnp.ones(300), terms)

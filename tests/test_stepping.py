@@ -51,12 +51,12 @@ def test_tangents_of_an_open_contact_and_of_vectors():
     np.testing.assert_allclose(matrix, jax.jacfwd(ends)(flat(STATE)), rtol=0, atol=1e-12)
 
 
-@pytest.mark.slow
 def test_a_step_is_that_of_simulate():
     run = gx.simulate(PLAIN, STATE, 3.0, step=0.1, solver=gx.SRKN14a())
     np.testing.assert_allclose(flat(gx.Flow(30)(STATE, 0.0, 3.0, PLAIN)), flat(run.final), rtol=0, atol=1e-13)
 
 
+@pytest.mark.slow
 def test_a_complex_field_of_first_order():
     def dnls(t, y, args):  # i y' = -(y_{n+1} + y_{n-1}) - |y|^2 y, as its real and imaginary parts
         z = y[0] + 1j * y[1]

@@ -137,6 +137,7 @@ def pairs_like(boundary, n, offset):
     return [i if i >= 0 else -1 for i, _ in sites], [j if j < n else -1 for _, j in sites]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("boundary", BOUNDARIES)
 @pytest.mark.parametrize("offset", [1, 2])
 def test_pairs_are_a_shift_written_one_by_one(boundary, offset):
@@ -162,6 +163,7 @@ def test_shift_of_a_chain_by_hand():
     assert np.array_equal(gx.Shift((1, 0), ("free", "fixed")).strain(u.reshape(2, 2)), [[-5, -7]])
 
 
+@pytest.mark.slow
 @over(STRETCHES)
 def test_small_displacements_are_the_projection_on_the_bond(case):
     u = random_like(case.shape, 12)
@@ -206,6 +208,7 @@ def test_a_rigid_rotation_strains_no_bond(vector, angle):
     np.testing.assert_allclose(load[-1], -load[0], atol=64 * EPS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", [gx.Hertz(1.0, 0.7), gx.Linear(2.0), gx.Toda(0.8, 1.3)], ids=lambda x: type(x).__name__)
 def test_second_variation_of_a_prestressed_bond(law):
     """Along the bond F'(0); across it -F0/L, for every transverse direction."""

@@ -32,6 +32,7 @@ def test_damping_and_dashpot_by_hand():
     assert_ulps(got, np.array([0.2, -5.2, 5.0]), 4)
 
 
+@pytest.mark.slow
 def test_dashpot_damps_along_the_bond_alone():
     dashpot = gx.Dashpot(gx.Stretch(gx.Shift(1, "free"), [0.0, 2.0]), 0.5)
     u = jnp.zeros((2, 2))
@@ -52,6 +53,7 @@ def test_rates_and_stiffnesses_per_site_hold_in_the_plane(sites):
     assert_ulps(force(gx.OnSite(gx.Linear(rate)), **how), want, 2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", [gx.Hertz(), gx.Hertz(1.2, 0.8), gx.PowerLaw(1.0, -3.0, 1.0)])
 @pytest.mark.parametrize("support", [None, 3.0])
 def test_left_and_right_walls_are_mirror_images(law, support):

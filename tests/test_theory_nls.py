@@ -123,6 +123,7 @@ def nu3_of(mass):
     return nls.coefficients(mass, 1.5, 0.375, -0.0625, np.pi, 2).nu3
 
 
+@pytest.mark.slow
 def test_gradient_in_the_masses():
     expected = float(nu3_of(_MASS + _H * _STEP) - nu3_of(_MASS - _H * _STEP)) / (2 * _H)
     assert jax.jit(jax.grad(nu3_of))(_MASS) @ _STEP == pytest.approx(expected, rel=1e-6)
@@ -193,6 +194,7 @@ def predicted(mass, K, p, k, branch, constraint):
     return nls.coefficients(mass, *(K * c for c in power_law(p)), k, branch, constraint)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ring", RINGS.values(), ids=RINGS.keys())
 def test_frequency_of_waves_on_a_ring(ring):
     *waves, _, constraint = ring
@@ -273,6 +275,7 @@ def residual(Y, X, T, nu2, nu3):
     return 1j * join(slope_T) + nu2 * join(bend_X) + nu3 * jnp.abs(Y(X, T)) ** 2 * Y(X, T)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("kind", ["bright", "dark"])
 def test_solitons_solve_the_envelope_equation(kind, sign):

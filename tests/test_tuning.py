@@ -76,6 +76,7 @@ def kept(code=KEPT, **environment):
     return json.loads(done.stdout.splitlines()[-1])
 
 
+@pytest.mark.slow
 def test_programs_are_kept_in_the_users_cache_folder(tmp_path):
     place, used = kept(XDG_CACHE_HOME=str(tmp_path), HOME=str(tmp_path))
     assert place == used and place.startswith(str(tmp_path)) and "granjax" in place

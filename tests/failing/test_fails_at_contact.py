@@ -54,6 +54,7 @@ SMOOTH = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", [
     s if s is gx.SRKN11b else pytest.param(s, marks=pytest.mark.slow) for s in SPLITTING
 ], ids=lambda s: s.__name__)

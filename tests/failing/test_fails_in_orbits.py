@@ -127,6 +127,7 @@ def test_the_monodromy_matrix_of_a_long_unstable_orbit_loses_its_small_multiplie
 # multipliers at +1 --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_fixed_threshold_calls_the_multipliers_of_symmetry_unstable(breather):
     # phase and energy are a double multiplier, which splits like the square root of the error of the step
     by_steps = {steps: breather.floquet(steps=steps) for steps in (8, 10, 12, 16)}
