@@ -17,6 +17,9 @@ from ..theory import nls
 
 # relative distance in omega below which a frequency is an edge's
 AT_EDGE = 1e-9
+NO_CELL = "None or a State (such as seeds.single_site gives) for this lattice"
+# distance of an extremum's k from 0 or pi
+SAME_K = 1e-6
 # of an iteration that contracts by the dips' share of the chain
 ROUNDS = 30
 
@@ -67,7 +70,14 @@ def edges_beside(chain, omega):
     edges = [(k, b, w, True) for b, (k, w) in enumerate(zip(np.ravel(found.upper_k), upper)) if w <= omega]
     edges = edges[-1:] + [
         (k, b, w, False) for b, (k, w) in enumerate(zip(np.ravel(found.lower_k), lower)) if w >= omega > 0][:1]
-    return [Edge(float(k), b, float(w), above, nls.coefficients(*cell, float(k), b)) for k, b, w, above in edges]
+    edges = [(_at_symmetry(k), b, float(w), above) for k, b, w, above in edges]
+    return [Edge(k, b, w, above, nls.coefficients(*cell, k, b)) for k, b, w, above in edges]
+
+
+def _at_symmetry(k):
+    """0 or pi itself where an extremum, known to the root of rounding, lies there."""
+    near = np.pi * round(float(k) / np.pi)
+    return near if abs(k - near) < SAME_K else float(k)
 
 
 def supports_bright(edge):
@@ -90,6 +100,8 @@ def bright_seed(chain, omega, centre=None):
 
     **Raises** ValueError where no edge of that gap has one.
     """
+    if cell_of(chain) is None:
+        refuse("seed", NO_CELL, "'bright'", "The envelope equation needs a periodic chain of bonds alone.")
     found = [edge for edge in edges_beside(chain, omega) if supports_bright(edge)]
     if not found:
         refuse_bright(chain, omega)
@@ -105,10 +117,11 @@ def dark_seed(chain, omega, centre=None):
     """
     cell = cell_of(chain)
     if cell is None:
-        refuse("seed", "a State for this lattice", "'dark'", "The envelope equation needs a periodic chain of bonds.")
+        refuse("seed", NO_CELL, "'dark'", "The envelope equation needs a periodic chain of bonds alone.")
     found = bands(chain)
     tops = [(b, float(w), float(k)) for b, (w, k) in enumerate(zip(found.upper, np.ravel(found.upper_k)))]
     branch, _, k = min(tops, key=lambda top: abs(top[1] - omega))
+    k = _at_symmetry(k)
     constraint = "force" if chain.terms[0].strain_map.boundary[0] == "free" else "length"
     coefficients = nls.coefficients(*cell, k, branch, constraint)
     if constraint == "length":

@@ -90,8 +90,7 @@ def _from_envelope(chain, half, omega, kind, centre, tolerance):
     """A State to start at: the envelope's soliton, or one nearer to the edge followed to omega."""
     make = dark_seed if kind == "dark" else bright_seed
     seed = make(chain, omega, centre)
-    if newton(half.residual, half.guess(seed), (chain, 2 * jnp.pi / omega), linearise=half.linearise, throw=False,
-              tolerance=tolerance).converged:
+    if _solve(chain, half, seed, omega, tolerance, 20, False).converged:
         return seed
     edge = edge_of(chain, omega, kind)
     for fraction in NEARER:
