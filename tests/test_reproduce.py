@@ -99,15 +99,9 @@ def test_a_figure_that_is_not_made_yet_says_so(label, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("label", MADE)
-def test_the_number_is_the_expected_one(label, data_of):
+def test_the_number_is_the_expected_one_and_every_axis_of_the_picture_labelled(label, data_of):
     figure = reproduce.figure(label)
     assert figure.number(data_of(label)) == pytest.approx(figure.expected, abs=figure.tolerance, rel=0)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("label", MADE)
-def test_every_picture_is_drawn_and_every_axis_labelled(label, data_of):
-    figure = reproduce.figure(label)
     with gx.plots.style():
         canvas = gx.plots.figure(*figure.size)
         figure.draw(gx.plots, canvas, data_of(label))
