@@ -58,7 +58,7 @@ def main():
     options = parser.parse_args()
     folder = options.out or (None if options.quick else HERE)
     if options.draw:
-        chart(json.loads((folder / "monodromy.json").read_text())["monodromy"], folder / "monodromy.png", "the monodromy matrix")
+        drawn(json.loads((folder / "monodromy.json").read_text()), folder)
         return
     result = {**machine(), "peers": versions(), "load": os.getloadavg(), "monodromy": monodromy(options)}
     if not options.quick:
@@ -67,9 +67,13 @@ def main():
     if folder is not None:
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "monodromy.json").write_text(json.dumps(result, indent=1, allow_nan=False) + "\n")
-        chart(result["monodromy"], folder / "monodromy.png", "the monodromy matrix")
+        drawn(result, folder)
     if result["monodromy"]["disagreeing"]:
         sys.exit(f"Never within {AGREEMENT:g} of the reference: {', '.join(result['monodromy']['disagreeing'])}.")
+
+
+def drawn(result, folder):
+    chart(result["monodromy"], folder / "monodromy.png", "the monodromy matrix")
 
 
 def monodromy(options):

@@ -5,12 +5,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
-from scipy.sparse.linalg import ArpackError, LinearOperator, eigs
+from scipy.sparse.linalg import ArpackError, ArpackNoConvergence, LinearOperator, eigs
 
 from ..checks import refuse, whole
 from ..flow import Flow
 from ..solvers import KahanLi8
 from .compute import _coarse_steps
+
+# vectors that Arnoldi's method keeps, and how often it starts anew from them
+BASIS, RESTARTS = 60, 30
 
 
 @eqx.filter_jit
@@ -23,8 +26,8 @@ def _push(flow, y, t0, period, args, direction):
 def leading(lattice, state, period, count=6, *, t0=0.0, steps=None, solver=None, tolerance=1e-9):
     """The multipliers of largest modulus by Arnoldi's method over products M x, one tangent a period each.
 
-    For more than about 1000 beads, where the matrix itself costs n^2. Where every multiplier lies on the unit circle
-    none leads and the method may not converge; it then says so.
+    For more than about 1000 beads, where the matrix itself costs n^2. Ask for no more than stand out: of many on the
+    unit circle none leads, and the method then ends without them and names those that it has.
 
     **Returns:** multipliers (count,), the largest first, and their vectors (2n, count). **Raises** RuntimeError where
     Arnoldi's method does not converge. Source: Lehoucq, Sorensen, Yang, ARPACK Users' Guide (SIAM, 1998).
@@ -42,7 +45,14 @@ def leading(lattice, state, period, count=6, *, t0=0.0, steps=None, solver=None,
 
     start = np.random.default_rng(0).normal(size=size)
     try:
-        values, vectors = eigs(LinearOperator((size, size), product, dtype=float), k=count, v0=start, tol=tolerance)
+        values, vectors = eigs(
+            LinearOperator((size, size), product, dtype=float), k=count, v0=start, tol=tolerance,
+            ncv=min(size, max(2 * count + 1, BASIS)), maxiter=RESTARTS)
+    except ArpackNoConvergence as error:
+        found = ", ".join(f"{rho:.6g}" for rho in error.eigenvalues) or "none"
+        raise RuntimeError(
+            f"Arnoldi's method found {len(error.eigenvalues)} of {count} multipliers: {found}. The others do not stand "
+            f"out from those on the unit circle: ask for fewer.") from None
     except ArpackError as error:
         raise RuntimeError(f"Arnoldi's method: {error}. Perhaps no multiplier leads: all on the circle.") from None
     order = np.argsort(-np.abs(values))

@@ -133,9 +133,12 @@ def forced_branch(
         return np.linalg.eigvals(np.asarray(_examined(family, flow, point, response)[3]))
 
     found = _bifurcations(family, look, z, curve.special, multipliers, settings)
+    p = start + curve.p * (until - start)
+    # continuation knows the share of the way alone
+    outcome = f"p reached {p[-1]:.6g}." if curve.outcome.startswith("p reached") else curve.outcome
     return ForcedBranch(
-        start + curve.p * (until - start), periods, State(*states), responses, multipliers, errors, verdicts, found,
-        curve.outcome, make, float(t0), int(flow.steps), segments,
+        p, periods, State(*states), responses, multipliers, errors, verdicts, found, outcome, make, float(t0),
+        int(flow.steps), segments,
     )
 
 
