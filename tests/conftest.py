@@ -2,6 +2,8 @@
 
 import os
 
+import pytest
+
 import granjax
 
 # the command line, called by tests, keeps nothing in the user's cache folder
@@ -10,3 +12,15 @@ os.environ["GRANJAX_CACHE"] = "0"
 
 def pytest_report_header(config):
     return f"granjax {granjax.__version__}: {granjax.tune().message}"
+
+
+@pytest.fixture
+def ax():
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, ax = plt.subplots()
+    yield ax
+    plt.close(figure)

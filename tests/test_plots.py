@@ -29,13 +29,6 @@ class Curve(NamedTuple):
 
 
 @pytest.fixture
-def ax():
-    figure, ax = plt.subplots()
-    yield ax
-    plt.close(figure)
-
-
-@pytest.fixture
 def record():
     draw = np.random.default_rng(0).standard_normal
     return Record(jnp.linspace(0.0, 3.0, 7), jnp.asarray(draw((7, 5))), jnp.asarray(draw((7, 5))))

@@ -19,13 +19,6 @@ ROUND = np.exp(0.4j)
 
 
 @pytest.fixture
-def ax():
-    figure, ax = plt.subplots()
-    yield ax
-    plt.close(figure)
-
-
-@pytest.fixture
 def axes():
     figure, axes = plt.subplots(2, 2)
     yield axes

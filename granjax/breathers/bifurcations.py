@@ -2,7 +2,6 @@
 
 from typing import NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
@@ -61,16 +60,11 @@ def bifurcations(branch, kinds=KINDS, *, accuracy=1e-9):
     return found
 
 
-@eqx.filter_jit
-def _slopes(bordered, z, lattice):
-    return bordered.jacobian(z, lattice)[1]
-
-
 class _Point:
-    """A solution near the i-th breather, with what is counted at it."""
+    """A solution on a branch and the branch's tangent there, with what is counted at it."""
 
-    def __init__(self, branch, i, s, z):
-        self.branch, self.i, self.s, self.z = branch, i, s, z
+    def __init__(self, branch, z, tangent):
+        self.branch, self.z, self.tangent = branch, z, tangent
         self._spectrum = None
 
     @property
@@ -83,11 +77,8 @@ class _Point:
     def count(self, kind):
         """How many of a kind; the energy's slope along the branch, 0 or 1."""
         if kind == "extremum of energy":
-            b, along = self.branch, jnp.asarray(self.branch.tangents[self.i])
-            here = jnp.asarray(self.z)
-            slopes = _slopes(Bordered(b.problem.residual, b.problem.linearise), here, b.lattice)
-            along = jnp.asarray(tangent_at(np.asarray(slopes), along)[0])
-            return int(energy_slope(b.problem, b.lattice, here[:-1], along) > 0)
+            b, here = self.branch, jnp.asarray(self.z)
+            return int(energy_slope(b.problem, b.lattice, here[:-1], jnp.asarray(self.tangent)) > 0)
         traces, symmetries = self.spectrum.half_traces, self.spectrum.expected // 2
         # mu that nearly meet split like a square root of the error, their sum does not: near 1 the sum decides
         error = max(self.spectrum.step_error, LEAST_ERROR)
@@ -109,17 +100,17 @@ def _at(branch, i, s):
     b = branch
     ends = [np.append(b.unknowns[j], b.omega[j]) for j in (i, i + 1)]
     if s is None:
-        return _Point(b, i, None, ends[1])
+        return _Point(b, ends[1], b.tangents[i + 1])
     along = b.tangents[i]
     if s == 0:
-        return _Point(b, i, 0.0, ends[0])
+        return _Point(b, ends[0], along)
     whole = (ends[1] - ends[0]) @ along
     guess = ends[0] + s / whole * (ends[1] - ends[0])
     curve = Bordered(b.problem.residual, b.problem.linearise)
     arguments = b.lattice, jnp.asarray(along), jnp.asarray(ends[0] + s * along)
     root = newton(curve.residual, jnp.asarray(guess), arguments, tolerance=TOLERANCE, linearise=curve.linearise,
                   throw=False)
-    return _Point(b, i, s, np.asarray(root.x))
+    return _Point(b, np.asarray(root.x), tangent_at(np.asarray(root.jacobian)[:-1], along)[0])
 
 
 def _locate(branch, i, kind, ends, accuracy):

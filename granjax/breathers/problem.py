@@ -7,9 +7,9 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 
 from ..checks import refuse
-from ..floquet import reversible_multipliers, structure
+from ..floquet import reversible_multipliers
 from ..flow import Flow, linear_frequency
-from ..lattice import Lattice
+from ..lattice import Lattice, spread_mass
 from ..orbits import HalfPeriod
 from ..solvers import KahanLi8
 
@@ -84,7 +84,7 @@ def energy_slope(problem, lattice, x, tangent):
 def _half_maps(flow, x, half, omega, lattice):
     """Tangent maps over half a period by `flow` and by twice its steps, in (u, m v)."""
     y = half.state(x)
-    mass = ravel_pytree(jax.tree.map(lambda m, u: m + jnp.zeros_like(u), lattice.mass, y.u))[0]
+    mass = ravel_pytree(spread_mass(lattice))[0]
     weight = jnp.concatenate([jnp.ones_like(mass), mass])
 
     def scaled(steps):
@@ -127,5 +127,5 @@ def spectra_of(problem, lattice, xs, omegas):
 
 __all__ = [
     "ByFrequency", "by_frequency", "checked_lattice", "energy", "energy_slope", "half_steps", "spectra_of",
-    "spectrum_of", "states_of", "structure",
+    "spectrum_of", "states_of",
 ]

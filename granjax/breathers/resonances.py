@@ -1,5 +1,6 @@
 """Harmonics of a breather that meet the waves of its lattice."""
 
+import jax
 import numpy as np
 
 from ..checks import refuse
@@ -24,8 +25,6 @@ def bands_of(chain):
         return np.stack([np.asarray(found.lower), np.asarray(found.upper)], -1), omega
     except ValueError:
         pass
-    import jax
-
     shapes = np.concatenate([np.asarray(x).reshape(-1, len(omega)) for x in jax.tree.leaves(modes.modes)]) ** 2
     participation = shapes.sum(0) ** 2 / (shapes**2).sum(0)
     extended = np.sort(omega[participation > len(omega) / 5])

@@ -15,7 +15,8 @@ from ..solvers import KahanLi8
 from .branch import Breather
 from .envelope import bright_seed, cell_of, dark_seed, edge_of, edges_beside, refuse_bright, supports_bright
 from .family import family
-from .problem import TOLERANCE, checked_lattice, half_steps
+from .problem import TOLERANCE, ByFrequency, checked_lattice, half_steps
+from .problem import energy as energy_of
 from .resonances import refuse_resonance
 
 SEEDS = ("bright", "dark")
@@ -79,19 +80,20 @@ def breather(chain, omega, seed=None, *, energy=None, centre=None, steps=None, s
         return _solve(chain, half, State(*seed), omega, tolerance, max_steps, throw)
     if not traced:  # a step of its own to omega: the seed's energy may be far off
         seed = _solve(chain, half, State(*seed), omega, tolerance, max_steps, throw).state
-    problem, guess = AtEnergy(half), jnp.append(half.guess(State(*seed)), omega)
+    problem, guess = AtEnergy(ByFrequency(half)), jnp.append(half.guess(State(*seed)), omega)
     root = newton(problem.residual, guess, (chain, jnp.asarray(energy, float)), tolerance=tolerance,
                   max_steps=max_steps, linearise=problem.linearise, throw=throw)
     state = half.state(root.x[:-1])
-    return Breather(state, root.x[-1], _energy(chain, state), root.residual, chain, root.code, root.outcome)
+    return Breather(state, root.x[-1], energy_of(chain, state), root.residual, chain, root.code, root.outcome)
 
 
 def _from_envelope(chain, half, omega, kind, centre, tolerance):
     """A State to start at: the envelope's soliton, or one nearer to the edge followed to omega."""
     make = dark_seed if kind == "dark" else bright_seed
     seed = make(chain, omega, centre)
-    if _solve(chain, half, seed, omega, tolerance, 20, False).converged:
-        return seed
+    found = _solve(chain, half, seed, omega, tolerance, 20, False)
+    if found.converged:
+        return found.state
     edge = edge_of(chain, omega, kind)
     for fraction in NEARER:
         near = edge + fraction * (omega - edge)
@@ -111,7 +113,7 @@ def _solve(chain, half, seed, omega, tolerance, max_steps, throw):
         code, outcome = FELL, f"The guess fell to rest, where every frequency is a period's: {root.outcome}"
         if throw is None or throw:
             raise RuntimeError(outcome)
-    return Breather(state, omega, _energy(chain, state), root.residual, chain, code, outcome)
+    return Breather(state, omega, energy_of(chain, state), root.residual, chain, code, outcome)
 
 
 def _fell(guess, root):
@@ -122,30 +124,23 @@ def _fell(guess, root):
 class AtEnergy(eqx.Module):
     """F(x, omega; chain, energy) = 0: half a period from rest to rest, and the energy's relative error."""
 
-    half: HalfPeriod
+    orbits: ByFrequency
 
     def _excess(self, x, scene):
         chain, energy = scene
-        state = self.half.state(x)
+        state = self.orbits.half.state(x)
         return chain.energy(0.0, state.u, state.v) / energy - 1
 
     def residual(self, z, scene):
         """The half period's gaps at the frequency that is the last unknown, and the energy's."""
-        gaps = self.half.residual(z[:-1], (scene[0], 2 * jnp.pi / z[-1]))
-        return jnp.append(gaps, self._excess(z[:-1], scene))
+        return jnp.append(self.orbits.residual(z[:-1], z[-1], scene[0]), self._excess(z[:-1], scene))
 
     def linearise(self, z, scene):
         """The residual and its derivative."""
-        x, omega = z[:-1], z[-1]
-        gaps, in_x, in_period = self.half.slopes(x, (scene[0], 2 * jnp.pi / omega))
+        x = z[:-1]
+        gaps, in_x, in_omega = self.orbits.linearise(x, z[-1], scene[0])
         excess, gradient = jax.value_and_grad(self._excess)(x, scene)
-        in_omega = -2 * jnp.pi / omega**2 * in_period
         return jnp.append(gaps, excess), jnp.block([[in_x, in_omega[:, None]], [gradient, jnp.zeros(1, x.dtype)]])
-
-
-@eqx.filter_jit
-def _energy(chain, state):
-    return chain.energy(0.0, state.u, state.v)
 
 
 def _check(chain, omega, seed):

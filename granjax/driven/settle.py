@@ -148,15 +148,15 @@ def follow(flow, lattice, state, period, periods, tolerance):
 
 
 def orbit(solver, lattice, state, period, count, steps):
-    """Every step of `count` periods from phase 0 on: (ts, State of (S, ...))."""
+    """Every step of `count` periods from phase 0 on: (the state after them, ts, State of (S, ...))."""
     ts = jnp.arange(steps) * (period / steps)
     flow = Flow(1, solver)
 
     def step(y, t):
         return flow(y, t, t + period / steps, lattice), y
 
-    _, ys = jax.lax.scan(step, State(*state), jnp.tile(ts, count))
-    return jnp.arange(count * steps) * (period / steps), ys
+    end, ys = jax.lax.scan(step, State(*state), jnp.tile(ts, count))
+    return end, jnp.arange(count * steps) * (period / steps), ys
 
 
 def forces(lattice, y, t):
@@ -179,7 +179,7 @@ _follow = eqx.filter_jit(follow)
 
 @eqx.filter_jit
 def _watch(solver, lattice, state, period, count, steps):
-    ts, ys = orbit(solver, lattice, state, period, count, steps)
+    _, ts, ys = orbit(solver, lattice, state, period, count, steps)
     amplitude = jax.tree.map(lambda v: largest(jnp.abs(v)), ys.v)
     force = largest(jax.vmap(lambda y, t: forces(lattice, y, t))(ys, ts))
     energy = jnp.mean(jax.vmap(lambda y, t: lattice.energy(t, *y))(ys, ts))

@@ -11,8 +11,9 @@ import numpy as np
 from ..checks import concrete, parameter, positive, refuse, whole
 from ..flow import Flow
 from ..lattice import State
+from ..measures import rms_velocity
 from ..solvers import SRKN11b
-from .settle import follow, steps_per_period
+from .settle import follow, orbit, steps_per_period
 
 # periods over which a response is taken: a multiple of those after which a motion may repeat
 WATCHED = 12
@@ -65,11 +66,6 @@ class Sweep(eqx.Module):
     up: Way
     down: Way
     hysteresis: list
-
-
-def rms_velocity(lattice, u, v, t):
-    """Root mean square of all velocities in a history (S, N): the default response."""
-    return jnp.sqrt(jnp.mean(v * v))
 
 
 def sweep(make: Callable, values, period_of: Callable, *, state=None, response=rms_velocity, jump=0.2, accuracy=1e-3,
@@ -126,16 +122,7 @@ def sweep(make: Callable, values, period_of: Callable, *, state=None, response=r
 
 
 def _response(flow, lattice, y, period, response, watch, multiple, used):
-    steps = flow.steps
-    h = period / steps
-    one = Flow(1, flow.solver)
-
-    def step(y, i):
-        t = (i % steps) * h
-        return one(y, t, t + h, lattice), y
-
-    end, ys = jax.lax.scan(step, y, jnp.arange(watch * steps))
-    ts = jnp.arange(watch * steps) * h
+    end, ts, ys = orbit(flow.solver, lattice, y, period, watch, flow.steps)
     velocity = jax.tree.map(lambda v: jnp.sqrt(jnp.mean(v * v, 0)), ys.v)
     energy = jnp.mean(jax.vmap(lambda t, y: lattice.energy(t, *y))(ts, ys))
     return {"response": response(lattice, ys.u, ys.v, ts), "velocity": velocity, "energy": energy,

@@ -2,11 +2,10 @@
 
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
+from ..lattice import spread_mass
 from ..orbits import shifts
 from ..terms import Damping, Drive, Modulated, Wall
 
@@ -34,7 +33,7 @@ def structure(lattice):
     free displacement (position and momentum): four for a chain with free ends or a ring, two between walls; none where
     it is driven or damped, but the free displacement of a damped or driven chain, which keeps one (or two).
     """
-    mass = ravel_pytree(jax.tree.map(lambda m, u: m + jnp.zeros_like(u), lattice.mass, lattice.zeros()))[0]
+    mass = ravel_pytree(spread_mass(lattice))[0]
     damping = [term for term in lattice.terms if isinstance(term, Damping)]
     others = [term for term in lattice.terms if term.reads_velocity and not isinstance(term, Damping)]
     autonomous = not any(

@@ -6,7 +6,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.flatten_util import ravel_pytree
 
 from ..checks import parameter, positive, refuse
 from ..continuation import continuation
@@ -14,6 +13,7 @@ from ..floquet import decide, spectrum, structure
 from ..floquet.spectrum import one_thread
 from ..flow import Flow
 from ..lattice import State
+from ..measures import rms_velocity
 from ..solvers import SRKN14a
 from .events import BRANCH_POINT, FOLD, Between, Bifurcation, critical, kind_of
 from .orbit import FRAMES, checked_seed, forced_orbit, prepared
@@ -21,11 +21,6 @@ from .shooting import Family, flow_over, history, period_at
 
 # of dp along the first tangent, so that a branch that begins near a fold does not count as endlessly steep
 LEAST_SLOPE = 1e-2
-
-
-def rms_velocity(lattice, u, v, t):
-    """Root mean square of all velocities in a history (F, N): the default response."""
-    return jnp.sqrt(jnp.mean(ravel_pytree(v)[0] ** 2))
 
 
 class ForcedBranch(eqx.Module):

@@ -236,3 +236,8 @@ def _check_place(name, term, lattice):
 
 def _sum(parts, like):
     return sum(parts[1:], parts[0]) if parts else jnp.zeros_like(like)
+
+
+def spread_mass(lattice):
+    """Mass of every degree of freedom, of the structure of the displacements."""
+    return jax.tree.map(lambda m, u: jnp.broadcast_to(m, u.shape), lattice.mass, lattice.zeros())

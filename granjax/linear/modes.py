@@ -6,7 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from .stiffness import at_rest, refuse_one_way, spread_mass, stiffness_product
+from ..lattice import spread_mass
+from .stiffness import at_rest, refuse_one_way, stiffness_product
 
 ROUNDING, AT_ONCE = 8, 512
 

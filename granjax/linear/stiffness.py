@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import refuse
-from ..lattice import Lattice
+from ..lattice import Lattice, spread_mass
 from ..terms import Drive, Modulated, Wall
 
 
@@ -86,11 +86,6 @@ def components(lattice):
 def masses(lattice):
     """Mass of every degree of freedom, (sites..., components)."""
     return pack(lattice, spread_mass(lattice))
-
-
-def spread_mass(lattice):
-    """Mass of every degree of freedom, of the structure of the displacements."""
-    return jax.tree.map(lambda m, u: jnp.broadcast_to(m, u.shape), lattice.mass, lattice.zeros())
 
 
 def offsets(reach):

@@ -8,7 +8,7 @@ to all frames of a run.
 from .contacts import contact_force, overlap, strain
 from .energies import energy, kinetic_energy, momentum, potential_energy, site_energy, species_energy
 from .fronts import Front, Peaks, arrival_times, front_speed, peak_times
-from .histories import along
+from .histories import along, rms_velocity
 from .instruments import Trace, velocity_trace
 from .localisation import energy_centre, participation, participation_number, second_moment
 from .modes import modal_amplitudes, modal_energy

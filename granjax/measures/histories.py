@@ -1,6 +1,8 @@
-"""A measure along a run, frame by frame."""
+"""Measures of histories: a state's measure frame by frame, and means over all frames."""
 
 import jax
+import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
 
 from ..checks import refuse
 from ..lattice import State
@@ -19,3 +21,8 @@ def along(measure, lattice, run, **options):
     if not all(hasattr(run, name) for name in ("ts", "us", "vs")):
         refuse("run", "a record with ts, us and vs", f"{type(run).__name__}", "Give the result of simulate.")
     return jax.vmap(lambda t, u, v: measure(lattice, State(u, v), t, **options))(run.ts, run.us, run.vs)
+
+
+def rms_velocity(lattice, u, v, t):
+    """Root mean square of all velocities in a history u, v (F, N) over t (F,): a response for sweeps and branches."""
+    return jnp.sqrt(jnp.mean(ravel_pytree(v)[0] ** 2))

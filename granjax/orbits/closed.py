@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
 from ..flow import Flow
-from ..lattice import State, vector_field
+from ..lattice import State, spread_mass, vector_field
 from .symmetry import shifts
 
 
@@ -115,7 +115,7 @@ class FullPeriod(eqx.Module):
         rate = jnp.sqrt(jnp.sum(field**2))
         along = field / jnp.where(rate > 0, rate, 1)
         # the energy's gradient (-F, m v) is where no state can go
-        mass = ravel_pytree(jax.tree.map(lambda m, u: m + jnp.zeros_like(u), lattice.mass, u))[0]
+        mass = ravel_pytree(spread_mass(lattice))[0]
         gradient = jnp.concatenate([-mass * along[n:], mass * along[:n]])
         uniform = jnp.concatenate([jnp.zeros_like(self.moves), self.moves])
         gaps = gaps.at[-1].add(multipliers[0] * gradient + uniform @ multipliers[1:])

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
 from ..flow import Flow
-from ..lattice import State
+from ..lattice import State, spread_mass
 from .symmetry import shifts
 
 
@@ -72,7 +72,7 @@ class HalfPeriod(eqx.Module):
         return self._conditions(x, ravel_pytree(end.v)[0], lattice), jacobian, in_period
 
     def _mean(self, lattice):
-        weights = ravel_pytree(jax.tree.map(lambda m, u: m + jnp.zeros_like(u), lattice.mass, self.like))[0]
+        weights = ravel_pytree(spread_mass(lattice))[0]
         return self.moves.T * weights / weights.sum()
 
     def _conditions(self, x, velocity, lattice):

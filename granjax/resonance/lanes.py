@@ -72,13 +72,5 @@ def _program(beads, boundary, bonds, devices):
         return jnp.where(run.completed, run.recorded["peak"], jnp.nan)
 
     mesh = Mesh(np.array(devices), ("lanes",))
-    return jax.jit(_per_device(forces, mesh, (Spec("lanes"), Spec()), Spec(None, "lanes")))
-
-
-def _per_device(function, mesh, in_specs, out_specs):
-    """`shard_map` under its names of JAX 0.6 and later."""
-    if hasattr(jax, "shard_map"):
-        return jax.shard_map(function, mesh=mesh, in_specs=in_specs, out_specs=out_specs, check_vma=False)
-    from jax.experimental.shard_map import shard_map
-
-    return shard_map(function, mesh=mesh, in_specs=in_specs, out_specs=out_specs, check_rep=False)
+    specs = {"in_specs": (Spec("lanes"), Spec()), "out_specs": Spec(None, "lanes")}
+    return jax.jit(jax.shard_map(forces, mesh=mesh, check_vma=False, **specs))
