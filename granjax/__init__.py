@@ -9,9 +9,10 @@ from . import tuning as _tuning
 _tuning.prepare_import()
 
 from . import laws, strains, terms  # noqa: E402
-from .flow import Arrival, Flow, Integral, Lowest, Peak, Record, Run, simulate  # noqa: E402
+from .fit import Fit, Traces, fit  # noqa: E402
+from .flow import Arrival, Flow, Integral, Lowest, Peak, Record, Reversible, Run, simulate  # noqa: E402
 from .lattice import Lattice, State, vector_field  # noqa: E402
-from .laws import Hertz, Law, Linear, Polynomial, PowerLaw, Sine, Toda, Yielding  # noqa: E402
+from .laws import Hertz, Law, Linear, Network, Polynomial, PowerLaw, Sine, Spline, Toda, Yielding  # noqa: E402
 from .solvers import (  # noqa: E402
     RKN86,
     RKN1210,
@@ -29,8 +30,8 @@ from .work_precision import WorkPrecision, work_precision  # noqa: E402
 
 __version__ = "0.1.0"
 _LAZY = (
-    "breathers", "canonical", "continuation", "driven", "floquet", "forced", "linear", "materials", "measures",
-    "newton", "orbits", "plots", "reproduce", "resonance", "scenes", "states", "theory",
+    "breathers", "canonical", "continuation", "driven", "floquet", "forced", "identify", "linear", "materials",
+    "measures", "newton", "orbits", "plots", "reproduce", "resonance", "scenes", "states", "theory",
 )
 
 

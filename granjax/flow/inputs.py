@@ -69,9 +69,10 @@ def checked_size(name, x):
     """A step or a tolerance: one finite number above zero, or `None`."""
     if x is None or isinstance(x, jax.core.Tracer) or type(x) is float and 0 < x < math.inf:
         return x
-    if np.ndim(x) or np.asarray(x).dtype.kind not in "fiu" or not np.isfinite(x) or not x > 0:
+    value = np.asarray(x)
+    if value.ndim or value.dtype.kind not in "fiu" or not np.isfinite(value) or not value > 0:
         refuse(name, "one finite number above zero", repr(x))
-    return float(x)
+    return float(value)
 
 
 def checked_save_at(save_at, t0, t1):

@@ -13,6 +13,7 @@ from .dispatch import facts, traced
 from .inputs import checked_records, checked_save_at, checked_state, checked_times
 from .integrate import integrate
 from .method import checked_method, fixed_step, number, suspicion
+from .reversible import Reversible, checked_reversible, reversible
 from .run import COMPLETED, NOT_FINITE, named
 
 # bounds a traced run whose number of steps is not known; a bound that is not reached costs nothing
@@ -52,7 +53,8 @@ def simulate(
       the end of every step.
     - `record`: dict of `Peak`, `Arrival`, `Integral`, `Lowest`, reduced along the run and found between steps.
     - `adjoint`: `None` for derivatives in both modes; or diffrax's `ForwardMode`, `DirectAdjoint` or
-      `RecursiveCheckpointAdjoint` (reverse mode alone, cheaper there).
+      `RecursiveCheckpointAdjoint` (reverse mode alone, cheaper there); or `Reversible()` (reverse mode alone, memory
+      independent of the number of steps, for scenes that integrate back to where they came from).
     - `progress`: a progress bar. `throw`: raise where the run does not complete; `None` does so outside of
       transformations. `max_steps`: the most steps of an adaptive or traced run.
 
@@ -77,14 +79,21 @@ def simulate(
         dt, steps, choice, remark = fixed_step(lattice, state, t0, t1, step, solver, frames)
     else:
         dt, steps, choice, remark = None, None, f"adaptive steps, tolerance {_shown(tolerance)}", ""
+    backwards = adjoint if isinstance(adjoint, Reversible) else None
+    if backwards is not None:
+        checked_reversible(solver, records, every)
+        adjoint = _FORWARD
     adjoint, limit = _adjoint(adjoint, unknown, every, steps, max_steps)
 
     # diffrax raises the state to the type of the times
     span = number(t0, dtype), number(t1, dtype)
     dt = None if dt is None else number(dt, dtype)
     save_ts = None if save_ts is None else jnp.asarray(save_ts, dtype)
-    arguments = (dt, tolerance, save_ts, records, solver, adjoint, limit, every, progress)
-    run = named(integrate(lattice, state, *span, *arguments), type(solver).__name__, choice, remark)
+    if backwards is None:
+        run = integrate(lattice, state, *span, dt, tolerance, save_ts, records, solver, adjoint, limit, every, progress)
+    else:
+        run = reversible((lattice, state, backwards), span, dt, save_ts, solver, limit, progress)
+    run = named(run, type(solver).__name__, choice, remark)
     code = run.code
     if isinstance(code, jax.core.Tracer):
         return run
@@ -118,7 +127,7 @@ def _adjoint(adjoint, unknown, every, steps, max_steps):
     if adjoint is None:
         adjoint = _BOTH_MODES if unknown else _FORWARD
     elif not isinstance(adjoint, _ADJOINTS):
-        known = ", ".join(f"diffrax.{kind.__name__}()" for kind in _ADJOINTS)
+        known = ", ".join(["Reversible()", *(f"diffrax.{kind.__name__}()" for kind in _ADJOINTS)])
         refuse("adjoint", f"one of {known}", repr(adjoint), "None serves both derivative modes.")
     if isinstance(adjoint, diffrax.ForwardMode) and max_steps is None and not every:
         limit = None
