@@ -2,12 +2,14 @@
 
 from .base import Law, Scaled, Sum, checked_law
 from .contact import Hertz, PowerLaw
+from .network import Network
 from .power import plus_power
 from .smooth import Linear, Polynomial, Sine, Toda
+from .spline import Spline
 from .taylor import Taylor, taylor
 from .yielding import Yielding
 
 __all__ = [
-    "Hertz", "Law", "Linear", "Polynomial", "PowerLaw", "Scaled", "Sine", "Sum", "Taylor", "Toda", "Yielding",
-    "checked_law", "plus_power", "taylor",
+    "Hertz", "Law", "Linear", "Network", "Polynomial", "PowerLaw", "Scaled", "Sine", "Spline", "Sum", "Taylor", "Toda",
+    "Yielding", "checked_law", "plus_power", "taylor",
 ]

@@ -1,0 +1,92 @@
+"""Named parameters within bounds, as one vector of free numbers: what fitting and design move."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+
+from .checks import concrete, one_of, parameter, refuse, show
+
+
+class Coordinates(eqx.Module):
+    r"""Free coordinates x (P,) of a dict of parameters, with x = 0 at the start and changes of order one.
+
+    Without bounds theta = start + scale x, scale = |start| (its largest entry, or 1 where that is zero); above a lower
+    bound theta = low + (start - low) e^x, below an upper one its mirror image; between two
+    theta = low + (high - low) s, log(s/(1 - s)) = x + its value at the start. Bounds are never reached.
+
+    **Arguments:** `start`: dict from name to a number or an array. `bounds`: dict from name to (low, high), numbers or
+    arrays, `None` for no bound; names that are left out are free.
+    **Raises** ValueError for an empty dict, a bound of no parameter, or a start that is not inside of its bounds.
+    """
+
+    start: dict
+    low: dict
+    high: dict
+    scale: dict
+
+    def __init__(self, start, bounds=None):
+        if not isinstance(start, dict) or not start or not all(isinstance(name, str) for name in start):
+            refuse("start", 'a dict from names to numbers, such as {"stiffness": 1.0}', repr(start))
+        bounds = {} if bounds is None else bounds
+        for name in bounds:
+            one_of("bounds", name, tuple(start))
+        self.start = {name: parameter(name, value) for name, value in sorted(start.items())}
+        self.low, self.high = {}, {}
+        for name, value in self.start.items():
+            self.low[name], self.high[name] = _interval(name, value, bounds.get(name))
+        # one scale for an array: an entry that is zero may move as far as its neighbours
+        self.scale = jax.tree.map(lambda x: jnp.where(jnp.any(x != 0), jnp.max(jnp.abs(x)), 1.0), self.start)
+
+    @property
+    def names(self):
+        """A name for every free number, in order: "damping", "stiffness[0]", "stiffness[1]", ..."""
+        names = []
+        for name, value in self.start.items():
+            if value.ndim == 0:
+                names.append(name)
+            else:
+                names += [f"{name}[{', '.join(map(str, index))}]" for index in np.ndindex(value.shape)]
+        return names
+
+    @property
+    def size(self):
+        """P, how many free numbers there are."""
+        return sum(value.size for value in self.start.values())
+
+    def parameters(self, x):
+        """The dict of parameters at x (P,)."""
+        parts = ravel_pytree(self.start)[1](x)
+        return {name: self._at(name, parts[name]) for name in self.start}
+
+    def _at(self, name, x):
+        start, low, high = self.start[name], self.low[name], self.high[name]
+        if low is None and high is None:
+            return start + self.scale[name] * x
+        if high is None:
+            return low + (start - low) * jnp.exp(x)
+        if low is None:
+            return high - (high - start) * jnp.exp(-x)
+        return low + (high - low) * jax.nn.sigmoid(x + jnp.log((start - low) / (high - start)))
+
+    def flat(self, parameters):
+        """A dict of parameters as one vector (P,), in the order of `names`."""
+        return ravel_pytree({name: jnp.broadcast_to(parameters[name], x.shape) for name, x in self.start.items()})[0]
+
+    def slopes(self, x):
+        """d theta/d x at x, (P,): every parameter has a coordinate of its own."""
+        return jax.jvp(lambda x: self.flat(self.parameters(x)), (x,), (jnp.ones_like(x),))[1]
+
+
+def _interval(name, value, bounds):
+    if bounds is None:
+        return None, None
+    if not isinstance(bounds, (tuple, list)) or len(bounds) != 2:
+        refuse(f"bounds[{name!r}]", "a pair (low, high), None for no bound", repr(bounds))
+    low, high = (None if bound is None else parameter(f"bounds[{name!r}]", bound) for bound in bounds)
+    at = concrete(value)
+    for bound, side, inside in ((low, "above", np.greater), (high, "below", np.less)):
+        if bound is not None and at is not None and concrete(bound) is not None and not inside(at, bound).all():
+            refuse(name, f"a start {side} its bound {show(bound)}", show(at), "Bounds are not reached.")
+    return low, high
