@@ -1,0 +1,186 @@
+"""`design`: parameters that make a scalar of a simulation, of modes or of bands as small or as large as it gets."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .checks import concrete, one_of, parameter, positive, refuse, whole, within
+from .descent import CONVERGED, NO_GRADIENT, NO_START, NOT_FINITE, SPENT, STALLED, descend
+from .parameters import Coordinates
+
+MODES = ("forward", "reverse")
+# parameters up to which a simulation's forward mode is done first, its time to compile included
+FEW = 20
+
+
+class Design(eqx.Module):
+    """What `design` returns: the best point that it met. It prints itself.
+
+    **Fields:** `parameters`: dict. `value`, `start_value`: the objective there and at the start. `history`,
+    `gradient_norm` (steps + 1,): the objective and the largest entry of its gradient in the free coordinates at every
+    point, the start first, NaN after the last one. `start_gradient` (P,): in the order of `names`. `steps`: how many
+    were made. `every`: best value of each start (S,), NaN for one without a gradient. `code`: 0 converged, 1 stalled,
+    2 steps spent, 3 not finite on the way, 4 gradient zero at the start, 5 not finite at the start.
+    """
+
+    parameters: dict
+    value: jax.Array
+    start_value: jax.Array
+    history: jax.Array
+    gradient_norm: jax.Array
+    start_gradient: jax.Array
+    steps: jax.Array
+    every: jax.Array
+    code: jax.Array
+    names: tuple[str, ...] = eqx.field(static=True)
+
+    @property
+    def outcome(self):
+        """What became of it, in a sentence or two."""
+        code, slopes = int(self.code), np.asarray(self.start_gradient)
+        if code == NO_GRADIENT:
+            return ("The gradient is exactly zero at the start: the objective does not feel the parameters there. Look "
+                    "for a contact that never closes, a run that ends too early or a measure that is a step, and start "
+                    "elsewhere.")
+        if code == NO_START:
+            which = _listed(self.names, ~np.isfinite(slopes)) or "no parameter"
+            return (f"The start is not finite: the objective is {float(self.start_value):.6g}, its gradient is not "
+                    f"finite in {which}.")
+        went = f"the objective went from {float(self.start_value):.6g} to {float(self.value):.6g}"
+        left = np.asarray(self.gradient_norm)[int(self.steps)] / np.abs(slopes).max()
+        sentence = {
+            CONVERGED: f"Converged: {went} in {int(self.steps)} steps, the gradient is {left:.0e} of the start's.",
+            STALLED: f"No step is better: {went} in {int(self.steps)} steps, the gradient is {left:.0e} of the "
+                     "start's (a kink or the floor of rounding).",
+            SPENT: f"The {int(self.steps)} steps are spent: {went}, the gradient is {left:.0e} of the start's.",
+            NOT_FINITE: f"Stopped where the objective is not finite: {went} in {int(self.steps)} steps. Give bounds.",
+        }[code]
+        still = _listed(self.names, slopes == 0)
+        return sentence + (f" At the start it does not feel {still}." if still else "")
+
+    def __repr__(self):
+        if concrete(self.code) is None:
+            return "Design(traced)"
+        rows = [f"{name:<15}{np.array2string(np.asarray(x), precision=6, threshold=8)}"
+                for name, x in self.parameters.items()]
+        return "\n".join([*rows, f"{'outcome':<15}{self.outcome}"])
+
+    __str__ = __repr__
+
+
+def design(objective, start, *, bounds=None, maximise=False, optimiser=None, steps=200, tolerance=1e-6,
+           mode=None, starts=None, seed=0, throw=True):
+    r"""Parameters that minimise (maximise) an objective, by its gradient.
+
+    The optimiser moves the free coordinates of `granjax.parameters.Coordinates`: changes of order one, bounds never
+    reached. All steps are one compiled loop; the best point met is kept.
+
+    **Arguments:**
+
+    - `objective(parameters)`: one real number, by any JAX function of the dict: of `simulate` and its records, of
+      `granjax.linear.normal_modes`, of `granjax.linear.bands` with `cell=`, of a breather. Give `simulate` its
+      `step`: a traced run does not know the number of steps otherwise, which reverse mode must.
+    - `start`: dict from name to number or array; `bounds`: dict from name to (low, high), `None` for no bound.
+    - `maximise`: the largest value rather than the least.
+    - `optimiser`: any of optax; `None` takes `optax.lbfgs` with steps that are shortened until the objective falls.
+      That descends steadily on smooth objectives; where there are kinks or noise try
+      `optax.adam(optax.cosine_decay_schedule(0.1, steps))`.
+    - `steps`: the most steps. `tolerance`: ends where every entry of the gradient is below `tolerance` times the
+      start's largest one.
+    - `mode`: `"forward"` costs some 2.4 runs of a simulation a parameter, keeps no steps (with
+      `adjoint=diffrax.ForwardMode()`) and compiles three times faster than `"reverse"`, which costs six to eight runs
+      for all parameters and keeps every step, or checkpoints by `adjoint=diffrax.RecursiveCheckpointAdjoint()`, which
+      has no forward mode. `None`: forward for up to 20 parameters.
+    - `starts`: a list of dicts tried beside `start`, or how many random ones: normal with deviation 1 in the free
+      coordinates, from `seed`. They run one after another in one program; the best is returned.
+    - `throw`: raise where no start has a finite gradient that is not zero.
+
+    **Returns:** `Design`. **Raises** ValueError for input that cannot be meant; RuntimeError where `throw` and the
+    gradient at the start is exactly zero or not finite. It finds a local optimum: `starts` tries several.
+    """
+    coordinates = Coordinates(start, bounds)
+    mode = one_of("mode", mode or MODES[coordinates.size > FEW], MODES)
+    steps = whole("steps", steps, 1)
+    tolerance = positive("tolerance", tolerance)
+    if not callable(objective):
+        refuse("objective", "a function of the dict of parameters", repr(objective))
+    every = [coordinates, *_others(coordinates, bounds, starts, seed)]
+    stacked = jax.tree.map(lambda *x: jnp.stack(x), *every)
+    found = _solve(objective, stacked, optimiser, steps, tolerance, bool(maximise), mode)
+    every = jnp.where(found.code < NO_GRADIENT, found.value, jnp.nan)
+    ranked = np.nan_to_num(np.asarray(-every if maximise else every), nan=np.inf)
+    found = jax.tree.map(lambda x: x[int(np.argmin(ranked))], found)
+    found = eqx.tree_at(lambda d: d.every, found, every)
+    if throw and int(found.code) in (NO_GRADIENT, NO_START):
+        raise RuntimeError(found.outcome)
+    return found
+
+
+def smooth_peak(values, power=40, axis=None):
+    r"""Smooth largest value of positive quantities, such as forces: the p-norm (mean [v]_+^p)^{1/p}.
+
+    Between the mean and the largest value. Where two peaks change places the largest has a kink, which this rounds
+    off. Of a history give frames that resolve it; `simulate(record={"peak": Peak(...)})` gives the largest value of
+    each quantity between steps, smooth but for such changes.
+
+    **Arguments:** `values`; those below zero count as zero. `power`: p > 1, typical 20 ... 100. `axis`: `None` for all.
+    """
+    values = jnp.maximum(parameter("values", values), 0)
+    power = within("power", power, 1, np.inf, open_low=True, open_high=True)
+    top = jax.lax.stop_gradient(values.max(axis, keepdims=True))
+    top = jnp.where(top > 0, top, 1)
+    mean = ((values / top) ** power).mean(axis, keepdims=True)
+    some = mean > 0
+    norm = jnp.where(some, top * jnp.where(some, mean, 1) ** (1 / power), 0)
+    return norm.squeeze(axis) if axis is not None else norm.reshape(())
+
+
+def _others(coordinates, bounds, starts, seed):
+    """The further starts, each with free coordinates of its own."""
+    if starts is None:
+        return []
+    if isinstance(starts, (list, tuple)):
+        own = []
+        for i, start in enumerate(starts):
+            if not isinstance(start, dict) or sorted(start) != sorted(coordinates.start):
+                refuse(f"starts[{i}]", f"a dict of {sorted(coordinates.start)}", repr(start))
+            full = {name: jnp.broadcast_to(parameter(f"starts[{i}][{name!r}]", start[name]), x.shape)
+                    for name, x in coordinates.start.items()}
+            own.append(Coordinates(full, bounds))
+        return own
+    draws = np.random.default_rng(whole("seed", seed)).normal(size=(whole("starts", starts, 0), coordinates.size))
+    return [Coordinates(coordinates.parameters(jnp.asarray(x)), bounds) for x in draws]
+
+
+def _listed(names, which):
+    chosen = [name for name, own in zip(names, which) if own]
+    return ", ".join(chosen[:5]) + (f" and {len(chosen) - 5} more" if len(chosen) > 5 else "")
+
+
+def _with_gradient(objective, coordinates, maximise, mode):
+    """The cost of free coordinates, less is better, and its value with the gradient by the mode."""
+    def cost(x):
+        value = jnp.asarray(objective(coordinates.parameters(x)))
+        if value.shape != () or not jnp.issubdtype(value.dtype, jnp.floating):
+            remedy = "Reduce it, such as by .sum() or smooth_peak."
+            refuse("objective", "one real number", f"shape {value.shape}, {value.dtype}", remedy)
+        return -value if maximise else value
+
+    def forward(x):
+        unit = jnp.eye(x.size, dtype=x.dtype)
+        return jax.vmap(lambda w: jax.jvp(cost, (x,), (w,)), out_axes=(None, 0))(unit)
+
+    return cost, forward if mode == "forward" else jax.value_and_grad(cost)
+
+
+@eqx.filter_jit
+def _solve(objective, stacked, optimiser, steps, tolerance, maximise, mode):
+    def one(coordinates):
+        cost, both = _with_gradient(objective, coordinates, maximise, mode)
+        found = descend(cost, both, coordinates.size, optimiser, steps, tolerance)
+        sign = -1.0 if maximise else 1.0
+        return Design(coordinates.parameters(found.x), sign * found.least, sign * found.values[0], sign * found.values,
+                      found.norms, found.start, found.steps, found.least, found.code, tuple(coordinates.names))
+
+    return jax.lax.map(one, stacked)

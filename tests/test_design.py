@@ -1,0 +1,195 @@
+"""Design by gradients: closed forms that the best parameters must meet, bounds, and how it says that it cannot."""
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+import pytest
+
+import granjax as gx
+from granjax.design import CONVERGED, NO_GRADIENT, NO_START, NOT_FINITE, SPENT, STALLED, design, smooth_peak
+
+K2 = 1.5  # of Hertz contacts with A = F0 = 1
+
+
+def bowl(parameters):
+    return (parameters["x"] - 1.5) ** 2
+
+
+@pytest.mark.parametrize("mode", ["forward", "reverse"])
+def test_masses_that_put_the_edges_of_a_gap_where_they_are_wanted(mode):
+    low, high = 0.9, 1.6
+
+    def misfit(p):
+        chain = gx.scenes.pattern(8, (p["heavy"], p["light"]), precompression=1.0, boundary="periodic")
+        bands = gx.linear.bands(chain, cell=2)
+        return (bands.upper[0] - low) ** 2 + (bands.lower[1] - high) ** 2
+
+    positive = {"heavy": (0, None), "light": (0, None)}
+    found = design(misfit, {"heavy": 2.0, "light": 1.0}, bounds=positive, tolerance=1e-10, mode=mode)
+    assert found.code == CONVERGED
+    assert found.parameters["heavy"] == pytest.approx(2 * K2 / low**2, rel=1e-8)
+    assert found.parameters["light"] == pytest.approx(2 * K2 / high**2, rel=1e-8)
+
+
+def test_a_defect_whose_mode_has_the_wanted_frequency():
+    def misfit(p):
+        chain = gx.scenes.defects(41, {20: p["mass"]}, precompression=1.0)
+        return (gx.linear.normal_modes(chain).omega[-1] - 2.6) ** 2
+
+    found = design(misfit, {"mass": 0.8}, bounds={"mass": (0.1, 1.0)}, tolerance=1e-9)
+    mass = float(found.parameters["mass"])
+    # the tails of the mode at the walls of 41 beads are below 1e-8
+    assert 4 * K2 / (mass * (2 - mass)) == pytest.approx(2.6**2, abs=1e-7)
+
+
+def test_the_place_of_a_bump_is_a_continuous_parameter():
+    # sites of a harmonic chain: the lowest mode is heaviest in the middle, between two sites, by symmetry
+    sites = jnp.arange(10.0)
+
+    def lowest(p):
+        chain = gx.scenes.monomer(10, mass=1 + jnp.exp(-((sites - p["place"]) ** 2) / 2), precompression=1.0)
+        return gx.linear.normal_modes(chain).omega[0]
+
+    found = design(lowest, {"place": 3.2}, tolerance=1e-9)
+    assert found.parameters["place"] == pytest.approx(4.5, abs=1e-6)
+    assert found.value < found.start_value
+
+
+def test_a_simulation_is_maximised():
+    # harmonic chain of two beads between walls, first bead struck: energy goes to and fro
+    def second(p):
+        chain = gx.Lattice(jnp.stack([jnp.ones(()), p["mass"]]), (gx.Bond(gx.Shift(1, "free"), gx.Linear()),))
+        return gx.simulate(chain, gx.states.impact(chain), np.pi / np.sqrt(2), step=0.05,
+                           adjoint=diffrax.ForwardMode()).final.v[1]
+
+    found = design(lambda p: second(p) ** 2 * p["mass"], {"mass": 1.6}, bounds={"mass": (0.2, 5)}, maximise=True)
+    # equal masses pass all of the energy on after half a period
+    assert found.parameters["mass"] == pytest.approx(1, abs=1e-4)
+    assert found.value == pytest.approx(1, abs=1e-7) and found.value > found.start_value
+    np.testing.assert_allclose(np.nanmax(found.history), found.value, rtol=1e-12)
+
+
+def test_bounds_are_kept():
+    found = design(bowl, {"x": 0.5}, bounds={"x": (0.0, 1.0)})
+    assert 0.99 < found.parameters["x"] <= 1
+    assert found.value == pytest.approx(0.25, abs=1e-2)
+
+
+def test_a_valley_that_bends():
+    def rosenbrock(p):
+        x = p["x"]
+        return jnp.sum(100 * (x[1:] - x[:-1] ** 2) ** 2 + (1 - x[:-1]) ** 2)
+
+    found = design(rosenbrock, {"x": np.array([-1.2, 1.0, -1.2, 1.0])}, tolerance=1e-9)
+    assert found.code == CONVERGED and found.steps < 100
+    np.testing.assert_allclose(found.parameters["x"], 1, atol=1e-6)
+
+
+def test_any_optimiser_of_optax():
+    for optimiser in (optax.adam(optax.cosine_decay_schedule(0.1, 200)), optax.lbfgs()):
+        found = design(bowl, {"x": 1.0}, optimiser=optimiser, tolerance=1e-12)
+        assert found.parameters["x"] == pytest.approx(1.5, abs=1e-4)
+        assert found.history[0] == 0.25 and found.history.shape == found.gradient_norm.shape == (201,)
+
+
+def test_a_gradient_that_is_zero_is_said():
+    def never(p):
+        chain = gx.scenes.monomer(6, boundary="free")
+        run = gx.simulate(chain, gx.states.impact(chain, velocity=p["v"]), 0.5, step=0.1)
+        return run.final.v[-1]
+
+    # the first bead flies away from the others: no contact closes
+    with pytest.raises(RuntimeError, match="exactly zero at the start"):
+        design(never, {"v": -1.0})
+    found = design(never, {"v": -1.0}, throw=False)
+    assert found.code == NO_GRADIENT and found.parameters["v"] == -1
+
+
+def test_one_parameter_without_effect_is_said():
+    found = design(lambda p: bowl(p) + 0 * p["idle"], {"x": 1.0, "idle": 2.0})
+    assert found.code == CONVERGED and "does not feel idle" in found.outcome
+    assert found.parameters["idle"] == 2
+
+
+def test_what_is_not_finite_is_said():
+    with pytest.raises(RuntimeError, match="start is not finite.*in x"):
+        design(lambda p: jnp.sqrt(p["x"] - 2), {"x": 1.0})
+    assert design(lambda p: jnp.sqrt(p["x"] - 2), {"x": 1.0}, throw=False).code == NO_START
+    # at a fixed rate over the edge of the domain; the default shortens the step there
+    def edge(p):
+        return jnp.sqrt(p["x"]) + p["x"]
+
+    found = design(edge, {"x": 0.3}, optimiser=optax.sgd(1.0))
+    assert found.code == NOT_FINITE and np.isfinite(found.value) and "not finite" in found.outcome
+    assert design(edge, {"x": 0.3}).value < 1e-3
+
+
+def test_steps_that_are_spent_and_a_kink():
+    found = design(bowl, {"x": 10.0}, optimiser=optax.sgd(1e-4), steps=5)
+    assert found.code == SPENT and found.steps == 5 and "5 steps are spent" in found.outcome
+    kink = design(lambda p: jnp.abs(p["x"] - 1) + p["x"] / 2, {"x": 3.0})
+    assert kink.code == STALLED and kink.parameters["x"] == pytest.approx(1, abs=1e-5)
+
+
+def test_several_starts_find_the_deeper_valley():
+    def two(p):
+        return (p["x"] ** 2 - 1) ** 2 + 0.3 * p["x"]
+
+    one = design(two, {"x": 0.8})
+    assert one.parameters["x"] > 0
+    many = design(two, {"x": 0.8}, starts=[{"x": -0.5}])
+    assert many.parameters["x"] < 0 and many.every.shape == (2,)
+    assert many.value == many.every.min() < one.value == many.every[0]
+    drawn = design(two, {"x": 0.8}, starts=6, seed=1)
+    assert drawn.value == pytest.approx(float(many.value), rel=1e-9) and drawn.every.shape == (7,)
+
+
+def test_smooth_peak():
+    frames = jnp.asarray(np.random.default_rng(0).uniform(-1, 3, (200, 4)))
+    for power in (20, 100):
+        peak = smooth_peak(frames, power, axis=0)
+        top = frames.max(0)
+        assert peak.shape == (4,) and (peak <= top).all() and (peak > top / 200 ** (1 / power)).all()
+        np.testing.assert_allclose(peak, (np.maximum(frames, 0) ** power).mean(0) ** (1 / power), rtol=1e-12)
+    assert smooth_peak(frames).shape == ()
+    np.testing.assert_allclose(smooth_peak(7e9 * frames), 7e9 * smooth_peak(frames), rtol=1e-12)
+    # its derivative is that of its values, and zero where nothing happens
+    push = jnp.asarray(np.random.default_rng(1).normal(size=frames.shape))
+    slope = jax.jvp(smooth_peak, (frames,), (push,))[1]
+    difference = (smooth_peak(frames + 1e-6 * push) - smooth_peak(frames - 1e-6 * push)) / 2e-6
+    assert slope == pytest.approx(float(difference), rel=1e-6)
+    assert smooth_peak(jnp.zeros(5)) == 0 and (jax.grad(smooth_peak)(jnp.zeros(5)) == 0).all()
+
+
+def test_refusals():
+    with pytest.raises(ValueError, match="objective: expected one real number"):
+        design(lambda p: p["x"], {"x": np.ones(2)})
+    with pytest.raises(ValueError, match="objective: expected a function"):
+        design(3, {"x": 1.0})
+    with pytest.raises(ValueError, match="mode: expected one of"):
+        design(bowl, {"x": 1.0}, mode="backward")
+    with pytest.raises(ValueError, match="x: expected a start below its bound"):
+        design(bowl, {"x": 1.0}, bounds={"x": (0, 1)})
+    with pytest.raises(ValueError, match=r"starts\[0\]: expected a dict"):
+        design(bowl, {"x": 1.0}, starts=[{"y": 1.0}])
+    with pytest.raises(ValueError, match="steps: expected a whole number"):
+        design(bowl, {"x": 1.0}, steps=0)
+
+
+@pytest.mark.slow
+def test_the_mass_ratio_that_lets_a_pulse_through():
+    # first anti-resonance 0.342846, the zero of the asymptotic decay rate; here of contacts 40 -> 80
+    def force(t, y, lattice):
+        return gx.measures.contact_force(lattice, y)[jnp.array([40, 80])]
+
+    def kept(p):
+        chain = gx.scenes.dimer(92, p["ratio"], boundary="free")
+        run = gx.simulate(chain, gx.states.impact(chain), 140.0, step=0.05, record={"peak": gx.Peak(force)},
+                          adjoint=diffrax.ForwardMode())
+        return jnp.log(run.recorded["peak"][1] / run.recorded["peak"][0])
+
+    found = design(kept, {"ratio": 0.36}, bounds={"ratio": (0.05, 1.0)}, maximise=True, tolerance=1e-4)
+    assert found.parameters["ratio"] == pytest.approx(0.342846, abs=2e-5)
+    assert abs(found.value) < 1e-5
