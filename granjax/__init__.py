@@ -9,6 +9,7 @@ from . import tuning as _tuning
 _tuning.prepare_import()
 
 from . import laws, strains, terms  # noqa: E402
+from .design import Design, design, smooth_peak  # noqa: E402
 from .fit import Fit, Traces, fit  # noqa: E402
 from .flow import Arrival, Flow, Integral, Lowest, Peak, Record, Reversible, Run, simulate  # noqa: E402
 from .lattice import Lattice, State, vector_field  # noqa: E402

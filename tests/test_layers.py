@@ -8,14 +8,16 @@ import granjax
 ROOT = Path(granjax.__file__).parent
 
 FLOORS = (
-    {"laws", "strains", "materials", "solvers", "newton", "theory", "plots", "checks", "tuning"},
+    {"laws", "strains", "materials", "solvers", "newton", "parameters", "descent", "theory", "plots", "checks",
+     "tuning"},
     {"terms", "continuation"},
     {"lattice"},
     {"flow", "scenes"},
     {"orbits"},
     {"floquet", "linear", "measures", "states"},
     {"breathers", "canonical", "driven", "forced", "travelling", "shocks", "resonance"},
-    {"sweep", "fit", "identify", "work_precision", "reproduce"},
+    {"sweep", "fit", "design", "work_precision", "reproduce"},
+    {"identify"},
 )
 FLOOR = {name: level for level, names in enumerate(FLOORS) for name in names}
 # the face, and the command line that stands on it

@@ -58,9 +58,10 @@ def checked_times(t0, t1):
     for name, t in (("t0", t0), ("t1", t1)):
         if isinstance(t, jax.core.Tracer) or type(t) is float and math.isfinite(t):
             continue
-        if np.ndim(t) or np.asarray(t).dtype.kind not in "fiu" or not np.isfinite(t):
+        value = np.asarray(t)
+        if value.ndim or value.dtype.kind not in "fiu" or not np.isfinite(value):
             refuse(name, "one finite number", repr(t))
-    if not isinstance(t0, jax.core.Tracer) and not isinstance(t1, jax.core.Tracer) and not t1 > t0:
+    if not isinstance(t0, jax.core.Tracer) and not isinstance(t1, jax.core.Tracer) and not np.asarray(t1) > t0:
         refuse("t1", f"a time after t0 = {t0}", f"{t1}", "To go back in time, reverse the velocities.")
     return t0, t1
 

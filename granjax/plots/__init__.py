@@ -6,6 +6,7 @@ be told apart by colour-blind eyes.
 """
 
 from .curves import profile, transmission
+from .fits import corner, fit, law
 from .histories import space_time, traces
 from .orbits import branch, breather, floquet_circle, hysteresis, strain_map
 from .precision import work_precision
@@ -13,6 +14,7 @@ from .style import COLOURS, figure, save, style
 from .waves import dispersion
 
 __all__ = [
-    "COLOURS", "branch", "breather", "dispersion", "figure", "floquet_circle", "hysteresis", "profile", "save",
+    "COLOURS", "branch", "breather", "corner", "dispersion", "figure", "fit", "floquet_circle", "hysteresis", "law",
+    "profile", "save",
     "space_time", "strain_map", "style", "traces", "transmission", "work_precision",
 ]

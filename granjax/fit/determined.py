@@ -1,0 +1,130 @@
+"""What the data determine and what they do not: directions in the space of parameters, in words."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..laws import Hertz, PowerLaw, taylor
+from ..terms import Bond
+
+# a relative deviation from which on a combination counts as not determined
+LOOSE = 0.3
+# a parameter takes part in a direction from this component on
+PART = 0.2
+SINGULAR = 1e-14
+
+
+class Direction(NamedTuple):
+    """A combination of parameters: product of theta_i^{w_i}, and its relative standard deviation.
+
+    `weights` (P,): a unit vector over the parameters, relative to their sizes. `deviation`: standard deviation along
+    it; infinite where the data do not see it at all.
+    """
+
+    weights: np.ndarray
+    deviation: float
+
+    def words(self, names):
+        """The combination as a product of powers of its parameters."""
+        largest = np.abs(self.weights).max()
+        parts = [(w / largest, name) for w, name in zip(self.weights, names) if abs(w) > 0.05 * largest]
+        flip = np.sign(parts[0][0])
+        shown = [(flip * w, name) for w, name in parts]
+        return " ".join(name if abs(w - 1) < 0.005 else f"{name}^{w:.2f}" for w, name in shown)
+
+
+def directions(jacobian, sizes, noise=1.0):
+    """Principal directions of the data's knowledge, the least known first.
+
+    **Arguments:** `jacobian` (n, P): of the residuals with respect to the parameters; `sizes` (P,): what a relative
+    change refers to; `noise`: standard deviation of the residuals.
+    """
+    scaled = np.asarray(jacobian) * np.asarray(sizes)
+    _, s, vh = np.linalg.svd(scaled, full_matrices=scaled.shape[0] < scaled.shape[1])
+    s = np.concatenate([s, np.zeros(vh.shape[0] - s.size)])
+    s = np.where(s > SINGULAR * s.max(initial=0.0) * max(scaled.shape), s, 0.0)
+    with np.errstate(divide="ignore"):
+        return [Direction(vector, float(noise / size)) for vector, size in zip(vh[::-1], s[::-1])]
+
+
+def covariance(found, sizes):
+    """Covariance of the parameters (P, P) from their directions; infinite along what the data do not see."""
+    total = np.zeros((len(sizes), len(sizes)))
+    blind = np.zeros(len(sizes), bool)
+    for direction in found:
+        if np.isfinite(direction.deviation):
+            total += direction.deviation**2 * np.outer(direction.weights, direction.weights)
+        else:
+            blind |= np.abs(direction.weights) > 1e-6
+    total[blind, blind] = np.inf
+    return total * np.outer(sizes, sizes)
+
+
+def sentences(found, names, quantities):
+    """What is not determined, named by its parameters, and what is known instead; empty where all is well."""
+    loose = [direction for direction in found if not direction.deviation <= LOOSE]
+    if not loose:
+        return ()
+    said = []
+    for direction in loose:
+        taking = [name for name, w in zip(names, direction.weights) if abs(w) > PART]
+        how = "not at all" if np.isinf(direction.deviation) else f"only to {_percent(direction.deviation)}"
+        what = f"{taking[0]} is" if len(taking) == 1 else f"the direction {direction.words(names)} is"
+        said.append(f"The data do not determine {_and(taking)}{' apart' if len(taking) > 1 else ''}: "
+                    f"{what} known {how}.")
+    involved = np.any([np.abs(direction.weights) > PART for direction in loose], axis=0)
+    for name, gradient in quantities:
+        if not np.any(np.abs(gradient[involved]) > 1e-6 * np.abs(gradient).max(initial=0.0)):
+            continue
+        deviation = _along(found, gradient)
+        if deviation < LOOSE / 3:
+            said.append(f"They determine {name} to {_percent(deviation)}.")
+    if not any(part.startswith("They determine") for part in said):
+        firm = [d for d in found if d.deviation <= LOOSE and np.sum(np.abs(d.weights[involved]) > PART) > 1]
+        said += [f"They determine {d.words(names)} to {_percent(d.deviation)}." for d in firm[::-1][:2]]
+    return tuple(said)
+
+
+def quantities(problem, parameters, flat, sizes):
+    """(name, gradient (P,) of its logarithm in relative parameters) of each bond's linear stiffness."""
+    lattice = problem.lattice(parameters)
+    found = []
+    for i, term in enumerate(lattice.terms):
+        if not isinstance(term, Bond):
+            continue
+
+        def stiffness(theta, i=i):
+            return jnp.mean(jnp.abs(taylor(problem.lattice(_unflat(problem, theta)).terms[i].law).K2))
+
+        value, gradient = jax.value_and_grad(stiffness)(flat)
+        if np.isfinite(value) and value > 0 and np.isfinite(gradient).all():
+            power = isinstance(term.law, (Hertz, PowerLaw))
+            name = f"the linear stiffness {'A p d0^(p-1)' if power else 'K2'} of terms[{i}] ({type(term.law).__name__})"
+            found.append((name, np.asarray(gradient * sizes / value)))
+    return found
+
+
+def _unflat(problem, theta):
+    return jax.flatten_util.ravel_pytree(problem.coordinates.start)[1](theta)
+
+
+def _along(found, gradient):
+    total = 0.0
+    for direction in found:
+        share = float(direction.weights @ gradient)
+        if np.isinf(direction.deviation):
+            if abs(share) > 1e-6 * np.linalg.norm(gradient):
+                return np.inf
+        else:
+            total += (direction.deviation * share) ** 2
+    return np.sqrt(total)
+
+
+def _percent(x):
+    return f"{100 * x:.2g} %" if x < 1 else f"a factor of {1 + x:.2g}"
+
+
+def _and(names):
+    return names[0] if len(names) == 1 else ", ".join(names[:-1]) + " and " + names[-1]

@@ -1,0 +1,155 @@
+"""The scene beside its traces: signals and residuals as functions of the parameters."""
+
+from collections.abc import Callable
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..checks import one_of, refuse
+from ..flow import simulate
+from ..lattice import Lattice, State
+from ..measures import contact_force
+from ..parameters import Coordinates
+from .traces import Traces
+
+
+class Problem(eqx.Module):
+    """What a fit compares: the run of `scene(parameters)` from t0 to t1 at a fixed step, read off where traces are."""
+
+    scene: Callable = eqx.field(static=True)
+    make_state: Callable | None = eqx.field(static=True)
+    given_state: State | None
+    coordinates: Coordinates
+    traces: tuple[Traces, ...]
+    t0: jax.Array
+    t1: jax.Array
+    step: jax.Array
+    solver: diffrax.AbstractSolver
+
+    def lattice(self, parameters):
+        """The lattice of some parameters."""
+        return self.scene(parameters)
+
+    def state(self, parameters, lattice):
+        """The state at t0."""
+        if self.make_state is None:
+            return self.given_state
+        state = self.make_state(parameters, lattice)
+        return jax.tree.map(lambda x: jnp.asarray(x, lattice.dtype), State(*state))
+
+    def with_step(self, step):
+        """The same at another time step."""
+        return eqx.tree_at(lambda p: p.step, self, jnp.asarray(step, self.step.dtype))
+
+    def run(self, parameters, times=None, adjoint=diffrax.ForwardMode(), steps=None, state=None):
+        """The run of some parameters, saved at rising times; from their own state or another."""
+        lattice = self.lattice(parameters)
+        state = self.state(parameters, lattice) if state is None else state
+        return simulate(lattice, state, self.t1, t0=self.t0, solver=self.solver, step=self.step, save_at=times,
+                        adjoint=adjoint, max_steps=steps, throw=False)
+
+    def signals(self, parameters, **keywords):
+        """What every trace would show without noise, a tuple of (T, S), and the state at t1."""
+        times = [trace.times + self._number(trace.offset, parameters) for trace in self.traces]
+        joined = jnp.concatenate(times)
+        order = jnp.argsort(joined)
+        back = jnp.argsort(order)
+        run = self.run(parameters, jnp.clip(joined[order], self.t0, self.t1), **keywords)
+        us, vs = jax.tree.map(lambda x: x[back], (run.us, run.vs))
+        lattice, signals, start = self.lattice(parameters), [], 0
+        for trace in self.traces:
+            part = slice(start, start + trace.times.size)
+            start = part.stop
+            u, v = jax.tree.map(lambda x: x[part], (us, vs))
+            gain = self._number(trace.gain, parameters)
+            signals.append(gain * _read(trace, lattice, u, v, joined[part]))
+        return tuple(signals), run.final
+
+    def residuals(self, x, **keywords):
+        """(signal - data)/sigma of every sample at free coordinates x, one vector; zero where a sample is missing."""
+        return self.both(x, **keywords)[0]
+
+    def both(self, x, **keywords):
+        """The residuals and the signals at free coordinates x."""
+        signals, _ = self.signals(self.coordinates.parameters(x), **keywords)
+        return misfits(self.traces, signals), signals
+
+    def linearise(self, x):
+        """(residuals, their Jacobian, signals) at x."""
+        def twice(x):
+            residuals, signals = self.both(x)
+            return residuals, (residuals, signals)
+
+        matrix, (value, signals) = jax.jacfwd(twice, has_aux=True)(x)
+        return value, matrix, signals
+
+    def _number(self, x, parameters):
+        return parameters[x] if isinstance(x, str) else x
+
+
+def misfit(trace, signal):
+    """(signal - data)/sigma of one trace (T, S), zero where a sample is missing."""
+    return jnp.where(trace.weights > 0, (signal - jnp.nan_to_num(trace.data)) * trace.weights, 0.0)
+
+
+def misfits(traces, signals):
+    """Those of several traces, one vector."""
+    return jnp.concatenate([misfit(*both).ravel() for both in zip(traces, signals)])
+
+
+def _read(trace, lattice, us, vs, times):
+    """The signal of one trace's sensors (T, S)."""
+    if trace.kind == "force":
+        forces = jax.vmap(lambda u, v, t: contact_force(lattice, State(u, v), t, bond=trace.bond))(us, vs, times)
+        return jnp.stack([forces[(slice(None), *place)] for place in trace.places], axis=-1)
+    x = vs if trace.kind == "velocity" else us
+    x = x if trace.field is None else x[trace.field]
+    vector = () if trace.component is None else (trace.component,)
+    return jnp.stack([x[(slice(None), *place, *vector)] for place in trace.places], axis=-1)
+
+
+def check_places(traces, lattice, state, names):
+    """That every sensor is where something is, and every named gain and offset a parameter."""
+    for k, trace in enumerate(traces):
+        for what, x in (("gain", trace.gain), ("offset", trace.offset)):
+            if isinstance(x, str):
+                one_of(f"traces[{k}].{what}", x, tuple(names))
+        name = f"traces[{k}].{'contacts' if trace.kind == 'force' else 'sites'}"
+        if trace.kind == "force":
+            shape = jax.eval_shape(lambda: contact_force(lattice, state, bond=trace.bond)).shape
+        else:
+            u = state.u
+            if isinstance(u, dict):
+                one_of(f"traces[{k}].field", trace.field, tuple(u))
+                u = u[trace.field]
+            shape = u.shape if lattice.dimension is None else u.shape[:-1]
+            vector = lattice.dimension is not None
+            if vector != (trace.component is not None) or vector and trace.component >= lattice.dimension:
+                refuse(f"traces[{k}].component", f"which of {lattice.dimension or 'no'} components",
+                       repr(trace.component))
+        for place in trace.places:
+            if len(place) != len(shape) or any(not -n <= i < n for i, n in zip(place, shape)):
+                refuse(name, f"indices within {shape}", f"{place[0] if len(place) == 1 else place}")
+
+
+def checked_scene(scene, parameters):
+    """The lattice that a scene makes of the start."""
+    if not callable(scene):
+        refuse("scene", "a function of a dict of parameters that returns a Lattice", repr(scene),
+               "lambda p: gx.scenes.monomer(20, stiffness=p['stiffness'])")
+    lattice = scene(parameters)
+    if not isinstance(lattice, Lattice) or lattice.lanes:
+        refuse("scene", "a function that returns one Lattice", "lanes" if isinstance(lattice, Lattice) else
+               repr(lattice))
+    return lattice
+
+
+def known_times(traces, parameters):
+    """The times of all traces in the scene's clock, at some parameters."""
+    def number(x):
+        return parameters[x] if isinstance(x, str) else x
+
+    return np.concatenate([np.asarray(trace.times + number(trace.offset)) for trace in traces])

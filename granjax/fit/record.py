@@ -1,0 +1,126 @@
+"""What a fit returns."""
+
+import equinox as eqx
+import jax
+import numpy as np
+
+from .solve import BLIND, CONVERGED, NOT_FINITE, SPENT
+
+WHITE = 0.01
+
+
+class Fit(eqx.Module):
+    r"""Parameters that bring a scene closest to its traces. It prints itself.
+
+    - `parameters`: dict, as the start. `names`: one for every number of it, in the order of `covariance` (P, P), that
+      of Gauss and Newton, (J^T J)^{-1} with residuals in units of sigma; infinite for what the data do not see.
+    - `residuals`: per trace (T, S), (signal - data)/sigma, zero where a sample is missing; `signals`: per trace, what
+      the fitted scene shows. `chi_square`: sum of their squares; `samples`: how many there are.
+    - `noise`: standard deviation of the residuals where no sigma was given, else 1.
+    - `undetermined`: sentences naming what the data do not determine, empty where they determine all. `directions`:
+      combinations of parameters with their relative deviations, the least known first.
+    - `steps`, `code`, `outcome`: of the minimiser. `step_error`: change of the signals, in units of sigma, when the
+      time step is halved. `return_error`: what integrating back to the start misses, relative; `adjoint`: what the
+      derivatives were taken with. `starts`: chi_square that every start reached.
+    """
+
+    parameters: dict
+    covariance: jax.Array
+    names: tuple = eqx.field(static=True)
+    signals: tuple
+    residuals: tuple
+    samples: int = eqx.field(static=True)
+    noise: float = eqx.field(static=True)
+    undetermined: tuple = eqx.field(static=True)
+    directions: tuple
+    remarks: tuple = eqx.field(static=True)
+    steps: int = eqx.field(static=True)
+    code: int = eqx.field(static=True)
+    step: float = eqx.field(static=True)
+    step_error: float = eqx.field(static=True)
+    return_error: float = eqx.field(static=True)
+    adjoint: str = eqx.field(static=True)
+    starts: tuple = eqx.field(static=True)
+    traces: tuple
+    problem: object
+
+    @property
+    def lattice(self):
+        """The fitted lattice."""
+        return self.problem.lattice(self.parameters)
+
+    @property
+    def chi_square(self):
+        """Sum of the squares of the residuals, about `samples` - P where the scene and sigma are right."""
+        return float(sum((np.asarray(r) ** 2).sum() for r in self.residuals))
+
+    @property
+    def reduced_chi_square(self):
+        """chi_square over samples less parameters, about 1."""
+        return self.chi_square / max(self.samples - len(self.names), 1)
+
+    @property
+    def deviations(self):
+        """Standard deviation of every parameter, a dict of the same shapes."""
+        flat = np.sqrt(np.diag(np.asarray(self.covariance)))
+        return jax.tree.map(np.asarray, jax.flatten_util.ravel_pytree(self.parameters)[1](flat))
+
+    @property
+    def correlations(self):
+        """Correlation matrix (P, P); NaN for a parameter that the data do not see."""
+        covariance = np.asarray(self.covariance)
+        size = np.sqrt(np.diag(covariance))
+        with np.errstate(invalid="ignore"):
+            return covariance / np.outer(size, size)
+
+    def whiteness(self, lags=None):
+        """Probability that residuals as correlated as these are white noise, per sensor (a list of (S,)).
+
+        Ljung and Box's test: n(n+2) sum_k r_k^2/(n-k) against chi^2 of `lags` degrees of freedom (min(20, T/5)).
+        Source: Biometrika 65, 297 (1978).
+        """
+        return [np.array([_ljung_box(column, lags) for column in np.asarray(r).T]) for r in self.residuals]
+
+    @property
+    def converged(self):
+        """Whether the minimiser converged."""
+        return self.code == CONVERGED
+
+    @property
+    def outcome(self):
+        """What became of it, in sentences: convergence, agreement with the noise, what is not determined."""
+        how = {
+            CONVERGED: f"Converged in {self.steps} steps", SPENT: f"Not converged in {self.steps} steps, all allowed",
+            NOT_FINITE: "Failed: the residuals are not finite at the start or near it",
+            BLIND: "Failed: the traces do not depend on the parameters at the start",
+        }[self.code]
+        said = [f"{how}; chi^2 per degree of freedom {self.reduced_chi_square:.3g}."]
+        if len(self.starts) > 1:
+            near = sum(c < 1.001 * min(self.starts) + 1e-9 for c in self.starts)
+            said.append(f"{near} of {len(self.starts)} starts reached it.")
+        return " ".join([*said, *self.remarks, *self.undetermined])
+
+    def __repr__(self):
+        rows = []
+        flat = jax.flatten_util.ravel_pytree(self.parameters)[0]
+        for name, value, variance in zip(self.names, np.asarray(flat), np.diag(np.asarray(self.covariance))):
+            rows.append(f"{name:<15}{value:.8g} +- {np.sqrt(variance):.2g}")
+        rows += [f"{'adjoint':<15}{self.adjoint}, return error {self.return_error:.1e}",
+                 f"{'step':<15}{self.step:.4g}, error {self.step_error:.1e} sigma", f"{'outcome':<15}{self.outcome}"]
+        return "\n".join(rows)
+
+    __str__ = __repr__
+
+
+def _ljung_box(x, lags):
+    from scipy.stats import chi2
+
+    n = x.size
+    lags = min(20, n // 5) if lags is None else lags
+    x = x - x.mean()
+    power = float(x @ x)
+    if power == 0 or lags < 1:
+        return np.nan
+    k = np.arange(1, lags + 1)
+    r = np.array([x[lag:] @ x[:-lag] for lag in k]) / power
+    return float(chi2.sf(n * (n + 2) * np.sum(r**2 / (n - k)), lags))

@@ -1,0 +1,101 @@
+"""Measured traces: what was recorded, where, how well."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..checks import concrete, parameter, positive, refuse, show, whole
+
+KINDS = ("velocity", "displacement", "force")
+
+
+class Traces(eqx.Module):
+    r"""Traces of one kind, recorded together: data(t) = gain signal(t + offset) + noise.
+
+    **Arguments:**
+
+    - `times` (T,): of the recorder, rising [s].
+    - `velocity` [m/s], `displacement` [m] or `force` [N] (total contact force, compression positive), exactly one of
+      them: (T, S), one column per sensor, or (T,) for one. NaN marks what is missing.
+    - `sites`: where, for velocity and displacement: S indices, negative from the end, tuples on a grid. `contacts`:
+      where, for force: S indices of bonds as `gx.measures.contact_force` counts them; `bond`: of which bond term.
+    - `sigma` > 0: standard deviation of the noise, in units of the data; a number, one per sensor (S,), or (T, S).
+      `None`: one unknown number, taken from the residuals.
+    - `gain`: a number, one per sensor, or the name of a parameter. `offset`: time of the scene at the recorder's time
+      0 [s], a number or the name of a parameter; before it starts the scene stands as it was.
+    - `field`: where a cell holds several. `component`: of the displacements, where they are vectors.
+
+    **Raises** ValueError for times that do not rise, data of another shape, no sensor, sigma <= 0.
+    """
+
+    times: jax.Array
+    data: jax.Array
+    sigma: jax.Array | None
+    gain: jax.Array | str
+    offset: jax.Array | str
+    kind: str = eqx.field(static=True)
+    places: tuple = eqx.field(static=True)
+    bond: int = eqx.field(static=True)
+    field: str | None = eqx.field(static=True)
+    component: int | None = eqx.field(static=True)
+
+    def __init__(self, times, *, velocity=None, displacement=None, force=None, sites=None, contacts=None, bond=0,
+                 sigma=None, gain=1.0, offset=0.0, field=None, component=None):
+        given = {k: x for k, x in zip(KINDS, (velocity, displacement, force)) if x is not None}
+        if len(given) != 1:
+            refuse("data", "one of velocity=, displacement=, force=", f"{sorted(given) or 'none'}",
+                   "Give several kinds as a list of Traces.")
+        ((self.kind, data),) = given.items()
+        where, name = (contacts, "contacts") if self.kind == "force" else (sites, "sites")
+        if where is None:
+            refuse(name, f"where the {self.kind} was measured", "None")
+        where = [where] if isinstance(where, (int, np.integer, tuple)) else list(where)
+        self.places = tuple(tuple(int(i) for i in p) if isinstance(p, (tuple, list)) else (int(p),) for p in where)
+        self.times = parameter("times", times)
+        value = concrete(self.times)
+        if self.times.ndim != 1 or value is not None and (value.size < 2 or not (np.diff(value) > 0).all()):
+            refuse("times", "at least two rising times", show(self.times) if value is not None else "another shape")
+        data = jnp.asarray(np.asarray(data, float) if concrete(data) is not None else data)
+        data = data[:, None] if data.ndim == 1 else data
+        wanted = (self.times.size, len(self.places))
+        if data.shape != wanted:
+            refuse(self.kind, f"shape {wanted}: times, then {name}", f"shape {data.shape}")
+        if concrete(data) is not None and not np.isfinite(data).any():
+            refuse(self.kind, "some finite numbers", "none")
+        self.data = data
+        self.sigma = None if sigma is None else positive("sigma", sigma, "It is the noise's standard deviation.")
+        if self.sigma is not None and np.broadcast_shapes(self.sigma.shape, wanted) != wanted:
+            refuse("sigma", f"a number, or shape {wanted[1:]} or {wanted}", f"shape {self.sigma.shape}")
+        self.gain = gain if isinstance(gain, str) else parameter("gain", gain)
+        self.offset = offset if isinstance(offset, str) else parameter("offset", offset)
+        self.bond, self.field = whole("bond", bond), field
+        self.component = None if component is None else whole("component", component)
+
+    @property
+    def sensors(self):
+        """A name for every column: "velocity of site 2", "force of contact 0"."""
+        what = "contact" if self.kind == "force" else "site"
+        return [f"{self.kind} of {what} {p[0] if len(p) == 1 else p}" for p in self.places]
+
+    @property
+    def weights(self):
+        """1/sigma where there is a number, 0 where there is none (T, S)."""
+        known = jnp.isfinite(self.data)
+        return jnp.where(known, 1.0 if self.sigma is None else 1 / self.sigma, 0.0)
+
+    def window(self, start, stop):
+        """The traces between two samples."""
+        sigma = self.sigma
+        if sigma is not None and sigma.ndim == 2 and sigma.shape[0] > 1:
+            sigma = sigma[start:stop]
+        parts = (self.times[start:stop], self.data[start:stop], sigma)
+        return eqx.tree_at(lambda t: (t.times, t.data, t.sigma), self, parts, is_leaf=lambda x: x is None)
+
+
+def checked_traces(traces):
+    """A tuple of `Traces`."""
+    traces = (traces,) if isinstance(traces, Traces) else tuple(traces) if isinstance(traces, (list, tuple)) else traces
+    if not isinstance(traces, tuple) or not traces or not all(isinstance(t, Traces) for t in traces):
+        refuse("traces", "Traces, or a list of them", repr(traces), "Traces(times=t, velocity=data, sites=[2, 5])")
+    return traces

@@ -1,0 +1,229 @@
+"""Multiple shooting: a long or chaotic record in windows, each with a state of its own at its start."""
+
+import dataclasses
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+
+from ..checks import refuse
+from ..lattice import State
+from .problem import Problem, misfits
+from .traces import Traces
+
+# how much better than the noise neighbouring windows have to meet, in deviations
+MEETING = 0.1
+
+
+class Windows(eqx.Module):
+    r"""A `Problem` in K windows: free are the parameters and the states s_j at the starts of windows 1 ... K - 1.
+
+    Residuals are those of the data, each window run from its own start, and what the ends of windows miss of the
+    next start, in units of a tenth of the noise. The derivative of a window grows with its own length alone, where that
+    of the whole record grows like exp(lambda t) in a chaotic scene, with minima as close as that.
+    Source: Bock, Recent advances in parameter identification techniques for ODE, Birkhaeuser (1983).
+    """
+
+    problem: Problem
+    starts: jax.Array
+    scale: jax.Array
+    meeting: jax.Array
+    edges: jax.Array
+    parts: tuple[Traces, ...]
+    unravel: Callable = eqx.field(static=True)
+
+    @property
+    def coordinates(self):
+        """Those of the parameters."""
+        return self.problem.coordinates
+
+    @property
+    def count(self):
+        """K."""
+        return self.edges.size - 1
+
+    def with_step(self, step):
+        """The same at another time step."""
+        return eqx.tree_at(lambda w: w.problem, self, self.problem.with_step(step))
+
+    def guess(self, x):
+        """Free numbers at parameters x (P,), windows starting where they were cut."""
+        return jnp.concatenate([x, jnp.zeros(self.starts.size, x.dtype)])
+
+    def _cut(self, x):
+        """(x of the parameters, states at the starts of all windows (K, n))."""
+        own, rest = x[: self.coordinates.size], x[self.coordinates.size :]
+        parameters = self.coordinates.parameters(own)
+        first = ravel_pytree(self.problem.state(parameters, self.problem.lattice(parameters)))[0]
+        moved = self.starts + self.scale * rest.reshape(self.starts.shape)
+        return own, jnp.concatenate([first[None], moved])
+
+    def _window(self, own, start, parts, t0, t1):
+        """Residuals (m,), end (n,) and signals of one window."""
+        problem = dataclasses.replace(self.problem, traces=parts, t0=t0, t1=t1, make_state=None,
+                                      given_state=self.unravel(start))
+        signals, final = problem.signals(problem.coordinates.parameters(own))
+        return misfits(parts, signals), ravel_pytree(final)[0], signals
+
+    def _every(self, x, window):
+        own, starts = self._cut(x)
+        parts, named = eqx.partition(self.parts, eqx.is_array)
+
+        def one(start, parts, t0, t1):
+            return window(own, start, eqx.combine(parts, named), t0, t1)
+
+        return jax.vmap(one)(starts, parts, self.edges[:-1], self.edges[1:])
+
+    def both(self, x):
+        """(residuals, signals) at free numbers x."""
+        residuals, ends, signals = self._every(x, self._window)
+        jumps = (ends[:-1] - self._cut(x)[1][1:]) / self.meeting
+        return jnp.concatenate([residuals.ravel(), jumps.ravel()]), self._joined(signals)
+
+    def residuals(self, x):
+        """All residuals, one vector."""
+        return self.both(x)[0]
+
+    def linearise(self, x):
+        """(residuals, their Jacobian, signals): every window's tangents side by side, put together as blocks."""
+        def window(own, start, *rest):
+            def both(own, start):
+                residuals, end, signals = self._window(own, start, *rest)
+                return (residuals, end), (residuals, end, signals)
+
+            by_both, values = jax.jacfwd(both, (0, 1), has_aux=True)(own, start)
+            return values, *zip(*by_both)
+
+        (residuals, ends, signals), by_own, by_start = self._every(x, window)
+        _, starts = self._cut(x)
+        jumps = (ends[:-1] - starts[1:]) / self.meeting
+        own = self.coordinates.size
+        first = jax.jacfwd(lambda p: self._cut(jnp.concatenate([p, x[own:]]))[1][0])(x[:own])
+        # window j starts at the free state j - 1 and ends at the free state j
+        begins, ends_at = (np.eye(self.count, self.count - 1, k) for k in (-1, 0))
+        blocks = []
+        for of, (p, s) in enumerate(zip(by_own, by_start)):
+            p, s = p.at[0].add(s[0] @ first), jnp.einsum("jmn,n,jk->jmkn", s, self.scale, begins)
+            if of == 1:
+                s = s - jnp.einsum("mn,jk->jmkn", jnp.diag(self.scale), ends_at)
+                p, s = p[:-1] / self.meeting[:, None], s[:-1] / self.meeting[:, None, None]
+            blocks.append(jnp.concatenate([p, s.reshape(*s.shape[:2], -1)], axis=-1).reshape(-1, x.size))
+        return jnp.concatenate([residuals.ravel(), jumps.ravel()]), jnp.concatenate(blocks), self._joined(signals)
+
+    def _joined(self, signals):
+        return tuple(s.reshape(-1, s.shape[-1])[: t.times.size] for s, t in zip(signals, self.problem.traces))
+
+    def jumps(self, x):
+        """What the ends of windows miss of the next start, in deviations of the noise, the largest."""
+        _, ends, _ = self._every(x, self._window)
+        return jnp.max(jnp.abs(ends[:-1] - self._cut(x)[1][1:]) / self.meeting) * MEETING
+
+
+def cut(problem, count):
+    """A problem in `count` windows of equally many samples.
+
+    Their starts are guessed by running the start's scene from window to window, with what the sensors of velocity and
+    displacement say put in at each; a velocity also tells the displacement, by its integral from the state at t0.
+    """
+    first = problem.traces[0]
+    for k, trace in enumerate(problem.traces):
+        if isinstance(trace.offset, str) or trace.times.shape != first.times.shape or not np.array_equal(
+                np.asarray(trace.times + trace.offset), np.asarray(first.times + first.offset)):
+            refuse("windows", "traces that were sampled together, without an unknown offset", f"traces[{k}]")
+    times = np.asarray(first.times + first.offset)
+    length = -(-times.size // count)
+    if count > times.size // 2 or (count - 1) * length >= times.size:
+        refuse("windows", f"fewer, for {times.size} samples", f"{count}")
+    edges = np.concatenate([[float(problem.t0)], times[length::length], times[-1:]])
+    parts = tuple(_parted(trace, count, length) for trace in problem.traces)
+    parameters = problem.coordinates.start
+    lattice = problem.lattice(parameters)
+    state = problem.state(parameters, lattice)
+    paths = _integrated(problem, parameters, state)
+    starts = []
+    for j in range(1, count):
+        leg = eqx.tree_at(lambda p: (p.t0, p.t1), problem, (jnp.asarray(edges[j - 1]), jnp.asarray(edges[j])))
+        state = _leg(leg, parameters, state)
+        state = _told(state, problem.traces, paths, parameters, j * length)
+        starts.append(ravel_pytree(state)[0])
+    unravel, starts = ravel_pytree(state)[1], jnp.stack(starts)
+    largest = State(*(jnp.max(jnp.stack([jnp.max(jnp.abs(x)) for x in jax.tree.leaves(part)]))
+                      for part in jax.vmap(unravel)(starts)))
+    largest = State(*(jnp.where(x > 0, x, 1.0) for x in largest))
+    scale = ravel_pytree(State(*(jax.tree.map(lambda x: jnp.full_like(x, size), part)
+                                 for part, size in zip(state, largest))))[0]
+    noise = max(float(jnp.max(1 / jnp.where(trace.weights > 0, trace.weights, jnp.inf)) / jnp.max(jnp.abs(
+        jnp.nan_to_num(trace.data)))) for trace in problem.traces)
+    return Windows(problem, starts, scale, MEETING * noise * scale, jnp.asarray(edges), parts, unravel)
+
+
+@eqx.filter_jit
+def _leg(problem, parameters, state):
+    return problem.run(parameters, state=state).final
+
+
+def _parted(trace, count, length):
+    """A trace with its samples on a leading axis of windows; what is missing at the end is marked so."""
+    room = count * length - trace.times.size
+    times = jnp.concatenate([trace.times, jnp.full(room, trace.times[-1])]).reshape(count, length)
+    data = jnp.concatenate([trace.data, jnp.full((room, trace.data.shape[1]), jnp.nan)])
+    sigma = 1.0 if trace.sigma is None else jnp.broadcast_to(trace.sigma, trace.data.shape)
+    sigma = jnp.concatenate([jnp.broadcast_to(sigma, trace.data.shape), jnp.ones((room, trace.data.shape[1]))])
+    shape = (count, length, trace.data.shape[1])
+    gain, offset = (x if isinstance(x, str) else jnp.broadcast_to(x, (count, *jnp.shape(x)))
+                    for x in (trace.gain, trace.offset))
+    return eqx.tree_at(lambda t: (t.times, t.data, t.sigma, t.gain, t.offset), trace,
+                       (times, data.reshape(shape), sigma.reshape(shape), gain, offset), is_leaf=lambda x: x is None)
+
+
+def _integrated(problem, parameters, state):
+    """Per trace of velocity, the displacement that it integrates to (T, S); `None` for other traces."""
+    paths = []
+    for trace in problem.traces:
+        if trace.kind != "velocity":
+            paths.append(None)
+            continue
+        times = np.concatenate([[float(problem.t0)], np.asarray(trace.times + trace.offset)])
+        at = np.stack([np.asarray(_pick(part, trace)) for part in state])
+        v = np.concatenate([at[1:], np.asarray(trace.data) / np.asarray(_gain(trace, parameters))])
+        v = np.nan_to_num(v)
+        steps = np.diff(times)[:, None] * (v[1:] + v[:-1]) / 2
+        paths.append(at[0] + np.cumsum(steps, axis=0))
+    return paths
+
+
+def _told(state, traces, paths, parameters, sample):
+    """A state with what was measured at a sample put in, displacements last."""
+    parts = list(state)
+    for trace, path in zip(traces, paths):
+        if trace.kind == "velocity":
+            parts[1] = _put(parts[1], trace, np.asarray(trace.data[sample] / _gain(trace, parameters)))
+            parts[0] = _put(parts[0], trace, path[sample])
+    for trace in traces:
+        if trace.kind == "displacement":
+            parts[0] = _put(parts[0], trace, np.asarray(trace.data[sample] / _gain(trace, parameters)))
+    return State(*parts)
+
+
+def _gain(trace, parameters):
+    return parameters[trace.gain] if isinstance(trace.gain, str) else trace.gain
+
+
+def _index(place, trace):
+    return (*place, *(() if trace.component is None else (trace.component,)))
+
+
+def _pick(x, trace):
+    x = x if trace.field is None else x[trace.field]
+    return [x[_index(place, trace)] for place in trace.places]
+
+
+def _put(x, trace, values):
+    y = x if trace.field is None else x[trace.field]
+    for place, value in zip(trace.places, values):
+        if np.isfinite(value):
+            y = y.at[_index(place, trace)].set(value)
+    return y if trace.field is None else {**x, trace.field: y}

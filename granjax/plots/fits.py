@@ -1,0 +1,195 @@
+"""Fits: data beside the fitted signals, corner plots of what is known, identified laws with their bands."""
+
+import numpy as np
+from matplotlib.patches import Ellipse
+from matplotlib.ticker import MaxNLocator
+
+from ..checks import refuse, show, whole
+from .arrays import numbers, rising
+from .style import COLOURS, FAINT, style
+
+# half-width of a corner plot's axes, in standard deviations
+REACH = 3.5
+
+
+def fit(result, ax=None, *, sensors=None, x_label="time", y_label=None, scale=1.0):
+    """Data and fitted signal of every sensor, with the residuals below.
+
+    **Arguments:**
+
+    - `result`: a `Fit`, or anything with `traces` (each with `times` (T,), `data` (T, S), `sensors`, S names),
+      `signals` and `residuals`, one (T, S) per trace.
+    - `ax`: Axes of shape (2, columns); `None` makes them in a new figure.
+    - `sensors`: which columns, counted through all traces; `None` is all.
+    - `x_label`, `y_label`: of the axes; `None` is the kind, first word of a sensor's name. `scale`: of times and data
+      in the labels' units, a number for data or a pair (times, data): (1e3, 1e3) with ms and mm/s.
+
+    **Returns:** an array of Axes (2, columns). **Raises** ValueError for sensors that are not there or Axes of another
+    shape.
+    """
+    scales = scale if isinstance(scale, (tuple, list)) else (1.0, scale)
+    if len(scales) != 2:
+        refuse("scale", "a number, or a pair (times, data)", repr(scale))
+    columns = [(trace, k, trace.sensors[k], signal, residual)
+               for trace, signal, residual in zip(result.traces, result.signals, result.residuals)
+               for k in range(np.shape(signal)[1])]
+    if sensors is not None:
+        chosen = [whole("sensors", k) for k in sensors]
+        if not chosen or max(chosen) >= len(columns):
+            refuse("sensors", f"indices below {len(columns)}", repr(sensors))
+        columns = [columns[k] for k in chosen]
+    size = 2.9 * len(columns) + 0.7, 3.6
+    axes = _grid("ax", ax, 2, len(columns), size, height_ratios=(3, 1), sharex="col", sharey="row")
+    for k, (column, (trace, sensor, name, signal, residual)) in enumerate(zip(axes.T, columns)):
+        upper, lower = column
+        times = numbers("times", trace.times, 1) * scales[0]
+        data, fitted = (numbers("data", x, 2, finite=False)[:, sensor] * scales[1] for x in (trace.data, signal))
+        left = numbers("residuals", residual, 2, finite=False)[:, sensor]
+        upper.plot(times, data, ".", color=FAINT, ms=3, label="data")
+        upper.plot(times, fitted, color=COLOURS[0], lw=1.2, label="fit")
+        upper.set_title(name)
+        lower.axhspan(-1, 1, color="0.9", lw=0, zorder=0)
+        known = np.isfinite(data)
+        lower.plot(times[known], left[known], ".", color=COLOURS[0], ms=2)
+        lower.set_xlabel(x_label)
+        lower.set_xlim(times[0], times[-1])
+        if k == 0:
+            upper.set_ylabel(name.split()[0] if y_label is None else y_label)
+            lower.set_ylabel(r"residual / $\sigma$")
+            upper.legend(loc="best", frameon=False, markerscale=2)
+    return axes
+
+
+def corner(result, axes=None, *, truths=None, labels=None):
+    """What is known of each pair of parameters: ellipses of one and two standard deviations, Gaussians on the diagonal.
+
+    The ellipses are contours of the Gaussian with the fit's covariance; the inner one holds 39 % and the outer one
+    86 % of the probability of a pair.
+
+    **Arguments:** `result`: a `Fit`, or anything with `parameters` (a dict, its numbers in the order of its sorted
+    names), `covariance` (P, P) and `names` (P,). `axes`: Axes (P, P). `truths`: dict of known values to mark, with
+    names as in `names`. `labels`: one per parameter, in place of `names`.
+
+    **Returns:** the Axes (P, P), hidden above the diagonal. **Raises** ValueError for a covariance that is not finite
+    (parameters that are not determined) or Axes or labels that do not fit.
+    """
+    values = np.concatenate([numbers(k, result.parameters[k]).ravel() for k in sorted(result.parameters)])
+    names, matrix = list(result.names), numbers("covariance", result.covariance, 2, finite=False)
+    deviations = np.sqrt(np.diag(matrix))
+    if not np.isfinite(matrix).all():
+        unknown = ", ".join(name for name, d in zip(names, deviations) if not np.isfinite(d))
+        refuse("result", "parameters that the data determine", f"an infinite deviation of {unknown}", "Leave it out.")
+    labels = names if labels is None else list(labels)
+    if len(labels) != len(names):
+        refuse("labels", f"{len(names)} names, one per parameter", f"{len(labels)}")
+    for name in truths or {}:
+        if name not in names:
+            refuse("truths", f"names among {names}", repr(name))
+    marks = [(truths or {}).get(name) for name in names]
+    count = len(names)
+    axes = _grid("axes", axes, count, count, (1.7 * count + 0.8, 1.7 * count + 0.5))
+    powers = [_power(value) for value in values]
+    shown = [label if power == 0 else rf"{label} ($10^{{{power}}}$)" for label, power in zip(labels, powers)]
+    size = 10.0 ** -np.array(powers)
+    centre, matrix, deviations = values * size, matrix * np.outer(size, size), deviations * size
+    marks = [None if mark is None else float(mark) * s for mark, s in zip(marks, size)]
+    for i in range(count):
+        for j in range(count):
+            ax = axes[i, j]
+            if j > i:
+                ax.set_visible(False)
+                continue
+            ax.set_xlim(centre[j] - REACH * deviations[j], centre[j] + REACH * deviations[j])
+            if i == j:
+                _marginal(ax, centre[i], deviations[i], powers[i])
+            else:
+                ax.set_ylim(centre[i] - REACH * deviations[i], centre[i] + REACH * deviations[i])
+                _ellipses(ax, centre[[j, i]], matrix[np.ix_([j, i], [j, i])])
+                ax.yaxis.set_major_locator(MaxNLocator(3))
+                if marks[i] is not None:
+                    ax.axhline(marks[i], color=COLOURS[1], lw=0.9)
+            if marks[j] is not None:
+                ax.axvline(marks[j], color=COLOURS[1], lw=0.9)
+            ax.xaxis.set_major_locator(MaxNLocator(3))
+            ax.ticklabel_format(useOffset=False)
+            ax.tick_params(axis="x", rotation=45, labelbottom=i == count - 1)
+            ax.tick_params(axis="y", labelleft=j == 0 and i > 0)
+            if i == count - 1:
+                ax.set_xlabel(shown[j])
+            if j == 0 and i > 0:
+                ax.set_ylabel(shown[i])
+    axes[0, 0].figure.align_labels()
+    return axes
+
+
+def law(strain, force, low, high, ax=None, *, label="identified", band=None, truth=None, truth_label="true",
+        x_label="compression", y_label="force"):
+    """An identified law with its band, over the strains that were visited and nowhere else.
+
+    **Arguments:** `strain` (n,), rising, the strains that the motion visited; `force` (n,); `low`, `high` (n,): the
+    band; `label`, `band`: names of curve and band; `truth` (n,): a law to compare with; `x_label`, `y_label`.
+
+    **Returns:** the Axes. **Raises** ValueError for shapes that do not fit, strains that do not rise, low > high.
+    """
+    force = numbers("force", force, 1)
+    strain = rising("strain", strain, len(force))
+    low, high = numbers("low", low, 1), numbers("high", high, 1)
+    truth = None if truth is None else numbers("truth", truth, 1)
+    for name, x in (("low", low), ("high", high), ("truth", truth)):
+        if x is not None and x.shape != force.shape:
+            refuse(name, f"shape {force.shape}, as force", f"shape {x.shape}")
+    if (low > high).any():
+        refuse("low", "numbers not above high", show(low), "Swap low and high.")
+    ax = _grid("ax", ax, 1, 1, (5.0, 3.6))[0, 0]
+    ax.fill_between(strain, low, high, color=COLOURS[4], alpha=0.4, lw=0, label=band)
+    ax.plot(strain, force, color=COLOURS[0], label=label)
+    if truth is not None:
+        ax.plot(strain, truth, "--", color=COLOURS[1], lw=1.2, label=truth_label)
+    ax.axhline(0, color=FAINT, lw=0.8, zorder=0)
+    ax.axvline(0, color=FAINT, lw=0.8, zorder=0)
+    ax.set_xlim(strain[0], strain[-1])
+    ax.set_xlabel(x_label)
+    ax.set_ylabel(y_label)
+    ax.legend(loc="upper left", frameon=False)
+    return ax
+
+
+def _grid(argument, axes, rows, columns, size, **how):
+    """The Axes that were given, as an array, or those of a new pyplot figure in the house style."""
+    if axes is None:
+        import matplotlib.pyplot as plt
+
+        with style():
+            axes = plt.figure(figsize=size, layout="constrained").subplots(rows, columns, squeeze=False, **how)
+    axes = np.asarray(axes, dtype=object)
+    if axes.size != rows * columns:
+        refuse(argument, f"Axes of shape ({rows}, {columns})", f"shape {axes.shape}")
+    return axes.reshape(rows, columns)
+
+
+def _power(value):
+    """The power of ten that is put in front of a number, 0 where it reads well without."""
+    power = int(np.floor(np.log10(abs(value)))) if value != 0 else 0
+    return 0 if -1 <= power <= 3 else power
+
+
+def _marginal(ax, centre, deviation, power):
+    x = np.linspace(-REACH, REACH, 121)
+    y = np.exp(-(x**2) / 2)
+    ax.fill_between(centre + x * deviation, y, where=np.abs(x) <= 1, color=COLOURS[0], alpha=0.3, lw=0)
+    ax.plot(centre + x * deviation, y, color=COLOURS[0], lw=1.2)
+    ax.set_ylim(0, 1.1)
+    ax.set_yticks([])
+    digits = max(0, 1 - int(np.floor(np.log10(deviation)))) if deviation > 0 else 3
+    said = rf"{centre:.{digits}f} $\pm$ {deviation:.{digits}f}"
+    ax.set_title(said if power == 0 else rf"({said})$\,10^{{{power}}}$", fontsize=8, loc="center")
+
+
+def _ellipses(ax, centre, matrix):
+    variances, vectors = np.linalg.eigh(matrix)
+    angle = np.degrees(np.arctan2(vectors[1, 1], vectors[0, 1]))
+    height, width = 2 * np.sqrt(np.maximum(variances, 0))
+    for sigma, alpha in ((2, 0.15), (1, 0.3)):
+        ax.add_patch(Ellipse(centre, sigma * width, sigma * height, angle=angle, fc=COLOURS[0], alpha=alpha, lw=0))
+        ax.add_patch(Ellipse(centre, sigma * width, sigma * height, angle=angle, fill=False, ec=COLOURS[0], lw=1.0))
+    ax.plot(*centre, ".", color=COLOURS[0], ms=4)

@@ -1,0 +1,241 @@
+"""`fit`: parameters from traces that SciPy made, their errors, what is not determined, what is refused."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import granjax as gx
+from granjax.fit.problem import Problem
+from granjax.fit.windows import cut
+from granjax.parameters import Coordinates
+
+N, SITES = 20, [2, 7, 12, 17]
+TIMES = np.linspace(0.1, 40.0, 400)
+TRUTH = {"stiffness": 1.0, "exponent": 1.5, "damping": 0.05, "precompression": 1.0}
+START = {"stiffness": 1.15, "exponent": 1.4, "damping": 0.03, "precompression": 0.85}
+
+
+def scipy_motion(times, velocity, sites=N, stiffness=1.0, exponent=1.5, damping=0.05, precompression=1.0):
+    """(u, v) of a chain between walls after an impact, by DOP853."""
+    d0 = (precompression / stiffness) ** (1 / exponent)
+
+    def rate(t, y):
+        u, v = y[:sites], y[sites:]
+        e = np.concatenate([[-u[0]], u[:-1] - u[1:], [u[-1]]])
+        force = stiffness * (np.maximum(d0 + e, 0) ** exponent - d0**exponent)
+        return np.concatenate([v, force[:-1] - force[1:] - damping * v])
+
+    start = np.zeros(2 * sites)
+    start[sites] = velocity
+    y = solve_ivp(rate, (0, times[-1]), start, method="DOP853", rtol=1e-11, atol=1e-13, t_eval=times).y
+    return y[:sites].T, y[sites:].T
+
+
+def scene(p):
+    law = gx.PowerLaw(p["stiffness"], p["exponent"], p["precompression"])
+    return gx.Lattice(1.0, (gx.Bond(gx.Shift(1, "fixed"), law), gx.Damping(p["damping"])), sites=N)
+
+
+def struck(p, chain):
+    return gx.states.impact(chain, 1.0)
+
+
+def tapped(p, chain):
+    return gx.states.impact(chain, 1e-3)
+
+
+def noisy(clean, seed, share=0.01):
+    sigma = share * np.abs(clean).max()
+    return clean + sigma * np.random.default_rng(seed).normal(size=clean.shape), sigma
+
+
+@pytest.fixture(scope="module")
+def velocities():
+    return scipy_motion(TIMES, 1.0)[1][:, SITES]
+
+
+def traced(velocities, seed):
+    data, sigma = noisy(velocities, seed)
+    return gx.Traces(TIMES, velocity=data, sites=SITES, sigma=sigma)
+
+
+@pytest.mark.slow
+def test_each_parameter_is_within_two_deviations_in_most_of_many_draws(velocities):
+    inside = {name: 0 for name in TRUTH}
+    for seed in range(100):
+        fit = gx.fit(scene, START, traced(velocities, seed), state=struck)
+        assert fit.converged and not fit.undetermined
+        for name, true in TRUTH.items():
+            inside[name] += abs(float(fit.parameters[name]) - true) < 2 * float(fit.deviations[name])
+    assert all(88 <= count <= 99 for count in inside.values()), inside
+
+
+def test_a_fit_of_noisy_traces(velocities):
+    fit = gx.fit(scene, START, traced(velocities, 1), state=struck)
+    flat = jax.flatten_util.ravel_pytree(fit.parameters)[0]
+    assert fit.names == ("damping", "exponent", "precompression", "stiffness")
+    pull = (np.asarray(flat) - np.asarray([TRUTH[name] for name in fit.names])) / np.sqrt(np.diag(fit.covariance))
+    assert np.abs(pull).max() < 3
+    # stiffness and precompression go together along A p d0^(p-1)
+    assert np.allclose(np.diag(fit.correlations), 1) and fit.correlations[2, 3] < -0.9
+    assert fit.reduced_chi_square == pytest.approx(1.0, abs=4 * np.sqrt(2 / fit.samples))
+    assert fit.samples == 1600 and (fit.whiteness()[0] > 1e-3).all()
+    assert fit.step_error < 1e-3 and fit.return_error < 1e-10
+    assert "Converged" in fit.outcome and fit.lattice.sites == (N,)
+    assert np.abs(np.asarray(fit.signals[0]) - velocities).max() < 0.01 * np.abs(velocities).max()
+
+
+def test_small_strains_determine_the_linear_stiffness_alone():
+    data, sigma = noisy(scipy_motion(TIMES, 1e-3)[1][:, SITES], 0)
+    fit = gx.fit(scene, START, gx.Traces(TIMES, velocity=data, sites=SITES, sigma=sigma), state=tapped, throw=False)
+    said = " ".join(fit.undetermined)
+    assert "A p d0^(p-1)" in said
+    assert all(name in said for name in ("stiffness", "exponent", "precompression")) and "damping" not in said
+    p = {name: float(x) for name, x in fit.parameters.items()}
+    linear = p["exponent"] * p["stiffness"] ** (1 / p["exponent"]) * p["precompression"] ** (1 - 1 / p["exponent"])
+    assert linear == pytest.approx(1.5, rel=1e-3)
+    assert "A p d0" in fit.outcome
+
+
+def spring(p):
+    law = gx.Hertz(p["stiffness"], 1.0)
+    return gx.Lattice(1.0, (gx.Bond(gx.Shift(1, "fixed"), law), gx.Damping(0.05)), sites=6)
+
+
+def flicked(p, chain):
+    return gx.states.impact(chain, p["velocity"])
+
+
+@pytest.fixture(scope="module")
+def short():
+    times = np.linspace(0.0, 15.0, 151)
+    return times, *scipy_motion(times, 0.4, sites=6)
+
+
+@pytest.mark.slow
+def test_several_kinds_with_gain_offset_and_unknown_impact(short):
+    times, u, v = short
+    late = times[:120]  # a recorder that was started at 1.3
+    chain = spring({"stiffness": 1.0})
+    fine = scipy_motion(late + 1.3, 0.4, sites=6)
+    force = np.stack([gx.measures.contact_force(chain, (u, v)) for u, v in zip(*fine)])[:, [1, 4]]
+    traces = [
+        gx.Traces(late, displacement=2.5 * fine[0][:, [2]], sites=2, sigma=1e-3, gain="gain", offset="offset"),
+        gx.Traces(late, force=force, contacts=[1, 4], sigma=1e-3, offset="offset"),
+        gx.Traces(late, velocity=fine[1][:, [-1]], sites=[-1], sigma=1e-3, offset="offset"),
+    ]
+    start = {"stiffness": 1.1, "velocity": 0.35, "gain": 2.0, "offset": 1.0}
+    fit = gx.fit(spring, start, traces, state=flicked, bounds={"stiffness": (0, None), "gain": (1.0, 4.0)})
+    for name, true in {"stiffness": 1.0, "velocity": 0.4, "gain": 2.5, "offset": 1.3}.items():
+        assert float(fit.parameters[name]) == pytest.approx(true, rel=2e-5)
+
+
+def per_bond(p):
+    return gx.scenes.monomer(6, mass=p["mass"], stiffness=p["stiffness"], precompression=1.0)
+
+
+@pytest.mark.slow
+def test_a_parameter_of_every_bond_and_missing_samples():
+    stiffness = np.array([1.0, 1.2, 0.9, 1.1, 1.3, 0.8, 1.0])
+    chain = per_bond({"mass": 1.0, "stiffness": stiffness})
+    state = gx.states.impact(chain, 0.3)
+    run = gx.simulate(chain, state, 20.0, step=0.01, save_at=200)
+    data = np.array(run.us)
+    data[30:60, 2] = np.nan
+    traces = gx.Traces(run.ts, displacement=data, sites=range(6), sigma=1e-3)
+    start = {"mass": 1.0, "stiffness": np.full(7, 1.05)}
+    fit = gx.fit(per_bond, start, traces, state=state)
+    assert fit.names[1:3] == ("stiffness[0]", "stiffness[1]") and fit.samples == 200 * 6 - 30
+    assert np.allclose(fit.parameters["stiffness"], stiffness, rtol=1e-4)
+    assert float(fit.parameters["mass"]) == pytest.approx(1.0, rel=1e-4)
+
+
+@pytest.mark.slow
+def test_several_starts_and_an_unknown_noise(short):
+    times, _, v = short
+    data, sigma = noisy(v[:, [1, 4]], 3)
+    traces = gx.Traces(times, velocity=data, sites=[1, 4])
+    fit = gx.fit(spring, {"stiffness": 1.0}, traces, state=gx.states.impact(spring({"stiffness": 1.0}), 0.4), starts=4)
+    assert len(fit.starts) == 4 and "4 of 4 starts" in fit.outcome
+    assert fit.noise == pytest.approx(sigma, rel=0.1)
+    assert abs(float(fit.parameters["stiffness"]) - 1) < 3 * float(fit.deviations["stiffness"])
+
+
+@pytest.mark.slow
+def test_descent_reaches_what_least_squares_reach(short):
+    times, _, v = short
+    traces = gx.Traces(times, velocity=noisy(v[:, [1, 4]], 3)[0], sites=[1, 4], sigma=1e-3)
+    how = {"state": flicked, "bounds": {"stiffness": (0, None)}}
+    start = {"stiffness": 1.1, "velocity": 0.38}
+    wanted = gx.fit(spring, start, traces, **how)
+    assert wanted.adjoint == "forward mode"
+    found = gx.fit(spring, start, traces, method="gradient", **how)
+    assert found.adjoint == "Reversible" and found.return_error < 1e-12
+    later = gx.Traces(times, velocity=traces.data, sites=[1, 4], sigma=1e-3, offset="offset")
+    moved = gx.fit(spring, {**start, "offset": 1e-3}, later, method="gradient", **how)
+    assert moved.adjoint == "RecursiveCheckpointAdjoint"
+    for name in start:
+        near = 0.02 * wanted.deviations[name]
+        assert abs(float(found.parameters[name]) - float(wanted.parameters[name])) < near
+
+
+@pytest.mark.slow
+def test_the_jacobian_of_windows_is_put_together_rightly(short):
+    times, _, v = short
+    from granjax.fit.fit import prepared
+
+    state = gx.states.impact(spring({"stiffness": 1.0}), 0.4)
+    traces = gx.Traces(times, velocity=v, sites=range(6), sigma=0.01)
+    problem = prepared(spring, Coordinates({"stiffness": 1.1}), traces, state, 0.0, None, None)
+    assert isinstance(problem, Problem)
+    windows = cut(problem, 4)
+    x = windows.guess(jnp.zeros(1)) + 0.01
+    value, blocks, _ = jax.jit(lambda x: windows.linearise(x))(x)
+    whole = jax.jit(jax.jacfwd(windows.residuals))(x)
+    assert blocks.shape == whole.shape == (4 * 38 * 6 + 3 * 12, 1 + 3 * 12)
+    assert np.allclose(blocks, whole, rtol=0, atol=1e-11 * np.abs(whole).max())
+
+
+def test_what_cannot_be_meant_is_refused(short):
+    times, _, v = short
+    chain = spring({"stiffness": 1.0})
+    state = gx.states.impact(chain)
+    good = gx.Traces(times, velocity=v[:, [1]], sites=1, sigma=0.01)
+
+    def refused(match, *, scene=spring, start={"stiffness": 1.0}, traces=good, **how):
+        with pytest.raises(ValueError, match=match):
+            gx.fit(scene, start, traces, **{"state": state, **how})
+
+    refused("scene: expected a function", scene=chain)
+    refused("start: expected a dict", start=1.0)
+    refused("bounds: expected one of 'stiffness'", bounds={"stifness": (0, None)})
+    refused("stiffness: expected a start above its bound", bounds={"stiffness": (2.0, None)})
+    refused("traces: expected Traces", traces=v)
+    refused("sites: expected indices within", traces=gx.Traces(times, velocity=v[:, [1]], sites=6, sigma=0.01))
+    refused("offset: expected one of", traces=gx.Traces(times, velocity=v[:, [1]], sites=1, offset="delay"))
+    refused("times: expected samples from t0", traces=gx.Traces(times - 1, velocity=v[:, [1]], sites=1))
+    refused("sigma: expected one for each", traces=[good, gx.Traces(times, velocity=v[:, [1]], sites=1)])
+    refused("windows: expected", windows=100)
+    for how in ({}, {"velocity": v, "force": v}):
+        with pytest.raises(ValueError, match="expected one of velocity"):
+            gx.Traces(times, **how, sites=range(6))
+    with pytest.raises(ValueError, match="velocity: expected shape"):
+        gx.Traces(times, velocity=v, sites=[1])
+    with pytest.raises(ValueError, match="rising times"):
+        gx.Traces(times[::-1], velocity=v, sites=range(6))
+
+
+def test_coordinates_keep_bounds_and_know_their_slopes():
+    start = {"a": np.array([1.0, 0.0]), "b": 2.0, "c": -1.0, "d": 0.3}
+    at = Coordinates(start, {"b": (0, None), "c": (None, 0.0), "d": (0.0, 1.0)})
+    assert at.names == ["a[0]", "a[1]", "b", "c", "d"] and at.size == 5
+    begin = at.parameters(jnp.zeros(5))
+    assert all(np.allclose(begin[name], start[name], rtol=0, atol=1e-15) for name in start)
+    for x in (jnp.full(5, 9.0), jnp.full(5, -9.0)):
+        p = at.parameters(x)
+        assert p["b"] > 0 and p["c"] < 0 and 0 < p["d"] < 1
+    x = jnp.array([0.3, -0.2, 0.5, -0.4, 0.1])
+    slopes = jnp.diag(jax.jacfwd(lambda x: at.flat(at.parameters(x)))(x))
+    assert np.allclose(at.slopes(x), slopes, rtol=1e-14)
