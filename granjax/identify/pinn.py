@@ -1,0 +1,174 @@
+"""A physics-informed network: motion and parameters of a lattice from a few sensors, without integrating it."""
+
+import math
+import time
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+
+from ..checks import non_negative, parameter, positive, refuse, whole
+from ..flow.stiffness import linear_frequency
+from ..parameters import Coordinates
+
+
+class Motion(eqx.Module):
+    """Displacements u(t) (N,) of a chain as a network: `motion(t)`; `motion.state(t)` gives (u, v, a) at one time.
+
+    u(t) = s net(t/T, sin(omega_k t), cos(omega_k t)), the omega_k even up to a little above the lattice's band.
+    """
+
+    net: eqx.nn.MLP
+    frequencies: jax.Array
+    span: jax.Array
+    scale: jax.Array
+
+    def __call__(self, t):
+        phase = self.frequencies * t
+        return self.scale * self.net(jnp.concatenate([t[None] / self.span, jnp.sin(phase), jnp.cos(phase)]))
+
+    def state(self, t):
+        """Displacements, velocities and accelerations at one time."""
+        t = jnp.asarray(t, self.span.dtype)
+        one = jnp.ones_like(t)
+        velocity = lambda t: jax.jvp(self.__call__, (t,), (one,))[1]
+        return self(t), *jax.jvp(velocity, (t,), (one,))
+
+
+class PhysicsInformed(eqx.Module):
+    """What `physics_informed` returns.
+
+    - `parameters`: dict of what was found; `motion`: `Motion`. `loss` (steps + refine,): of every step.
+    - `misfit`: rms of the data less the motion, over the rms of the data; `residual`: rms of a - F/m at the
+      collocation points, over the rms of a. `seconds`: of the training, compilation included. `outcome`: a sentence.
+    """
+
+    parameters: dict
+    motion: Motion
+    loss: np.ndarray
+    misfit: float
+    residual: float
+    seconds: float
+    outcome: str = eqx.field(static=True)
+
+
+def physics_informed(
+    scene, start, times, velocity, *, sites=None, state=None, bounds=None, weight=1.0, points=None, width=48, depth=2,
+    steps=4000, refine=1000, rate=3e-3, seed=0,
+):
+    r"""Parameters of a chain by a physics-informed network.
+
+    A network u(t) (N,) and the parameters theta minimise together
+
+    mean over data of |u'_s(t) - v_s(t)|^2 + weight/omega^2 mean over collocation of |u'' - F(t, u, u'; theta)/m|^2
+
+    and, where the initial state is known, the mean of omega^2 |u(0) - u_0|^2 + |u'(0) - v_0|^2; omega is the highest
+    linear frequency at the start. First by Adam with a rate that falls as a cosine, then by L-BFGS. For short records
+    of small chains; a fit of trajectories is quicker and surer where the initial state is known.
+
+    **Arguments:**
+
+    - `scene`: function of a dict of parameters that returns a `Lattice`, a chain with scalar displacements; `start`:
+      that dict; `bounds`: dict from names to (low, high), `None` for no bound.
+    - `times` (T,), `velocity` (T, sensors) [m/s]: even or not, from t >= 0 on; `sites`: of the sensors, `None` all.
+    - `state`: the `State` at t = 0 where it is known, of the chain's shape; with few sensors it is needed.
+    - `weight`: of the physics; `points`: number of collocation points, `None` for 16 a shortest period; `width`,
+      `depth`: of the network; `steps`, `rate`: of Adam; `refine`: steps of L-BFGS; `seed`: of the first weights.
+
+    **Returns:** `PhysicsInformed`. **Raises** ValueError for shapes that do not fit, no velocity at all, bounds that
+    do not hold the start, or a lattice without linear frequency (a sonic vacuum).
+    Source: Raissi, Perdikaris, Karniadakis, J. Comput. Phys. 378, 686 (2019).
+    """
+    lattice = scene(jax.tree.map(jnp.asarray, start))
+    coordinates = Coordinates(start, bounds)
+    times, velocity, sites = _checked(lattice, times, velocity, sites)
+    weight, rate = non_negative("weight", weight), float(positive("rate", rate))
+    steps, refine = whole("steps", steps, 0), whole("refine", refine, 0)
+    began = time.perf_counter()
+    omega, span = float(linear_frequency(lattice)), float(times[-1])
+    if not omega > 0:
+        refuse("start", "a lattice with a linear frequency", "a sonic vacuum", "Give a precompression.")
+    size = jnp.mean(velocity**2)
+    periods = omega * span / (2 * math.pi)
+    points = max(16, math.ceil(16 * periods)) if points is None else whole("points", points, 2)
+    collocation = jnp.linspace(0.0, span, points)
+    count = max(4, math.ceil(2 * periods))
+    features = 2 * count + 1
+    net = eqx.nn.MLP(features, lattice.shape[0], width, depth, jnp.tanh, key=jax.random.key(seed))
+    frequencies = 1.2 * omega / count * jnp.arange(1.0, count + 1)
+    motion = Motion(net, frequencies, jnp.asarray(span), jnp.sqrt(size) / omega)
+    state = None if state is None else tuple(parameter("state", x) for x in state)
+
+    def parts(model):
+        net, x = model
+        now = eqx.tree_at(lambda m: m.net, motion, net)
+        seen = jax.vmap(lambda t: now.state(t)[1])(times)[:, sites]
+        u, v, a = jax.vmap(now.state)(collocation)
+        chain = scene(coordinates.parameters(x))
+        residual = a - jax.vmap(chain.acceleration)(collocation, u, v)
+        u0, v0 = (0.0, 0.0) if state is None else (now.state(0.0)[i] - state[i] for i in range(2))
+        first = jnp.mean(omega**2 * u0**2 + v0**2)
+        return jnp.mean((seen - velocity) ** 2) / size, jnp.mean(residual**2), jnp.mean(a**2), first / size
+
+    def loss(model):
+        data, physics, _, first = parts(model)
+        return data + weight * physics / (omega**2 * size) + first
+
+    model, history = _trained(loss, (net, jnp.zeros(coordinates.size)), steps, refine, rate)
+    data, physics, accelerations, _ = map(float, eqx.filter_jit(parts)(model))
+    found = jax.tree.map(np.asarray, coordinates.parameters(model[1]))
+    misfit, residual = math.sqrt(data), math.sqrt(physics / accelerations)
+    seconds = time.perf_counter() - began
+    outcome = f"The data are met to {misfit:.2g}, the equation of motion to {residual:.2g} of their rms."
+    if not math.isfinite(misfit + residual):
+        outcome = "The training left the numbers: lower rate=."
+    return PhysicsInformed(
+        found, eqx.tree_at(lambda m: m.net, motion, model[0]), history, misfit, residual, seconds, outcome,
+    )
+
+
+def _checked(lattice, times, velocity, sites):
+    times, velocity = parameter("times", times), parameter("velocity", velocity)
+    if isinstance(lattice.shape, dict) or len(lattice.shape) != 1:
+        refuse("scene", "a chain with scalar displacements", f"a lattice of shape {lattice.shape}")
+    N = lattice.shape[0]
+    sites = np.arange(N) if sites is None else np.atleast_1d(sites)
+    if sites.dtype.kind not in "iu" or sites.ndim != 1 or not (np.abs(sites + 0.5) < N).all():
+        refuse("sites", f"indices of the {N} sites", repr(sites.tolist()))
+    if times.ndim != 1 or len(times) < 2 or not (np.diff(times) > 0).all() or times[0] < 0:
+        refuse("times", "increasing times, from t >= 0 on", f"shape {times.shape}")
+    if velocity.shape != (len(times), len(sites)):
+        refuse("velocity", f"shape {(len(times), len(sites))}, times and sensors", f"{velocity.shape}")
+    if not velocity.any():
+        refuse("velocity", "some motion", "none")
+    return times, velocity, sites
+
+
+def _trained(loss, model, steps, refine, rate):
+    """The model after Adam and L-BFGS, and the loss at every step."""
+    free, fixed = eqx.partition(model, eqx.is_inexact_array)
+    value = lambda free: loss(eqx.combine(free, fixed))
+    histories = []
+    for optimiser, count, search in (
+        (optax.adam(optax.cosine_decay_schedule(rate, max(steps, 1))), steps, False), (optax.lbfgs(), refine, True),
+    ):
+        if not count:
+            continue
+
+        def step(carry, _, optimiser=optimiser, search=search):
+            free, state = carry
+            if search:
+                now, slope = optax.value_and_grad_from_state(value)(free, state=state)
+                updates, state = optimiser.update(slope, state, free, value=now, grad=slope, value_fn=value)
+            else:
+                now, slope = jax.value_and_grad(value)(free)
+                updates, state = optimiser.update(slope, state, free)
+            return (optax.apply_updates(free, updates), state), now
+
+        run = jax.jit(lambda free, step=step, optimiser=optimiser, count=count: jax.lax.scan(
+            step, (free, optimiser.init(free)), length=count))
+        (free, _), history = run(free)
+        histories.append(np.asarray(history))
+    return eqx.combine(free, fixed), np.concatenate(histories) if histories else np.zeros(0)

@@ -1,0 +1,240 @@
+"""Sparse regression of the forces of a lattice on a library of terms."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import numpy as np
+from scipy.interpolate import UnivariateSpline
+
+from ..checks import non_negative, parameter, positive, refuse, whole
+from ..lattice import Lattice
+from ..laws import Polynomial, PowerLaw, Scaled
+from ..terms import Bond, Damping, Dashpot, OnSite
+from .dissipation import Drag, ViscousContact
+
+# condition of the scaled columns from which on coefficients are said to stand for each other
+ALIKE = 1e6
+
+
+class Coefficient(NamedTuple):
+    """A coefficient that was found, its standard error, and the rms of its accelerations over that of all."""
+
+    value: float
+    error: float
+    share: float
+
+
+class Regression(eqx.Module):
+    """What `regression` returns.
+
+    - `coefficients`: dict from the names of the terms that were kept to `Coefficient(value, error, share)`;
+      `dropped`: names of the others. `covariance` (kept, kept), in the order of `coefficients`.
+    - `r_squared`: 1 - |residual|^2/|a - mean|^2. `noise`: rms of the residual, per degree of freedom [m/s^2].
+    - `condition`: of the kept columns at unit length; a large one says that they stand for each other.
+    - `lattice`: the `Lattice` of the terms with their coefficients and the known ones, ready to simulate; `None` where
+      a coefficient has a sign that its term refuses, which `outcome`, a sentence, names.
+    """
+
+    coefficients: dict
+    dropped: tuple
+    covariance: np.ndarray
+    r_squared: float
+    noise: float
+    condition: float
+    lattice: Lattice | None
+    outcome: str = eqx.field(static=True)
+
+
+def library(strain_map, *, powers=(1, 2, 3), contacts=(1.5,), overlap=0.0, on_site=(1, 3), dissipation=None):
+    r"""Candidate terms of a lattice, as a dict from names to functions of their coefficient.
+
+    Bonds K e^p ("e", "e^2", "e^3") and contacts A ([d0 + e]_+^p - d0^p) ("[e]_+^1.5"); on-site forces -k u^p
+    ("u", "u^3"); dissipation: "v" (Damping: a = -gamma v), "de/dt" (Dashpot), "[e]_+^0.5 de/dt" (ViscousContact) and
+    "v|v|" (Drag).
+
+    **Arguments:** `strain_map`: the bonds, such as `Shift(1, "fixed")`; `powers`, `on_site`: of 1, 2, 3; `contacts`:
+    exponents p > 0; `overlap`: d0 >= 0 of the contacts at equilibrium [m]; `dissipation`: names of those wanted,
+    `None` for all. Add candidates of your own with `|`: `library(...) | {"wall": lambda A: Wall(Hertz(A))}`; each
+    term must be proportional to its coefficient and can be built with 1.
+    **Raises** ValueError for another power or name. Contacts of close exponents, and under load all powers, are much
+    alike: offer few.
+    """
+    overlap = float(non_negative("overlap", overlap))
+
+    def bond(law):
+        return lambda k: Bond(strain_map, _scaled(law, k))
+
+    terms = {_named("e", p): bond(_monomial("powers", p)) for p in powers}
+    for p in contacts:
+        p = float(positive("contacts", p))
+        terms[f"[e]_+^{p:g}"] = bond(PowerLaw(1.0, p, overlap**p))
+    for p in on_site:
+        terms[_named("u", p)] = lambda k, law=_monomial("on_site", p): OnSite(_scaled(law, k))
+    kinds = {
+        "v": Damping,
+        "de/dt": lambda c: Dashpot(strain_map, c),
+        "[e]_+^0.5 de/dt": lambda c: ViscousContact(strain_map, c, 0.5, overlap),
+        "v|v|": Drag,
+    }
+    for name in kinds if dissipation is None else dissipation:
+        if name not in kinds:
+            refuse("dissipation", "names among " + ", ".join(map(repr, kinds)), repr(name))
+        terms[name] = kinds[name]
+    return terms
+
+
+def _scaled(law, k):
+    return Scaled(law, parameter("coefficient", k))
+
+
+def _named(x, p):
+    return x if p == 1 else f"{x}^{p}"
+
+
+def _monomial(argument, p):
+    if p not in (1, 2, 3):
+        refuse(argument, "powers 1, 2, 3", repr(p), "Other powers are contacts.")
+    return Polynomial(*(1.0 if q == p else 0.0 for q in (1, 2, 3)))
+
+
+def regression(
+    mass, candidates, ts, us, vs, accelerations=None, *, noise=0.0, known=(), threshold=0.02, ridge=0.0, max_steps=20,
+):
+    r"""Coefficients of the equation of motion from motion seen at every site: a = sum_j c_j f_j(t, u, v)/m.
+
+    Sequentially thresholded least squares (SINDy): columns f_j/m are scaled to unit length; those whose share of the
+    measured accelerations, |c_j| |f_j/m|/|a|, is below the threshold are dropped, the others solved for again (with
+    the ridge), until none is; what is left is solved for without ridge. Error bars are those of least squares with
+    independent errors of one size in the accelerations, so too small for those of a smoothing spline, which are
+    correlated. Errors of u and v are not in them: they bias coefficients towards zero; where they count, use a fit of
+    trajectories.
+
+    **Arguments:**
+
+    - `mass`: as for `Lattice`, one per site. `candidates`: dict from names to functions that build a term from its
+      coefficient, as `library` gives; every column is term.force at coefficient 1.
+    - `ts` (T,), `us`, `vs` (T, N), or dicts of such: times, displacements from equilibrium, velocities.
+    - `accelerations` (T, N); `None`: the derivative of a quintic smoothing spline of the velocities, site by site, with
+      as few knots as leave a residual of rms `noise` [m/s] (Reinsch, Dierckx), through every point where that is 0;
+      three times at each end are left out. About twenty frames a period are wanted.
+    - `known`: terms whose coefficients are known (walls, drives); their accelerations are subtracted.
+    - `threshold`: least share, in [0, 1); typical 0.01 ... 0.1, above the relative noise and below the weakest term.
+      `ridge`: added to the diagonal of the scaled normal matrix while columns are chosen; `max_steps`: most rounds.
+
+    **Returns:** `Regression`. **Raises** ValueError for shapes that do not fit, fewer numbers than candidates, a
+    candidate that gives no force at all, or a threshold that drops them all.
+    Source: Brunton, Proctor, Kutz, PNAS 113, 3932 (2016).
+    """
+    if not isinstance(candidates, dict) or not candidates:
+        refuse("candidates", "a dict from names to functions of a coefficient", repr(candidates), "See library().")
+    threshold = float(non_negative("threshold", threshold))
+    ridge, max_steps = float(non_negative("ridge", ridge)), whole("max_steps", max_steps, 1)
+    known = tuple(known) if isinstance(known, (tuple, list)) else (known,)
+    ts, us, vs = (jax.tree.map(lambda x: parameter("ts, us, vs", x), x) for x in (ts, us, vs))
+    if accelerations is None:
+        accelerations, inner = _differentiated(ts, vs, noise)
+        ts, us, vs = jax.tree.map(lambda x: x[inner], (ts, us, vs))
+    a = _flat(jax.tree.map(lambda x: parameter("accelerations", x), accelerations))
+
+    def column(terms):
+        return _flat(_accelerations(Lattice(mass, terms), ts, us, vs))
+
+    names = list(candidates)
+    A = np.stack([column((candidates[name](1.0),)) for name in names], -1)
+    if a.shape != A.shape[:1]:
+        refuse("accelerations", f"{len(A)} numbers, as the displacements", f"{len(a)}")
+    if len(a) <= len(names):
+        refuse("ts", f"more numbers than the {len(names)} candidates", f"{len(a)}")
+    target = a - column(known) if known else a
+    if not target.any():
+        refuse("accelerations", "some that are not zero", "none", "A lattice at rest shows no force.")
+    for name, size in zip(names, np.linalg.norm(A, axis=0)):
+        if size == 0:
+            refuse(f"candidates[{name!r}]", "a force somewhere along the motion", "none", "Leave it out.")
+    c, kept = _thresholded(A, target, threshold, ridge, max_steps)
+    return _record(mass, candidates, names, A, target, c, kept, known)
+
+
+@eqx.filter_jit
+def _accelerations(lattice, ts, us, vs):
+    return jax.vmap(lattice.acceleration)(ts, us, vs)
+
+
+def _flat(tree):
+    return np.concatenate([np.asarray(x).ravel() for x in jax.tree.leaves(tree)])
+
+
+def _differentiated(ts, vs, noise):
+    if len(ts) < 12:
+        refuse("ts", "twelve times or more, to differentiate velocities", f"{len(ts)}", "Or give accelerations=.")
+    t, inner = np.asarray(ts), slice(3, -3)
+    left = len(t) * float(non_negative("noise", noise)) ** 2
+
+    def derivative(v):
+        sites = np.asarray(v).reshape(len(t), -1).T
+        return np.stack([UnivariateSpline(t, x, k=5, s=left).derivative()(t) for x in sites], -1).reshape(v.shape)
+
+    return jax.tree.map(lambda v: derivative(v)[inner], vs), inner
+
+
+def _thresholded(A, y, threshold, ridge, max_steps):
+    """Coefficients and which of them are kept."""
+    sizes = np.linalg.norm(A, axis=0)
+    X = A / sizes
+    floor = threshold * np.linalg.norm(y)
+    kept = np.ones(len(sizes), bool)
+    for _ in range(max_steps):
+        c = np.zeros(len(sizes))
+        c[kept] = _ridge(X[:, kept], y, ridge)
+        stays = kept & (np.abs(c) >= floor)
+        if (stays == kept).all():
+            break
+        kept = stays
+        if not kept.any():
+            refuse("threshold", "a share that some candidate has", f"{threshold:g}", "Lower it, or offer other terms.")
+    c = np.zeros(len(sizes))
+    c[kept] = _ridge(X[:, kept], y, 0.0)
+    return c / sizes, kept
+
+
+def _ridge(X, y, ridge):
+    """Least squares of X c = y with ridge |c|^2, by the augmented matrix: the normal one would square the condition."""
+    if ridge:
+        X = np.concatenate([X, np.sqrt(ridge) * np.eye(X.shape[1])])
+        y = np.concatenate([y, np.zeros(X.shape[1])])
+    return np.linalg.lstsq(X, y, rcond=None)[0]
+
+
+def _record(mass, candidates, names, A, y, c, kept, known):
+    sizes = np.linalg.norm(A[:, kept], axis=0)
+    _, s, Vh = np.linalg.svd(A[:, kept] / sizes, full_matrices=False)
+    residual = y - A @ c
+    noise = np.sqrt(residual @ residual / (len(y) - kept.sum()))
+    factor = Vh.T / s * noise / sizes[:, None]
+    covariance = factor @ factor.T
+    shares = np.abs(c[kept]) * sizes / np.linalg.norm(y)
+    found = [name for name, keep in zip(names, kept) if keep]
+    values = zip(c[kept], np.sqrt(np.diag(covariance)), shares)
+    coefficients = {name: Coefficient(*map(float, row)) for name, row in zip(found, values)}
+    dropped = tuple(name for name, keep in zip(names, kept) if not keep)
+    r_squared = float(1 - residual @ residual / ((y - y.mean()) @ (y - y.mean())))
+    condition = float(s[0] / s[-1])
+    words = [f"{len(found)} of {len(names)} terms kept ({', '.join(found)}); R^2 = {r_squared:.6g}."]
+    if condition > ALIKE:
+        words.append(f"They are much alike (condition {condition:.1g}): their coefficients stand for each other.")
+    lattice = None
+    wrong = [name for name in found if not _builds(candidates[name], coefficients[name].value)]
+    if wrong:
+        words.append(f"The sign found for {', '.join(wrong)} is one that the term refuses.")
+    else:
+        lattice = Lattice(mass, tuple(candidates[name](coefficients[name].value) for name in found) + known)
+    return Regression(coefficients, dropped, covariance, r_squared, float(noise), condition, lattice, " ".join(words))
+
+
+def _builds(make, value):
+    try:
+        make(value)
+    except ValueError:
+        return False
+    return True

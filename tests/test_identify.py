@@ -1,0 +1,329 @@
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from cases import EPS
+from scipy.interpolate import BSpline
+
+import granjax as gx
+from granjax.identify import Drag, ViscousContact, library, physics_informed, regression
+from granjax.laws import Network, Scaled, Spline
+
+N = 8
+WALLS = gx.Shift(1, "fixed")
+LIBRARY = library(WALLS)
+
+# ----------------------------------------------------------------------------------------------------- laws of any form
+
+# one compilation a law, instead of one an operation
+force, energy = (jax.jit(lambda law, e, f=f: getattr(law, f)(e)) for f in ("force", "energy"))
+
+KNOTS = [-1.0, -0.3, 0.2, 0.5, 1.0]
+STIFFNESS = [0.0, 0.7, 1.3, 1.1, 2.0, 1.4]
+
+
+def test_spline_is_the_integral_of_b_splines():
+    clamped = np.r_[[KNOTS[0]] * 2, KNOTS, [KNOTS[-1]] * 2]
+    stiffness = BSpline(clamped, STIFFNESS, 2)
+    integral, law = stiffness.antiderivative(), Spline(KNOTS, STIFFNESS)
+    e = np.append(np.linspace(-1, 1, 41), KNOTS)
+    np.testing.assert_allclose(force(law, e), integral(e) - integral(0.0), rtol=0, atol=8 * EPS)
+    work = integral.antiderivative()
+    np.testing.assert_allclose(energy(law, e), work(e) - work(0.0) - integral(0.0) * e, rtol=0, atol=8 * EPS)
+    slope = jax.jit(jax.vmap(jax.grad(law.force)))
+    np.testing.assert_allclose(slope(e), stiffness(e), rtol=0, atol=16 * EPS)
+    beyond = np.array([-4.0, -1.5, 1.2, 6.0])
+    np.testing.assert_allclose(slope(beyond), [0.0, 0.0, 1.4, 1.4], rtol=0, atol=16 * EPS)
+    np.testing.assert_array_equal(law.stiffness, STIFFNESS)
+
+
+@pytest.mark.parametrize("knots", [[0.0, 1.0, 2.0], [-2.0, -1.0, 0.0]])
+def test_equilibrium_may_be_an_end_of_the_knots(knots):
+    law = Spline(knots, [1.0, 2.0, 3.0, 4.0])
+    inside, outside = (1, -1) if knots[0] == 0 else (-1, 1)
+    np.testing.assert_allclose(force(law, 0.5 * outside), 0.5 * outside * (1.0 if outside < 0 else 4.0), rtol=4 * EPS)
+    # the integral of every B-spline is a third of its knots' extent
+    total = (1 * 1 + 2 * 2 + 3 * 2 + 4 * 1) / 3
+    np.testing.assert_allclose(force(law, 2.0 * inside), inside * total, rtol=4 * EPS)
+
+
+def test_spline_of_equal_coefficients_is_linear():
+    e = jnp.linspace(-3, 3, 50)
+    np.testing.assert_allclose(force(Spline(KNOTS, [1.3] * 6), e), gx.Linear(1.3).force(e), rtol=16 * EPS)
+    np.testing.assert_allclose(energy(Spline(KNOTS, [1.3] * 6), e), gx.Linear(1.3).energy(e), rtol=16 * EPS)
+
+
+def test_a_fitted_spline_is_hertz():
+    """Nine knots follow a contact under load to 4e-4 of its largest force, and never fall."""
+    law, e = gx.Hertz(1.0, 1.0), np.linspace(-0.8, 1.5, 200)
+    found = Spline.fitted(np.linspace(-0.8, 1.5, 9), e, force(law, e), preload=1.0)
+    assert np.abs(force(found, e) - force(law, e)).max() < 4e-4 * force(law, 1.5)
+    assert float(found.preload) == 1.0
+    noisy = force(law, e) + 0.3 * np.random.default_rng(0).normal(size=200)
+    assert (np.diff(Spline.fitted(np.linspace(-0.8, 1.5, 9), e, noisy).force(np.linspace(-2, 3, 400))) >= -EPS).all()
+    with pytest.raises(ValueError, match="more than 9 compressions"):
+        Spline.fitted(np.linspace(-0.8, 1.5, 9), e[:9], force(law, e[:9]))
+
+
+@pytest.mark.parametrize("make, word", [
+    (lambda: Spline([0.1, 1.0], [1, 1, 1]), "knots"), (lambda: Spline([-1, -1, 1], [1] * 4), "knots"),
+    (lambda: Spline([-1, 1], [1, 1]), "3 numbers"), (lambda: Spline([-1, 1], [1, -1, 1]), "stiffness"),
+    (lambda: Spline([-1, 1], [1, 1, 1], -1.0), "preload"), (lambda: Network(0), "width"),
+    (lambda: Network(2, strain=0.0), "strain"), (lambda: Network(2, parameters=np.zeros(6)), "7 numbers"),
+])
+def test_laws_that_cannot_be_are_refused(make, word):
+    with pytest.raises(ValueError, match=word):
+        make()
+
+
+def test_network_starts_nearly_linear_and_rises_whatever_its_parameters():
+    e = np.linspace(-1, 1, 101)
+    np.testing.assert_allclose(force(Network(), e), e, rtol=0, atol=0.06)
+    scaled = force(Network(8, 1e-3, 50.0), 1e-3 * e)
+    np.testing.assert_allclose(scaled, 50 * force(Network(), e), rtol=1e-12, atol=1e-12)
+    for seed in range(3):
+        free = 5 * np.random.default_rng(seed).normal(size=13)
+        assert (np.diff(force(Network(4, parameters=free), np.linspace(-5, 5, 500))) >= 0).all()
+        np.testing.assert_array_equal(Network(4, parameters=free).parameters, free)
+    falling = Network(1, monotone=False, parameters=[0.5, 0.0, -1.0, 0.0])
+    assert float(force(falling, 1.0)) < -0.5
+
+
+@pytest.mark.slow
+def test_network_keeps_its_digits_near_rest():
+    law = Network(3, parameters=np.array([0.3, 1.0, -0.4, 0.9, -0.2, 1.5, 0.1, 0.4, -0.3, 0.2]))
+    K2, K3, _ = gx.laws.taylor(law)
+    for e in (1e-5, -1e-7):
+        np.testing.assert_allclose(force(law, e), K2 * e + K3 * e * e, rtol=1e-9)
+        np.testing.assert_allclose(energy(law, e), K2 * e * e / 2 + K3 * e**3 / 3, rtol=1e-9)
+    # both sides of the change of formula
+    for b in (0.0, 0.7, -3.0):
+        one = Network(1, parameters=[np.log(np.expm1(1.0)), b, np.log(np.expm1(1.0)), -800.0])
+        for y in (0.0199, 0.0201, -0.0199, -0.0201):
+            np.testing.assert_allclose(force(one, y), np.tanh(b + y) - np.tanh(b), rtol=0, atol=4 * EPS)
+            work = np.log(np.cosh(b + y) / np.cosh(b)) - y * np.tanh(b)
+            np.testing.assert_allclose(energy(one, y), work, rtol=0, atol=8 * EPS)
+
+
+@pytest.mark.parametrize("make, start", [
+    (lambda k: Spline(KNOTS, k), STIFFNESS[1:] + [1.0]), (lambda p: Network(1, parameters=p), [0.3, 1.0, -0.4, 0.2]),
+], ids=["spline", "network"])
+def test_derivatives_in_the_parameters(make, start):
+    """Both modes, at knots, at rest and beyond the ends, against differences."""
+    e, start, h = jnp.asarray([-2.0, -0.3, 0.0, 0.2, 0.7, 3.0]), jnp.asarray(start), 1e-6
+    both = jax.jit(lambda p: jnp.stack([make(p).force(e), make(p).energy(e)]))
+    forward, reverse = jax.jit(jax.jacfwd(both))(start), jax.jit(jax.jacrev(both))(start)
+    np.testing.assert_allclose(forward, reverse, rtol=0, atol=1e-14)
+    differences = [(both(start + h * i) - both(start - h * i)) / (2 * h) for i in np.eye(len(start))]
+    np.testing.assert_allclose(forward, np.stack(differences, -1), rtol=0, atol=1e-8)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("law", [Spline(KNOTS, STIFFNESS), Network(3)], ids=["spline", "network"])
+def test_a_chain_of_them_runs_and_has_modes(law):
+    chain = gx.Lattice(np.ones(N), (gx.Bond(WALLS, law),))
+    run = gx.simulate(chain, gx.states.impact(chain, velocity=0.3), 20.0)
+    assert run.completed and float(run.energy_error) < 1e-5
+    k = float(jax.grad(law.force)(0.0))
+    want = 2 * np.sqrt(k) * np.sin(np.pi * np.arange(1, N + 1) / (2 * N + 2))
+    np.testing.assert_allclose(gx.linear.normal_modes(chain).omega, want, rtol=1e-12)
+
+
+# --------------------------------------------------------------------------------------------------- sparse regression
+
+
+def _record(*terms, u=0.0, v=0.0):
+    """The run of a chain from a random state, and its accelerations."""
+    chain = gx.Lattice(np.ones(N), terms)
+    rng = np.random.default_rng(3)
+    state = gx.State(jnp.asarray(u * rng.normal(size=N)), jnp.asarray(v * rng.normal(size=N)))
+    run = gx.simulate(chain, state, 30.0, save_at=301, step=0.01)
+    return run, np.asarray(jax.vmap(chain.acceleration)(run.ts, run.us, run.vs))
+
+
+def _states(*terms, u=0.3, v=0.3, mass=np.ones(N)):
+    """Random states (ts, us, vs) instead of a run, and the accelerations in them: a regression asks for no more."""
+    rng = np.random.default_rng(3)
+    states = np.arange(200) / 20, u * rng.normal(size=(200, N)), v * rng.normal(size=(200, N))
+    return states, np.asarray(jax.vmap(gx.Lattice(mass, terms).acceleration)(*states))
+
+
+def _noisy(a, size, seed=0):
+    return a + size * np.sqrt(np.mean(a**2)) * np.random.default_rng(seed).normal(size=a.shape)
+
+
+@pytest.fixture(scope="module")
+def fput():
+    return _record(gx.Bond(WALLS, gx.Polynomial(1.0, 0.25, 0.6)), u=0.5)
+
+
+@pytest.fixture(scope="module")
+def hertz():
+    return _record(gx.Bond(WALLS, gx.Hertz(1.3)), gx.Damping(0.05), v=1.0)
+
+
+def values(found):
+    return {name: c.value for name, c in found.coefficients.items()}
+
+
+def test_fput_from_clean_accelerations(fput):
+    run, a = fput
+    found = regression(np.ones(N), LIBRARY, run.ts, run.us, run.vs, a, threshold=0.01)
+    assert list(found.coefficients) == ["e", "e^2", "e^3"]
+    np.testing.assert_allclose(list(values(found).values()), [1.0, 0.25, 0.6], rtol=0, atol=1e-12)
+    assert set(found.dropped) == set(LIBRARY) - set(found.coefficients) and found.r_squared > 1 - 1e-12
+    np.testing.assert_allclose(found.lattice.acceleration(0.0, run.us[7], run.vs[7]), a[7], rtol=0, atol=1e-11)
+
+
+def test_fput_from_velocities_alone(fput):
+    """What is left is the error of the spline, at fifteen frames a period; and with a thousandth of noise."""
+    run, _ = fput
+    found = regression(np.ones(N), LIBRARY, run.ts, run.us, run.vs, threshold=0.01)
+    np.testing.assert_allclose(list(values(found).values()), [1.0, 0.25, 0.6], rtol=0, atol=2e-4)
+    noise = 1e-3 * float(jnp.std(run.vs))
+    seen = run.vs + noise * np.random.default_rng(0).normal(size=run.vs.shape)
+    found = regression(np.ones(N), LIBRARY, run.ts, run.us, seen, noise=noise)
+    np.testing.assert_allclose(list(values(found).values()), [1.0, 0.25, 0.6], rtol=0, atol=1e-3)
+
+
+def test_hertz_and_damping_under_one_percent_of_noise(hertz):
+    """Coefficients within three of their standard errors, which are below 4e-4."""
+    run, a = hertz
+    for seed in range(3):
+        found = regression(np.ones(N), LIBRARY, run.ts, run.us, run.vs, _noisy(a, 0.01, seed))
+        assert list(found.coefficients) == ["[e]_+^1.5", "v"], found.outcome
+        for (value, error, _), true in zip(found.coefficients.values(), (1.3, 0.05)):
+            assert abs(value - true) < 3 * error
+        errors = [c.error for c in found.coefficients.values()]
+        np.testing.assert_allclose(errors, np.sqrt(np.diag(found.covariance)), rtol=1e-12)
+        assert errors[0] < 4e-4 and errors[1] < 4e-4
+        np.testing.assert_allclose(found.noise, 0.01 * np.sqrt(np.mean(a**2)), rtol=0.05)
+
+
+def test_error_bars_are_those_of_repeated_noise(hertz):
+    run, a = hertz
+    two = {name: LIBRARY[name] for name in ("[e]_+^1.5", "v")}
+    found = [regression(np.ones(N), two, run.ts[:40], run.us[:40], run.vs[:40], _noisy(a[:40], 0.01, seed))
+             for seed in range(60)]
+    spread = np.std([list(values(f).values()) for f in found], axis=0)
+    # of sixty draws the standard deviation is known to 9 %
+    np.testing.assert_allclose([c.error for c in found[0].coefficients.values()], spread, rtol=0.3)
+
+
+@pytest.mark.parametrize("name, term", [
+    ("v", gx.Damping(0.03)), ("de/dt", gx.Dashpot(WALLS, 0.03)), ("v|v|", Drag(0.1)),
+    ("[e]_+^0.5 de/dt", ViscousContact(WALLS, 0.03, overlap=1.0)),
+], ids=["damping", "dashpot", "drag", "viscous_contact"])
+def test_one_kind_of_dissipation_is_told_from_the_others(name, term):
+    states, a = _states(gx.Bond(WALLS, gx.Hertz(1.0, 1.0)), term)
+    offered = library(WALLS, powers=(), overlap=1.0)
+    found = regression(np.ones(N), offered, *states, _noisy(a, 0.001), threshold=0.005)
+    assert list(found.coefficients) == ["[e]_+^1.5", name], found.outcome
+    value, error, _ = found.coefficients[name]
+    true = getattr(term, "rate", getattr(term, "coefficient", None))
+    assert abs(value - true) < 4 * error < 0.05 * true
+
+
+def test_masses_and_known_terms():
+    mass = np.linspace(0.5, 1.5, N)
+    drive = gx.Drive(gx.Harmonic(0.2, 1.1), 2)
+    states, a = _states(gx.Bond(WALLS, gx.Toda()), gx.OnSite(gx.Linear(0.4)), drive, mass=mass)
+    offered = {"toda": lambda k: gx.Bond(WALLS, Scaled(gx.Toda(), k))} | library(WALLS, powers=())
+    found = regression(mass, offered, *states, a, known=drive)
+    assert list(found.coefficients) == ["toda", "u"], found.outcome
+    np.testing.assert_allclose(list(values(found).values()), [1.0, 0.4], rtol=0, atol=1e-12)
+    assert found.lattice.terms[-1] is drive
+
+
+def test_a_sign_that_a_term_refuses_is_said():
+    states, a = _states(gx.Bond(WALLS, gx.Linear()))
+    found = regression(np.ones(N), LIBRARY, *states, a + 0.2 * states[2])
+    np.testing.assert_allclose(found.coefficients["v"].value, -0.2, rtol=1e-10)
+    assert found.lattice is None and "The sign found for v" in found.outcome
+
+
+def test_terms_that_stand_for_each_other_are_said():
+    states, a = _states(gx.Bond(WALLS, gx.Polynomial(1.0, 5e-9)))
+    twins = {"one": LIBRARY["e"], "other": lambda k: gx.Bond(WALLS, Scaled(gx.Polynomial(1.0, 1e-8), k))}
+    found = regression(np.ones(N), twins, *states, a)
+    assert found.condition > 1e6 and "stand for each other" in found.outcome
+
+
+def test_agrees_with_pysindy(hertz):
+    ps = pytest.importorskip("pysindy")
+    run, a = hertz
+    noisy = _noisy(a, 0.01)
+    columns = np.stack([
+        np.asarray(jax.vmap(gx.Lattice(np.ones(N), (make(1.0),)).acceleration)(run.ts, run.us, run.vs)).ravel()
+        for make in LIBRARY.values()
+    ], -1)
+    for threshold, ridge in ((0.02, 0.0), (0.02, 0.05), (0.2, 0.01)):
+        theirs = ps.STLSQ(threshold * np.linalg.norm(noisy), alpha=ridge, normalize_columns=True)
+        theirs.fit(columns, noisy.ravel())
+        found = regression(np.ones(N), LIBRARY, run.ts, run.us, run.vs, noisy, threshold=threshold, ridge=ridge)
+        ours = [values(found).get(name, 0.0) for name in LIBRARY]
+        np.testing.assert_allclose(ours, theirs.coef_[0], rtol=0, atol=1e-10)
+
+
+@pytest.mark.parametrize("bad, word", [
+    (dict(candidates={}), "candidates"), (dict(threshold=2.0), "Lower it"), (dict(threshold=-1.0), "threshold"),
+    (dict(accelerations=np.zeros((5, N))), "accelerations"), (dict(accelerations=None), "twelve times"),
+    (dict(candidates={"v": LIBRARY["v"]}, vs=np.zeros((5, N))), "Leave it out"),
+    (dict(accelerations=np.ones((4, N))), "accelerations"), (dict(accelerations=np.full((5, N), np.nan)), "finite"),
+])
+def test_bad_input_is_refused(bad, word):
+    x = np.random.default_rng(0).normal(size=(5, N))
+    good = dict(mass=np.ones(N), candidates={"e": LIBRARY["e"]}, ts=np.arange(5.0), us=x, vs=x, accelerations=x)
+    with pytest.raises(ValueError, match=word):
+        regression(**(good | bad))
+
+
+def test_a_library_refuses_what_it_does_not_hold():
+    with pytest.raises(ValueError, match="powers"):
+        library(WALLS, powers=(4,))
+    with pytest.raises(ValueError, match="dissipation"):
+        library(WALLS, dissipation=("w",))
+
+
+# --------------------------------------------------------------------------------------------- physics-informed network
+
+SENSORS = [1, 3, 4]
+
+
+def _small(parameters):
+    contacts = gx.Bond(WALLS, gx.Hertz(parameters["stiffness"], 1.0))
+    return gx.Lattice(np.ones(6), (contacts, gx.Damping(parameters["damping"])))
+
+
+@pytest.mark.slow
+def test_a_network_finds_stiffness_and_damping_from_three_sensors():
+    """Under 1 % of noise: the stiffness to 2e-3, the damping to 2e-2, the motion of all sites to 1 % of its largest."""
+    chain = _small({"stiffness": 1.0, "damping": 0.08})
+    state = gx.states.impact(chain, velocity=0.3)
+    run = gx.simulate(chain, state, 12.0, save_at=121)
+    v = _noisy(np.asarray(run.vs)[:, SENSORS], 0.01)
+    found = physics_informed(
+        _small, {"stiffness": 1.4, "damping": 0.2}, run.ts, v, sites=SENSORS, state=state,
+        bounds={"stiffness": (0.0, None), "damping": (0.0, None)}, steps=2000, refine=600,
+    )
+    np.testing.assert_allclose(found.parameters["stiffness"], 1.0, rtol=2e-3)
+    np.testing.assert_allclose(found.parameters["damping"], 0.08, rtol=2e-2)
+    assert 5e-3 < found.misfit < 1.1e-2 and found.residual < 5e-3
+    assert found.loss.shape == (2600,) and found.loss[-1] < 1e-2 * found.loss[0]
+    u, v, a = jax.vmap(found.motion.state)(run.ts)
+    np.testing.assert_allclose(u, run.us, rtol=0, atol=1e-2 * float(jnp.abs(run.us).max()))
+    # v and a are the derivatives of u
+    h = 1e-4
+    after, before = (found.motion(run.ts[7] + s * h) for s in (1, -1))
+    np.testing.assert_allclose((after - before) / (2 * h), v[7], rtol=0, atol=1e-6)
+    np.testing.assert_allclose((after - 2 * u[7] + before) / h**2, a[7], rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize("bad, word", [
+    (dict(velocity=np.ones((5, 2))), "velocity"), (dict(velocity=np.zeros((5, 6))), "some motion"),
+    (dict(times=np.zeros(5)), "increasing"), (dict(sites=[6]), "sites"), (dict(bounds={"damping": (1, 2)}), "damping"),
+])
+def test_bad_input_of_a_network_is_refused(bad, word):
+    good = dict(start={"stiffness": 1.0, "damping": 0.1}, times=np.arange(5.0), velocity=np.ones((5, 6)))
+    with pytest.raises(ValueError, match=word):
+        physics_informed(_small, **(good | bad))
