@@ -1,4 +1,4 @@
-"""Derivatives of runs: in forward mode, by checkpoints, by integrating backwards, against differences on every scene."""
+"""Derivatives of runs: forward mode, checkpoints, integrating backwards; against differences on every scene."""
 
 import diffrax
 import equinox as eqx

@@ -33,6 +33,7 @@ class Windows(eqx.Module):
     meeting: jax.Array
     edges: jax.Array
     parts: tuple[Traces, ...]
+    kept: jax.Array
     unravel: Callable = eqx.field(static=True)
 
     @property
@@ -114,7 +115,7 @@ class Windows(eqx.Module):
         return jnp.concatenate([residuals.ravel(), jumps.ravel()]), jnp.concatenate(blocks), self._joined(signals)
 
     def _joined(self, signals):
-        return tuple(s.reshape(-1, s.shape[-1])[: t.times.size] for s, t in zip(signals, self.problem.traces))
+        return tuple(s.reshape(-1, s.shape[-1])[self.kept] for s in signals)
 
     def jumps(self, x):
         """What the ends of windows miss of the next start, in deviations of the noise, the largest."""
@@ -128,17 +129,20 @@ def cut(problem, count):
     Their starts are guessed by running the start's scene from window to window, with what the sensors of velocity and
     displacement say put in at each; a velocity also tells the displacement, by its integral from the state at t0.
     """
-    first = problem.traces[0]
-    for k, trace in enumerate(problem.traces):
-        if isinstance(trace.offset, str) or trace.times.shape != first.times.shape or not np.array_equal(
-                np.asarray(trace.times + trace.offset), np.asarray(first.times + first.offset)):
+    clocks = [None if isinstance(trace.offset, str) else np.asarray(trace.times + trace.offset)
+              for trace in problem.traces]
+    times = clocks[0]
+    for k, clock in enumerate(clocks):
+        if clock is None or not np.array_equal(clock, times):
             refuse("windows", "traces that were sampled together, without an unknown offset", f"traces[{k}]")
-    times = np.asarray(first.times + first.offset)
-    length = -(-times.size // count)
-    if count > times.size // 2 or (count - 1) * length >= times.size:
-        refuse("windows", f"fewer, for {times.size} samples", f"{count}")
-    edges = np.concatenate([[float(problem.t0)], times[length::length], times[-1:]])
-    parts = tuple(_parted(trace, count, length) for trace in problem.traces)
+    if count > times.size // 2:
+        refuse("windows", f"at most {times.size // 2}, for {times.size} samples", f"{count}")
+    first = np.linspace(0, times.size, count + 1).round().astype(int)
+    edges = np.concatenate([[float(problem.t0)], times[first[1:-1]], times[-1:]])
+    # the samples of every window; what shorter ones lack repeats their last
+    samples = np.minimum(first[:-1, None] + np.arange(np.diff(first).max()), first[1:, None] - 1)
+    repeated = np.diff(samples, axis=1, prepend=-1) == 0
+    parts = tuple(_parted(trace, samples, repeated) for trace in problem.traces)
     parameters = problem.coordinates.start
     lattice = problem.lattice(parameters)
     state = problem.state(parameters, lattice)
@@ -147,7 +151,7 @@ def cut(problem, count):
     for j in range(1, count):
         leg = eqx.tree_at(lambda p: (p.t0, p.t1), problem, (jnp.asarray(edges[j - 1]), jnp.asarray(edges[j])))
         state = _leg(leg, parameters, state)
-        state = _told(state, problem.traces, paths, parameters, j * length)
+        state = _told(state, problem.traces, paths, parameters, first[j])
         starts.append(ravel_pytree(state)[0])
     unravel, starts = ravel_pytree(state)[1], jnp.stack(starts)
     largest = State(*(jnp.max(jnp.stack([jnp.max(jnp.abs(x)) for x in jax.tree.leaves(part)]))
@@ -157,7 +161,8 @@ def cut(problem, count):
                                  for part, size in zip(state, largest))))[0]
     noise = max(float(jnp.max(1 / jnp.where(trace.weights > 0, trace.weights, jnp.inf)) / jnp.max(jnp.abs(
         jnp.nan_to_num(trace.data)))) for trace in problem.traces)
-    return Windows(problem, starts, scale, MEETING * noise * scale, jnp.asarray(edges), parts, unravel)
+    return Windows(problem, starts, scale, MEETING * noise * scale, jnp.asarray(edges), parts,
+                   jnp.asarray(np.flatnonzero(~repeated)), unravel)
 
 
 @eqx.filter_jit
@@ -165,18 +170,15 @@ def _leg(problem, parameters, state):
     return problem.run(parameters, state=state).final
 
 
-def _parted(trace, count, length):
-    """A trace with its samples on a leading axis of windows; what is missing at the end is marked so."""
-    room = count * length - trace.times.size
-    times = jnp.concatenate([trace.times, jnp.full(room, trace.times[-1])]).reshape(count, length)
-    data = jnp.concatenate([trace.data, jnp.full((room, trace.data.shape[1]), jnp.nan)])
-    sigma = 1.0 if trace.sigma is None else jnp.broadcast_to(trace.sigma, trace.data.shape)
-    sigma = jnp.concatenate([jnp.broadcast_to(sigma, trace.data.shape), jnp.ones((room, trace.data.shape[1]))])
-    shape = (count, length, trace.data.shape[1])
+def _parted(trace, samples, repeated):
+    """A trace with its samples on a leading axis of windows; those that are repeated count as missing."""
+    count = len(samples)
+    sigma = jnp.broadcast_to(1.0 if trace.sigma is None else trace.sigma, trace.data.shape)[samples]
+    data = jnp.where(repeated[..., None], jnp.nan, trace.data[samples])
     gain, offset = (x if isinstance(x, str) else jnp.broadcast_to(x, (count, *jnp.shape(x)))
                     for x in (trace.gain, trace.offset))
     return eqx.tree_at(lambda t: (t.times, t.data, t.sigma, t.gain, t.offset), trace,
-                       (times, data.reshape(shape), sigma.reshape(shape), gain, offset), is_leaf=lambda x: x is None)
+                       (trace.times[samples], data, sigma, gain, offset), is_leaf=lambda x: x is None)
 
 
 def _integrated(problem, parameters, state):

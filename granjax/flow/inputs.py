@@ -54,16 +54,20 @@ def _checked_array(name, x, shape, dtype):
 
 
 def checked_times(t0, t1):
-    """Start and end, in order."""
-    for name, t in (("t0", t0), ("t1", t1)):
-        if isinstance(t, jax.core.Tracer) or type(t) is float and math.isfinite(t):
-            continue
-        value = np.asarray(t)
-        if value.ndim or value.dtype.kind not in "fiu" or not np.isfinite(value):
-            refuse(name, "one finite number", repr(t))
-    if not isinstance(t0, jax.core.Tracer) and not isinstance(t1, jax.core.Tracer) and not np.asarray(t1) > t0:
+    """Start and end, in order; known ones as Python numbers, with which tracing does not interfere."""
+    t0, t1 = _checked_time("t0", t0), _checked_time("t1", t1)
+    if not isinstance(t0, jax.core.Tracer) and not isinstance(t1, jax.core.Tracer) and not t1 > t0:
         refuse("t1", f"a time after t0 = {t0}", f"{t1}", "To go back in time, reverse the velocities.")
     return t0, t1
+
+
+def _checked_time(name, t):
+    if isinstance(t, jax.core.Tracer) or type(t) is float and math.isfinite(t):
+        return t
+    value = np.asarray(t)
+    if value.ndim or value.dtype.kind not in "fiu" or not np.isfinite(value):
+        refuse(name, "one finite number", repr(t))
+    return value.item()
 
 
 def checked_size(name, x):

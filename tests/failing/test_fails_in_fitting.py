@@ -25,16 +25,16 @@ def two_strokes(p, chain):
 
 @pytest.fixture(scope="module")
 def chaotic():
-    """Velocities of six beads without precompression between walls, some forty collision times, with 1 % noise."""
+    """Velocities of six beads without precompression between walls, some eighty collision times, with 1 % noise."""
     def rate(t, y):
         u, v = y[:BEADS], y[BEADS:]
         force = np.maximum(np.concatenate([[-u[0]], u[:-1] - u[1:], [u[-1]]]), 0) ** 1.5
         return np.concatenate([v, force[:-1] - force[1:]])
 
-    times = np.linspace(0.0, 120.0, 481)
+    times = np.linspace(0.0, 240.0, 961)
     start = np.zeros(2 * BEADS)
     start[BEADS], start[BEADS + 3] = 1.0, -0.6
-    v = solve_ivp(rate, (0, 120.0), start, method="DOP853", rtol=1e-12, atol=1e-13, t_eval=times).y[BEADS:].T
+    v = solve_ivp(rate, (0, 240.0), start, method="DOP853", rtol=1e-12, atol=1e-13, t_eval=times).y[BEADS:].T
     data = v + 0.01 * np.random.default_rng(0).normal(size=v.shape)
     return gx.Traces(times, velocity=data, sites=range(BEADS), sigma=0.01)
 
@@ -45,13 +45,13 @@ def test_one_long_window_has_a_useless_gradient_and_windows_succeed(chaotic):
     from granjax.parameters import Coordinates
 
     problem = prepared(vacuum, Coordinates({"stiffness": 1.2}), chaotic, two_strokes, 0.0, None, None)
-    value, matrix, _ = jax.jit(lambda x: problem.linearise(x))(jnp.zeros(1))
-    # the slope promises a perfect fit within a millionth of the way to the true parameter
-    slope = float(jnp.abs(matrix.T @ value)[0])
-    assert 0.5 * float(value @ value) / slope < 1e-6 * (0.2 / 1.2)
+    slope = jax.jit(lambda x: (lambda value, matrix, _: matrix[:, 0] @ value)(*problem.linearise(x)))
+    slopes = np.array([slope(jnp.array([x / 1.2])) for x in np.linspace(-0.18, 0.0, 24)])
+    # everywhere above the true parameter the slope should be positive; it is, by chance, at every second place
+    assert 4 < np.count_nonzero(slopes > 0) < 20 and np.abs(slopes).min() > 1e6
     one = gx.fit(vacuum, {"stiffness": 1.2}, chaotic, state=two_strokes, throw=False)
     assert one.reduced_chi_square > 100 and abs(float(one.parameters["stiffness"]) - 1) > 0.1
-    many = gx.fit(vacuum, {"stiffness": 1.2}, chaotic, state=two_strokes, windows=15)
+    many = gx.fit(vacuum, {"stiffness": 1.2}, chaotic, state=two_strokes, windows=40)
     assert many.reduced_chi_square < 1.1
     assert abs(float(many.parameters["stiffness"]) - 1) < 3 * float(many.deviations["stiffness"]) < 2e-3
 
