@@ -25,7 +25,19 @@ from .solvers import (  # noqa: E402
     VelocityVerlet,
 )
 from .strains import Pairs, Shift, StrainMap, Stretch  # noqa: E402
-from .terms import Bond, Damping, Dashpot, Drive, Harmonic, Modulated, OnSite, Term, Wall  # noqa: E402
+from .terms import (  # noqa: E402
+    Bond,
+    Damping,
+    Dashpot,
+    Drag,
+    Drive,
+    Harmonic,
+    Modulated,
+    OnSite,
+    Term,
+    ViscousContact,
+    Wall,
+)
 from .tuning import tune  # noqa: E402
 from .work_precision import WorkPrecision, work_precision  # noqa: E402
 

@@ -193,6 +193,8 @@ ALL_TERMS = (
     LatticeCase("dashpot_fixed", _chain(gx.Dashpot(gx.Shift(1, "fixed"), np.linspace(0, 1, 7)))),
     LatticeCase("dashpot_plane", _chain(gx.Dashpot(gx.Stretch(gx.Shift(1, "free"), [0.8, 0.6]), 0.3), dimension=2),
                 True),
+    LatticeCase("viscous_contact", _chain(gx.ViscousContact(gx.Shift(1, "free"), 0.3, overlap=0.2)), True),
+    LatticeCase("drag", _chain(gx.Drag(np.linspace(0.1, 1, 6)))),
     LatticeCase("drive", _chain(gx.Drive(_WAVE, 2))),
     LatticeCase("drive_last", _chain(gx.Drive(_at_rest, -1))),
     *(LatticeCase(f"wall_{side}", _chain(gx.Wall(gx.Hertz(1.2, 0.8), side))) for side in ("left", "right")),

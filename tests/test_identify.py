@@ -6,7 +6,8 @@ from cases import EPS
 from scipy.interpolate import BSpline
 
 import granjax as gx
-from granjax.identify import Drag, ViscousContact, library, physics_informed, regression
+from granjax import Drag, ViscousContact
+from granjax.identify import library, physics_informed, regression
 from granjax.laws import Network, Scaled, Spline
 
 N = 8

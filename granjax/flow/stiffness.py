@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from ..checks import concrete, refuse
 from ..laws import PowerLaw, Scaled, Sum, Yielding
 from ..strains import Stretch
-from ..terms import Bond, Damping, Dashpot, Drive, Modulated, OnSite, Wall
+from ..terms import Bond, Damping, Dashpot, Drag, Drive, Modulated, OnSite, ViscousContact, Wall
 from .dispatch import compiled
 
 POWER_STEPS = 40
@@ -24,7 +24,7 @@ SAMPLES = 257
 DENSE_LIMIT = 4000
 # a contact of exponent below 1 is infinitely stiff where it opens; the bound keeps this far from there
 CLOSED_FRACTION = 0.05
-_BOUNDED = (Bond, Damping, Dashpot, Drive, Modulated, OnSite, Wall)
+_BOUNDED = (Bond, Damping, Dashpot, Drag, Drive, Modulated, OnSite, ViscousContact, Wall)
 
 
 def is_bounded(lattice):

@@ -6,12 +6,11 @@ act, and how strongly, from motion seen at every site; `library` offers it granj
 of a contact is not known, `granjax.laws.Spline` and `granjax.laws.Network` are laws whose shape is free.
 """
 
-from .dissipation import Drag, ViscousContact
 from .dmd import DynamicModes, dmd, hard_threshold, snapshots
 from .pinn import Motion, PhysicsInformed, physics_informed
 from .regression import Coefficient, Regression, library, regression
 
 __all__ = [
-    "Coefficient", "Drag", "DynamicModes", "Motion", "PhysicsInformed", "Regression", "ViscousContact", "dmd",
+    "Coefficient", "DynamicModes", "Motion", "PhysicsInformed", "Regression", "dmd",
     "hard_threshold", "library", "physics_informed", "regression", "snapshots",
 ]

@@ -10,8 +10,7 @@ from scipy.interpolate import UnivariateSpline
 from ..checks import non_negative, parameter, positive, refuse, whole
 from ..lattice import Lattice
 from ..laws import Polynomial, PowerLaw, Scaled
-from ..terms import Bond, Damping, Dashpot, OnSite
-from .dissipation import Drag, ViscousContact
+from ..terms import Bond, Damping, Dashpot, Drag, OnSite, ViscousContact
 
 # condition of the scaled columns from which on coefficients are said to stand for each other
 ALIKE = 1e6

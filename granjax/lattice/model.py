@@ -25,7 +25,8 @@ class Lattice(eqx.Module):
 
     - `mass`: m > 0 [kg], one per site, an array (N,) or (N1, N2) on a grid; or a number together with `sites`; or a
       dict of those, one per named field of a cell (`{"bead": ..., "resonator": ...}`).
-    - `terms`: a tuple of `Bond`, `OnSite`, `Damping`, `Dashpot`, `Drive`, `Wall`, `Modulated`.
+    - `terms`: a tuple of `Bond`, `OnSite`, `Damping`, `Dashpot`, `ViscousContact`, `Drag`, `Drive`, `Wall`,
+      `Modulated`.
     - `sites`: number of sites (a tuple on a grid), where `mass` is a number.
     - `dimension`: `None` for scalar displacements, 2 or 3 for vectors, in a trailing axis of `u`.
 

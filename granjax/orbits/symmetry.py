@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from ..terms import Bond, Damping, Dashpot, Drive, Modulated
+from ..terms import Bond, Damping, Dashpot, Drag, Drive, Modulated, ViscousContact
 
 
 def shifts(lattice):
@@ -33,7 +33,7 @@ def _uniform(shape, lattice, i):
 
 
 def _is_free(term, one):
-    if not isinstance(term, (Bond, Dashpot)):
-        return isinstance(term, (Damping, Drive, Modulated))
+    if not isinstance(term, (Bond, Dashpot, ViscousContact)):
+        return isinstance(term, (Damping, Drag, Drive, Modulated))
     pairs = getattr(term.strain_map, "pairs", term.strain_map)
     return not np.any(np.asarray(jax.jit(pairs.strain)(one)))

@@ -11,7 +11,7 @@ from ..lattice import Lattice, State
 from ..laws import Hertz, Linear, Polynomial, PowerLaw, Scaled, Sine, Sum, Toda, Yielding
 from ..laws.base import parts_of
 from ..strains import Pairs, Shift, Stretch
-from ..terms import Bond, Damping, Dashpot, OnSite, Wall
+from ..terms import Bond, Damping, Dashpot, Drag, OnSite, ViscousContact, Wall
 
 
 class Units(eqx.Module):
@@ -93,6 +93,10 @@ _DIMENSIONS = {
     Wall: {"law": _PART},
     Damping: {"rate": (0, 0, -1)},
     Dashpot: {"strain_map": _PART, "coefficient": (1, -1, 1)},
+    ViscousContact: {
+        "strain_map": _PART, "coefficient": lambda term: (1, -1 - term.exponent, 1), "overlap": (0, 1, 0),
+    },
+    Drag: {"coefficient": (1, -2, 2)},
 }
 
 
