@@ -15,6 +15,5 @@ from .waves import dispersion
 
 __all__ = [
     "COLOURS", "branch", "breather", "corner", "dispersion", "figure", "fit", "floquet_circle", "hysteresis", "law",
-    "profile", "save",
-    "space_time", "strain_map", "style", "traces", "transmission", "work_precision",
+    "profile", "save", "space_time", "strain_map", "style", "traces", "transmission", "work_precision",
 ]
