@@ -154,9 +154,19 @@ class _Way(eqx.Module):
         def stage(carry, x):
             ah, bh, t = x
             w, pulled, gradient = carry
-            w, pull = jax.vjp(lambda free, w: self._system(free).refresh(w, t), self.free, w)
-            w, pulled, gradient = self._undone("kick", (w, pulled, gradient), bh)
-            change, pulled = pull(pulled)
+            system = self._system(self.free)
+            if hasattr(system, "spread"):
+                # what the force leaves in its slot is a buffer, not a cotangent
+                *pulled, idle = pulled
+                force = lambda free, e: self._system(free).bond.law.force(e)
+                forces, pull = jax.vjp(force, self.free, system.compression(w))
+                carry = system.filled(w, forces), (*pulled, jnp.zeros_like(idle)), gradient
+                w, pulled, gradient = self._undone("kick", carry, bh)
+                change, pulled = system.spread(pulled, pull, idle)
+            else:
+                w, pull = jax.vjp(lambda free, w: self._system(free).refresh(w, t), self.free, w)
+                w, pulled, gradient = self._undone("kick", (w, pulled, gradient), bh)
+                change, pulled = pull(pulled)
             gradient = jax.tree.map(jnp.add, gradient, change)
             return self._undone("drift", (w, pulled, gradient), ah), None
 

@@ -57,8 +57,31 @@ class ChainSplit(eqx.Module):
         return self.bond.strain_map.boundary[0] == "fixed"
 
     def _write(self, f, u):
-        force = self.bond.law.force(u[:-1] - u[1:]).astype(f.dtype)
-        return jax.lax.dynamic_update_slice(f, force, (0 if self._walls else 1,) + (0,) * (u.ndim - 1))
+        return self._put(f, self.bond.law.force(u[:-1] - u[1:]))
+
+    def _put(self, f, force):
+        return jax.lax.dynamic_update_slice(f, force.astype(f.dtype), (0 if self._walls else 1,) + (0,) * (f.ndim - 1))
+
+    def compression(self, w):
+        """The compression of every bond in a working form."""
+        return w[0][:-1] - w[0][1:]
+
+    def filled(self, w, force):
+        """The working form with these forces of the bonds."""
+        return w[0], w[1], self._put(w[2], force)
+
+    def spread(self, pulled, of_force, idle):
+        """Cotangents of a working form before its force was evaluated, given what pulls that of the force.
+
+        Like the force, its cotangent is written into a buffer that the loop carries (`idle`), so that it is evaluated
+        once.
+        """
+        u, v, f = pulled
+        first, bonds, rest = 0 if self._walls else 1, u.shape[0] - 1, [(0, 0)] * (u.ndim - 1)
+        change, c = of_force(f[first : first + bonds])
+        idle = self._put(idle, c)
+        c = idle[first : first + bonds]
+        return change, (u + jnp.pad(c, [(0, 1), *rest]) - jnp.pad(c, [(1, 0), *rest]), v, idle)
 
     def _pull(self, f):
         n = f.shape[0] - 1
