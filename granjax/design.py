@@ -74,7 +74,7 @@ def design(objective, start, *, bounds=None, maximise=False, optimiser=None, ste
     r"""Parameters that minimise (maximise) an objective, by its gradient.
 
     The optimiser moves the free coordinates of `granjax.parameters.Coordinates`: changes of order one, bounds never
-    reached. All steps are one compiled loop; the best point met is kept.
+    passed. All steps are one compiled loop; the best point met is kept.
 
     **Arguments:**
 

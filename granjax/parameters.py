@@ -8,13 +8,17 @@ from jax.flatten_util import ravel_pytree
 
 from .checks import concrete, one_of, parameter, refuse, show
 
+# part of the way to a bound that is left where a parameter counts as being there
+NEAR = 1e-4
+
 
 class Coordinates(eqx.Module):
     r"""Free coordinates x (P,) of a dict of parameters, with x = 0 at the start and changes of order one.
 
     Without bounds theta = start + scale x, scale = |start| (its largest entry, or 1 where that is zero); above a lower
     bound theta = low + (start - low) e^x, below an upper one its mirror image; between two
-    theta = low + (high - low) s, log(s/(1 - s)) = x + its value at the start. Bounds are never reached.
+    theta = low + (high - low) s, log(s/(1 - s)) = x + its value at the start. Bounds are approached, and in
+    floating point touched, but never passed.
 
     **Arguments:** `start`: dict from name to a number or an array. `bounds`: dict from name to (low, high), numbers or
     arrays, `None` for no bound; names that are left out are free.
@@ -70,6 +74,15 @@ class Coordinates(eqx.Module):
             return high - (high - start) * jnp.exp(-x)
         return low + (high - low) * jax.nn.sigmoid(x + jnp.log((start - low) / (high - start)))
 
+    def at_bounds(self, parameters):
+        """Names of the parameters with an entry that touches a bound, as nearly as floating numbers do."""
+        found = []
+        for name, start in self.start.items():
+            for bound in (self.low[name], self.high[name]):
+                if bound is not None and np.any(np.abs(parameters[name] - bound) < NEAR * np.abs(start - bound)):
+                    found.append(name)
+        return found
+
     def flat(self, parameters):
         """A dict of parameters as one vector (P,), in the order of `names`."""
         return ravel_pytree({name: jnp.broadcast_to(parameters[name], x.shape) for name, x in self.start.items()})[0]
@@ -88,5 +101,5 @@ def _interval(name, value, bounds):
     at = concrete(value)
     for bound, side, inside in ((low, "above", np.greater), (high, "below", np.less)):
         if bound is not None and at is not None and concrete(bound) is not None and not inside(at, bound).all():
-            refuse(name, f"a start {side} its bound {show(bound)}", show(at), "Bounds are not reached.")
+            refuse(name, f"a start {side} its bound {show(bound)}", show(at), "A bound is no place to start from.")
     return low, high

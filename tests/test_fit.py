@@ -164,6 +164,41 @@ def test_several_starts_and_an_unknown_noise(short):
 
 
 @pytest.mark.slow
+def test_an_offset_that_grows_and_a_bound_that_holds(short):
+    times, _, v = short
+    moved = np.linspace(0.0, 9.0, 91)
+    late = scipy_motion(moved + 5.1, 0.4, sites=6)[1][:, [1, 4]]
+    traces = gx.Traces(moved, velocity=late, sites=[1, 4], sigma=1e-3, offset="offset")
+    state = gx.states.impact(spring({"stiffness": 1.0}), 0.4)
+    fit = gx.fit(spring, {"stiffness": 1.0, "offset": 4.1}, traces, state=state)
+    assert float(fit.parameters["offset"]) == pytest.approx(5.1, rel=1e-5)
+    assert float(fit.parameters["stiffness"]) == pytest.approx(1.0, rel=1e-5)
+    traces = gx.Traces(times, velocity=v[:, [1]], sites=1, sigma=1e-3)
+    for bounds in ((0.5, 0.9), (None, 0.9)):
+        held = gx.fit(spring, {"stiffness": 0.8}, traces, state=state, bounds={"stiffness": bounds}, throw=False)
+        assert "At its bound" in held.outcome and float(held.parameters["stiffness"]) <= 0.9
+
+
+def soft(p):
+    chain = gx.Bond(gx.Shift(1, "fixed"), gx.Linear(p["stiffness"]))
+    return gx.Lattice(1.0, (chain, gx.Damping(0.05)), sites=6)
+
+
+@pytest.mark.slow
+def test_the_unit_of_the_data_does_not_matter():
+    times = np.linspace(0.0, 15.0, 151)
+    found = []
+    for unit in (1.0, 1e-6):
+        state = gx.states.impact(soft({"stiffness": 1.0}), unit)
+        run = gx.simulate(soft({"stiffness": 1.0}), state, 15.0, step=0.02, save_at=times)
+        data, sigma = noisy(np.asarray(run.vs)[:, [1, 4]], 2)
+        fit = gx.fit(soft, {"stiffness": 1.2}, gx.Traces(times, velocity=data, sites=[1, 4]), state=state)
+        assert fit.noise == pytest.approx(sigma, rel=0.1) and "Noise" in fit.outcome
+        found.append(float(fit.parameters["stiffness"]))
+    assert found[0] == pytest.approx(found[1], rel=1e-6) and found[0] == pytest.approx(1.0, rel=2e-3)
+
+
+@pytest.mark.slow
 def test_descent_reaches_what_least_squares_reach(short):
     times, _, v = short
     traces = gx.Traces(times, velocity=noisy(v[:, [1, 4]], 3)[0], sites=[1, 4], sigma=1e-3)
@@ -221,6 +256,16 @@ def test_what_cannot_be_meant_is_refused(short):
     for how in ({}, {"velocity": v, "force": v}):
         with pytest.raises(ValueError, match="expected one of velocity"):
             gx.Traces(times, **how, sites=range(6))
+    refused("gain: expected one number", traces=gx.Traces(times, velocity=v[:, [1]], sites=1, gain="gain"),
+            start={"stiffness": 1.0, "gain": np.ones(2)})
+    refused("field: expected None", traces=gx.Traces(times, velocity=v[:, [1]], sites=1, field="bead"))
+    refused("sigma: expected a number for windows", traces=gx.Traces(times, velocity=v[:, [1]], sites=1), windows=3)
+    for match, how in (("gain: expected one number", {"gain": np.ones(3)}), ("offset", {"offset": [0.0, 1.0]}),
+                       ("sites: expected whole numbers", {"sites": [1.7]})):
+        with pytest.raises(ValueError, match=match):
+            gx.Traces(times, velocity=v[:, [1]], **{"sites": [1], **how})
+    assert gx.Traces(times, velocity=v[:, [1, 2]], sites=np.array([1, 2])).places == ((1,), (2,))
+    assert gx.Traces(times, velocity=v[:, [1, 2]], sites=((0, 1), (2, 3))).places == ((0, 1), (2, 3))
     with pytest.raises(ValueError, match="velocity: expected shape"):
         gx.Traces(times, velocity=v, sites=[1])
     with pytest.raises(ValueError, match="rising times"):

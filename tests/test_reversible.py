@@ -150,6 +150,17 @@ def test_a_gradient_through_contact_loss_is_that_of_differences():
         assert float(jax.jit(jax.grad(force))(1.0, adjoint)) == pytest.approx(float(difference), rel=1e-6)
 
 
+def test_the_end_that_is_saved_and_the_energy_error():
+    def f(stiffness, adjoint, read):
+        chain = gx.scenes.monomer(4, stiffness=stiffness, precompression=1.0)
+        return read(gx.simulate(chain, gx.states.impact(chain, 0.1), 1.0, step=0.1, adjoint=adjoint, throw=False))
+
+    last = lambda run: jnp.sum(run.us[-1] ** 2 + run.vs[-1])
+    gradient = jax.grad(f)(1.0, gx.Reversible(), last)
+    assert float(gradient) == pytest.approx(float(jax.jacfwd(lambda A: f(A, None, last))(1.0)), rel=1e-11)
+    assert np.isnan(jax.grad(f)(1.0, gx.Reversible(), lambda run: run.energy_error))
+
+
 def test_what_cannot_be_undone_is_refused():
     chain = gx.scenes.monomer(4, precompression=1.0)
     state = gx.states.impact(chain)

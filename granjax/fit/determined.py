@@ -11,9 +11,11 @@ from ..terms import Bond
 
 # a relative deviation from which on a combination counts as not determined
 LOOSE = 0.3
-# a parameter takes part in a direction from this component on
+# a parameter takes part in a direction from this component on, relative to the largest
 PART = 0.2
 SINGULAR = 1e-14
+# names that one sentence lists
+MANY = 6
 
 
 class Direction(NamedTuple):
@@ -32,6 +34,7 @@ class Direction(NamedTuple):
         parts = [(w / largest, name) for w, name in zip(self.weights, names) if abs(w) > 0.05 * largest]
         flip = np.sign(parts[0][0])
         shown = [(flip * w, name) for w, name in parts]
+        shown = sorted(shown, key=lambda part: -abs(part[0]))[:MANY] if len(shown) > MANY else shown
         return " ".join(name if abs(w - 1) < 0.005 else f"{name}^{w:.2f}" for w, name in shown)
 
 
@@ -69,12 +72,12 @@ def sentences(found, names, quantities):
         return ()
     said = []
     for direction in loose:
-        taking = [name for name, w in zip(names, direction.weights) if abs(w) > PART]
+        taking = [name for name, own in zip(names, _taking(direction)) if own]
         how = "not at all" if np.isinf(direction.deviation) else f"only to {_percent(direction.deviation)}"
         what = f"{taking[0]} is" if len(taking) == 1 else f"the direction {direction.words(names)} is"
         said.append(f"The data do not determine {_and(taking)}{' apart' if len(taking) > 1 else ''}: "
                     f"{what} known {how}.")
-    involved = np.any([np.abs(direction.weights) > PART for direction in loose], axis=0)
+    involved = np.any([_taking(direction) for direction in loose], axis=0)
     for name, gradient in quantities:
         if not np.any(np.abs(gradient[involved]) > 1e-6 * np.abs(gradient).max(initial=0.0)):
             continue
@@ -82,7 +85,7 @@ def sentences(found, names, quantities):
         if deviation < LOOSE / 3:
             said.append(f"They determine {name} to {_percent(deviation)}.")
     if not any(part.startswith("They determine") for part in said):
-        firm = [d for d in found if d.deviation <= LOOSE and np.sum(np.abs(d.weights[involved]) > PART) > 1]
+        firm = [d for d in found if d.deviation <= LOOSE and np.sum(_taking(d)[involved]) > 1]
         said += [f"They determine {d.words(names)} to {_percent(d.deviation)}." for d in firm[::-1][:2]]
     return tuple(said)
 
@@ -122,9 +125,16 @@ def _along(found, gradient):
     return np.sqrt(total)
 
 
+def _taking(direction):
+    size = np.abs(direction.weights)
+    return size > PART * size.max()
+
+
 def _percent(x):
     return f"{100 * x:.2g} %" if x < 1 else f"a factor of {1 + x:.2g}"
 
 
 def _and(names):
+    if len(names) > MANY:
+        names = [*names[: MANY - 1], f"{len(names) - MANY + 1} more"]
     return names[0] if len(names) == 1 else ", ".join(names[:-1]) + " and " + names[-1]

@@ -179,6 +179,7 @@ def _table(path, delimiter):
     bad = next((row for row in rows if not _is_row(row, delimiter, comma, count)), None)
     if bad is not None:
         refuse("path", f"{count} numbers in every line after the header", repr(bad[:60]))
+    rows = [row.replace('"', "").replace("'", "") for row in rows]
     rows = [row.replace(",", ".") for row in rows] if comma else rows
     return [line for line in names if len(line) == count], np.genfromtxt(rows, delimiter=delimiter, ndmin=2)
 

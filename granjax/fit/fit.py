@@ -1,6 +1,7 @@
 """`fit`: parameters of a scene from measured traces."""
 
 import diffrax
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,8 +14,9 @@ from ..flow.inputs import checked_state
 from ..flow.method import STEP_FRACTION
 from ..parameters import Coordinates
 from ..solvers import SRKN11b
+from ..terms import Dashpot
 from .judge import judged, looked_at, way_back
-from .problem import Problem, check_places, checked_scene, known_times
+from .problem import Problem, as_state, check_places, checked_scene, known_times
 from .solve import gradient_descent, least_squares
 from .traces import checked_traces
 from .windows import cut
@@ -81,10 +83,13 @@ def fit(scene, start, traces, *, state, bounds=None, t0=0.0, step=None, solver=N
         best = int(np.argmin(costs))
         reached = reached or tuple(float(2 * c) for c in costs)
         plain = problem.problem if windows > 1 else problem
-        shorter = None if step is not None else shorter_step(plain, found.x[best, : coordinates.size])
-        if shorter is None:
+        x0, own = found.x[best : best + 1], found.x[best, : coordinates.size]
+        shorter = None if step is not None else shorter_step(plain, own)
+        later = longer(plain, own)
+        if shorter is None and later is None:
             break
-        problem, x0 = problem.with_step(shorter), found.x[best : best + 1]
+        problem = problem if shorter is None else problem.with_step(shorter)
+        problem = problem if later is None else eqx.tree_at(lambda p: p.t1, problem, later)
     return _ended(judged(problem, jax.tree.map(lambda x: x[best], found), reached, adjoint), throw)
 
 
@@ -114,8 +119,12 @@ def prepared(scene, coordinates, traces, state, t0, step, solver):
         refuse("sigma", "one for each of several traces", "None", "It says how they weigh against each other.")
     make_state = state if callable(state) else None
     given = None if make_state else checked_state(lattice, state)
-    begin = given if make_state is None else checked_state(lattice, make_state(parameters, lattice))
+    begin = given
+    if make_state is not None:
+        begin = checked_state(lattice, as_state(make_state(parameters, lattice), lattice.dtype))
     check_places(traces, lattice, begin, parameters)
+    if any(trace.data.dtype != lattice.dtype for trace in traces):
+        refuse("scene", f"a lattice of {traces[0].data.dtype}, as the traces are", f"{lattice.dtype}")
     times = known_times(traces, parameters)
     floating = any(isinstance(trace.offset, str) for trace in traces)
     length = times.max() - times.min()
@@ -137,13 +146,24 @@ def _default_step(problem, parameters):
     omega = float(frequency_bound(lattice, state, problem.t0, problem.t1))
     if not omega > 0:
         refuse("step", "a time step", "None", "Nothing is stiff at this energy, so no time scale sets one: give step=.")
-    return STEP_FRACTION / omega
+    # a chain of dashpots decays as fast as 4 c/m
+    rates = [float(jnp.max(term.coefficient)) for term in lattice.terms if isinstance(term, Dashpot)]
+    lightest = min(float(jnp.min(m)) for m in jax.tree.leaves(lattice.mass))
+    return min([STEP_FRACTION / omega, *(lightest / c for c in rates if c > 0)])
 
 
 def shorter_step(problem, x):
     """The step that the parameters x ask for, where it is much shorter than the problem's; else `None`."""
     step = _default_step(problem, problem.coordinates.parameters(x))
     return step if problem.step > TOO_LONG * step else None
+
+
+def longer(problem, x):
+    """A later end, where the offsets of the parameters x have moved samples behind the problem's; else `None`."""
+    times = known_times(problem.traces, problem.coordinates.parameters(x))
+    if times.max() <= float(problem.t1) * (1 + 1e-9):
+        return None
+    return jnp.asarray(times.max() + ROOM * np.ptp(times), problem.t1.dtype)
 
 
 def _ended(result, throw):

@@ -17,6 +17,7 @@ from .solve import BLIND, CONVERGED, NOT_FINITE, SPENT, Found
 NOTICEABLE = 0.1
 # a minimiser that has spent its steps has converged if chi^2 could fall by less: a hundredth of a deviation
 ARRIVED = 1e-4
+EXACT = 1e-30
 NEGLIGIBLE = 1e-6
 
 _linearise = eqx.filter_jit(lambda problem, x: problem.linearise(x))
@@ -45,9 +46,13 @@ def judged(problem, found, starts, adjoint="forward mode"):
     known = all(trace.sigma is not None for trace in plain.traces)
     residuals = [np.asarray(misfit(*both)) for both in zip(plain.traces, signals)]
     squares = sum(np.sum(r**2) for r in residuals)
-    noise = 1.0 if known else float(np.sqrt(squares / max(samples - flat.size, 1)))
+    # in units of the size of the data where no sigma says more
+    noise = 1.0 if known else float(np.sqrt(max(squares, EXACT) / max(samples - flat.size, 1)))
     residuals = tuple(r / noise for r in residuals)
-    sizes = np.where(flat != 0, np.abs(flat), slopes)
+    # signed, so that exponents of a product are those of its factors; near zero what the start was
+    least = np.abs(np.asarray(coordinates.flat(coordinates.start)))
+    sizes = np.where(flat < 0, -1, 1) * np.maximum(np.abs(flat), least)
+    sizes = np.where(sizes != 0, sizes, slopes)
     code, remarks, undetermined, found_directions = int(found.code), [], (), ()
     if code == SPENT and _left(value, jacobian, noise) < ARRIVED:
         code = CONVERGED
@@ -56,8 +61,11 @@ def judged(problem, found, starts, adjoint="forward mode"):
         matrix = np.full((flat.size, flat.size), np.nan)
         remarks.append(_silence(plain, parameters) if code == BLIND else "Give a start whose run stays finite.")
     else:
-        with np.errstate(divide="ignore", invalid="ignore"):
-            by_parameter = jacobian / slopes
+        held = coordinates.at_bounds(parameters)
+        if held:
+            remarks.append(f"At its bound, and beyond it if it could: {', '.join(held)}.")
+        seen = np.abs(slopes) > EXACT
+        by_parameter = np.where(seen, jacobian / np.where(seen, slopes, 1), 0.0)
         found_directions = tuple(directions(by_parameter, sizes, noise))
         matrix = covariance(found_directions, sizes)
         names = coordinates.names
@@ -67,12 +75,16 @@ def judged(problem, found, starts, adjoint="forward mode"):
         step_error = float(np.max(np.abs(np.asarray(_linearise(halved, found.x)[0]) - value))) / noise
         if step_error > NOTICEABLE:
             remarks.append(f"The time step moves the signals by up to {step_error:.2g} sigma: give a shorter step=.")
+        if not known:
+            remarks.append(f"Noise, as the residuals have it: {noise * float(plain.traces[0].size):.3g}.")
         if windows is not None:
             remarks.append(f"{windows.count} windows, which meet to {float(windows.jumps(found.x)):.2g} sigma.")
     back = way_back(plain, parameters)
-    return Fit(parameters, jnp.asarray(matrix), tuple(coordinates.names), signals, residuals, samples, noise,
-               undetermined, found_directions, tuple(remarks), int(found.steps), code, float(plain.step), step_error,
-               back, adjoint, starts, plain.traces, plain)
+    unit = 1.0 if known else float(plain.traces[0].size)
+    starts = tuple(cost / noise**2 for cost in starts)
+    return Fit(parameters, jnp.asarray(matrix), tuple(coordinates.names), signals, residuals, samples, noise * unit,
+               undetermined, found_directions, jnp.asarray(sizes), tuple(remarks), int(found.steps), code,
+               float(plain.step), step_error, back, adjoint, starts, plain.traces, plain)
 
 
 def _left(residuals, jacobian, noise):
@@ -106,11 +118,11 @@ def _silence(problem, parameters):
     times = jnp.linspace(problem.t0, problem.t1, 129)
     run = problem.run(parameters, times)
     said = []
-    bonds = [term for term in lattice.terms if isinstance(term, Bond)]
-    for i, term in enumerate(bonds):
-        if term.law.overlap(jnp.zeros(())) is None:
+    bonds = [(i, term) for i, term in enumerate(lattice.terms) if isinstance(getattr(term, "term", term), Bond)]
+    for k, (i, term) in enumerate(bonds):
+        if getattr(term, "term", term).law.overlap(jnp.zeros(())) is None:
             continue
-        gaps = jax.vmap(lambda u, v: overlap(lattice, (u, v), bond=i))(run.us, run.vs)
+        gaps = jax.vmap(lambda t, u, v: overlap(lattice, (u, v), t, bond=k))(run.ts, run.us, run.vs)
         never = np.flatnonzero(~np.any(np.asarray(gaps) > 0, axis=0))
         if never.size:
             shown = ", ".join(map(str, never[:6])) + (" ..." if never.size > 6 else "")

@@ -13,7 +13,7 @@ from ..flow import simulate
 from ..lattice import Lattice, State
 from ..measures import contact_force
 from ..parameters import Coordinates
-from .traces import Traces
+from .traces import Traces, checked_shape
 
 
 class Problem(eqx.Module):
@@ -38,7 +38,7 @@ class Problem(eqx.Module):
         if self.make_state is None:
             return self.given_state
         state = self.make_state(parameters, lattice)
-        return jax.tree.map(lambda x: jnp.asarray(x, lattice.dtype), State(*state))
+        return as_state(state, lattice.dtype)
 
     def with_step(self, step):
         """The same at another time step."""
@@ -90,9 +90,14 @@ class Problem(eqx.Module):
         return parameters[x] if isinstance(x, str) else x
 
 
+def as_state(state, dtype):
+    """A pair of arrays, lists or dicts of them as a `State` of a floating type."""
+    return jax.tree.map(lambda x: jnp.asarray(x, dtype), State(*state), is_leaf=lambda x: isinstance(x, list))
+
+
 def misfit(trace, signal):
     """(signal - data)/sigma of one trace (T, S), zero where a sample is missing."""
-    return jnp.where(trace.weights > 0, (signal - jnp.nan_to_num(trace.data)) * trace.weights, 0.0)
+    return jnp.where(trace.weights > 0, (signal - trace.data) * trace.weights, 0.0)
 
 
 def misfits(traces, signals):
@@ -111,12 +116,13 @@ def _read(trace, lattice, us, vs, times):
     return jnp.stack([x[(slice(None), *place, *vector)] for place in trace.places], axis=-1)
 
 
-def check_places(traces, lattice, state, names):
+def check_places(traces, lattice, state, parameters):
     """That every sensor is where something is, and every named gain and offset a parameter."""
     for k, trace in enumerate(traces):
         for what, x in (("gain", trace.gain), ("offset", trace.offset)):
             if isinstance(x, str):
-                one_of(f"traces[{k}].{what}", x, tuple(names))
+                one_of(f"traces[{k}].{what}", x, tuple(parameters))
+                checked_shape(x, parameters[x], *([(len(trace.places),)] if what == "gain" else []))
         name = f"traces[{k}].{'contacts' if trace.kind == 'force' else 'sites'}"
         if trace.kind == "force":
             shape = jax.eval_shape(lambda: contact_force(lattice, state, bond=trace.bond)).shape
@@ -125,6 +131,8 @@ def check_places(traces, lattice, state, names):
             if isinstance(u, dict):
                 one_of(f"traces[{k}].field", trace.field, tuple(u))
                 u = u[trace.field]
+            elif trace.field is not None:
+                refuse(f"traces[{k}].field", "None for a lattice without named fields", repr(trace.field))
             shape = u.shape if lattice.dimension is None else u.shape[:-1]
             vector = lattice.dimension is not None
             if vector != (trace.component is not None) or vector and trace.component >= lattice.dimension:

@@ -18,7 +18,8 @@ class Fit(eqx.Module):
       the fitted scene shows. `chi_square`: sum of their squares; `samples`: how many there are.
     - `noise`: standard deviation of the residuals where no sigma was given, else 1.
     - `undetermined`: sentences naming what the data do not determine, empty where they determine all. `directions`:
-      combinations of parameters with their relative deviations, the least known first.
+      combinations of parameters with their relative deviations, the least known first; relative to `sizes` (P,), the
+      parameters themselves, or their starts where those are larger.
     - `steps`, `code`, `outcome`: of the minimiser. `step_error`: change of the signals, in units of sigma, when the
       time step is halved. `return_error`: what integrating back to the start misses, relative; `adjoint`: what the
       derivatives were taken with. `starts`: chi_square that every start reached.
@@ -33,6 +34,7 @@ class Fit(eqx.Module):
     noise: float = eqx.field(static=True)
     undetermined: tuple = eqx.field(static=True)
     directions: tuple
+    sizes: jax.Array
     remarks: tuple = eqx.field(static=True)
     steps: int = eqx.field(static=True)
     code: int = eqx.field(static=True)
@@ -90,13 +92,13 @@ class Fit(eqx.Module):
     def outcome(self):
         """What became of it, in sentences: convergence, agreement with the noise, what is not determined."""
         how = {
-            CONVERGED: f"Converged in {self.steps} steps", SPENT: f"Not converged in {self.steps} steps, all allowed",
+            CONVERGED: f"Converged in {self.steps} steps", SPENT: f"Not converged after {self.steps} steps",
             NOT_FINITE: "Failed: the residuals are not finite at the start or near it",
             BLIND: "Failed: the traces do not depend on the parameters at the start",
         }[self.code]
         said = [f"{how}; chi^2 per degree of freedom {self.reduced_chi_square:.3g}."]
         if len(self.starts) > 1:
-            near = sum(c < 1.001 * min(self.starts) + 1e-9 for c in self.starts)
+            near = sum(c <= 1.001 * min(self.starts) for c in self.starts)
             said.append(f"{near} of {len(self.starts)} starts reached it.")
         return " ".join([*said, *self.remarks, *self.undetermined])
 

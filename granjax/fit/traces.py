@@ -23,7 +23,7 @@ class Traces(eqx.Module):
     - `sigma` > 0: standard deviation of the noise, in units of the data; a number, one per sensor (S,), or (T, S).
       `None`: one unknown number, taken from the residuals.
     - `gain`: a number, one per sensor, or the name of a parameter. `offset`: time of the scene at the recorder's time
-      0 [s], a number or the name of a parameter; before it starts the scene stands as it was.
+      0 [s], a number or the name of a parameter; what was recorded before t0 is compared with the state at t0.
     - `field`: where a cell holds several. `component`: of the displacements, where they are vectors.
 
     **Raises** ValueError for times that do not rise, data of another shape, no sensor, sigma <= 0.
@@ -50,8 +50,7 @@ class Traces(eqx.Module):
         where, name = (contacts, "contacts") if self.kind == "force" else (sites, "sites")
         if where is None:
             refuse(name, f"where the {self.kind} was measured", "None")
-        where = [where] if isinstance(where, (int, np.integer, tuple)) else list(where)
-        self.places = tuple(tuple(int(i) for i in p) if isinstance(p, (tuple, list)) else (int(p),) for p in where)
+        self.places = _places(name, where)
         self.times = parameter("times", times)
         value = concrete(self.times)
         if self.times.ndim != 1 or value is not None and (value.size < 2 or not (np.diff(value) > 0).all()):
@@ -67,8 +66,8 @@ class Traces(eqx.Module):
         self.sigma = None if sigma is None else positive("sigma", sigma, "It is the noise's standard deviation.")
         if self.sigma is not None and np.broadcast_shapes(self.sigma.shape, wanted) != wanted:
             refuse("sigma", f"a number, or shape {wanted[1:]} or {wanted}", f"shape {self.sigma.shape}")
-        self.gain = gain if isinstance(gain, str) else parameter("gain", gain)
-        self.offset = offset if isinstance(offset, str) else parameter("offset", offset)
+        self.gain = gain if isinstance(gain, str) else checked_shape("gain", parameter("gain", gain), wanted[1:])
+        self.offset = offset if isinstance(offset, str) else checked_shape("offset", parameter("offset", offset))
         self.bond, self.field = whole("bond", bond), field
         self.component = None if component is None else whole("component", component)
 
@@ -82,7 +81,14 @@ class Traces(eqx.Module):
     def weights(self):
         """1/sigma where there is a number, 0 where there is none (T, S)."""
         known = jnp.isfinite(self.data)
-        return jnp.where(known, 1.0 if self.sigma is None else 1 / self.sigma, 0.0)
+        return jnp.where(known, 1 / (self.size if self.sigma is None else self.sigma), 0.0)
+
+    @property
+    def size(self):
+        """Root mean square of the data, the unit of residuals while the noise is not known."""
+        known = jnp.isfinite(self.data)
+        square = jnp.sum(jnp.where(known, self.data, 0) ** 2) / jnp.maximum(jnp.sum(known), 1)
+        return jnp.where(square > 0, jnp.sqrt(square), 1.0)
 
     def window(self, start, stop):
         """The traces between two samples."""
@@ -91,6 +97,24 @@ class Traces(eqx.Module):
             sigma = sigma[start:stop]
         parts = (self.times[start:stop], self.data[start:stop], sigma)
         return eqx.tree_at(lambda t: (t.times, t.data, t.sigma), self, parts, is_leaf=lambda x: x is None)
+
+
+def checked_shape(name, x, *others):
+    """An array that is a number or has one of some shapes."""
+    if jnp.shape(x) not in ((), *others):
+        shown = "".join(f", or shape {shape}" for shape in others)
+        refuse(name, f"one number{shown}", f"shape {jnp.shape(x)}")
+    return x
+
+
+def _places(name, where):
+    """Indices of the sensors, each a tuple; one tuple is one place on a grid."""
+    single = isinstance(where, tuple) and all(isinstance(i, (int, np.integer)) for i in where) or np.ndim(where) == 0
+    where = [where] if single else list(where)
+    places = [np.atleast_1d(np.asarray(place)) for place in where]
+    if not places or any(place.ndim != 1 or place.dtype.kind not in "iu" for place in places):
+        refuse(name, "whole numbers, such as [2, 5] (tuples on a grid: [(1, 2), (3, 4)])", repr(where))
+    return tuple(tuple(int(i) for i in place) for place in places)
 
 
 def checked_traces(traces):

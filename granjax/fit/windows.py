@@ -133,6 +133,8 @@ def cut(problem, count):
               for trace in problem.traces]
     times = clocks[0]
     for k, clock in enumerate(clocks):
+        if problem.traces[k].sigma is None:
+            refuse("sigma", "a number for windows, which have to meet within the noise", "None")
         if clock is None or not np.array_equal(clock, times):
             refuse("windows", "traces that were sampled together, without an unknown offset", f"traces[{k}]")
     if count > times.size // 2:
@@ -160,7 +162,7 @@ def cut(problem, count):
     scale = ravel_pytree(State(*(jax.tree.map(lambda x: jnp.full_like(x, size), part)
                                  for part, size in zip(state, largest))))[0]
     noise = max(float(jnp.max(1 / jnp.where(trace.weights > 0, trace.weights, jnp.inf)) / jnp.max(jnp.abs(
-        jnp.nan_to_num(trace.data)))) for trace in problem.traces)
+        jnp.where(jnp.isfinite(trace.data), trace.data, 0)))) for trace in problem.traces)
     return Windows(problem, starts, scale, MEETING * noise * scale, jnp.asarray(edges), parts,
                    jnp.asarray(np.flatnonzero(~repeated)), unravel)
 
@@ -173,7 +175,7 @@ def _leg(problem, parameters, state):
 def _parted(trace, samples, repeated):
     """A trace with its samples on a leading axis of windows; those that are repeated count as missing."""
     count = len(samples)
-    sigma = jnp.broadcast_to(1.0 if trace.sigma is None else trace.sigma, trace.data.shape)[samples]
+    sigma = jnp.broadcast_to(trace.sigma, trace.data.shape)[samples]
     data = jnp.where(repeated[..., None], jnp.nan, trace.data[samples])
     gain, offset = (x if isinstance(x, str) else jnp.broadcast_to(x, (count, *jnp.shape(x)))
                     for x in (trace.gain, trace.offset))

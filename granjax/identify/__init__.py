@@ -1,16 +1,22 @@
-"""Identification of a lattice from data, without a fit of trajectories.
+"""Identification of a lattice from data.
 
-`dmd` finds frequencies and decay rates from snapshots of any sensors, without a model. `regression` finds which terms
-act, and how strongly, from motion seen at every site; `library` offers it granjax's own terms as candidates.
-`physics_informed` finds parameters from a few sensors by a network that obeys the equation of motion. Where the form
-of a contact is not known, `granjax.laws.Spline` and `granjax.laws.Network` are laws whose shape is free.
+`law` finds the force law of contacts, of a formula or of free shape, and `compare` says which of several models the
+traces speak for; both by `granjax.fit`, as `wall_modulus` does for the wall at the end of a chain. Without a fit of
+trajectories: `dmd` finds frequencies and decay rates from snapshots of any sensors, without a model. `regression` finds
+which terms act, and how strongly, from motion seen at every site; `library` offers it granjax's own terms as
+candidates. `physics_informed` finds parameters from a few sensors by a network that obeys the equation of motion.
 """
 
+from .compare import Comparison, compare
 from .dmd import DynamicModes, dmd, hard_threshold, snapshots
+from .families import Series
+from .law import ForceLaw, law
 from .pinn import Motion, PhysicsInformed, physics_informed
 from .regression import Coefficient, Regression, library, regression
+from .wall import WallModulus, wall_modulus
 
 __all__ = [
-    "Coefficient", "DynamicModes", "Motion", "PhysicsInformed", "Regression", "dmd",
-    "hard_threshold", "library", "physics_informed", "regression", "snapshots",
+    "Coefficient", "Comparison", "DynamicModes", "ForceLaw", "Motion", "PhysicsInformed", "Regression", "Series",
+    "WallModulus", "compare", "dmd", "hard_threshold", "law", "library", "physics_informed", "regression", "snapshots",
+    "wall_modulus",
 ]

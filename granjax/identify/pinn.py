@@ -1,4 +1,10 @@
-"""A physics-informed network: motion and parameters of a lattice from a few sensors, without integrating it."""
+"""A physics-informed network: motion and parameters of a lattice from a few sensors, without integrating it.
+
+Six damped Hertz contacts, three sensors and 1 % of noise, on the same data: the network takes 34 s and misses the
+damping by 0.9 %, the stiffness by 2e-4; `granjax.fit` takes 0.4 s (30 s with its compilation) and misses them by
+2e-4 and 4e-5, from a stiffness three times too small or too large as well, with a covariance. So fit where the initial
+state is known or has few unknowns; the network is for short records whose initial state is not known.
+"""
 
 import math
 import time

@@ -1,0 +1,158 @@
+"""Families of force laws: where a search begins, which numbers of a law it moves, and within which bounds."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..checks import concrete, one_of, parameter, positive, refuse
+from ..laws import Hertz, Law, Network, PowerLaw, Sine, Spline, Toda
+
+KNOTS, UNITS = 7, 6
+FAMILIES = ("power law", "polynomial", "spline", "network")
+
+_POSITIVE = {
+    (Hertz, "stiffness"), (Hertz, "precompression"), (PowerLaw, "stiffness"), (PowerLaw, "precompression"),
+    (PowerLaw, "exponent"), (Sine, "wavenumber"), (Spline, "coefficients"), (Toda, "strength"), (Toda, "rate"),
+}
+# units, and preloads that the force from equilibrium does not hold
+_HELD = {(kind, name) for kind in ("Network", "Series", "Spline") for name in ("strain", "scale", "preload")}
+
+
+class Series(Law):
+    r"""A polynomial of any degree through the origin: F(e) = F_s sum_{k=1}^n c_k (e/e_s)^k.
+
+    **Arguments:** `coefficients`: c_1 ... c_n, (n,), or (n, bonds) for one law per bond; `strain`: e_s > 0 [m] and
+    `force`: F_s > 0 [N], about the largest that occur, so that the c_k are of order one. The linear stiffness is
+    c_1 F_s/e_s. Far beyond the strains that it was fitted to its force may fall, and a run escape.
+    **Raises** ValueError for e_s, F_s <= 0 or no coefficient.
+    """
+
+    _coefficients: tuple[jax.Array, ...]
+    strain: jax.Array
+    scale: jax.Array
+
+    def __init__(self, coefficients, strain=1.0, force=1.0):
+        coefficients = parameter("coefficients", coefficients)
+        if coefficients.ndim == 0 or coefficients.shape[0] == 0:
+            refuse("coefficients", "one or more numbers, c_1 first", f"shape {coefficients.shape}")
+        # a leaf for each: scalars, or arrays over the bonds, as the parameters of any law
+        self._coefficients = tuple(coefficients)
+        self.strain, self.scale = positive("strain", strain), positive("force", force)
+
+    @property
+    def coefficients(self):
+        """c_1 ... c_n, (n,)."""
+        return jnp.stack(self._coefficients)
+
+    def force(self, e):
+        return self.scale * self._sum(e / self.strain, [1] * len(self._coefficients))
+
+    def energy(self, e):
+        x = e / self.strain
+        return self.scale * self.strain * x * self._sum(x, range(2, len(self._coefficients) + 2))
+
+    def _sum(self, x, divisors):
+        total = 0.0
+        for c, divisor in list(zip(self._coefficients, divisors))[::-1]:
+            total = (total + c / divisor) * x
+        return total
+
+
+def starting_law(family, stiffness, reach):
+    """(law, names of its numbers that stay) of a named family: linear stiffness [N/m], for strains low ... high [m]."""
+    one_of("family", family, FAMILIES)
+    low, high = reach
+    size = max(-low, high)
+    if family == "power law":
+        # d0 = size
+        A = stiffness / (1.5 * size**0.5)
+        return PowerLaw(A, jnp.asarray(1.5), A * size**1.5), ()
+    if family == "polynomial":
+        return Series([1.0, 0.0, 0.0, 0.0, 0.0], size, stiffness * size), ()
+    if family == "spline":
+        return Spline(np.linspace(low, high, KNOTS), np.full(KNOTS + 1, stiffness)), ()
+    # slopes and thresholds p, b stay: what they share with the weights no trace tells apart, and a search never ends.
+    # Units over twice the strains are wide enough for a smooth force
+    hidden = tuple(f"parameters[{i}]" for i in range(2 * UNITS))
+    return Network(UNITS, 2 * size, 2 * stiffness * size, monotone=False), hidden
+
+
+class Leaf(NamedTuple):
+    """One floating leaf of a law: its name, its value, whether it is held, and its bounds."""
+
+    name: str
+    value: Any
+    held: bool
+    bounds: tuple | None
+
+
+def leaves_of(law):
+    """The leaves of a law, in the order in which it is flattened."""
+    return [_leaf(law, path, value) for path, value in jax.tree_util.tree_flatten_with_path(law)[0]]
+
+
+def _leaf(law, path, value):
+    owner, kind, name, parts = law, type(law), "", []
+    for key in path:
+        if isinstance(owner, Law):
+            kind, name = type(owner), getattr(key, "name", "").removeprefix("_").removeprefix("free_")
+            parts.append(name)
+            owner = getattr(owner, key.name)
+        else:
+            parts[-1] += f"[{getattr(key, 'idx', getattr(key, 'key', key))}]"
+            owner = owner[getattr(key, "idx", getattr(key, "key", None))]
+    at = concrete(value)
+    bounds = None
+    if (kind, name) in _POSITIVE and at is not None and at.any():
+        bounds = (0.0, None) if (at > 0).all() else (None, 0.0)
+    floating = isinstance(value, jax.Array) and jnp.issubdtype(value.dtype, jnp.floating)
+    return Leaf(".".join(parts), value, not floating or (kind.__name__, name) in _HELD, bounds)
+
+
+class LawScene(NamedTuple):
+    """A scene as a function of a dict of parameters, from one that is a function of a law: equal ones compile once."""
+
+    scene: Callable
+    structure: Any
+    # of every leaf, its name where it moves, else its value as nested tuples
+    places: tuple
+    others: tuple
+
+    def law(self, parameters):
+        """The law of some parameters."""
+        leaves = [parameters[x] if isinstance(x, str) else jnp.asarray(x) for x in self.places]
+        return jax.tree.unflatten(self.structure, leaves)
+
+    def __call__(self, parameters):
+        return self.lattice(self.law(parameters), parameters)
+
+    def lattice(self, law, parameters):
+        """The lattice of a law and of the other parameters."""
+        return self.scene(law, {name: parameters[name] for name in self.others}) if self.others else self.scene(law)
+
+
+def law_scene(scene, law, others, hold):
+    """(`LawScene`, start, bounds) of a law and other parameters."""
+    leaves = leaves_of(law)
+    names = [leaf.name for leaf in leaves if not leaf.held]
+    for name in hold:
+        one_of("hold", name, names)
+    moving = [leaf for leaf in leaves if not leaf.held and leaf.name not in hold]
+    if not moving:
+        refuse("family", "a law with a number to move", f"{type(law).__name__} without one",
+               "An exponent moves where it is an array: PowerLaw(1.0, jnp.asarray(1.5), 1.0).")
+    both = {leaf.name for leaf in moving} & set(others)
+    if both:
+        refuse("others", f"names other than the law's {names}", f"{sorted(both)}")
+    chosen = {leaf.name for leaf in moving}
+    places = tuple(leaf.name if leaf.name in chosen else _frozen(np.asarray(leaf.value).tolist()) for leaf in leaves)
+    start = {**{leaf.name: leaf.value for leaf in moving}, **others}
+    bounds = {leaf.name: leaf.bounds for leaf in moving if leaf.bounds is not None}
+    return LawScene(scene, jax.tree.structure(law), places, tuple(sorted(others))), start, bounds
+
+
+def _frozen(x):
+    return tuple(map(_frozen, x)) if isinstance(x, list) else x

@@ -1,0 +1,203 @@
+"""A force law from traces: the law that a scene must have to move as it was measured to."""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+
+from ..checks import parameter, positive, refuse, whole
+from ..fit import Fit, fit
+from ..fit.fit import prepared
+from ..fit.problem import known_times
+from ..fit.traces import checked_traces
+from ..laws import Law, Linear
+from ..parameters import Coordinates
+from ..terms import Modulated, OnSite, Wall
+from .families import LawScene, law_scene, starting_law
+
+# room around the strains of the linear run that a family is made for
+WIDER = 1.2
+# frames a time step, by which strains between steps are not missed
+FRAMES = 4
+
+
+class ForceLaw(eqx.Module):
+    """What `law` returns.
+
+    - `law`: the identified `Law`; `fit`: the `Fit`, with the numbers of the law and other parameters; `scene`: the
+      scene as a function of their dict.
+    - `strain_range`: (least, largest) strain of any bond that the law acts on, along the fitted run [m]. Outside of it
+      nothing is claimed.
+    """
+
+    law: Law
+    fit: Fit
+    strain_range: tuple[float, float]
+    scene: LawScene = eqx.field(static=True)
+
+    def force(self, e):
+        """(force, standard deviation) at strains e [N], by the delta method; NaN outside of `strain_range`."""
+        e = np.asarray(parameter("e", e))
+        with np.errstate(invalid="ignore"):
+            inside = (e >= self.strain_range[0]) & (e <= self.strain_range[1])
+        force, gradients = _with_gradients(self.scene, self.fit.parameters, jnp.asarray(np.where(inside, e, 0.0)))
+        deviation = _along(self.fit, np.asarray(gradients))
+        return np.where(inside, force, np.nan), np.where(inside, deviation, np.nan)
+
+    def band(self, points=201, deviations=2.0):
+        """(strain, force, low, high), each (points,), over the strain range: the force and deviations to each side."""
+        deviations = float(positive("deviations", deviations))
+        e = np.linspace(*self.strain_range, whole("points", points, 2))
+        force, deviation = self.force(e)
+        return e, force, force - deviations * deviation, force + deviations * deviation
+
+    @property
+    def outcome(self):
+        """What became of it, in sentences."""
+        low, high = self.strain_range
+        _, force, bottom, top = self.band(deviations=1.0)
+        worst = float(np.max(top - bottom)) / 2 / float(np.max(np.abs(force)))
+        known = f"to {100 * worst:.2g} % of its largest" if worst < 1 else "not everywhere as well as its own size"
+        # a number of the law may stay open where its force does not
+        said = dataclasses.replace(self.fit, undetermined=()).outcome
+        return f"The force from e = {low:.3g} to {high:.3g} is known {known} (one standard deviation). {said}"
+
+
+def law(scene, family, traces, *, state, stiffness=None, reach=None, others=None, hold=(), bounds=None, stages=4,
+        **options):
+    r"""The force law of contacts, from traces of some sensors.
+
+    `granjax.fit` over the numbers of a law: those of a formula, or of a law of free shape where no formula is known.
+
+    **Arguments:**
+
+    - `scene`: a function of the law that returns a `Lattice`,
+      `lambda law: Lattice(1.0, (Bond(Shift(1, "fixed"), law), Damping(0.02)), sites=20)`; with `others` a function of
+      the law and their dict.
+    - `family`: `"power law"` (A, p and F0 move), `"polynomial"` (of degree 5), `"spline"` (monotone, 7 even knots) or
+      `"network"` (one layer of 6 units that stay, whose weights move); or a `Law` where the search begins, all of whose
+      numbers move: an exponent that is an array, not the scales of a `Network`, not the preload of a `Spline`.
+    - `traces`, `state`: as in `fit`.
+    - `stiffness`: rough linear stiffness [N/m], where a family is named. `reach`: (low, high), strains it is made for
+      [m], low < 0 < high; `None` takes 1.2 times those of a linear run.
+    - `others`: dict of further parameters with their starts, such as a damping. `hold`: names of numbers of the law
+      that are known and stay, such as "precompression".
+    - `bounds`: dict from names to (low, high); stiffnesses, precompressions and exponents keep their sign anyway.
+    - `stages`: the record is taken up in parts that double, the first a share of 1/2^(stages - 1), so that no phase is
+      lost by a whole turn on the way.
+    - `options`: of `fit` (`t0`, `step`, `windows`, `starts`, `throw`, ...).
+
+    **Returns:** `ForceLaw`. Traces of velocities see forces from equilibrium, not the preload: a static precompression
+    is known only through the shape of a formula. Where strains stay small beside d0 a power law's A, p and F0 are not
+    known apart, while its force is. Deviations hold where the family holds the law: what a spline, a polynomial or a
+    network cannot bend to is not in them, but in chi^2.
+    **Raises** ValueError for input that cannot be meant, among it a scene in which the law acts on nothing;
+    RuntimeError where the fit fails. Typical: 20 beads, 4 to 8 sensors, strains up to the static overlap.
+    Source: the delta method, e.g. Seber, Wild, Nonlinear Regression (1989), section 2.8.
+    """
+    others = {} if others is None else dict(others)
+    if isinstance(family, str):
+        if stiffness is None:
+            refuse("stiffness", "the linear stiffness, about", "None", "Sound speed c = a sqrt(K/m) gives it.")
+        stiffness = float(positive("stiffness", stiffness))
+        reach = _linear_reach(scene, stiffness, traces, state, others, options) if reach is None else reach
+        family, stays = starting_law(family, stiffness, _checked_reach(reach))
+        hold = (*hold, *stays)
+    elif not isinstance(family, Law):
+        refuse("family", "a family's name, or a Law to begin with", repr(family))
+    of_law, start, own = law_scene(scene, family, others, hold)
+    acting = _acting(of_law, start)
+    traces, bounds = checked_traces(traces), {**own, **(bounds or {})}
+    for share in 0.5 ** np.arange(whole("stages", stages, 1) - 1, 0, -1):
+        early = [_until(trace, share) for trace in traces]
+        start = fit(of_law, start, early, state=state, bounds=bounds, **{**options, "throw": False}).parameters
+    found = fit(of_law, start, traces, state=state, bounds=bounds, **options)
+    return ForceLaw(of_law.law(found.parameters), found, _visited(acting, found.problem, found.parameters), of_law)
+
+
+def _until(trace, share):
+    """The trace with nothing after a share of its record."""
+    late = trace.times - trace.times[0] > share * (trace.times[-1] - trace.times[0])
+    return eqx.tree_at(lambda trace: trace.data, trace, jnp.where(late[:, None], jnp.nan, trace.data))
+
+
+def _linear_reach(scene, stiffness, traces, state, others, options):
+    of_law, start, _ = law_scene(scene, Linear(stiffness), others, ())
+    acting = _acting(of_law, start)
+    given = [options.get("t0", 0.0), options.get("step"), options.get("solver")]
+    problem = prepared(of_law, Coordinates(start), traces, state, *given)
+    low, high = _visited(acting, problem, problem.coordinates.start)
+    return WIDER * low, WIDER * high
+
+
+def _checked_reach(reach):
+    reach = np.asarray(parameter("reach", reach))
+    if reach.shape != (2,) or not reach[0] < 0 < reach[1]:
+        refuse("reach", "(low, high) with low < 0 < high", repr(reach.tolist()), "0 is equilibrium.")
+    return tuple(map(float, reach))
+
+
+def _acting(of_law, parameters):
+    """The terms of the scene that the law acts in, by index."""
+    marked = of_law.law(parameters)
+    lattice = of_law.lattice(marked, parameters)
+    acting = tuple(i for i, term in enumerate(lattice.terms) if _holds(term, marked))
+    if not acting:
+        refuse("scene", "a scene in which the law acts on bonds or sites", f"{lattice}",
+               "Use the law as it comes, Bond(Shift(1, 'fixed'), law).")
+    return acting
+
+
+def _visited(acting, problem, parameters):
+    """Least and largest strain of what the law acts on, up to the last sample."""
+    last = float(known_times(problem.traces, parameters).max())
+    frames = int(np.ceil((last - float(problem.t0)) / float(problem.step))) * FRAMES + 1
+    times = jnp.linspace(problem.t0, last, frames)
+    return tuple(map(float, _extremes(problem, parameters, times, acting)))
+
+
+@eqx.filter_jit
+def _extremes(problem, parameters, times, acting):
+    run, terms = problem.run(parameters, times), problem.lattice(parameters).terms
+    strains = [jax.vmap(lambda t, u, i=i: _strain(terms[i], t, u))(times, run.us) for i in acting]
+    return jnp.min(jnp.stack([jnp.min(e) for e in strains])), jnp.max(jnp.stack([jnp.max(e) for e in strains]))
+
+
+def _holds(term, law):
+    return any(part is law for part in jax.tree.leaves(term, is_leaf=lambda part: part is law))
+
+
+def _strain(term, t, u):
+    term = term.term if isinstance(term, Modulated) else term
+    if isinstance(term, Wall):
+        return term.compression(t, u)
+    if isinstance(term, OnSite):
+        return u if term.field is None else u[term.field]
+    return term.strain_map.strain(u)
+
+
+@eqx.filter_jit
+def _with_gradients(scene, parameters, e):
+    """The force at strains e and its derivatives with respect to every parameter (strains, P)."""
+    flat, back = ravel_pytree(parameters)
+    return scene.law(parameters).force(e), jax.jacfwd(lambda flat: scene.law(back(flat)).force(e))(flat)
+
+
+def _along(fit, gradients):
+    """Standard deviation of quantities with some gradients (..., P), direction by direction.
+
+    Summed so, and not through the covariance, since directions that the data hardly see cancel in what they do see.
+    """
+    relative = gradients * np.asarray(fit.sizes)
+    total = np.zeros(gradients.shape[:-1])
+    for direction in fit.directions:
+        share = relative @ direction.weights
+        if np.isinf(direction.deviation):
+            seen = np.abs(share) > 1e-6 * np.linalg.norm(relative, axis=-1)
+            total = np.where(seen, np.inf, total)
+        else:
+            total = total + (share * direction.deviation) ** 2
+    return np.sqrt(total)
