@@ -87,6 +87,7 @@ def test_a_fit_of_noisy_traces(velocities):
     assert np.abs(np.asarray(fit.signals[0]) - velocities).max() < 0.01 * np.abs(velocities).max()
 
 
+@pytest.mark.slow
 def test_small_strains_determine_the_linear_stiffness_alone():
     data, sigma = noisy(scipy_motion(TIMES, 1e-3)[1][:, SITES], 0)
     fit = gx.fit(scene, START, gx.Traces(TIMES, velocity=data, sites=SITES, sigma=sigma), state=tapped, throw=False)

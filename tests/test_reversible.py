@@ -76,6 +76,7 @@ def test_every_splitting_method_is_undone(solver):
     assert np.allclose(gradient, forward, rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_integrating_backwards_in_a_batch_and_the_return_error():
     chains = jax.vmap(lambda r: gx.scenes.dimer(6, ratio=r, precompression=1.0), out_axes=-1)(jnp.array([0.5, 0.8]))
 
