@@ -119,6 +119,19 @@ def claims():
         f"thread, takes {tasks[worst]:.1f}.",
         {"ratios": tasks, "slowest": worst}, "flags.json: tasks",
     )
+    undone = [r for r in data("gradient")["rows"] if r["scene"] == "precompressed" and r["adjoint"] == "Reversible"]
+    longest, slowest = max(undone, key=lambda r: r["steps"])["steps"], max(r["ratio"] for r in undone)
+    kept = {r["bytes"] for r in undone if r["parameters"] == "one stiffness"}
+    yield (
+        "README.md",
+        f"a gradient of 100 to {longest} steps of 100 beads takes {min(r['ratio'] for r in undone):.1f} to "
+        f"{slowest:.1f} times the run and {max(kept) / 1000:.0f} kB, however many the steps",
+        {"ratio": [r["ratio"] for r in undone], "bytes": sorted(kept)}, "gradient.json: rows",
+    )
+    yield (
+        "README.md", f"a fit of four parameters to 1600 samples {data('gradient')['fit']['seconds']:.1f} s once compiled",
+        {"seconds": data("gradient")["fit"]["seconds"]}, "gradient.json: fit",
+    )
     yield (
         "granjax/solvers/nystrom.py", "Contact loss below 1e-5",
         {"RKN86 over the best splitting method at 1e-5": _own("impact", "1e-05", "RKN86")},

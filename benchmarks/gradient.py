@@ -164,7 +164,7 @@ def drawn(result):
             ax.set_ylabel(label)
         axes[0].set_yscale("log")
         axes[1].set_ylim(0)
-        axes[0].legend(fontsize=6)
+        axes[1].legend(fontsize=6.5, loc="lower right")
         figure.savefig(HERE / "gradient.png", dpi=150)
 
 
