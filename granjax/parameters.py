@@ -4,7 +4,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.flatten_util import ravel_pytree
 
 from .checks import concrete, one_of, parameter, refuse, show
 
@@ -29,6 +28,7 @@ class Coordinates(eqx.Module):
     low: dict
     high: dict
     scale: dict
+    order: tuple[str, ...] = eqx.field(static=True)
 
     def __init__(self, start, bounds=None):
         if not isinstance(start, dict) or not start or not all(isinstance(name, str) for name in start):
@@ -36,7 +36,8 @@ class Coordinates(eqx.Module):
         bounds = {} if bounds is None else bounds
         for name in bounds:
             one_of("bounds", name, tuple(start))
-        self.start = {name: parameter(name, value) for name, value in sorted(start.items())}
+        self.start = {name: parameter(name, value) for name, value in start.items()}
+        self.order = tuple(start)
         self.low, self.high = {}, {}
         for name, value in self.start.items():
             self.low[name], self.high[name] = _interval(name, value, bounds.get(name))
@@ -45,9 +46,10 @@ class Coordinates(eqx.Module):
 
     @property
     def names(self):
-        """A name for every free number, in order: "damping", "stiffness[0]", "stiffness[1]", ..."""
+        """A name for every free number, in the order of the start: "damping", "stiffness[0]", "stiffness[1]", ..."""
         names = []
-        for name, value in self.start.items():
+        for name in self.order:
+            value = self.start[name]
             if value.ndim == 0:
                 names.append(name)
             else:
@@ -61,8 +63,8 @@ class Coordinates(eqx.Module):
 
     def parameters(self, x):
         """The dict of parameters at x (P,)."""
-        parts = ravel_pytree(self.start)[1](x)
-        return {name: self._at(name, parts[name]) for name in self.start}
+        parts = self.unflat(x)
+        return {name: self._at(name, parts[name]) for name in self.order}
 
     def _at(self, name, x):
         start, low, high = self.start[name], self.low[name], self.high[name]
@@ -77,7 +79,8 @@ class Coordinates(eqx.Module):
     def at_bounds(self, parameters):
         """Names of the parameters with an entry that touches a bound, as nearly as floating numbers do."""
         found = []
-        for name, start in self.start.items():
+        for name in self.order:
+            start = self.start[name]
             for bound in (self.low[name], self.high[name]):
                 if bound is not None and np.any(np.abs(parameters[name] - bound) < NEAR * np.abs(start - bound)):
                     found.append(name)
@@ -85,7 +88,14 @@ class Coordinates(eqx.Module):
 
     def flat(self, parameters):
         """A dict of parameters as one vector (P,), in the order of `names`."""
-        return ravel_pytree({name: jnp.broadcast_to(parameters[name], x.shape) for name, x in self.start.items()})[0]
+        parts = [jnp.broadcast_to(parameters[name], self.start[name].shape).ravel() for name in self.order]
+        return jnp.concatenate(parts)
+
+    def unflat(self, vector):
+        """The inverse of `flat`: a vector (P,) as a dict of the parameters' shapes."""
+        ends = np.cumsum([self.start[name].size for name in self.order])[:-1]
+        shapes = [self.start[name].shape for name in self.order]
+        return {name: part.reshape(shape) for name, part, shape in zip(self.order, jnp.split(vector, ends), shapes)}
 
     def slopes(self, x):
         """d theta/d x at x, (P,): every parameter has a coordinate of its own."""

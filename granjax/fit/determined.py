@@ -110,7 +110,7 @@ def quantities(problem, parameters, flat, sizes):
 
 
 def _unflat(problem, theta):
-    return jax.flatten_util.ravel_pytree(problem.coordinates.start)[1](theta)
+    return problem.coordinates.unflat(theta)
 
 
 def _along(found, gradient):

@@ -2,6 +2,7 @@
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from .solve import BLIND, CONVERGED, NOT_FINITE, SPENT
@@ -65,7 +66,7 @@ class Fit(eqx.Module):
     def deviations(self):
         """Standard deviation of every parameter, a dict of the same shapes."""
         flat = np.sqrt(np.diag(np.asarray(self.covariance)))
-        return jax.tree.map(np.asarray, jax.flatten_util.ravel_pytree(self.parameters)[1](flat))
+        return {name: np.asarray(x) for name, x in self.problem.coordinates.unflat(jnp.asarray(flat)).items()}
 
     @property
     def correlations(self):
@@ -104,7 +105,7 @@ class Fit(eqx.Module):
 
     def __repr__(self):
         rows = []
-        flat = jax.flatten_util.ravel_pytree(self.parameters)[0]
+        flat = self.problem.coordinates.flat(self.parameters)
         for name, value, variance in zip(self.names, np.asarray(flat), np.diag(np.asarray(self.covariance))):
             rows.append(f"{name:<15}{value:.8g} +- {np.sqrt(variance):.2g}")
         rows += [f"{'adjoint':<15}{self.adjoint}, return error {self.return_error:.1e}",

@@ -6,7 +6,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.flatten_util import ravel_pytree
 
 from ..checks import parameter, positive, refuse, whole
 from ..fit import Fit, fit
@@ -43,7 +42,8 @@ class ForceLaw(eqx.Module):
         e = np.asarray(parameter("e", e))
         with np.errstate(invalid="ignore"):
             inside = (e >= self.strain_range[0]) & (e <= self.strain_range[1])
-        force, gradients = _with_gradients(self.scene, self.fit.parameters, jnp.asarray(np.where(inside, e, 0.0)))
+        force, gradients = _with_gradients(
+            self.scene, self.fit.problem.coordinates, self.fit.parameters, jnp.asarray(np.where(inside, e, 0.0)))
         deviation = _along(self.fit, np.asarray(gradients))
         return np.where(inside, force, np.nan), np.where(inside, deviation, np.nan)
 
@@ -180,10 +180,10 @@ def _strain(term, t, u):
 
 
 @eqx.filter_jit
-def _with_gradients(scene, parameters, e):
+def _with_gradients(scene, coordinates, parameters, e):
     """The force at strains e and its derivatives with respect to every parameter (strains, P)."""
-    flat, back = ravel_pytree(parameters)
-    return scene.law(parameters).force(e), jax.jacfwd(lambda flat: scene.law(back(flat)).force(e))(flat)
+    force = lambda flat: scene.law(coordinates.unflat(flat)).force(e)
+    return scene.law(parameters).force(e), jax.jacfwd(force)(coordinates.flat(parameters))
 
 
 def _along(fit, gradients):
