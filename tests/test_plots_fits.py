@@ -78,6 +78,15 @@ def test_chosen_sensors_go_into_given_axes():
         fits.fit(record(), sensors=[3])
 
 
+def test_corner_finds_parameters_by_their_names():
+    result = record()
+    turned = result._replace(names=("stiffness", "damping"), covariance=[[9e16, 3e7], [3e7, 0.04]])
+    for parameters in (result.parameters, dict(sorted(result.parameters.items()))):
+        axes = fits.corner(turned._replace(parameters=parameters))
+        assert axes[0, 0].get_title(loc="center") == r"(9.80 $\pm$ 0.30)$\,10^{9}$"
+        assert axes[1, 1].get_title(loc="center") == r"1.70 $\pm$ 0.20"
+
+
 def test_corner_draws_the_contours_of_the_covariance():
     axes = fits.corner(record(), truths={"stiffness": 9.9e9})
     assert axes.shape == (2, 2) and not axes[0, 1].get_visible()

@@ -66,14 +66,17 @@ def corner(result, axes=None, *, truths=None, labels=None):
     The ellipses are contours of the Gaussian with the fit's covariance; the inner one holds 39 % and the outer one
     86 % of the probability of a pair.
 
-    **Arguments:** `result`: a `Fit`, or anything with `parameters` (a dict, its numbers in the order of its sorted
-    names), `covariance` (P, P) and `names` (P,). `axes`: Axes (P, P). `truths`: dict of known values to mark, with
-    names as in `names`. `labels`: one per parameter, in place of `names`.
+    **Arguments:** `result`: a `Fit`, or anything with `parameters` (a dict), `names` (P,) of its numbers, "a" or
+    "a[0]", "a[1]", ..., and `covariance` (P, P) in their order. `axes`: Axes (P, P). `truths`: dict of known values to
+    mark, with names as in `names`. `labels`: one per parameter, in place of `names`.
 
     **Returns:** the Axes (P, P), hidden above the diagonal. **Raises** ValueError for a covariance that is not finite
     (parameters that are not determined) or Axes or labels that do not fit.
     """
-    values = np.concatenate([numbers(k, result.parameters[k]).ravel() for k in sorted(result.parameters)])
+    # a tree of parameters may have been sorted on the way: their places are those of their names
+    order = sorted(result.parameters, key=lambda k: next(
+        i for i, name in enumerate(result.names) if name == k or name.startswith(f"{k}[")))
+    values = np.concatenate([numbers(k, result.parameters[k]).ravel() for k in order])
     names, matrix = list(result.names), numbers("covariance", result.covariance, 2, finite=False)
     deviations = np.sqrt(np.diag(matrix))
     if not np.isfinite(matrix).all():
