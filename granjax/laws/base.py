@@ -5,7 +5,7 @@ import abc
 import equinox as eqx
 import jax.numpy as jnp
 
-from ..checks import refuse
+from ..checks import non_negative, refuse
 
 
 class Law(eqx.Module):
@@ -47,6 +47,13 @@ def checked_law(law):
     if not isinstance(law, Law):
         refuse("law", "a law, such as Hertz()", repr(law))
     return law
+
+
+def checked_preload(argument, F0, remedy):
+    """`None` for a plain zero, so that a law without preload costs no operation; else a checked array."""
+    if isinstance(F0, (int, float)) and F0 == 0:
+        return None
+    return non_negative(argument, F0, remedy)
 
 
 class Sum(Law):

@@ -6,16 +6,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ..checks import concrete, non_negative, parameter, positive, refuse, show
-from .base import Law
+from ..checks import concrete, parameter, positive, refuse, show
+from .base import Law, checked_preload
 from .power import plus_power
 
 
 def _precompression(F0):
-    """`None` for a plain zero, so that a contact without preload costs no operation; else a checked array."""
-    if isinstance(F0, (int, float)) and F0 == 0:
-        return None
-    return non_negative("precompression", F0, "The static force F0 pushes; a chain under tension falls apart.")
+    return checked_preload("precompression", F0, "The static force F0 pushes; a chain under tension falls apart.")
 
 
 class _Contact(Law):

@@ -4,8 +4,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ..checks import non_negative, parameter, positive, refuse, whole
-from .base import Law
+from ..checks import parameter, positive, refuse, whole
+from .base import Law, checked_preload
 
 # below it differences of tanh and of log cosh are summed as series, so that no digits are lost near rest
 NEAR, TERMS = 0.02, 8
@@ -47,8 +47,7 @@ class Network(Law):
             refuse("parameters", f"{3 * width + 1} numbers for {width} units", f"shape {parameters.shape}")
         # a leaf for each: scalars, or arrays over the bonds, as the parameters of any law
         self._parameters = tuple(parameters)
-        none = isinstance(preload, (int, float)) and preload == 0
-        self._preload = None if none else non_negative("preload", preload, "A contact can only push.")
+        self._preload = checked_preload("preload", preload, "A contact can only push.")
 
     @property
     def parameters(self):

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from ..checks import concrete, non_negative, parameter, refuse, show
-from .base import Law
+from .base import Law, checked_preload
 
 
 class Spline(Law):
@@ -39,8 +39,7 @@ class Spline(Law):
             refuse("stiffness", f"{len(self.knots) + 1} numbers, one more than knots", f"shape {stiffness.shape}")
         # a leaf for each: scalars, or arrays over the bonds, as the parameters of any law
         self._coefficients = tuple(stiffness)
-        none = isinstance(preload, (int, float)) and preload == 0
-        self._preload = None if none else non_negative("preload", preload, "A contact can only push.")
+        self._preload = checked_preload("preload", preload, "A contact can only push.")
 
     @classmethod
     def fitted(cls, knots, e, force, preload=0.0):
