@@ -99,7 +99,7 @@ def quantities(problem, parameters, flat, sizes):
             continue
 
         def stiffness(theta, i=i):
-            return jnp.mean(jnp.abs(taylor(problem.lattice(_unflat(problem, theta)).terms[i].law).K2))
+            return jnp.mean(jnp.abs(taylor(problem.lattice(problem.coordinates.unflat(theta)).terms[i].law).K2))
 
         value, gradient = jax.value_and_grad(stiffness)(flat)
         if np.isfinite(value) and value > 0 and np.isfinite(gradient).all():
@@ -107,10 +107,6 @@ def quantities(problem, parameters, flat, sizes):
             name = f"the linear stiffness {'A p d0^(p-1)' if power else 'K2'} of terms[{i}] ({type(term.law).__name__})"
             found.append((name, np.asarray(gradient * sizes / value)))
     return found
-
-
-def _unflat(problem, theta):
-    return problem.coordinates.unflat(theta)
 
 
 def _along(found, gradient):

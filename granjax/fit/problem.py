@@ -13,7 +13,7 @@ from ..flow import simulate
 from ..lattice import Lattice, State
 from ..measures import contact_force
 from ..parameters import Coordinates
-from .traces import Traces, checked_shape
+from .traces import Traces, checked_shape, number
 
 
 class Problem(eqx.Module):
@@ -53,7 +53,7 @@ class Problem(eqx.Module):
 
     def signals(self, parameters, **keywords):
         """What every trace would show without noise, a tuple of (T, S), and the state at t1."""
-        times = [trace.times + self._number(trace.offset, parameters) for trace in self.traces]
+        times = [trace.times + number(trace.offset, parameters) for trace in self.traces]
         joined = jnp.concatenate(times)
         order = jnp.argsort(joined)
         back = jnp.argsort(order)
@@ -64,7 +64,7 @@ class Problem(eqx.Module):
             part = slice(start, start + trace.times.size)
             start = part.stop
             u, v = jax.tree.map(lambda x: x[part], (us, vs))
-            gain = self._number(trace.gain, parameters)
+            gain = number(trace.gain, parameters)
             signals.append(gain * _read(trace, lattice, u, v, joined[part]))
         return tuple(signals), run.final
 
@@ -85,9 +85,6 @@ class Problem(eqx.Module):
 
         matrix, (value, signals) = jax.jacfwd(twice, has_aux=True)(x)
         return value, matrix, signals
-
-    def _number(self, x, parameters):
-        return parameters[x] if isinstance(x, str) else x
 
 
 def as_state(state, dtype):
@@ -157,7 +154,4 @@ def checked_scene(scene, parameters):
 
 def known_times(traces, parameters):
     """The times of all traces in the scene's clock, at some parameters."""
-    def number(x):
-        return parameters[x] if isinstance(x, str) else x
-
-    return np.concatenate([np.asarray(trace.times + number(trace.offset)) for trace in traces])
+    return np.concatenate([np.asarray(trace.times + number(trace.offset, parameters)) for trace in traces])

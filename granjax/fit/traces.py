@@ -99,6 +99,11 @@ class Traces(eqx.Module):
         return eqx.tree_at(lambda t: (t.times, t.data, t.sigma), self, parts, is_leaf=lambda x: x is None)
 
 
+def number(x, parameters):
+    """A gain or an offset: a number, or the parameter that it names."""
+    return parameters[x] if isinstance(x, str) else x
+
+
 def checked_shape(name, x, *others):
     """An array that is a number or has one of some shapes."""
     if jnp.shape(x) not in ((), *others):

@@ -12,7 +12,7 @@ from jax.flatten_util import ravel_pytree
 from ..checks import refuse
 from ..lattice import State
 from .problem import Problem, misfits
-from .traces import Traces
+from .traces import Traces, number
 
 # how much better than the noise neighbouring windows have to meet, in deviations
 MEETING = 0.1
@@ -192,7 +192,7 @@ def _integrated(problem, parameters, state):
             continue
         times = np.concatenate([[float(problem.t0)], np.asarray(trace.times + trace.offset)])
         at = np.stack([np.asarray(_pick(part, trace)) for part in state])
-        v = np.concatenate([at[1:], np.asarray(trace.data) / np.asarray(_gain(trace, parameters))])
+        v = np.concatenate([at[1:], np.asarray(trace.data) / np.asarray(number(trace.gain, parameters))])
         v = np.nan_to_num(v)
         steps = np.diff(times)[:, None] * (v[1:] + v[:-1]) / 2
         paths.append(at[0] + np.cumsum(steps, axis=0))
@@ -204,16 +204,12 @@ def _told(state, traces, paths, parameters, sample):
     parts = list(state)
     for trace, path in zip(traces, paths):
         if trace.kind == "velocity":
-            parts[1] = _put(parts[1], trace, np.asarray(trace.data[sample] / _gain(trace, parameters)))
+            parts[1] = _put(parts[1], trace, np.asarray(trace.data[sample] / number(trace.gain, parameters)))
             parts[0] = _put(parts[0], trace, path[sample])
     for trace in traces:
         if trace.kind == "displacement":
-            parts[0] = _put(parts[0], trace, np.asarray(trace.data[sample] / _gain(trace, parameters)))
+            parts[0] = _put(parts[0], trace, np.asarray(trace.data[sample] / number(trace.gain, parameters)))
     return State(*parts)
-
-
-def _gain(trace, parameters):
-    return parameters[trace.gain] if isinstance(trace.gain, str) else trace.gain
 
 
 def _index(place, trace):

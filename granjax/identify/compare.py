@@ -92,8 +92,7 @@ def compare(models, traces, *, state, level=10.0, options=None, **common):
     - `traces`, `state`: as in `fit`, for all models.
     - `level`: difference of BIC above which the best model counts as decided: 2 is positive, 6 strong, 10 very strong
       evidence.
-    - `options`: dict from name to a dict of options of `fit` for that model alone, such as `bounds`, or a `step` below
-      m/c where dashpots c outweigh the contacts;
+    - `options`: dict from name to a dict of options of `fit` for that model alone, such as `bounds`;
       `common`: options of `fit` for all.
 
     **Returns:** `Comparison`. A fit that does not converge is kept and named in the outcome; one without finite
