@@ -1,4 +1,4 @@
-"""XLA's flags and the floating type: what import sets, and what it could not.
+"""XLA's flags, the floating type, threads: what import sets, and what it could not.
 
 Two flags make loops over lattices faster on the CPU, diffrax's own too; a loop over arrays so large that XLA would use
 all cores gets slower (benchmarks/flags.py). XLA reads them once, before JAX's first computation:
@@ -12,6 +12,7 @@ import hashlib
 import os
 import platform
 import sys
+from functools import cache, wraps
 from pathlib import Path
 from typing import NamedTuple
 
@@ -122,3 +123,21 @@ def prepare_import():
         jax.config.update("jax_enable_x64", True)
     if os.environ.get("GRANJAX_TUNE", "1") != "0":
         tune()
+
+
+@cache
+def _pools():
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController()
+
+
+def one_thread(function):
+    """The function with LAPACK on one thread: below some 500 rows more threads only wait for each other."""
+
+    @wraps(function)
+    def limited(*arguments, **keywords):
+        with _pools().limit(limits=1):
+            return function(*arguments, **keywords)
+
+    return limited

@@ -8,8 +8,8 @@ import granjax
 ROOT = Path(granjax.__file__).parent
 
 FLOORS = (
-    {"laws", "strains", "materials", "solvers", "newton", "parameters", "descent", "theory", "plots", "checks",
-     "tuning"},
+    {"checks", "tuning", "types", "results", "split_system"},
+    {"laws", "strains", "materials", "solvers", "newton", "parameters", "descent", "theory", "plots"},
     {"terms", "continuation"},
     {"lattice"},
     {"flow", "scenes"},
@@ -72,6 +72,11 @@ def test_imports_point_downwards(path):
 
 def test_checks_import_nothing_of_the_library():
     assert imports(ROOT / "checks.py") == set()
+
+
+@pytest.mark.parametrize("own, other", [("lattice", "solvers"), ("fit", "floquet")])
+def test_folders_that_need_not_know_each_other(own, other):
+    assert all(other not in imports(path) for path in (ROOT / own).glob("*.py"))
 
 
 def test_the_reading_of_imports_sees_them():

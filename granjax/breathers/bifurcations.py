@@ -7,8 +7,8 @@ import numpy as np
 
 from ..checks import one_of
 from ..continuation import Bordered, tangent_at
-from ..floquet.spectrum import one_thread
 from ..newton import newton
+from ..tuning import one_thread
 from .problem import TOLERANCE, energy_slope, spectrum_of
 
 KINDS = ("real pair at +1", "period doubling", "Krein collision", "extremum of energy")

@@ -8,8 +8,8 @@ import numpy as np
 from ..checks import refuse
 from ..continuation import continuation
 from ..floquet import decide
-from ..floquet.spectrum import one_thread
 from ..linear import normal_modes
+from ..tuning import one_thread
 from .branch import Branch, Breather
 from .problem import (
     DOUBLINGS,

@@ -6,12 +6,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import one_of, positive, refuse
-from ..floquet.spectrum import one_thread
 from ..flow import Flow
 from ..lattice import State
 from ..newton import newton
 from ..orbits import HalfPeriod
 from ..solvers import KahanLi8
+from ..tuning import one_thread
 from .branch import Breather
 from .envelope import bright_seed, cell_of, dark_seed, edge_of, edges_beside, refuse_bright, supports_bright
 from .family import family

@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import one_of, positive, refuse, whole
-from ..floquet.spectrum import one_thread
 from ..flow import Reversible, frequency_bound
 from ..flow.dispatch import facts
 from ..flow.inputs import checked_state
@@ -15,6 +14,7 @@ from ..flow.method import STEP_FRACTION
 from ..parameters import Coordinates
 from ..solvers import SRKN11b
 from ..terms import Dashpot
+from ..tuning import one_thread
 from .judge import judged, looked_at, way_back
 from .problem import Problem, as_state, check_places, checked_scene, known_times
 from .solve import gradient_descent, least_squares

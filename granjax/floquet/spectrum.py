@@ -1,29 +1,12 @@
 """Eigenvalues of monodromy matrices, with errors; products that keep what is small."""
 
-from functools import cache, wraps
-
 import numpy as np
 from scipy.linalg import eig
 from scipy.optimize import linear_sum_assignment
-from threadpoolctl import ThreadpoolController
+
+from ..tuning import one_thread
 
 ROUNDING, SAFETY = 8, 2
-
-
-@cache
-def _pools():
-    return ThreadpoolController()
-
-
-def one_thread(function):
-    """The function with LAPACK on one thread: below some 500 rows more threads only wait for each other."""
-
-    @wraps(function)
-    def limited(*arguments, **keywords):
-        with _pools().limit(limits=1):
-            return function(*arguments, **keywords)
-
-    return limited
 
 
 @one_thread

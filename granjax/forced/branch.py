@@ -10,11 +10,11 @@ import numpy as np
 from ..checks import parameter, positive, refuse
 from ..continuation import continuation
 from ..floquet import decide, spectrum, structure
-from ..floquet.spectrum import one_thread
 from ..flow import Flow
 from ..lattice import State
 from ..measures import rms_velocity
 from ..solvers import SRKN14a
+from ..tuning import one_thread
 from .events import BRANCH_POINT, FOLD, Between, Bifurcation, critical, kind_of
 from .orbit import FRAMES, checked_seed, forced_orbit, prepared
 from .shooting import Family, flow_over, history, period_at

@@ -7,11 +7,11 @@ import numpy as np
 
 from ..checks import positive, refuse, whole
 from ..floquet import floquet
-from ..floquet.spectrum import one_thread
 from ..flow import Flow
 from ..lattice import Lattice, State
 from ..newton import Root, newton
 from ..solvers import SRKN14a
+from ..tuning import one_thread
 from .shooting import Shooting, flow_over, history
 
 FRAMES = 32

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 
 from ..checks import refuse
 from ..laws import Linear
-from ..solvers.split import Split, pair
+from ..split_system import Split, pair
 from ..strains import Shift
 from ..terms import Bond, Damping
 from .model import Lattice

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .split import pair
+from ..split_system import pair
 
 
 class QuinticHermite(diffrax.AbstractLocalInterpolation):

@@ -17,10 +17,10 @@ import numpy as np
 from jax.interpreters.partial_eval import dce_jaxpr
 
 from ..checks import refuse
+from ..split_system import FieldSplit, pair
 from . import tables
 from .interpolation import Bootstrapped, correction, quintic
 from .seeds import weights
-from .split import FieldSplit, pair
 from .splitting import unwrap
 from .stability import stability_limit
 

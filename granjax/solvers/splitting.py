@@ -12,9 +12,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..split_system import FieldSplit
 from . import tables
 from .interpolation import QuinticHermite
-from .split import FieldSplit
 from .stability import stability_limit
 
 
