@@ -42,10 +42,12 @@ from .tuning import tune  # noqa: E402
 from .work_precision import WorkPrecision, work_precision  # noqa: E402
 
 __version__ = "0.1.0"
-_LAZY = (
-    "breathers", "canonical", "continuation", "driven", "floquet", "forced", "identify", "linear", "materials",
-    "measures", "newton", "orbits", "plots", "reproduce", "resonance", "scenes", "states", "theory",
-)
+_LAZY = {
+    name: f".{name}" for name in (
+        "breathers", "canonical", "continuation", "driven", "floquet", "forced", "identify", "linear", "materials",
+        "measures", "newton", "orbits", "plots", "scenes", "states", "studies", "theory",
+    )
+} | {"reproduce": ".studies.reproduce", "resonance": ".studies.resonance"}
 
 
 def __getattr__(name):
@@ -53,7 +55,7 @@ def __getattr__(name):
     if name in _LAZY:
         import importlib
 
-        return importlib.import_module(f"{__name__}.{name}")
+        return importlib.import_module(_LAZY[name], __name__)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

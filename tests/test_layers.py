@@ -15,9 +15,9 @@ FLOORS = (
     {"flow", "scenes"},
     {"orbits"},
     {"floquet", "linear", "measures", "states"},
-    {"breathers", "canonical", "driven", "forced", "travelling", "shocks", "resonance"},
-    {"sweep", "fit", "design", "work_precision", "reproduce"},
-    {"identify"},
+    {"breathers", "canonical", "driven", "forced", "travelling", "shocks"},
+    {"sweep", "fit", "design", "work_precision"},
+    {"identify", "studies"},
 )
 FLOOR = {name: level for level, names in enumerate(FLOORS) for name in names}
 # the face, and the command line that stands on it

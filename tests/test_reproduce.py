@@ -12,7 +12,7 @@ import xarray as xr  # noqa: E402
 
 import granjax as gx  # noqa: E402
 from granjax import reproduce  # noqa: E402
-from granjax.reproduce import dimer, experiment, making, solitary, transmission  # noqa: E402
+from granjax.studies.reproduce import dimer_pulse, dimer_transmission, making, monomer_pulse, solitary  # noqa: E402
 
 LABELS = [
     "fig1.2", "fig1.3", "fig1.4", "fig1.5", "fig2.2", "fig2.3", "fig2.4", "fig2.5", "breather.1", "breather.2",
@@ -141,9 +141,9 @@ def test_the_wave_keeps_its_profile(data_of):
 @pytest.mark.slow
 @pytest.mark.parametrize("material, radius, striker", [("PTFE", 2.38e-3, 1.5), ("aluminium", 12.7e-3, 0.05)])
 def test_the_striker_experiment_scales(material, radius, striker):
-    data = experiment.compute(material, radius, striker, 32)
-    assert experiment.scaled_peak(data) == pytest.approx(experiment.PEAK_VELOCITY, abs=2e-5)
-    assert experiment.scaled_speed(data) == pytest.approx(experiment.SPEED, abs=2e-5)
+    data = monomer_pulse.compute(material, radius, striker, 32)
+    assert monomer_pulse.scaled_peak(data) == pytest.approx(monomer_pulse.PEAK_VELOCITY, abs=2e-5)
+    assert monomer_pulse.scaled_speed(data) == pytest.approx(monomer_pulse.SPEED, abs=2e-5)
 
 
 def test_velocities_are_in_metres_per_second(data_of):
@@ -151,7 +151,7 @@ def test_velocities_are_in_metres_per_second(data_of):
     assert data["velocity"].units == "m/s" and data["time"].units == "s"
     assert data["velocity"].values[0, 0] == 0.4
     # some 560 m/s for steel of 19 mm at 0.4 m/s: order of the experiments, far below sound in steel
-    speed = experiment.scaled_speed(data) * data.attrs["rate"] * data.attrs["diameter"]
+    speed = monomer_pulse.scaled_speed(data) * data.attrs["rate"] * data.attrs["diameter"]
     assert 500 < speed < 620
 
 
@@ -164,7 +164,7 @@ def test_the_wall_feels_what_an_independent_integrator_says():
 
 @pytest.mark.slow
 def test_the_deepest_minimum_is_at_the_first_resonance(data_of):
-    ratio, value = transmission.deepest(data_of("fig2.2"))
+    ratio, value = dimer_transmission.deepest(data_of("fig2.2"))
     assert ratio == pytest.approx(0.595, abs=0.005)
     assert value == pytest.approx(0.2096, abs=0.001)
 
@@ -175,7 +175,7 @@ def test_the_resonant_chain_has_its_ratio_and_keeps_its_energy(data_of):
     assert data.attrs["radius_light"] ** 3 / data.attrs["radius_heavy"] ** 3 == pytest.approx(0.59)
     # no contact pushes harder than one that holds all the energy: (2/5) A x^{5/2} = m v^2/2
     bound = (5 / 4) ** 0.6 * data.attrs["force_unit"]
-    assert 0 < data["force"].values[: dimer.CONTACT + 1].min() and data["force"].values.max() < bound
+    assert 0 < data["force"].values[: dimer_pulse.CONTACT + 1].min() and data["force"].values.max() < bound
 
 
 @pytest.mark.slow

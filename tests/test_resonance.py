@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import granjax as gx
-from granjax.resonance import lanes
+from granjax.studies.resonance import lanes
 
 # A = m = v = 1, peak contact force far down a struck monomer chain
 MONOMER_FORCE = 0.63955423
@@ -114,7 +114,7 @@ def test_refinement_finds_a_known_place():
         return np.where(x < 0.6, 2 + (x - 0.4321) ** 2, 2.2 - np.abs(x - 0.7123))
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(gx.resonance.wall, "peak_forces", lambda x, *_: force(x)[None])
+        patch.setattr(gx.resonance.finite, "peak_forces", lambda x, *_: force(x)[None])
         Parabola.transmission = force(Parabola.mass_ratio) / 2
         found = gx.resonance.refine(Parabola, accuracy=1e-5)
     np.testing.assert_allclose(found.resonances, [0.4321], atol=1e-5)
@@ -218,7 +218,7 @@ import json
 import jax
 jax.config.update("jax_num_cpu_devices", 2)
 import granjax as gx, numpy as np
-from granjax.resonance import lanes
+from granjax.studies.resonance import lanes
 sweep = gx.resonance.transmission(np.linspace(0.1, 1, 12), 21)
 program = lanes._program(21, "fixed", (21,), tuple(jax.devices()))
 text = program.lower(np.linspace(0.1, 1, 16), 40.0).compile().as_text()

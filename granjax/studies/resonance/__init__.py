@@ -10,7 +10,7 @@ computation: `jax.config.update("jax_num_cpu_devices", n)`.
 """
 
 from .decay import anti_resonance, contact_forces, decay_rate
-from .wall import Extrema, Transmission, refine, transmission
+from .finite import Extrema, Transmission, refine, transmission
 
 # asymptotic anti-resonances and the first resonance: Jayaprakash, Starosvetsky, Vakakis, Phys. Rev. E 83, 036606 (2011)
 ANTI_RESONANCES = (1.0, 0.3428, 0.1548, 0.0901)

@@ -6,12 +6,12 @@ import equinox as eqx
 import numpy as np
 
 from ..checks import whole
+from ..driven import Attractor, driven_chain, settle
+from ..driven.settle import largest
 from ..lattice import Lattice, State
 from ..linear import normal_modes
 from ..materials import Material, hertz_coefficient
 from ..scenes import monomer
-from .chain import driven_chain
-from .settle import Attractor, largest, settle
 
 YOUNG, POISSON, MASS, RADIUS = 200e9, 0.3, 28.2e-3, 9.53e-3
 PRECOMPRESSION, DAMPING_TIME = 10.0, 5e-3

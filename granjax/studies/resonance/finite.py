@@ -3,7 +3,7 @@
 import equinox as eqx
 import numpy as np
 
-from ..checks import positive, refuse, whole
+from ...checks import positive, refuse, whole
 from .lanes import LANES, checked_ratios, peak_forces
 
 LEAST_BEADS = 3

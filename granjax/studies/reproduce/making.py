@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..checks import one_of, refuse
+from ...checks import one_of, refuse
 from .figure import Figure
 from .registry import figure, made
 

@@ -8,14 +8,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import positive, whole
+from ..driven import driven_chain
+from ..driven.settle import steps_per_period
 from ..flow import Flow
 from ..lattice import Lattice, State
 from ..linear import bands
 from ..measures import site_energy
 from ..scenes import beads
 from ..solvers import SRKN11b
-from .chain import driven_chain
-from .settle import steps_per_period
 
 MATERIALS, RADIUS = ("steel 316", "aluminium 6061-T6"), 9.53e-3
 

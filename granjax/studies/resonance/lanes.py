@@ -14,11 +14,11 @@ import numpy as np
 from jax.sharding import Mesh
 from jax.sharding import PartitionSpec as Spec
 
-from ..checks import refuse, show, within
-from ..flow import Peak, simulate
-from ..measures import contact_force
-from ..scenes import dimer
-from ..states import impact
+from ...checks import refuse, show, within
+from ...flow import Peak, simulate
+from ...measures import contact_force
+from ...scenes import dimer
+from ...states import impact
 
 LANES = 8
 

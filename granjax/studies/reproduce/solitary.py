@@ -4,11 +4,11 @@ import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
-from ..checks import whole
-from ..flow import Arrival, simulate
-from ..lattice import State
-from ..measures import along, strain
-from ..scenes import monomer
+from ...checks import whole
+from ...flow import Arrival, simulate
+from ...lattice import State
+from ...measures import along, strain
+from ...scenes import monomer
 from .figure import Choice, Figure
 
 POINTS, HALF = 32, 16

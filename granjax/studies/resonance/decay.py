@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..checks import refuse, whole, within
+from ...checks import refuse, whole, within
 from .lanes import LANES, checked_ratios, peak_forces
 
 # beads behind the last contact that is read, so that the free end is not felt there

@@ -3,7 +3,7 @@
 import numpy as np
 import xarray as xr
 
-from ..checks import whole
+from ...checks import whole
 from ..resonance import ANTI_RESONANCES, refine, transmission
 from .figure import Choice, Figure
 

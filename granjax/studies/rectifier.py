@@ -7,10 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import non_negative, positive, whole
+from ..driven import Sweep, driven_chain, sweep
 from ..linear import normal_modes
 from ..scenes import beads
-from .chain import driven_chain
-from .sweep import Sweep, sweep
 
 RADIUS, DEFECT_RADIUS, DEFECT = 9.53e-3, 7e-3, 1
 

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from ..checks import one_of, refuse
+from ...checks import one_of, refuse
 
 
 class Choice(NamedTuple):

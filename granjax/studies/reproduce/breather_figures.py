@@ -6,14 +6,14 @@ from types import SimpleNamespace
 import numpy as np
 import xarray as xr
 
-from ..breathers import breather
-from ..checks import refuse, whole
-from ..driven import dark_by_interference, steel_chain
-from ..forced import forced_orbit
-from ..laws import taylor
-from ..linear import bands
-from ..scenes import monomer, pattern
-from ..theory import nls
+from ...breathers import breather
+from ...checks import refuse, whole
+from ...forced import forced_orbit
+from ...laws import taylor
+from ...linear import bands
+from ...scenes import monomer, pattern
+from ...theory import nls
+from ..dark_breather import dark_by_interference, steel_chain
 from .figure import Choice, Figure
 
 # 1 - omega_b/omega_0 of the comparison with the envelope

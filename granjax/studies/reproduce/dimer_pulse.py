@@ -3,12 +3,12 @@
 import numpy as np
 import xarray as xr
 
-from ..checks import positive, whole
-from ..flow import Peak, simulate
-from ..materials import bead_mass, hertz_coefficient
-from ..measures import contact_force
-from ..scenes import beads as bead_chain
-from ..states import impact
+from ...checks import positive, whole
+from ...flow import Peak, simulate
+from ...materials import bead_mass, hertz_coefficient
+from ...measures import contact_force
+from ...scenes import beads as bead_chain
+from ...states import impact
 from .figure import Choice, Figure
 
 # the review's first resonance, light over heavy

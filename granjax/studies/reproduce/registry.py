@@ -1,10 +1,13 @@
 """The review's sixteen figures by their labels: those that are made, and those that wait for a capability."""
 
-from ..checks import one_of, refuse
-from . import breathers, dimer, experiment, solitary, transmission
+from ...checks import one_of, refuse
+from . import breather_figures, dimer_pulse, dimer_transmission, monomer_pulse, solitary
 from .figure import Awaited, Figure
 
-_MADE = (*solitary.FIGURES, *experiment.FIGURES, *transmission.FIGURES, *dimer.FIGURES, *breathers.FIGURES)
+_MADE = (
+    *solitary.FIGURES, *monomer_pulse.FIGURES, *dimer_transmission.FIGURES, *dimer_pulse.FIGURES,
+    *breather_figures.FIGURES,
+)
 
 _AWAITED = (
     Awaited("fig1.2", "The travelling wave's profile, its derivative and its tail", "travelling waves"),

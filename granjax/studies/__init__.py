@@ -1,0 +1,13 @@
+"""Studies that stand on the library: experiments on driven chains, the resonance of a dimer, the review's figures.
+
+`gx.resonance` and `gx.reproduce` name the folders here too.
+"""
+
+from .bright_breather import BrightBreather, bright_by_instability
+from .dark_breather import DarkBreather, dark_by_interference, steel_chain
+from .rectifier import Rectifier, rectifier
+
+__all__ = [
+    "BrightBreather", "DarkBreather", "Rectifier", "bright_by_instability", "dark_by_interference", "rectifier",
+    "steel_chain",
+]
