@@ -45,7 +45,7 @@ __version__ = "0.1.0"
 _LAZY = {
     name: f".{name}" for name in (
         "breathers", "canonical", "continuation", "driven", "floquet", "forced", "identify", "linear", "materials",
-        "measures", "newton", "orbits", "plots", "scenes", "states", "studies", "theory",
+        "measures", "newton", "orbits", "plots", "scenes", "states", "studies", "theory", "travelling",
     )
 } | {"reproduce": ".studies.reproduce", "resonance": ".studies.resonance"}
 

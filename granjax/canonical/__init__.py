@@ -4,8 +4,8 @@
     run = gx.simulate(scene.lattice, scene.state, scene.t1, t0=scene.t0)
     error = scene.error(run.final)
 
-Every reference was calculated twice, by two unrelated methods in 80-bit numbers; `python -m
-granjax.canonical.references` makes them again.
+Every reference was calculated twice, by two unrelated methods in 80-bit numbers; `python
+benchmarks/make_references.py` makes them again.
 """
 
 from .scenes import Scene, names, scene

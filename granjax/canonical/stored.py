@@ -37,13 +37,6 @@ def read(name):
     return Stored(**{key: x if x.ndim else x.item() for key, x in arrays.items()})
 
 
-def write(folder, name, data):
-    """Write the data of a scene; returns the path."""
-    path = folder / f"{name}.npz"
-    np.savez_compressed(path, **{key: x for key, x in data._asdict().items() if x is not None})
-    return path
-
-
 def unfolded(data, sites):
     """Displacements and velocities of all sites.
 

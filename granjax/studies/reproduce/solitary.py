@@ -9,36 +9,11 @@ from ...flow import Arrival, simulate
 from ...lattice import State
 from ...measures import along, strain
 from ...scenes import monomer
+from ...travelling import hertz_wave
 from .figure import Choice, Figure
 
-POINTS, HALF = 32, 16
-ITERATIONS = 100
-AHEAD = 12
+POINTS, AHEAD = 32, 12
 TOLERANCE = 1e-11
-
-
-def solitary_wave():
-    r"""Strain of the solitary wave of speed 1, phi = Lambda * phi^{3/2}, Lambda(x) = [1 - |x|]_+, on a grid.
-
-    The product sinc^2(k/2) in place of the convolution is exact to rounding, as phi is smooth. The plain iteration
-    diverges (its eigenvalue along the amplitude is 3/2); Petviashvili's factor S^3, S = <phi, phi>/<phi, g>, makes it
-    converge.
-
-    **Returns:** places (X,), strain (X,), and velocity (X,): v(x) = int_{x-1}^x phi^{3/2}, that of bead n at x = n - t
-    where contact n lies between the beads n and n + 1.
-    Source: English, Pego, Proc. AMS 133, 1763 (2005); Petviashvili, Sov. J. Plasma Phys. 2, 257 (1976).
-    """
-    size = 2 * HALF * POINTS
-    x = (np.arange(size) - size // 2) / POINTS
-    k = 2 * np.pi * np.fft.rfftfreq(size, 1 / POINTS)
-    box = np.sinc(k / (2 * np.pi))
-    phi = np.where(np.abs(x) < 2.5, 25 / 16 * np.cos(np.clip(np.sqrt(0.4) * x, -np.pi / 2, np.pi / 2)) ** 4, 0.0)
-    for _ in range(ITERATIONS):
-        g = np.maximum(np.fft.irfft(box**2 * np.fft.rfft(phi**1.5), size), 0.0)
-        phi = (phi @ phi / (phi @ g)) ** 3 * g
-    # e^{-ik/2} sinc(k/2): the mean over the unit interval before x
-    velocity = np.fft.irfft(box * np.exp(-0.5j * k) * np.fft.rfft(phi**1.5), size)
-    return x, phi, velocity
 
 
 def _strain(t, y, lattice):
@@ -49,7 +24,7 @@ def compute(sites, travel):
     """The wave at contact 12 of a chain at rest, and `travel` contacts later."""
     travel = whole("travel", travel, 2, "It is how many contacts the wave runs.")
     sites = whole("sites", sites, travel + 2 * AHEAD, f"The wave needs {AHEAD} contacts before it and behind.")
-    x, phi, velocity = solitary_wave()
+    x, phi, velocity = hertz_wave(POINTS)
     origin = len(x) // 2
     offsets = np.arange(-AHEAD, AHEAD + 1)
     e, v = np.zeros(sites), np.zeros(sites)

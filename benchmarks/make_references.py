@@ -1,4 +1,4 @@
-"""Makes the references of the canonical scenes: `python -m granjax.canonical.references [--only NAME] [--out DIR]`.
+"""Makes the references of the canonical scenes: `python benchmarks/make_references.py [--only NAME] [--out DIR]`.
 
 Masses, states and times come from the scenes, the forces from `equations`, the numbers from `integrators`: collocation
 gives the reference, extrapolation the check. It takes minutes a scene and needs 80-bit numbers (Linux on x86-64).
@@ -12,13 +12,14 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from references import equations
+from references.integrators import EXTENDED, collocation, extrapolation
+from references.starts import soliton, starts
 
-from ..checks import one_of
-from . import equations
-from .integrators import EXTENDED, collocation, extrapolation
-from .scenes import RECIPES, SHOCK, measure, names
-from .starts import soliton, starts
-from .stored import Stored, write
+from granjax import canonical
+from granjax.canonical.scenes import RECIPES, SHOCK, measure, names
+from granjax.canonical.stored import Stored
+from granjax.checks import one_of
 
 REFERENCE, CHECK = 1e-19, 3e-18
 NOISE = 1e-12
@@ -157,11 +158,19 @@ def _own_frame(name, y, t1):
     return (u[:, 0], v[:, 0]) if u.shape[1] == 1 else (u, v)
 
 
+def write(folder, name, data):
+    """Write the data of a scene; returns the path."""
+    path = folder / f"{name}.npz"
+    np.savez_compressed(path, **{key: x for key, x in data._asdict().items() if x is not None})
+    return path
+
+
 def main(argv=None):
     """Make the files of all scenes, or of some."""
-    parser = argparse.ArgumentParser(prog="python -m granjax.canonical.references", description=__doc__)
+    parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--only", action="append", choices=names(), metavar="NAME", help="a scene; may be repeated")
-    parser.add_argument("--out", type=Path, default=Path(__file__).parent / "data", help="folder for the files")
+    own = Path(canonical.__file__).parent / "data"
+    parser.add_argument("--out", type=Path, default=own, help="folder for the files")
     arguments = parser.parse_args(argv)
     log.addHandler(logging.StreamHandler())
     log.setLevel(logging.INFO)

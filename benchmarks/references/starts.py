@@ -2,9 +2,10 @@
 
 import numpy as np
 
+from granjax.canonical.scenes import BREATHER_FREQUENCY, HEAVY, LIGHT
+
 from .equations import Tangents
 from .integrators import EXTENDED, extrapolation
-from .scenes import BREATHER_FREQUENCY, HEAVY, LIGHT
 
 SEED = 1
 BEADS, CENTRE = 81, 40
