@@ -43,7 +43,7 @@ POINTS, LONGEST_STEP, PROCESSES = 100, 0.0317, 5
 FAMILY = """
 import granjax as gx
 chain = gx.scenes.pattern(81, (1.0, 2.957949), precompression=1.0, boundary="free")
-branch = gx.breathers.family(chain, until=0.985 * 3**0.5, longest_step={step}, points={points})
+branch = gx.breathers.family(chain, until=0.985 * 3**0.5, longest_arclength={step}, points={points})
 assert branch.multipliers.shape == (len(branch), 162)
 print(len(branch))
 """

@@ -15,14 +15,14 @@ class Root(eqx.Module):
     """Where Newton's method ended: its best iterate, whatever came of it.
 
     **Fields:** `x`: the iterate (n,). `jacobian`: dF/dx there (n, n). `residual`: max |F(x)|. `first`: that of the
-    guess. `steps`: Jacobians evaluated. `code`: 0 converged, 1 stalled, 2 steps spent, 3 not finite.
+    guess. `iterations`: Jacobians evaluated. `code`: 0 converged, 1 stalled, 2 steps spent, 3 not finite.
     """
 
     x: jax.Array
     jacobian: jax.Array
     residual: jax.Array
     first: jax.Array
-    steps: jax.Array
+    iterations: jax.Array
     code: jax.Array
     tolerance: jax.Array
 
@@ -34,13 +34,13 @@ class Root(eqx.Module):
     @property
     def outcome(self):
         """What became of it, a sentence (of the worst where there are several)."""
-        if _traced((self.code, self.steps, self.first, self.residual, self.tolerance)):
+        if _traced((self.code, self.iterations, self.first, self.residual, self.tolerance)):
             return "traced"
         worst = int(np.argmax(np.asarray(self.code))) if np.ndim(self.code) else ()
-        code, steps, first, last, tolerance = (
+        code, iterations, first, last, tolerance = (
             np.ravel(x)[worst if np.size(x) > 1 else 0].item() if np.ndim(x) else np.asarray(x).item()
-            for x in (self.code, self.steps, self.first, self.residual, self.tolerance))
-        went = f"the residual went from {first:.1e} to {last:.1e} in {int(steps)} steps"
+            for x in (self.code, self.iterations, self.first, self.residual, self.tolerance))
+        went = f"the residual went from {first:.1e} to {last:.1e} in {int(iterations)} steps"
         if code == CONVERGED:
             return f"Converged: {went}."
         wanted = f"{tolerance:.1e} was asked for"
@@ -51,7 +51,7 @@ class Root(eqx.Module):
         return f"Newton did not converge: {went}, {wanted}; {why}."
 
 
-def newton(residual, x0, args=None, *, tolerance=1e-10, max_steps=20, linearise=None, throw=None):
+def newton(residual, guess, args=None, *, tolerance=1e-10, max_steps=20, linearise=None, throw=None):
     r"""A root of F(x, args) = 0 by Newton's method with halved steps.
 
     x <- x - lambda J^{-1} F with lambda = 1, 1/2, ... until max |F| falls. Where the full step fails, J^{-1} is that of
@@ -61,7 +61,7 @@ def newton(residual, x0, args=None, *, tolerance=1e-10, max_steps=20, linearise=
 
     **Arguments:**
 
-    - `residual`: F(x, args), arrays (n,) to (n,). `x0`: the guess. `args`: any pytree.
+    - `residual`: F(x, args), arrays (n,) to (n,). `guess`: where it begins. `args`: any pytree.
     - `tolerance`: of max |F|, in the units of F. `max_steps`: the most Jacobians.
     - `linearise`: (x, args) -> (F, J), where that is cheaper than `jax.jacfwd`.
     - `throw`: raise where it does not converge; `None` does so outside of transformations.
@@ -69,7 +69,7 @@ def newton(residual, x0, args=None, *, tolerance=1e-10, max_steps=20, linearise=
     **Returns:** `Root`, with the best iterate. **Raises** RuntimeError where `throw` and it did not converge: the
     sentence says how far it came.
     """
-    x0 = jnp.asarray(x0)
+    x0 = jnp.asarray(guess)
     x0 = x0.astype(jnp.result_type(x0, float)) if not jnp.issubdtype(x0.dtype, jnp.floating) else x0
     # a plain number is an input of what is compiled, not a part of it
     args = jax.tree.map(lambda leaf: jnp.asarray(leaf) if isinstance(leaf, float) else leaf, args)

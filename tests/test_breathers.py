@@ -128,18 +128,18 @@ def test_forced_continuation_of_a_bright_breather_in_a_monomer_leads_to_nothing(
 def test_one_site_at_the_anticontinuous_limit():
     terms = gx.Bond(gx.Shift(1, "free"), gx.Linear(0.02)), gx.OnSite(gx.Polynomial(1.0, 0.0, 1.0))
     chain = gx.Lattice(np.ones(7), terms)
-    seed = gx.breathers.seeds.single_site(chain, 1.4, 3)
+    seed = gx.breathers.guesses.single_site(chain, 1.4, 3)
     a = float(seed.u[3])
     alone = solve_ivp(lambda t, y: (y[1], -1.04 * y[0] - y[0] ** 3), (0, np.pi / 1.4), (a, 0), rtol=1e-12, atol=1e-13)
     assert alone.y[1, -1] == pytest.approx(0, abs=1e-9)
     np.testing.assert_allclose(np.delete(seed.u, 3), 0, atol=1e-12)  # the mean of the linear bond's force is zero
     b = gx.breathers.breather(chain, 1.4, seed)
     assert b.converged and 0.9 < float(b.state.u[3]) / a < 1.1
-    pair = gx.breathers.breather(chain, 1.4, gx.breathers.seeds.single_site(chain, 1.4, [2, 4], amplitudes=[1, -1]))
+    pair = gx.breathers.breather(chain, 1.4, gx.breathers.guesses.single_site(chain, 1.4, [2, 4], amplitudes=[1, -1]))
     np.testing.assert_allclose(pair.state.u, -np.asarray(pair.state.u)[::-1], atol=1e-9)
     assert pair.floquet().expected == 2
     with pytest.raises(ValueError, match="wrong side"):
-        gx.breathers.seeds.single_site(chain, 0.5, 3)
+        gx.breathers.guesses.single_site(chain, 0.5, 3)
 
 
 @pytest.mark.slow
@@ -148,7 +148,7 @@ def test_light_beads_between_heavy_ones_tend_to_their_own_limit():
 
     def limit_and_orbit(heavy):
         chain = gx.Lattice(np.where(np.arange(9) == 4, 1.0, heavy), (gx.Bond(gx.Shift(1), gx.Hertz(1.0, 1.0)),))
-        seed = gx.breathers.seeds.single_site(chain, omega, 4)
+        seed = gx.breathers.guesses.single_site(chain, omega, 4)
         return np.asarray(seed.u), np.asarray(gx.breathers.breather(chain, omega, seed, check=False).state.u)
 
     (limit, near), (same, nearer) = limit_and_orbit(400.0), limit_and_orbit(1600.0)
@@ -171,13 +171,13 @@ def test_a_defect_carries_a_family_from_its_mode():
 def test_frequencies_and_amplitudes_end_a_family():
     br = gx.breathers.family(dimer(25), amplitude=0.3, mode=13, points=60, stability=False)
     assert "amplitude" in br.outcome and 0.3 <= br.amplitude[-1] < 0.5
-    again = gx.breathers.family(dimer(25), start=br.breather(4), until=float(br.omega[8]), stability=False)
+    again = gx.breathers.family(dimer(25), guess=br.breather(4), until=float(br.omega[8]), stability=False)
     assert again.omega[-1] == br.omega[8] and again.energy[-1] == pytest.approx(br.energy[8], rel=1e-8)
 
 
 @pytest.fixture(scope="module")
 def seed15(short):
-    return gx.breathers.breather(dimer(15), 0.985 * OMEGA2, steps=24)
+    return gx.breathers.breather(dimer(15), 0.985 * OMEGA2, steps=48)
 
 
 @pytest.mark.slow
@@ -186,7 +186,7 @@ def test_energy_is_differentiable_in_the_chain_and_in_omega(seed15):
 
     def energy(ratio, omega):
         chain = gx.Lattice(dimer(15).mass * jnp.where(dimer(15).mass > 1, ratio, 1.0), dimer(15).terms)
-        b = gx.breathers.breather(chain, omega, seed15.state, steps=24, throw=False, tolerance=1e-12)
+        b = gx.breathers.breather(chain, omega, seed15.state, steps=48, throw=False, tolerance=1e-12)
         return b.energy
 
     f = jax.jit(energy)
@@ -207,14 +207,14 @@ def five_points(f, h):
 
 @pytest.mark.slow
 def test_the_frequency_at_constant_energy_is_differentiable(seed15):
-    near = gx.breathers.breather(dimer(15), 0.986 * OMEGA2, seed15.state, energy=float(seed15.energy), steps=24)
+    near = gx.breathers.breather(dimer(15), 0.986 * OMEGA2, seed15.state, energy=float(seed15.energy), steps=48)
     assert float(near.omega) == pytest.approx(float(seed15.omega), rel=1e-9)
 
     @jax.jit
     def omega(ratio):
         chain, energy = of_ratio(ratio), seed15.energy
         return gx.breathers.breather(
-            chain, seed15.omega, seed15.state, energy=energy, steps=24, throw=False, tolerance=1e-12).omega
+            chain, seed15.omega, seed15.state, energy=energy, steps=48, throw=False, tolerance=1e-12).omega
 
     slope = float(jax.jacfwd(omega)(1.0))
     assert slope == pytest.approx(float(five_points(omega, 1e-4)), rel=1e-6) and abs(slope) > 1e-3
@@ -229,7 +229,7 @@ def test_the_largest_multiplier_is_differentiable_in_the_mass_ratio():
     seed = gx.breathers.breather(chain(ratio), omega).state
 
     def largest(heavy):
-        b = gx.breathers.breather(chain(heavy), omega, seed, steps=24, throw=False, tolerance=1e-13)
+        b = gx.breathers.breather(chain(heavy), omega, seed, steps=48, throw=False, tolerance=1e-13)
         return jnp.abs(gx.floquet.multipliers(gx.Flow(48), b.state, 0.0, 2 * jnp.pi / omega, chain(heavy))).max()
 
     assert float(largest(ratio)) == pytest.approx(1.1265, abs=1e-3)
@@ -246,7 +246,7 @@ def test_mass_ratios_in_a_batch(seed15):
     @jax.vmap
     def energies(heavy):
         chain = gx.Lattice(jnp.where(dimer(15).mass > 1, heavy, 1.0), dimer(15).terms)
-        return gx.breathers.breather(chain, 0.985 * OMEGA2, seed15.state, steps=24, throw=False).energy
+        return gx.breathers.breather(chain, 0.985 * OMEGA2, seed15.state, steps=48, throw=False).energy
 
     found = energies(ratios)
     assert float(found[1]) == pytest.approx(float(seed15.energy), rel=1e-9) and np.all(np.diff(found) != 0)
@@ -262,11 +262,11 @@ def test_the_error_of_the_envelope_is_proportional_to_the_shift(case):
     shifts, errors = np.array([0.002, 0.004, 0.008] if case == "dark Hertz" else [0.001, 0.002, 0.004]), []
     for shift in shifts:
         if case == "dark Hertz":
-            chain, omega, seed, i = monomer(260), 6**0.5 * (1 - shift), gx.breathers.dark_seed, 65
+            chain, omega, seed, i = monomer(260), 6**0.5 * (1 - shift), gx.breathers.dark_guess, 65
         elif case == "bright p = 1/2":
-            chain, omega, seed, i = monomer(201, 0.5), 2**0.5 * (1 + shift), gx.breathers.bright_seed, 100
+            chain, omega, seed, i = monomer(201, 0.5), 2**0.5 * (1 + shift), gx.breathers.bright_guess, 100
         else:
-            chain, omega, seed, i = dimer(241), OMEGA2 * (1 - shift), gx.breathers.bright_seed, 120
+            chain, omega, seed, i = dimer(241), OMEGA2 * (1 - shift), gx.breathers.bright_guess, 120
         b = gx.breathers.breather(chain, omega, seed(chain, omega), check=False)
         half = gx.Flow(64)(b.state, 0.0, float(b.period) / 2, chain)
         odd = np.asarray(b.state.u - half.u) / 2
@@ -340,7 +340,7 @@ def test_light_centred_breathers_of_the_dimer(fraction, E, u, largest):
 
 @pytest.mark.slow
 def test_the_real_pair_leaves_where_the_energy_has_its_extremum():
-    br = gx.breathers.family(dimer(121), until=0.98 * OMEGA2, longest_step=0.1)
+    br = gx.breathers.family(dimer(121), until=0.98 * OMEGA2, longest_arclength=0.1)
     assert "reached" in br.outcome
     found = gx.breathers.bifurcations(br, ("real pair at +1", "extremum of energy"))
     at = {b.kind: b.omega for b in found}
@@ -350,7 +350,7 @@ def test_the_real_pair_leaves_where_the_energy_has_its_extremum():
 
 @pytest.mark.slow
 def test_the_heavy_centred_family_is_real_unstable():
-    br = gx.breathers.family(dimer(121, "heavy"), until=0.98 * OMEGA2, longest_step=0.1)
+    br = gx.breathers.family(dimer(121, "heavy"), until=0.98 * OMEGA2, longest_arclength=0.1)
     assert "reached" in br.outcome
     below = br.omega < 0.993 * OMEGA2
     largest = br.multipliers[below, 0]
@@ -360,7 +360,7 @@ def test_the_heavy_centred_family_is_real_unstable():
 @pytest.mark.slow
 def test_the_dark_breather_of_the_monomer():
     chain = monomer(82)
-    b = gx.breathers.breather(chain, 0.99 * 6**0.5, "dark", steps=48)
+    b = gx.breathers.breather(chain, 0.99 * 6**0.5, "dark", steps=96)
     # the number of the literature, 9.321146696, is that of an integrator whose frequency is 4.7e-8 off
     assert float(b.energy) == pytest.approx(9.321099312, rel=1e-8)
     half = gx.Flow(64)(b.state, 0.0, float(b.period) / 2, chain)

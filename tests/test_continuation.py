@@ -36,7 +36,7 @@ def check(f, curve, tolerance=1e-10, args=None):
 
 
 def test_a_circle_closes_upon_itself():
-    curve = continuation(circle, [1.0], 0.0, step=0.1)
+    curve = continuation(circle, [1.0], 0.0, arclength=0.1)
     check(circle, curve)
     assert curve.outcome == "The branch closed upon itself."
     np.testing.assert_allclose(curve.folds, [1.0, -1.0], rtol=0, atol=1e-10)
@@ -45,11 +45,11 @@ def test_a_circle_closes_upon_itself():
         assert abs(fold.x[0]) < 1e-8 and (curve.x[fold.after, 0]) * curve.x[fold.after + 1, 0] < 0
         assert abs(fold.directions[0, 1]) < 1e-8
     # backwards, the other fold first
-    np.testing.assert_allclose(continuation(circle, [1.0], 0.0, step=0.1, direction=-1).folds, [-1, 1], atol=1e-10)
+    np.testing.assert_allclose(continuation(circle, [1.0], 0.0, arclength=0.1, direction=-1).folds, [-1, 1], atol=1e-10)
 
 
 def test_folds_of_a_cubic():
-    curve = continuation(cubic, [1.5], 1.875, direction=-1, until=-2.0, step=0.1)
+    curve = continuation(cubic, [1.5], 1.875, direction=-1, until=-2.0, arclength=0.1)
     check(cubic, curve)
     fold = 2 / (3 * np.sqrt(3))
     np.testing.assert_allclose(curve.folds, [-fold, fold], rtol=0, atol=1e-12)
@@ -77,7 +77,8 @@ def test_bratu():
     assert exact == pytest.approx(3.513830719, abs=1e-9)
     x, second = chebyshev(32)
     bratu = lambda u, p, second: second @ u + p * jnp.exp(u)
-    curve = continuation(bratu, np.zeros(len(x)), 0.0, args=second, step=0.2, until=-1.0, points=25, tolerance=1e-9,
+    curve = continuation(bratu, np.zeros(len(x)), 0.0, args=second, arclength=0.2, until=-1.0, points=25,
+                         tolerance=1e-9,
                          stop=lambda u, p: "far beyond the fold" if u.max() > 4 else None)
     check(bratu, curve, 1e-9, second)
     assert len(curve.folds) == 1 and abs(curve.folds[0] - exact) < 1e-8
@@ -92,19 +93,20 @@ def test_bratu():
 
 
 def test_a_pitchfork_and_its_other_branch():
-    curve = continuation(pitchfork, [0.0], -1.0, until=1.0, step=0.11)
+    curve = continuation(pitchfork, [0.0], -1.0, until=1.0, arclength=0.11)
     check(pitchfork, curve)
     assert [s.kind for s in curve.special] == ["branch point"] and abs(curve.branch_points[0]) < 1e-10
     point = curve.special[0]
     assert curve.p[point.after] < 0 < curve.p[point.after + 1]
     np.testing.assert_allclose(point.directions, [[0, 1], [np.sign(point.directions[1, 0]), 0]], atol=1e-8)
     for sign in (1, -1):
-        other = continuation(pitchfork, point.x, point.p, direction=sign * point.directions[1], until=1.0, step=0.1)
+        other = continuation(pitchfork, point.x, point.p, direction=sign * point.directions[1], until=1.0,
+                             arclength=0.1)
         check(pitchfork, other)
         np.testing.assert_allclose(other.x[:, 0] ** 2, other.p, rtol=0, atol=1e-9)
         assert other.p[-1] == 1.0 and np.sign(other.x[-1, 0]) == sign * np.sign(point.directions[1, 0])
     # through the pitchfork along the parabola: it turns there (a fold), and the line crosses
-    whole = continuation(pitchfork, [1.0], 1.0, direction=-1, until=(1.5,), step=0.07)
+    whole = continuation(pitchfork, [1.0], 1.0, direction=-1, until=(1.5,), arclength=0.07)
     assert whole.x[-1, 0] == pytest.approx(-(1.5**0.5), abs=1e-9)
     assert [s.kind for s in whole.special] == ["fold", "branch point"]
     # |F| <= 1e-10 leaves x to its cube root there, and p = x^2
@@ -113,12 +115,13 @@ def test_a_pitchfork_and_its_other_branch():
 
 
 def test_a_transcritical_crossing():
-    curve = continuation(transcritical, [0.0], -1.0, until=1.0, step=0.13)
+    curve = continuation(transcritical, [0.0], -1.0, until=1.0, arclength=0.13)
     check(transcritical, curve)
     assert abs(curve.branch_points[0]) < 1e-10 and len(curve.special) == 1
     point = curve.special[0]
     np.testing.assert_allclose(point.directions, [[0, 1], [0.5**0.5, 0.5**0.5]], rtol=0, atol=1e-9)
-    other = continuation(transcritical, point.x, point.p, direction=point.directions[1], step=0.1, until=(-1.0, 1.0))
+    other = continuation(transcritical, point.x, point.p, direction=point.directions[1], arclength=0.1,
+                         until=(-1.0, 1.0))
     check(transcritical, other)
     np.testing.assert_allclose(other.x[:, 0], other.p, rtol=0, atol=1e-9)
 
@@ -126,15 +129,15 @@ def test_a_transcritical_crossing():
 @pytest.mark.parametrize("step", (0.25, 0.5))
 def test_a_step_that_lands_on_a_branch_point_itself(step):
     # at p = 0 there is no tangent
-    curve = continuation(pitchfork, [0.0], -1.0, until=1.0, step=step, longest_step=step)
+    curve = continuation(pitchfork, [0.0], -1.0, until=1.0, arclength=step, longest_arclength=step)
     check(pitchfork, curve)
     assert curve.p[-1] == 1.0 and abs(curve.branch_points[0]) < 1e-10
     assert np.all(curve.x == 0) and not np.any(curve.p == 0)
 
 
 def test_kinds_that_are_not_asked_for_are_not_sought():
-    assert not continuation(circle, [1.0], 0.0, step=0.1, find=("branch point",)).special
-    assert not continuation(pitchfork, [0.0], -1.0, until=1.0, step=0.11, find=("fold",)).special
+    assert not continuation(circle, [1.0], 0.0, arclength=0.1, find=("branch point",)).special
+    assert not continuation(pitchfork, [0.0], -1.0, until=1.0, arclength=0.11, find=("fold",)).special
 
 
 # ends ---------------------------------------------------------------------------------------------------------------
@@ -142,7 +145,7 @@ def test_kinds_that_are_not_asked_for_are_not_sought():
 
 @pytest.mark.parametrize("until", (0.7, 0.999, 1 - 1e-9))
 def test_until_is_met_exactly_and_before_the_fold(until):
-    curve = continuation(circle, [1.0], 0.0, step=0.1, until=until)
+    curve = continuation(circle, [1.0], 0.0, arclength=0.1, until=until)
     check(circle, curve)
     assert curve.p[-1] == until and curve.outcome == f"p reached {until:.6g}."
     assert curve.x[-1, 0] > 0 and curve.x[-1, 0] ** 2 == pytest.approx(1 - until**2, abs=1e-10)
@@ -151,49 +154,53 @@ def test_until_is_met_exactly_and_before_the_fold(until):
 
 def test_until_beyond_a_fold():
     # from x = 0.6, p = 0.8 up to the fold and back, on the other side
-    curve = continuation(circle, [0.6], 0.8, step=0.1, until=(0.5, 1.1))
+    curve = continuation(circle, [0.6], 0.8, arclength=0.1, until=(0.5, 1.1))
     assert curve.p[-1] == 0.5 and curve.x[-1, 0] == pytest.approx(-np.sqrt(0.75), abs=1e-9)
     np.testing.assert_allclose(curve.folds, [1.0], atol=1e-10)
 
 
 def test_either_of_two_values():
     for direction, end in ((1, 0.4), (-1, -0.3)):
-        curve = continuation(pitchfork, [0.0], 0.1, direction=direction, until=(-0.3, 0.4), step=0.03)
+        curve = continuation(pitchfork, [0.0], 0.1, direction=direction, until=(-0.3, 0.4), arclength=0.03)
         assert curve.p[-1] == end
 
 
 def test_a_veto_shortens_the_steps_and_says_why_where_none_is_short_enough():
     far = lambda x, p, x0, p0: "too far" if abs(x - x0)[0] > 0.02 else None
-    curve = continuation(cubic, [1.5], 1.875, direction=-1, until=-2.0, step=0.1, veto=far, points=400)
+    curve = continuation(cubic, [1.5], 1.875, direction=-1, until=-2.0, arclength=0.1, veto=far, points=400)
     check(cubic, curve)
     assert np.abs(np.diff(curve.x[:, 0])).max() <= 0.02 and curve.p[-1] == -2.0 and len(curve.folds) == 2
-    assert np.abs(np.diff(continuation(cubic, [1.5], 1.875, direction=-1, until=-2.0, step=0.1).x[:, 0])).max() > 0.1
-    curve = continuation(cubic, [1.5], 1.875, step=0.1, veto=lambda x, p, *_: "a wall" if p > 2 else None)
-    assert curve.outcome == "The step fell below 1.0e-05: vetoed, a wall."
+    free = continuation(cubic, [1.5], 1.875, direction=-1, until=-2.0, arclength=0.1)
+    assert np.abs(np.diff(free.x[:, 0])).max() > 0.1
+    curve = continuation(cubic, [1.5], 1.875, arclength=0.1, veto=lambda x, p, *_: "a wall" if p > 2 else None)
+    assert curve.outcome == "The step along the branch fell below 1.0e-05: vetoed, a wall."
     assert 2 - 1e-4 < curve.p[-1] <= 2
 
 
 def test_stop_ends_the_branch_with_its_reason():
-    curve = continuation(cubic, [1.5], 1.875, step=0.1, stop=lambda x, p: f"x is {x[0]:.0f}" if x[0] > 3 else None)
+    curve = continuation(cubic, [1.5], 1.875, arclength=0.1, stop=lambda x, p: f"x is {x[0]:.0f}" if x[0] > 3 else None)
     assert curve.outcome == "Stopped: x is 3." and curve.x[-2, 0] <= 3 < curve.x[-1, 0]
 
 
 def test_a_branch_that_ends():
     # x = (1 - p)^{3/2} ends at p = 1
-    curve = continuation(lambda x, p, a: x - (1 - p) ** 1.5, [1.0], 0.0, step=0.1, longest_step=0.1)
-    assert curve.outcome.startswith("The step fell below 1.0e-05: Newton did not converge: the residual went from")
+    curve = continuation(lambda x, p, a: x - (1 - p) ** 1.5, [1.0], 0.0, arclength=0.1, longest_arclength=0.1)
+    assert curve.outcome.startswith(
+        "The step along the branch fell below 1.0e-05: Newton did not converge: the residual went from")
     assert 0.999 < curve.p[-1] <= 1
 
 
 def test_points_and_steps_are_limited():
-    curve = continuation(lambda x, p, a: x - p, [0.0], 0.0, step=0.1, longest_step=0.3, points=7)
+    curve = continuation(lambda x, p, a: x - p, [0.0], 0.0, arclength=0.1, longest_arclength=0.3, points=7)
     assert curve.outcome == "The 7 points that were asked for." and len(curve.p) == 7
     lengths = np.linalg.norm(np.diff(np.column_stack([curve.x, curve.p]), axis=0), axis=1)
     assert lengths[0] == pytest.approx(0.1) and lengths.max() == pytest.approx(0.3)
 
 
 def test_refusals():
-    for keywords, name in (({"step": 0.0}, "step"), ({"step": float("nan")}, "step"), ({"find": ("hopf",)}, "find")):
+    nan = float("nan")
+    for keywords, name in (({"arclength": 0.0}, "arclength"), ({"arclength": nan}, "arclength"),
+                           ({"find": ("hopf",)}, "find")):
         with pytest.raises(ValueError, match=f"^{name}: expected"):
             continuation(circle, [1.0], 0.0, **keywords)
     with pytest.raises(RuntimeError, match="The first point: Newton did not converge"):
@@ -202,7 +209,7 @@ def test_refusals():
 
 def test_a_given_linearisation():
     linearise = lambda x, p, args: (cubic(x, p, args), jnp.diag(3 * x**2 - 1))
-    how = {"direction": -1, "until": -2.0, "step": 0.1}
+    how = {"direction": -1, "until": -2.0, "arclength": 0.1}
     one, two = (continuation(cubic, [1.5], 1.875, linearise=f, **how) for f in (None, linearise))
     np.testing.assert_allclose(two.x, one.x, rtol=0, atol=1e-11)
     np.testing.assert_allclose(two.folds, one.folds, rtol=0, atol=1e-12)

@@ -97,7 +97,7 @@ def test_input_that_cannot_be_meant_is_refused():
     lattice = duffing(0.9)
     with pytest.raises(ValueError, match="period: expected numbers above zero"):
         forced_orbit(lattice, -1.0)
-    with pytest.raises(ValueError, match="seed.u: expected shape"):
+    with pytest.raises(ValueError, match="guess.u: expected shape"):
         forced_orbit(lattice, 1.0, gx.State(jnp.zeros(3), jnp.zeros(3)))
     with pytest.raises(ValueError, match="steps: expected a multiple of the 3 segments"):
         forced_orbit(lattice, 1.0, steps=32, segments=3)

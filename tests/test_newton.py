@@ -25,7 +25,7 @@ def test_the_error_is_squared_at_every_step():
     assert np.all(errors[:4] > 1e-6) and errors[5] < 1e-15
     constants = errors[2:5] / errors[1:4] ** 2  # of one size, while the errors fall from 0.2 to 2e-10
     assert 0.2 < constants.min() and constants.max() < 0.6
-    assert [int(r.steps) for r in roots][:5] == [1, 2, 3, 4, 5]
+    assert [int(r.iterations) for r in roots][:5] == [1, 2, 3, 4, 5]
 
 
 def test_halved_steps_save_a_guess_that_full_steps_lose():
@@ -35,7 +35,7 @@ def test_halved_steps_save_a_guess_that_full_steps_lose():
         x = x - np.arctan(x) * (1 + x**2)
     assert abs(x) > 1e6
     root = newton(f, [3.0], 0.0, tolerance=1e-14)
-    assert abs(root.x[0]) < 1e-13 and root.first == pytest.approx(np.arctan(3.0)) and root.steps < 10
+    assert abs(root.x[0]) < 1e-13 and root.first == pytest.approx(np.arctan(3.0)) and root.iterations < 10
     # where a full step leaves the domain: log x from x = 3 would go to -0.3
     assert newton(lambda x, a: jnp.log(x), [3.0]).x[0] == pytest.approx(1.0, abs=1e-10)
 
@@ -92,7 +92,7 @@ def test_the_best_iterate_is_returned():
 
 def test_a_root_as_guess_costs_one_jacobian():
     root = newton(lambda x, a: x - a, [2], 2.0)
-    assert root.steps == 1 and root.residual == 0 and root.x.dtype == float
+    assert root.iterations == 1 and root.residual == 0 and root.x.dtype == float
 
 
 def differences(f, x, h):
@@ -125,7 +125,7 @@ def test_inside_jit_and_vmap():
     assert list(roots.converged) == [True, True, False]
     np.testing.assert_allclose(roots.x[0], one.x, rtol=0, atol=1e-13)
     np.testing.assert_allclose(roots.x[1], find(several[1]).x, rtol=0, atol=1e-13)
-    assert roots.steps[0] == one.steps
+    assert roots.iterations[0] == one.iterations
     assert "Newton did not converge" in roots.outcome  # the worst of them
     np.testing.assert_allclose(jax.vmap(jax.jacrev(lambda a: find(a).x))(several[:2])[0],
                                jax.jacfwd(lambda a: find(a).x)(ARGS), rtol=0, atol=1e-12)

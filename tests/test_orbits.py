@@ -90,7 +90,7 @@ def breather():
     tangent = np.concatenate([shape / np.abs(shape).max(), np.zeros(2)])
     curve = continuation(
         lambda x, p, a: half.residual(x, (a, 2 * jnp.pi / p)), np.zeros(N + 1), float(modes.omega[-1]), args=DIMER,
-        direction=tangent, step=0.05, points=8, linearise=lambda x, p, a: half.linearise(x, (a, 2 * jnp.pi / p)),
+        direction=tangent, arclength=0.05, points=8, linearise=lambda x, p, a: half.linearise(x, (a, 2 * jnp.pi / p)),
         tolerance=1e-12)
     assert np.abs(curve.x[-1]).max() > 0.5 and curve.p[-1] < 0.98 * modes.omega[-1]
     return half.state(jnp.asarray(curve.x[-1])), 2 * np.pi / curve.p[-1]

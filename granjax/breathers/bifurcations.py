@@ -43,7 +43,7 @@ def bifurcations(branch, kinds=KINDS, *, accuracy=1e-9):
     collision", "extremum of energy". `accuracy`: relative, of the frequency.
 
     **Returns:** a list of `Bifurcation` in the order of the branch. A pair that comes and goes between two breathers
-    is not seen: give the family a shorter `longest_step`.
+    is not seen: give the family a shorter `longest_arclength`.
     """
     for kind in kinds:
         one_of("kinds", kind, KINDS)

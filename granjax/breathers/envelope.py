@@ -17,7 +17,7 @@ from ..theory import nls
 
 # relative distance in omega below which a frequency is an edge's
 AT_EDGE = 1e-9
-NO_CELL = "None or a State (such as seeds.single_site gives) for this lattice"
+NO_CELL = "None or a State (such as guesses.single_site gives) for this lattice"
 # distance of an extremum's k from 0 or pi
 SAME_K = 1e-6
 # of an iteration that contracts by the dips' share of the chain
@@ -37,33 +37,33 @@ class Edge(NamedTuple):
     coefficients: nls.Coefficients
 
 
-def cell_of(chain):
+def cell_of(lattice):
     """(mass, K2, K3, K4) of the unit cell of a chain of next neighbours, (P,) each, or `None` where it is none."""
-    if len(chain.terms) != 1 or not isinstance(chain.terms[0], Bond) or chain.fields or chain.axes != 1:
+    if len(lattice.terms) != 1 or not isinstance(lattice.terms[0], Bond) or lattice.fields or lattice.axes != 1:
         return None
-    bond = chain.terms[0]
-    if chain.dimension or not isinstance(bond.strain_map, Shift) or bond.strain_map.offset != (1,):
+    bond = lattice.terms[0]
+    if lattice.dimension or not isinstance(bond.strain_map, Shift) or bond.strain_map.offset != (1,):
         return None
     try:
-        (size,) = unit_cell(chain).cell
+        (size,) = unit_cell(lattice).cell
     except ValueError:
         return None
     coefficients = taylor(bond.law)
     if not np.all(np.asarray(coefficients.K2) > 0):
         return None
-    (sites,) = chain.sites
+    (sites,) = lattice.sites
     left = 1 if bond.strain_map.boundary[0] == "fixed" else 0
-    mass = np.broadcast_to(np.asarray(chain.mass), (sites,))[:size]
+    mass = np.broadcast_to(np.asarray(lattice.mass), (sites,))[:size]
     parts = [np.asarray(x) if np.ndim(x) == 0 else np.asarray(x)[left : left + size] for x in coefficients]
     return mass, *(np.broadcast_to(x, (size,)) for x in parts)
 
 
-def edges_beside(chain, omega):
+def edges_beside(lattice, omega):
     """The edges of the gap that holds omega, as `Edge`s; none inside a band or where there is no unit cell."""
-    cell = cell_of(chain)
+    cell = cell_of(lattice)
     if cell is None:
         return []
-    found = bands(chain)
+    found = bands(lattice)
     lower, upper = np.asarray(found.lower), np.asarray(found.upper)
     if np.any((lower * (1 + AT_EDGE) < omega) & (omega < upper * (1 - AT_EDGE))):
         return []
@@ -86,47 +86,47 @@ def supports_bright(edge):
     return bool(c.focusing) and (float(c.nu3_force) > 0) == edge.above
 
 
-def edge_of(chain, omega, kind):
+def edge_of(lattice, omega, kind):
     """Frequency of the edge from which the bright or dark breathers at omega come."""
     if kind == "dark":
-        upper = np.asarray(bands(chain).upper)
+        upper = np.asarray(bands(lattice).upper)
         return float(upper[np.argmin(np.abs(upper - omega))])
-    found = [edge.omega for edge in edges_beside(chain, omega) if supports_bright(edge)]
+    found = [edge.omega for edge in edges_beside(lattice, omega) if supports_bright(edge)]
     return min(found, key=lambda edge: abs(edge - omega)) if found else omega
 
 
-def bright_seed(chain, omega, centre=None):
+def bright_guess(lattice, omega, centre=None):
     """The envelope's bright breather of a chain at a frequency in a gap, `State` at rest.
 
     **Raises** ValueError where no edge of that gap has one.
     """
-    if cell_of(chain) is None:
-        refuse("seed", NO_CELL, "'bright'", "The envelope equation needs a periodic chain of bonds alone.")
-    found = [edge for edge in edges_beside(chain, omega) if supports_bright(edge)]
+    if cell_of(lattice) is None:
+        refuse("guess", NO_CELL, "'bright'", "The envelope equation needs a periodic chain of bonds alone.")
+    found = [edge for edge in edges_beside(lattice, omega) if supports_bright(edge)]
     if not found:
-        refuse_bright(chain, omega)
+        refuse_bright(lattice, omega)
     edge = min(found, key=lambda edge: abs(edge.omega - omega))
-    return _state(chain, nls.bright_profile, edge.coefficients, omega, centre)
+    return _state(lattice, nls.bright_profile, edge.coefficients, omega, centre)
 
 
-def dark_seed(chain, omega, centre=None):
+def dark_guess(lattice, omega, centre=None):
     """The envelope's dark breather below the highest edge of a band, `State` at rest, N bonds wide.
 
     Ends at constant force (free) or at fixed length (walls, a ring) as the chain has them. **Raises** ValueError where
     the edge above omega has no dark breathers, and for a lattice that is no periodic chain of next neighbours.
     """
-    cell = cell_of(chain)
+    cell = cell_of(lattice)
     if cell is None:
-        refuse("seed", NO_CELL, "'dark'", "The envelope equation needs a periodic chain of bonds alone.")
-    found = bands(chain)
+        refuse("guess", NO_CELL, "'dark'", "The envelope equation needs a periodic chain of bonds alone.")
+    found = bands(lattice)
     tops = [(b, float(w), float(k)) for b, (w, k) in enumerate(zip(found.upper, np.ravel(found.upper_k)))]
     branch, _, k = min(tops, key=lambda top: abs(top[1] - omega))
     k = _at_symmetry(k)
-    constraint = "force" if chain.terms[0].strain_map.boundary[0] == "free" else "length"
+    constraint = "force" if lattice.terms[0].strain_map.boundary[0] == "free" else "length"
     coefficients = nls.coefficients(*cell, k, branch, constraint)
     if constraint == "length":
-        coefficients = _held(coefficients, omega, chain.sites[0] / len(coefficients.mode))
-    return _state(chain, nls.dark_profile, coefficients, omega, centre)
+        coefficients = _held(coefficients, omega, lattice.sites[0] / len(coefficients.mode))
+    return _state(lattice, nls.dark_profile, coefficients, omega, centre)
 
 
 def _held(c, omega, cells):
@@ -144,17 +144,17 @@ def _held(c, omega, cells):
     return eqx.tree_at(lambda c: (c.nu3, c.mean_strain), c, (effective(r), strain))
 
 
-def _state(chain, profile, coefficients, omega, centre):
-    (sites,) = chain.sites
+def _state(lattice, profile, coefficients, omega, centre):
+    (sites,) = lattice.sites
     cells = -(-sites // len(coefficients.mode))
     centre = (sites - 1) / 2 if centre is None else centre
     u = profile(coefficients, omega, cells, centre).displacement[:sites]
     return State(u, jnp.zeros_like(u))
 
 
-def refuse_bright(chain, omega):
+def refuse_bright(lattice, omega):
     """Say why a chain has no bright breather at a frequency."""
-    edges = edges_beside(chain, omega)
+    edges = edges_beside(lattice, omega)
     said = []
     for edge in edges:
         c = edge.coefficients

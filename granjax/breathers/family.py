@@ -31,76 +31,77 @@ SLOW = 20
 
 
 @one_thread
-def family(chain, until=None, *, start=None, amplitude=None, mode=None, step=None, longest_step=None, points=200,
-           steps=None, solver=None, tolerance=TOLERANCE, stability=True, veto=None, stop=None):
+def family(lattice, until=None, *, guess=None, amplitude=None, mode=None, arclength=None, longest_arclength=None,
+           points=200, steps=None, solver=None, tolerance=TOLERANCE, stability=True,
+           veto=None, stop=None):
     r"""A family of time-reversible breathers, followed in (u, omega) with its stability.
 
-    Without a `start` it begins at a linear mode (a Lyapunov family): amplitude zero, the mode's frequency. The branch
+    Without a `guess` it begins at a linear mode (a Lyapunov family): amplitude zero, the mode's frequency. The branch
     is followed by pseudo-arclength through folds.
 
     **Arguments:**
 
-    - `chain`: a conservative, autonomous `Lattice`; bright families need a gap, and a mode that shifts into it.
+    - `lattice`: a conservative, autonomous `Lattice`; bright families need a gap, and a mode that shifts into it.
     - `until`: the frequency at which to end; `amplitude`: the largest |u| at which to end. One of them, or `points`.
-    - `start`: a `Breather` to begin at. `mode`: index of the linear mode; `None` takes the one next to `until` whose
+    - `guess`: a `Breather` to begin at. `mode`: index of the linear mode; `None` takes the one next to `until` whose
       frequency moves towards it, and without `until` the highest.
-    - `step`, `longest_step`: of the length in (u, omega), in the unit of u; first 0.02 (0.01 of the lattice's length
-      scale for others) and 0.15 of it at most.
-    - `points`: the most breathers. `steps`: time steps in half a period; `None` takes h omega_max = 0.3 and doubles
-      them where the tangent map at the end still changes by more than 1e-8.
+    - `arclength`, `longest_arclength`: steps along the branch in (u, omega), in the unit of u; first 0.02 and at most
+      7.5 times the first.
+    - `points`: the most breathers. `steps`: time steps in a period, an even number; `None` takes h omega_max = 0.3 and
+      doubles them where the tangent map at the end still changes by more than 1e-8.
     - `tolerance`: of max |v(T/2)|. `stability`: also the multipliers. `veto`, `stop`: as in `continuation`, on
       (x, omega).
 
     **Returns:** `Branch`. **Raises** ValueError for lattices that are damped, driven or in lanes, a mode that is not
-    there, and both `mode` and `start`; RuntimeError where the first breather is not found.
+    there, and both `mode` and `guess`; RuntimeError where the first breather is not found.
     Source: Flach, Gorbach, Phys. Rep. 467, 1 (2008); Theocharis et al., Phys. Rev. E 82, 056604 (2010).
     """
-    checked_lattice(chain)
-    if start is not None and mode is not None:
-        refuse("mode", "a mode or a start", "both", "A start says where the family begins.")
-    if start is not None and not isinstance(start, Breather):
-        refuse("start", "a Breather", f"a {type(start).__name__}", "gx.breathers.breather finds one.")
-    modes = normal_modes(chain) if start is None else None
-    ways = [_from(chain, start)] if start is not None else _modes(modes, until, mode)
-    unit = 1.0 if step is None else step / 0.02
-    step = 0.02 * unit
-    longest_step = 0.15 * unit if longest_step is None else longest_step
+    checked_lattice(lattice)
+    if guess is not None and mode is not None:
+        refuse("mode", "a mode or a guess", "both", "A guess says where the family begins.")
+    if guess is not None and not isinstance(guess, Breather):
+        refuse("guess", "a Breather", f"a {type(guess).__name__}", "gx.breathers.breather finds one.")
+    modes = normal_modes(lattice) if guess is None else None
+    ways = [_from(guess)] if guess is not None else _modes(modes, until, mode)
+    unit = 1.0 if arclength is None else arclength / 0.02
+    arclength = 0.02 * unit
+    longest_arclength = 0.15 * unit if longest_arclength is None else longest_arclength
 
     def follow(way, count, most):
-        problem = by_frequency(chain, count, solver)
+        problem = by_frequency(lattice, count, solver)
         x0, omega, direction = way(problem.half)
         grown = None if amplitude is None else _grown(problem.half, amplitude)
         return problem, continuation(
-            problem.residual, x0, omega, args=chain, until=until, direction=direction(until), points=most,
-            step=step if start is not None else FIRST * step, longest_step=longest_step, least_step=1e-6 * step,
-            linearise=problem.linearise, tolerance=tolerance, veto=veto, stop=_both(grown, stop))
+            problem.residual, x0, omega, args=lattice, until=until, direction=direction(until), points=most,
+            arclength=arclength if guess is not None else FIRST * arclength, longest_arclength=longest_arclength,
+            least_arclength=1e-6 * arclength, linearise=problem.linearise, tolerance=tolerance, veto=veto,
+            stop=_both(grown, stop))
 
-    fastest = None if modes is None else np.asarray(modes.omega)[-1]
-    count = steps or half_steps(chain, 2 * np.pi / ways[0](by_frequency(chain, 8).half)[1], fastest)
+    count = half_steps(lattice, 2 * np.pi / ways[0](by_frequency(lattice, 8).half)[1], steps)
     chosen = ways[0] if len(ways) == 1 else _towards(ways, until, lambda way: follow(way, count, PROBE)[1])
     problem, curve = follow(chosen, count, points)
-    enough = steps or _enough(problem, chain, curve, count)
+    enough = count if steps else _enough(problem, lattice, curve, count)
     if enough > count:
         problem, curve = follow(chosen, enough, points)
-    return _branch(problem, chain, curve, stability)
+    return _branch(problem, lattice, curve, stability)
 
 
-def _enough(problem, chain, curve, count):
+def _enough(problem, lattice, curve, count):
     """Steps for which the last tangent map is known well enough, or from which on more help little (open contacts)."""
     before = np.inf
     for doubled in count * 2 ** np.arange(DOUBLINGS):
         problem = eqx.tree_at(lambda p: p.half.flow.steps, problem, jnp.asarray(doubled, int))
-        error = spectrum_of(problem, chain, curve.x[-1], curve.p[-1]).step_error
+        error = spectrum_of(problem, lattice, curve.x[-1], curve.p[-1]).step_error
         if error <= LET_PASS or error > before / SLOW:
             break
         before = error
     return int(doubled)
 
 
-def _from(chain, start):
+def _from(guess):
     def way(half):
-        x0 = np.asarray(half.guess(start.state))
-        return x0, float(start.omega), lambda until: np.sign((until or np.inf) - float(start.omega)) or 1.0
+        x0 = np.asarray(half.guess(guess.state))
+        return x0, float(guess.omega), lambda until: np.sign((until or np.inf) - float(guess.omega)) or 1.0
 
     return way
 
@@ -120,8 +121,8 @@ def _modes(modes, until, mode):
         chosen = [*above[:1], *below[-1:]]
         chosen.sort(key=lambda i: abs(omega[i] - until))
     if not chosen or not omega[chosen[0]] > 0:
-        refuse("chain", "a linear mode that oscillates", "none (a sonic vacuum?)",
-               "Give start=, from gx.breathers.breather with a seed.")
+        refuse("lattice", "a linear mode that oscillates", "none (a sonic vacuum?)",
+               "Give guess=, from gx.breathers.breather.")
     return [_beside(float(omega[i]), shapes[:, i]) for i in chosen]
 
 
@@ -147,7 +148,7 @@ def _towards(ways, until, probe):
         if (found.p[-1] - found.p[0]) * (until - found.p[0]) > 0 or "reached" in found.outcome:
             return way
     refuse("until", "a frequency that a family moves to", f"{until:.6g}",
-           "The linear modes next to it shift away from it with amplitude: give mode= or start=.")
+           "The linear modes next to it shift away from it with amplitude: give mode= or guess=.")
 
 
 def _grown(half, amplitude):
@@ -164,9 +165,9 @@ def _both(first, second):
     return lambda x, omega: first(x, omega) or second(x, omega)
 
 
-def _branch(problem, chain, curve, stability):
-    states, energy = states_of(problem, chain, jnp.asarray(curve.x))
-    found = list(spectra_of(problem, chain, curve.x, curve.p)) if stability else []
+def _branch(problem, lattice, curve, stability):
+    states, energy = states_of(problem, lattice, jnp.asarray(curve.x))
+    found = list(spectra_of(problem, lattice, curve.x, curve.p)) if stability else []
     verdicts = [decide(s.multipliers, s.error, s.expected, True)[0] for s in found]
     size = 2 * problem.half.size
     none = np.full((len(curve.p), size), np.nan)
@@ -177,5 +178,5 @@ def _branch(problem, chain, curve, stability):
         np.stack([s.error for s in found]) if found else none,
         np.array(verdicts if found else [""] * len(curve.p)),
         np.array([s.step_error for s in found]) if found else np.full(len(curve.p), np.nan),
-        curve.folds, curve.branch_points, curve.outcome, curve.x, curve.tangents, curve, problem, chain,
+        curve.folds, curve.branch_points, curve.outcome, curve.x, curve.tangents, curve, problem, lattice,
     )

@@ -6,15 +6,15 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from ..checks import refuse
+from ..checks import refuse, whole
 from ..floquet import reversible_multipliers
-from ..flow import Flow, linear_frequency
+from ..flow import Flow
 from ..lattice import Lattice, spread_mass
-from ..orbits import HalfPeriod
+from ..orbits import HalfPeriod, default_steps
 from ..solvers import KahanLi8
 
-# h omega_max of a step, the error of half a period that is let pass, and how often the steps are doubled for it
-FINE, LET_PASS, DOUBLINGS = 0.3, 1e-8, 5
+# the error of half a period that is let pass, and how often the steps are doubled for it
+LET_PASS, DOUBLINGS = 1e-8, 5
 TOLERANCE = 1e-11
 
 
@@ -36,23 +36,24 @@ class ByFrequency(eqx.Module):
 def checked_lattice(lattice):
     """A lattice that has time-reversible, isolated families: single, conservative, autonomous."""
     if not isinstance(lattice, Lattice):
-        refuse("chain", "a Lattice", f"a {type(lattice).__name__}")
+        refuse("lattice", "a Lattice", f"a {type(lattice).__name__}")
     if lattice.lanes:
-        remedy = "Use jax.vmap(function, in_axes=-1)(chain) for gx.breathers.breather with a seed."
-        refuse("chain", "one lattice", f"a batch with lanes {lattice.lanes}", remedy)
+        remedy = "Use jax.vmap(function, in_axes=-1)(lattice) for gx.breathers.breather with a guess."
+        refuse("lattice", "one lattice", f"a batch with lanes {lattice.lanes}", remedy)
     timeless = all(term.conserves and not term.reads_velocity for term in lattice.terms)
     if not timeless:
         names = ", ".join(type(t).__name__ for t in lattice.terms if not t.conserves or t.reads_velocity)
         remedy = "Orbits of damped or driven chains: gx.forced.forced_orbit."
-        refuse("chain", "forces that depend on positions alone", names, remedy)
+        refuse("lattice", "forces that depend on positions alone", names, remedy)
     return lattice
 
 
-def half_steps(lattice, period, fastest=None):
-    """Steps of half a period for which h omega_max is at most `FINE`, with omega_max, `fastest`, that of small motion.
-    """
-    omega = float(linear_frequency(lattice) if fastest is None else fastest)
-    return max(int(np.ceil(period / 2 * omega / FINE)), 8)
+def half_steps(lattice, period, steps=None):
+    """Steps of half a period, from those of a whole one or by default."""
+    steps = default_steps(lattice, period, 2, doubled=True) if steps is None else whole("steps", steps, 2)
+    if steps % 2:
+        refuse("steps", "an even number, of which half a period takes half", repr(steps))
+    return steps // 2
 
 
 def by_frequency(lattice, steps, solver=None):

@@ -12,16 +12,16 @@ MEETS = 1e-9
 SPACING = 8
 
 
-def bands_of(chain):
+def bands_of(lattice):
     """Intervals of omega that waves fill, (bands, 2), and the discrete spectrum.
 
     Of the unit cell where there is one; else of the extended modes of the finite lattice: runs of neighbours closer
     than 8 mean spacings, of modes that spread over a fifth of the sites.
     """
-    modes = normal_modes(chain)
+    modes = normal_modes(lattice)
     omega = np.asarray(modes.omega)
     try:
-        found = bands(chain)
+        found = bands(lattice)
         return np.stack([np.asarray(found.lower), np.asarray(found.upper)], -1), omega
     except ValueError:
         pass
@@ -34,12 +34,12 @@ def bands_of(chain):
     return np.array([[run[0], run[-1]] for run in np.split(extended, apart + 1)]), omega
 
 
-def resonant_harmonic(chain, omega, first=1):
+def resonant_harmonic(lattice, omega, first=1):
     """The least n >= first with n omega in a band, with that band and the nearest frequency of the finite lattice.
 
     `None` where no harmonic meets a wave.
     """
-    intervals, discrete = bands_of(chain)
+    intervals, discrete = bands_of(lattice)
     top = max(intervals.max(initial=0.0), discrete.max())
     for n in range(first, int(top / omega) + 1):
         nearest = discrete[np.argmin(np.abs(discrete - n * omega))]
@@ -49,9 +49,9 @@ def resonant_harmonic(chain, omega, first=1):
     return None
 
 
-def refuse_resonance(chain, omega, dark):
+def refuse_resonance(lattice, omega, dark):
     """Refuse a frequency one of whose harmonics (of a dark breather from the second on) is a wave of the chain."""
-    found = resonant_harmonic(chain, omega, 2 if dark else 1)
+    found = resonant_harmonic(lattice, omega, 2 if dark else 1)
     if found is None:
         return
     n, (low, high), nearest = found

@@ -21,7 +21,7 @@ class Point(NamedTuple):
     jacobian: np.ndarray
     tangent: np.ndarray
     sign: float
-    steps: int
+    iterations: int
 
     @property
     def x(self):
@@ -94,11 +94,11 @@ class System:
         self.augmented, self.args, self.tolerance = Bordered(residual, linearise), args, tolerance
         self.scale = None
 
-    def first(self, x0, p0, direction, step):
+    def first(self, x0, p0, direction, arclength):
         z = np.append(x0, p0)
         if np.ndim(direction):
             tangent = np.asarray(direction, float) / np.linalg.norm(direction)
-            point, reason = self.correct(z + step * tangent, tangent, tangent)
+            point, reason = self.correct(z + arclength * tangent, tangent, tangent)
             if point is None:
                 raise RuntimeError(f"No solution beside the branch point: {reason}.")
             return point
@@ -137,4 +137,4 @@ class System:
         # relative to the first point's, so that its size means how near to zero it is
         self.scale = size if self.scale is None else self.scale
         sign = sign * np.exp(np.clip(size - self.scale, -200, 200))
-        return Point(np.asarray(root.x), jacobian, tangent, float(sign), int(root.steps))
+        return Point(np.asarray(root.x), jacobian, tangent, float(sign), int(root.iterations))

@@ -12,8 +12,9 @@ LEAST_COSINE = 0.9
 
 
 def continuation(
-    residual, x0, p0, *, args=None, until=None, direction=1.0, step=0.01, least_step=None, longest_step=None,
-    points=200, tolerance=1e-10, linearise=None, veto=None, stop=None, find=("fold", "branch point"),
+    residual, x0, p0, *, args=None, until=None, direction=1.0, arclength=0.01, least_arclength=None,
+    longest_arclength=None, points=200, tolerance=1e-10, linearise=None, veto=None, stop=None,
+    find=("fold", "branch point"),
 ):
     r"""Follow F(x, p) = 0 from (x0, p0) by pseudo-arclength.
 
@@ -27,7 +28,8 @@ def continuation(
     - `until`: end where p reaches this value (a pair: either of two); the last point lies exactly there.
     - `direction`: +-1, the way p changes first; or a tangent (n + 1,), as in `Special.directions`: then `x0`, `p0` is a
       branch point, and the first point is sought beside it.
-    - `step`, `least_step`, `longest_step`: first, least (step/1e4) and longest (10 step) length along the branch.
+    - `arclength`, `least_arclength`, `longest_arclength`: first, step along the branch, least
+      (arclength/1e4) and longest (10 arclength).
     - `points`: the most points. `tolerance`: of max |F|.
     - `linearise`: (x, p, args) -> (F, dF/dx) or (F, dF/dx, dF/dp), where that is cheaper than `jax.jacfwd`.
     - `veto`: (x, p, x_before, p_before) -> a reason to take a shorter step instead, or `None`.
@@ -39,32 +41,32 @@ def continuation(
     """
     for kind in find:
         one_of("find", kind, ("fold", "branch point"))
-    if not step > 0:
-        refuse("step", "a length above zero", repr(step))
-    least_step, longest_step = least_step or step * 1e-4, longest_step or step * 10
+    if not arclength > 0:
+        refuse("arclength", "a length above zero", repr(arclength))
+    least_arclength, longest_arclength = least_arclength or arclength * 1e-4, longest_arclength or arclength * 10
     bounds = () if until is None else tuple(np.atleast_1d(np.asarray(until, float)))
     system = System(residual, linearise, args, tolerance)
-    here = system.first(np.asarray(x0, float), float(p0), direction, step)
+    here = system.first(np.asarray(x0, float), float(p0), direction, arclength)
     trace, special, outcome = [here], [], f"The {points} points that were asked for."
-    newton_steps, reason = here.steps, ""
+    iterations, reason = here.iterations, ""
     while len(trace) < points:
-        if step < least_step:
-            outcome = f"The step fell below {least_step:.1e}: {reason}."
+        if arclength < least_arclength:
+            outcome = f"The step along the branch fell below {least_arclength:.1e}: {reason}."
             break
         here = trace[-1]
-        there, reason = _advance(system, here, step, veto)
+        there, reason = _advance(system, here, arclength, veto)
         if there is None:
-            step /= 2
+            arclength /= 2
             continue
         bound, near = bound_met(system, here, there, bounds)
         if near is not None:
             there = system.at(near.z, bound, near.tangent)
             if there is None:
-                reason, step = f"Newton failed at p = {bound:.6g}", step / 2
+                reason, arclength = f"Newton failed at p = {bound:.6g}", arclength / 2
                 continue
         special += [located(system, kind, here, there, len(trace) - 1) for kind in find if here.crosses(there, kind)]
         trace.append(there)
-        newton_steps += there.steps
+        iterations += there.iterations
         if near is not None:
             outcome = f"p reached {bound:.6g}."
             break
@@ -72,17 +74,18 @@ def continuation(
         if why:
             outcome = f"Stopped: {why}."
             break
-        if _closed(trace, step):
+        if _closed(trace, arclength):
             outcome = "The branch closed upon itself."
             break
-        step = float(np.clip(step * 2.0 ** ((TARGET - there.steps) / 2), least_step, longest_step))
+        factor = 2.0 ** ((TARGET - there.iterations) / 2)
+        arclength = float(np.clip(factor * arclength, least_arclength, longest_arclength))
     z = np.stack([point.z for point in trace])
     tangents = np.stack([point.tangent for point in trace])
-    return Curve(z[:, :-1], z[:, -1], tangents, tuple(special), newton_steps, outcome)
+    return Curve(z[:, :-1], z[:, -1], tangents, tuple(special), iterations, outcome)
 
 
-def _advance(system, here, step, veto):
-    there, reason = system.correct(here.z + step * here.tangent, here.tangent, here.tangent)
+def _advance(system, here, arclength, veto):
+    there, reason = system.correct(here.z + arclength * here.tangent, here.tangent, here.tangent)
     if there is None:
         return None, reason
     # no tangent (NaN) where the step has met a branch point itself
@@ -92,10 +95,10 @@ def _advance(system, here, step, veto):
     return (None, f"vetoed, {why}") if why else (there, "")
 
 
-def _closed(trace, step):
+def _closed(trace, arclength):
     if len(trace) < 4:
         return False
     away = np.array([np.linalg.norm(point.z - trace[0].z) for point in trace])
     crossed = (trace[-2].z - trace[0].z) @ trace[0].tangent < 0 <= (trace[-1].z - trace[0].z) @ trace[0].tangent
-    return bool(crossed and away[-1] < 2 * step and away.max() > 4 * away[-1] and
+    return bool(crossed and away[-1] < 2 * arclength and away.max() > 4 * away[-1] and
                 trace[-1].tangent @ trace[0].tangent > LEAST_COSINE)

@@ -12,7 +12,7 @@ from ..terms import Bond, Damping, Harmonic, Wall
 SIDES = ("left", "right")
 
 
-def driven_chain(chain, amplitude, omega, *, ends=SIDES, damping=None, phase=0.0, field=None):
+def driven_chain(lattice, amplitude, omega, *, ends=SIDES, damping=None, phase=0.0, field=None):
     r"""A chain whose end walls shake: w(t) = a cos(omega t + phase), u_0 = w on the left, u_{N+1} = w on the right.
 
     m_n u_n'' = F_n(u_{n-1} - u_n) - F_{n+1}(u_n - u_{n+1}) - gamma m_n u_n'. The end bonds keep their law and become
@@ -20,10 +20,10 @@ def driven_chain(chain, amplitude, omega, *, ends=SIDES, damping=None, phase=0.0
 
     **Arguments:**
 
-    - `chain`: a `Lattice` whose walls are fixed, such as `gx.scenes.monomer(21, precompression=1.0)`.
+    - `lattice`: a chain whose walls are fixed, such as `gx.scenes.monomer(21, precompression=1.0)`.
     - `amplitude`: a [m]; `omega`: angular frequency [rad/s]. Numbers, traced or swept.
     - `ends`: which walls move, `"left"`, `"right"` or both.
-    - `damping`: gamma >= 0 [1/s] of every site, added to what the chain has; `None` for none.
+    - `damping`: gamma >= 0 [1/s] of every site, added to what the lattice has; `None` for none.
     - `phase` [rad]: a number for all, or one for each of `ends`. Equal phases move both walls in the same direction
       at a time; (0, pi) makes them mirror images, which squeeze the chain together.
     - `field`: name of the field that the walls touch, where a cell holds several.
@@ -35,26 +35,26 @@ def driven_chain(chain, amplitude, omega, *, ends=SIDES, damping=None, phase=0.0
     """
     ends = _checked_ends(ends)
     phases = _checked_phases(phase, ends)
-    if not isinstance(chain, Lattice) or chain.axes != 1 or chain.dimension is not None:
-        refuse("chain", "a chain with scalar displacements", _name(chain))
+    if not isinstance(lattice, Lattice) or lattice.axes != 1 or lattice.dimension is not None:
+        refuse("lattice", "a chain with scalar displacements", _name(lattice))
     terms, law = [], None
-    for i, term in enumerate(chain.terms):
+    for i, term in enumerate(lattice.terms):
         if law is None and _is_end_bond(term, field):
-            terms.append(Bond(Shift(1, "free", term.strain_map.fields), _inner(term.law, chain)))
+            terms.append(Bond(Shift(1, "free", term.strain_map.fields), _inner(term.law, lattice)))
             law = term.law
         elif _reaches_wall(term):
-            refuse("chain", "one Bond(Shift(1, 'fixed'), law) to the walls and no other term that reaches them",
+            refuse("lattice", "one Bond(Shift(1, 'fixed'), law) to the walls and no other term that reaches them",
                    f"terms[{i}] ({type(term).__name__})", "Build such a scene from Wall terms.")
         else:
             terms.append(term)
     if law is None:
-        refuse("chain", "a Bond(Shift(1, 'fixed'), law), which leads to walls", "none", "Use boundary='fixed'.")
+        refuse("lattice", "a Bond(Shift(1, 'fixed'), law), which leads to walls", "none", "Use boundary='fixed'.")
     if damping is not None:
         terms.append(Damping(damping))
     for side, end in (("left", 0), ("right", -1)):
         motion = Harmonic(amplitude, omega, phases[ends.index(side)]) if side in ends else None
-        terms.append(Wall(_pick(law, chain, end), side, motion, field=field))
-    return eqx.tree_at(lambda c: c.terms, chain, tuple(terms))
+        terms.append(Wall(_pick(law, lattice, end), side, motion, field=field))
+    return eqx.tree_at(lambda c: c.terms, lattice, tuple(terms))
 
 
 def _name(x):
@@ -92,15 +92,15 @@ def _reaches_wall(term):
     return isinstance(term, Wall) or fixed or -1 in ends
 
 
-def _inner(law, chain):
-    return _over_bonds(law, chain, lambda x: x if x.shape[0] == 1 else x[1:-1])
+def _inner(law, lattice):
+    return _over_bonds(law, lattice, lambda x: x if x.shape[0] == 1 else x[1:-1])
 
 
-def _pick(law, chain, end):
-    return _over_bonds(law, chain, lambda x: x[end])
+def _pick(law, lattice, end):
+    return _over_bonds(law, lattice, lambda x: x[end])
 
 
-def _over_bonds(law, chain, choose):
+def _over_bonds(law, lattice, choose):
     """`choose` applied to every parameter that has an axis over the bonds."""
-    axes = 1 + len(chain.lanes)
+    axes = 1 + len(lattice.lanes)
     return jax.tree.map(lambda x: choose(x) if jnp.ndim(x) == axes else x, law)

@@ -21,7 +21,7 @@ class Lyapunov(eqx.Module):
     - `exponents` (k,): from the largest down [1/time]. `uncertainty` (k,): the standard error of the mean over the
       windows plus the difference between the first and the second half of the run.
     - `rates` (P, k): growth rate over each interval. `state`: at the end.
-    - `verdict`: periodic, quasi-periodic, chaotic, ... within the uncertainty, a sentence.
+    - `verdict`: "chaotic", "periodic", "quasi-periodic", "regular", "at rest" or "not finite"; `outcome` says why.
     """
 
     exponents: np.ndarray
@@ -29,6 +29,7 @@ class Lyapunov(eqx.Module):
     rates: np.ndarray
     state: State
     verdict: str = eqx.field(static=True)
+    outcome: str = eqx.field(static=True)
 
     @property
     def chaotic(self):
@@ -73,8 +74,7 @@ def lyapunov(lattice, state, period, *, periods=1000, transient=100, number=1, w
     order = np.argsort(-rates.mean(0), kind="stable")
     rates = rates[:, order]
     exponents, uncertainty = rates.mean(0), _uncertainty(rates, windows)
-    verdict = _verdict(lattice, exponents, uncertainty)
-    return Lyapunov(exponents, uncertainty, rates, end, verdict)
+    return Lyapunov(exponents, uncertainty, rates, end, *_verdict(lattice, exponents, uncertainty))
 
 
 @eqx.filter_jit
@@ -101,16 +101,18 @@ def _uncertainty(rates, windows):
 
 
 def _verdict(lattice, exponents, uncertainty):
+    """(word, sentence)."""
     if not np.isfinite(exponents).all():
-        return "The state ceased to be finite: take more steps per period."
+        return "not finite", "The state ceased to be finite: take more steps per period."
     largest, doubt = exponents[0], uncertainty[0]
     value = f"the largest exponent is {largest:.3g} +- {doubt:.1g}"
     forced = any(isinstance(t, (Drive, Modulated)) or isinstance(t, Wall) and t.motion is not None
                  for t in lattice.terms)
     if largest > doubt:
-        return f"Chaotic: {value}."
+        return "chaotic", f"Chaotic: {value}."
     if largest < -doubt:
-        return f"{'Periodic' if forced else 'At rest'}: {value}."
+        word = "periodic" if forced else "at rest"
+        return word, f"{word.capitalize()}: {value}."
     if forced:
-        return f"Quasi-periodic, or periodic at the edge of stability: {value}, zero within its uncertainty."
-    return f"Regular: {value}, zero within its uncertainty."
+        return "quasi-periodic", f"Quasi-periodic, or periodic at the edge of stability: {value}, zero within that."
+    return "regular", f"Regular: {value}, zero within its uncertainty."

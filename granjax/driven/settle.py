@@ -1,17 +1,16 @@
 """Periodically forced chains, period by period, until what is seen once a period repeats."""
 
-import math
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from ..checks import positive, refuse, whole
-from ..flow import Flow, linear_frequency
+from ..checks import positive, whole
+from ..flow import Flow
 from ..lattice import State
 from ..measures import contact_force
+from ..orbits import default_steps, history
 from ..solvers import SRKN11b
 from ..terms import Bond, Wall
 
@@ -88,20 +87,17 @@ def settle(lattice, state, period, *, periods=4000, tolerance=1e-8, steps=None, 
     end, used, multiple, changes = _follow(Flow(steps, solver), lattice, state, period, periods, tolerance)
     used, multiple = int(used), int(multiple)
     ts, us, vs, amplitude, force, energy = _watch(solver, lattice, end, period, multiple or KEPT, steps)
-    history = np.asarray(changes)[:used]
-    change = float(history[-1, MULTIPLES.index(multiple)] if multiple else history[-1, 0])
-    outcome = _sentence(used, multiple, change, history[:, 0], tolerance)
+    seen = np.asarray(changes)[:used]
+    change = float(seen[-1, MULTIPLES.index(multiple)] if multiple else seen[-1, 0])
+    outcome = _sentence(used, multiple, change, seen[:, 0], tolerance)
     return Attractor(
-        end, period, used, multiple, change, history[:, 0], ts, us, vs, amplitude, force, energy, outcome,
+        end, period, used, multiple, change, seen[:, 0], ts, us, vs, amplitude, force, energy, outcome,
     )
 
 
-def steps_per_period(lattice, period, fraction=STEP_FRACTION):
-    """Steps in a period such that h omega_max <= fraction, with omega_max the highest linear frequency; at least 8."""
-    omega = float(linear_frequency(lattice))
-    if not omega > 0:
-        refuse("steps", "steps per period", "None", "Nothing is stiff at rest (a sonic vacuum): give steps=.")
-    return max(8, math.ceil(period * omega / fraction))
+def steps_per_period(lattice, period):
+    """Steps in a period such that h omega_max <= 0.4, with omega_max the highest linear frequency."""
+    return default_steps(lattice, period, fineness=STEP_FRACTION)
 
 
 def follow(flow, lattice, state, period, periods, tolerance):
@@ -147,18 +143,6 @@ def follow(flow, lattice, state, period, periods, tolerance):
     return y, used, multiple, changes
 
 
-def orbit(solver, lattice, state, period, count, steps):
-    """Every step of `count` periods from phase 0 on: (the state after them, ts, State of (S, ...))."""
-    ts = jnp.arange(steps) * (period / steps)
-    flow = Flow(1, solver)
-
-    def step(y, t):
-        return flow(y, t, t + period / steps, lattice), y
-
-    end, ys = jax.lax.scan(step, State(*state), jnp.tile(ts, count))
-    return end, jnp.arange(count * steps) * (period / steps), ys
-
-
 def forces(lattice, y, t):
     """Contact forces F0 + F(e) of all bonds in the order of the terms, then of all walls."""
     contacts = [term for term in lattice.terms if isinstance(getattr(term, "term", term), (Bond, Wall))]
@@ -179,7 +163,7 @@ _follow = eqx.filter_jit(follow)
 
 @eqx.filter_jit
 def _watch(solver, lattice, state, period, count, steps):
-    _, ts, ys = orbit(solver, lattice, state, period, count, steps)
+    _, ts, ys = history(Flow(steps, solver), lattice, state, 0.0, period, steps, count)
     amplitude = jax.tree.map(lambda v: largest(jnp.abs(v)), ys.v)
     force = largest(jax.vmap(lambda y, t: forces(lattice, y, t))(ys, ts))
     energy = jnp.mean(jax.vmap(lambda y, t: lattice.energy(t, *y))(ys, ts))

@@ -12,8 +12,9 @@ from ..checks import concrete, parameter, positive, refuse, whole
 from ..flow import Flow
 from ..lattice import State
 from ..measures import rms_velocity
+from ..orbits import history
 from ..solvers import SRKN11b
-from .settle import follow, orbit, steps_per_period
+from .settle import follow, steps_per_period
 
 # periods over which a response is taken: a multiple of those after which a motion may repeat
 WATCHED = 12
@@ -122,7 +123,7 @@ def sweep(make: Callable, values, period_of: Callable, *, state=None, response=r
 
 
 def _response(flow, lattice, y, period, response, watch, multiple, used):
-    end, ts, ys = orbit(flow.solver, lattice, y, period, watch, flow.steps)
+    end, ts, ys = history(flow, lattice, y, 0.0, period, flow.steps, watch)
     velocity = jax.tree.map(lambda v: jnp.sqrt(jnp.mean(v * v, 0)), ys.v)
     energy = jnp.mean(jax.vmap(lambda t, y: lattice.energy(t, *y))(ts, ys))
     return {"response": response(lattice, ys.u, ys.v, ts), "velocity": velocity, "energy": energy,

@@ -9,13 +9,13 @@ from jax.flatten_util import ravel_pytree
 from ..checks import refuse, whole
 from ..flow import Flow, linear_frequency
 from ..lattice import Lattice, vector_field
+from ..orbits import default_steps
 from ..solvers import KahanLi8
 from .record import RESOLUTION, Floquet, decide
 from .spectrum import product_spectrum, spectrum
 from .structure import NOTHING, defect, krein, structure
 
-# h omega of the coarser of the two step sizes, and where refinement ends
-COARSE = 0.6
+# where refinement ends
 MOST_STEPS = 2**14
 TOLERANCE = 1e-9
 
@@ -25,7 +25,7 @@ def _derivative(flow, y, t0, t1, args):
     return flow.derivative(y, t0, t1, args)
 
 
-def floquet(system, state, period, *, t0=0.0, steps=None, solver=None, segments=1, tolerance=TOLERANCE, args=None,
+def floquet(lattice, state, period, *, t0=0.0, steps=None, solver=None, segments=1, tolerance=TOLERANCE, args=None,
             expected=None, resolution=RESOLUTION):
     r"""Monodromy matrix, multipliers and stability of a periodic orbit.
 
@@ -33,7 +33,7 @@ def floquet(system, state, period, *, t0=0.0, steps=None, solver=None, segments=
 
     **Arguments:**
 
-    - `system`: a `Lattice`, or a `Flow` of any vector field together with `args` (of which neither masses nor
+    - `lattice`: a `Lattice`, or a `Flow` of any vector field together with `args` (of which neither masses nor
       symmetries are known).
     - `state`: the orbit at t0. `period`: T > 0. `t0`: phase of a drive.
     - `steps`: steps of the finer flow over the period; `None` doubles them until the matrix is known to `tolerance`
@@ -51,16 +51,16 @@ def floquet(system, state, period, *, t0=0.0, steps=None, solver=None, segments=
         refuse("period", "a time above zero", repr(period))
     segments = whole("segments", segments, 1)
     known = NOTHING
-    if isinstance(system, Lattice):
-        _check_state(system, state)
-        known, args = structure(system), system
-        if known.autonomous and _rests(system, state, t0):  # has neither phase nor energy
+    if isinstance(lattice, Lattice):
+        _check_state(lattice, state)
+        known, args = structure(lattice), lattice
+        if known.autonomous and _rests(lattice, state, t0):  # has neither phase nor energy
             known = known._replace(expected=known.expected - (2 if known.rate == 0 else 1))
         solver, field = solver or KahanLi8(), {}
-        start = steps or 2 * _coarse_steps(system, period, segments)
+        start = steps or default_steps(lattice, period, 2 * segments, doubled=True)
     else:
-        solver, field = solver or system.solver, {"field": system.field}
-        start = steps or system.steps
+        solver, field = solver or lattice.solver, {"field": lattice.field}
+        start = steps or lattice.steps
     if expected is not None:
         known = known._replace(expected=whole("expected", expected, 0))
     if start % (2 * segments):
@@ -108,11 +108,6 @@ def _rests(lattice, state, t0):
     return bool(max(v * omega, a) <= 1e-12 * omega**2 * u)
 
 
-def _coarse_steps(lattice, period, segments):
-    omega = float(linear_frequency(lattice))
-    return segments * max(int(np.ceil(period * omega / COARSE / segments)), 4)
-
-
 def _factors(flow, state, t0, period, segments, args):
     found, length = [], period / segments
     for i in range(segments):
@@ -129,16 +124,11 @@ def _product(factors):
     return total
 
 
-def multipliers(flow, y, t0, period, args):
+def multipliers(flow, state, t0, period, args):
     """Floquet multipliers alone, a pure function: (2n,) complex, for `jax.jacfwd`, `vmap` and `jit`.
 
-    **Arguments:** `flow`: a `Flow` over one period; `y`: the orbit at `t0`; `args`: of its field, such as the lattice.
-    In the order that LAPACK gives. Differentiate a simple one, `multipliers(...)[i]`.
+    **Arguments:** `flow`: a `Flow` over one period; `state`: the orbit at `t0`; `args`: of its field, such as the
+    lattice. In the order that LAPACK gives. Differentiate a simple one, `multipliers(...)[i]`.
     """
-    _, monodromy = flow.derivative(y, t0, t0 + period, args)
+    _, monodromy = flow.derivative(state, t0, t0 + period, args)
     return jnp.linalg.eigvals(monodromy)
-
-
-def raveled(state):
-    """A state as one array, in the order of the monodromy's rows."""
-    return ravel_pytree(state)[0]

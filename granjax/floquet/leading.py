@@ -9,8 +9,8 @@ from scipy.sparse.linalg import ArpackError, ArpackNoConvergence, LinearOperator
 
 from ..checks import refuse, whole
 from ..flow import Flow
+from ..orbits import default_steps
 from ..solvers import KahanLi8
-from .compute import _coarse_steps
 
 # vectors that Arnoldi's method keeps, and how often it starts anew from them
 BASIS, RESTARTS = 60, 30
@@ -33,7 +33,7 @@ def leading(lattice, state, period, count=6, *, t0=0.0, steps=None, solver=None,
     Arnoldi's method does not converge. Source: Lehoucq, Sorensen, Yang, ARPACK Users' Guide (SIAM, 1998).
     """
     count = whole("count", count, 1)
-    steps = steps or 2 * _coarse_steps(lattice, period, 1)
+    steps = steps or default_steps(lattice, period, 2, doubled=True)
     flow = Flow(jnp.asarray(steps), solver or KahanLi8())
     times = jnp.asarray(float(t0)), jnp.asarray(float(period))
     size = ravel_pytree(state)[0].size

@@ -13,11 +13,12 @@ from ..floquet import decide, spectrum, structure
 from ..flow import Flow
 from ..lattice import State
 from ..measures import rms_velocity
+from ..orbits import flow_over, history
 from ..solvers import SRKN14a
 from ..tuning import one_thread
 from .events import BRANCH_POINT, FOLD, Between, Bifurcation, critical, kind_of
-from .orbit import FRAMES, checked_seed, forced_orbit, prepared
-from .shooting import Family, flow_over, history, period_at
+from .orbit import FRAMES, checked_guess, forced_orbit, prepared
+from .shooting import Family, period_at
 
 # of dp along the first tangent, so that a branch that begins near a fold does not count as endlessly steep
 LEAST_SLOPE = 1e-2
@@ -65,15 +66,16 @@ class ForcedBranch(eqx.Module):
 
 @one_thread
 def forced_branch(
-    make, start, until, *, period, seed=None, transient=0, t0=0.0, steps=None, segments=1, solver=SRKN14a(),
-    tolerance=1e-10, step=0.02, longest_step=None, points=400, response=rms_velocity,
+    make, start, until, *, period, guess=None, transient=0, t0=0.0, steps=None, segments=1, solver=SRKN14a(),
+    tolerance=1e-10, arclength=0.02, longest_arclength=None, points=400,
+    response=rms_velocity,
 ):
     r"""Follow the periodic orbits of a forced lattice over a parameter, through folds, stable or not.
 
     Pseudo-arclength continuation of y(t0 + T; p) = y(t0). Stability at every point by the multipliers of the same
     flow; where their number outside the unit circle changes, the bifurcation between is located by Brent's method on
     the modulus that passes 1, folds by continuation itself. Two bifurcations within one step whose changes cancel
-    are not seen: shorten `longest_step`.
+    are not seen: shorten `longest_arclength`.
 
     **Arguments:**
 
@@ -81,11 +83,11 @@ def forced_branch(
       The same function again compiles nothing; a Module with arrays may change them too.
     - `start`, `until`: the branch begins at p = `start` towards `until`, and ends at either.
     - `period`: T, a number, or a function of p such as `lambda f: 1 / f`.
-    - `seed`, `transient`, `t0`, `segments`, `solver`, `tolerance`: of the first orbit, as in `forced_orbit`.
+    - `guess`, `transient`, `t0`, `segments`, `solver`, `tolerance`: of the first orbit, as in `forced_orbit`.
     - `steps`: per period, the same all along; `None` is the most that `start` or `until` asks for.
-    - `step`, `longest_step`: first and longest (5 step) length along the branch, in which the way from `start` to
-      `until` counts 1, and so does a change of the state by the first orbit's size, or by what its slope in p makes
-      over the whole way, if that is more.
+    - `arclength`, `longest_arclength`: first and longest (5 arclength) step along the branch, in which the
+      way from `start` to `until` counts 1, and so does a change of the state by the first orbit's size, or by what its
+      slope in p makes over the whole way, if that is more.
     - `points`: the most points. `response(lattice, u, v, t)`: a number from one period u, v (F, N), t (F,); by
       default the root mean square of all velocities.
 
@@ -99,12 +101,12 @@ def forced_branch(
         refuse("until", "another value than start", repr(until))
     period = period if callable(period) else positive("period", period)
     scenes = [(make(jnp.asarray(p)), period_at(period, p)) for p in (start, until)]
-    flows = [flow_over(lattice, T, steps, segments, solver) for lattice, T in scenes]
+    flows = [flow_over(lattice, T, steps, solver, segments) for lattice, T in scenes]
     # an array, whose value compiles nothing anew
     flow = Flow(jnp.asarray(max(int(f.steps) for f in flows)), solver)
     lattice, T = scenes[0]
-    seed = State(lattice.zeros(), lattice.zeros()) if seed is None else checked_seed(lattice, seed)
-    shooting, x = prepared(lattice, T, seed, flow, jnp.asarray(t0, lattice.dtype), segments, jnp.asarray(transient))
+    guess = State(lattice.zeros(), lattice.zeros()) if guess is None else checked_guess(lattice, guess)
+    shooting, x = prepared(lattice, T, guess, flow, jnp.asarray(t0, lattice.dtype), segments, jnp.asarray(transient))
     family = Family(shooting, make, period, jnp.asarray(start), jnp.asarray(until - start))
     settings = {"tolerance": tolerance, "find": ("fold",)}
     first = continuation(family.residual, x, 0.0, linearise=family.linearise, points=1, **settings)
@@ -114,8 +116,8 @@ def forced_branch(
     family = eqx.tree_at(lambda f: f.shooting.scale, family, unit * shooting.scale)
     settings["linearise"] = family.linearise
     curve = continuation(
-        family.residual, first.x[0] / unit, 0.0, until=(0.0, 1.0), step=step, longest_step=longest_step or 5 * step,
-        points=points, **settings)
+        family.residual, first.x[0] / unit, 0.0, until=(0.0, 1.0), arclength=arclength,
+        longest_arclength=longest_arclength or 5 * arclength, points=points, **settings)
     z = np.column_stack([curve.x, curve.p])
     looked = [_examined(family, flow, point, response) for point in z]
     spectra = [spectrum(np.asarray(fine), np.asarray(coarse)) for _, _, _, fine, coarse in looked]
@@ -142,7 +144,7 @@ def _examined(family, flow, z, response):
     """State, period, response and two monodromy matrices of an orbit, the finer flow's first."""
     (lattice, period), state = family.scene(z[-1]), family.shooting.state(z[:-1])
     t0 = family.shooting.whole.t0
-    ts, ys = history(flow, lattice, state, t0, period, FRAMES)
+    _, ts, ys = history(flow, lattice, state, t0, period, FRAMES)
     number = response(lattice, ys.u, ys.v, ts)
     counts = jnp.stack([flow.steps, flow.steps // 2])
     fine, coarse = jax.lax.map(lambda n: Flow(n, flow.solver).derivative(state, t0, t0 + period, lattice)[1], counts)

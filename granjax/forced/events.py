@@ -45,7 +45,7 @@ class Between:
         if s not in self.known:
             low, chord = self.ends[0], self.ends[1] - self.ends[0]
             curve = continuation(self.family.residual, low[:-1], low[-1], direction=chord,
-                                 step=s * np.linalg.norm(chord), points=1, **self.settings)
+                                 arclength=s * np.linalg.norm(chord), points=1, **self.settings)
             z = np.append(curve.x[0], curve.p[0])
             self.known[s] = z, self.look(z)
         return self.known[s]

@@ -10,9 +10,10 @@ from ..floquet import floquet
 from ..flow import Flow
 from ..lattice import Lattice, State
 from ..newton import Root, newton
+from ..orbits import flow_over, history
 from ..solvers import SRKN14a
 from ..tuning import one_thread
-from .shooting import Shooting, flow_over, history
+from .shooting import Shooting
 
 FRAMES = 32
 
@@ -59,7 +60,7 @@ class ForcedOrbit(eqx.Module):
 
     def run(self, frames=FRAMES):
         """The orbit in time, `OrbitRun`."""
-        ts, ys = _history(self.flow, self.lattice, self.state, self.t0, self.period, whole("frames", frames, 2))
+        _, ts, ys = _history(self.flow, self.lattice, self.state, self.t0, self.period, whole("frames", frames, 2))
         return OrbitRun(ts, ys.u, ys.v)
 
     def harmonics(self, count=1, frames=FRAMES):
@@ -102,12 +103,12 @@ class ForcedOrbit(eqx.Module):
 
 
 @one_thread
-def forced_orbit(lattice, period, seed=None, *, t0=0.0, steps=None, segments=1, transient=0, solver=SRKN14a(),
+def forced_orbit(lattice, period, guess=None, *, t0=0.0, steps=None, segments=1, transient=0, solver=SRKN14a(),
                  tolerance=1e-10, max_steps=20, throw=None):
     r"""A T-periodic orbit of a lattice under T-periodic forcing: y(t0 + T) = y(t0), by Newton's method.
 
     The root is isolated, since the drive sets the phase. It need not be stable, and where several orbits exist the
-    seed decides. From rest Newton's first iterate is the linear response, as far as one period from rest is linear.
+    guess decides. From rest Newton's first iterate is the linear response, as far as one period from rest is linear.
     Works under `jit` and `vmap` and is differentiable in the lattice and the period: in forward mode, and in reverse
     where `steps` is given.
 
@@ -116,13 +117,13 @@ def forced_orbit(lattice, period, seed=None, *, t0=0.0, steps=None, segments=1, 
     - `lattice`: with `Wall` in motion, `Drive` or `Modulated` terms of period T (or T/2, T/3 ...); damping makes the
       orbit unique at small amplitude.
     - `period`: T > 0. A multiple of the drive's gives orbits after a period doubling.
-    - `seed`: a `State` at t0; `None` is rest. `transient`: periods that are run from it before Newton begins; some
+    - `guess`: a `State` at t0; `None` is rest. `transient`: periods that are run from it before Newton begins; some
       1/(gamma T) of them lead to the orbit that a run would settle to.
     - `t0`: phase of the drive at which the state is taken.
     - `steps` per period; `None` takes h omega_max <= 0.3, with omega_max the highest linear frequency, which gives
       displacements to about 1e-9; scenes whose contacts open need more.
     - `segments`: of multiple shooting, for long or strongly unstable orbits. `solver`: at a fixed step.
-    - `tolerance`: of the residual, relative to the amplitude (of the seed, or what a period makes of it).
+    - `tolerance`: of the residual, relative to the amplitude (of the guess, or what a period makes of it).
     - `max_steps`: the most Jacobians. `throw`: raise where it does not converge; `None` does so outside of
       transformations.
 
@@ -135,35 +136,35 @@ def forced_orbit(lattice, period, seed=None, *, t0=0.0, steps=None, segments=1, 
                "For a batch use jax.vmap(lambda c: forced_orbit(c, T, throw=False), in_axes=-1).")
     period, segments = positive("period", period), whole("segments", segments, 1)
     transient = whole("transient", transient, 0)
-    seed = State(lattice.zeros(), lattice.zeros()) if seed is None else checked_seed(lattice, seed)
-    flow = flow_over(lattice, period, steps, segments, solver)
+    guess = State(lattice.zeros(), lattice.zeros()) if guess is None else checked_guess(lattice, guess)
+    flow = flow_over(lattice, period, steps, solver, segments)
     t0 = jnp.asarray(t0, lattice.dtype)
-    shooting, guess = prepared(lattice, period, seed, flow, t0, segments, jnp.asarray(transient))
-    root = newton(shooting.residual, guess, (lattice, period), tolerance=tolerance, max_steps=max_steps,
+    shooting, x = prepared(lattice, period, guess, flow, t0, segments, jnp.asarray(transient))
+    root = newton(shooting.residual, x, (lattice, period), tolerance=tolerance, max_steps=max_steps,
                   linearise=shooting.linearise, throw=throw)
     return ForcedOrbit(shooting.state(root.x), period, lattice, root, flow, t0)
 
 
-def checked_seed(lattice, seed):
-    """The seed as a `State` of the lattice's type."""
-    u, v = seed
+def checked_guess(lattice, guess):
+    """The guess as a `State` of the lattice's type."""
+    u, v = guess
     wanted = [x.shape for x in jax.tree.leaves(lattice.template())]
     for name, part in (("u", u), ("v", v)):
         got = [np.shape(x) for x in jax.tree.leaves(part)]
         if got != wanted:
-            refuse(f"seed.{name}", f"shape {lattice.shape}", f"{got}")
+            refuse(f"guess.{name}", f"shape {lattice.shape}", f"{got}")
     return jax.tree.map(lambda x: jnp.asarray(x, lattice.dtype), State(u, v))
 
 
 @eqx.filter_jit
-def prepared(lattice, period, seed, flow, t0, segments, transient):
-    """The problem and the unknowns of the seed, neither of which is differentiated."""
-    still = jax.lax.stop_gradient((lattice, period, seed))
-    lattice, period, seed = still
+def prepared(lattice, period, guess, flow, t0, segments, transient):
+    """The problem and the unknowns of the guess, neither of which is differentiated."""
+    still = jax.lax.stop_gradient((lattice, period, guess))
+    lattice, period, guess = still
     advance = lambda i, y: flow(y, t0, t0 + period, lattice)
-    seed = jax.lax.fori_loop(0, transient, advance, seed)
-    shooting = Shooting.of(lattice, period, seed, flow, t0, segments)
-    return shooting, shooting.guess(seed, (lattice, period))
+    guess = jax.lax.fori_loop(0, transient, advance, guess)
+    shooting = Shooting.of(lattice, period, guess, flow, t0, segments)
+    return shooting, shooting.guess(guess, (lattice, period))
 
 
 _history = eqx.filter_jit(history)

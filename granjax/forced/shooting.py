@@ -8,14 +8,9 @@ import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
-from ..checks import concrete, refuse, whole
-from ..flow import Flow, linear_frequency
+from ..flow import Flow
 from ..lattice import State
 from ..orbits import FullPeriod
-
-# h omega of the default step, with omega the highest linear frequency
-STEP_FRACTION = 0.3
-LEAST_STEPS = 16
 
 
 class Shooting(eqx.Module):
@@ -28,12 +23,12 @@ class Shooting(eqx.Module):
     scale: jax.Array
 
     @classmethod
-    def of(cls, lattice, period, seed, flow, t0, segments):
-        """For orbits of about the size of `seed`, or of where it is a period later, if that is more."""
+    def of(cls, lattice, period, guess, flow, t0, segments):
+        """For orbits of about the size of `guess`, or of where it is a period later, if that is more."""
         whole_period = FullPeriod.of(lattice, _part(flow, segments), None, t0, segments)
-        end = flow(seed, t0, t0 + period, lattice)
+        end = flow(guess, t0, t0 + period, lattice)
         n, omega = whole_period.size // 2, 2 * jnp.pi / period
-        x = jnp.stack([ravel_pytree(y)[0] for y in (seed, end)])
+        x = jnp.stack([ravel_pytree(y)[0] for y in (guess, end)])
         size = jnp.maximum(jnp.max(jnp.abs(x[:, :n])), jnp.max(jnp.abs(x[:, n:])) / omega)
         size = jnp.where((size > 0) & jnp.isfinite(size), size, 1) * math.sqrt(2 * n * segments)
         one = jnp.concatenate([jnp.full(n, size), jnp.full(n, size * omega)])
@@ -83,32 +78,6 @@ class Family(eqx.Module):
 def period_at(period, p):
     """The period at a value of the parameter: a number, or a function of it."""
     return period(p) if callable(period) else period
-
-
-def flow_over(lattice, period, steps, segments, solver):
-    """The flow over a period; a given number of steps is static, the default one an array."""
-    if steps is not None:
-        if whole("steps", steps, segments) % segments:
-            refuse("steps", f"a multiple of the {segments} segments", repr(steps))
-        return Flow(int(steps), solver)
-    omega = linear_frequency(lattice)
-    value = concrete(omega)
-    if value is not None and not value > 0:
-        refuse("steps", "steps per period", "None", "Nothing is stiff at rest (a sonic vacuum): give steps=.")
-    count = jnp.ceil(period * omega / STEP_FRACTION / segments).astype(int)
-    return Flow(segments * jnp.maximum(count, -(-LEAST_STEPS // segments)), solver)
-
-
-def history(flow, lattice, state, t0, period, frames):
-    """`frames` equal parts of a period from t0 on, without its end: (times, states with a leading axis)."""
-    between = Flow(-(-flow.steps // frames), flow.solver)
-    length = period / frames
-    ts = t0 + length * jnp.arange(frames)
-
-    def one(y, t):
-        return between(y, t, t + length, lattice), y
-
-    return ts, jax.lax.scan(one, State(*state), ts)[1]
 
 
 def _part(flow, segments):

@@ -59,10 +59,10 @@ def period_of(omega):
 
 @pytest.mark.slow
 def test_natural_continuation_ends_at_a_fold():
-    omegas, seed, converged = 0.7 + 0.02 * np.arange(36), None, []
+    omegas, guess, converged = 0.7 + 0.02 * np.arange(36), None, []
     for omega in omegas:
-        orbit = forced_orbit(duffing(jnp.asarray(omega)), period_of(omega), seed, throw=False)
-        seed = orbit.state
+        orbit = forced_orbit(duffing(jnp.asarray(omega)), period_of(omega), guess, throw=False)
+        guess = orbit.state
         converged.append(bool(orbit.converged))
     # up to the fold at 1.116 every orbit is found from the one before, from there on none
     assert np.array_equal(converged, omegas < 1.11)

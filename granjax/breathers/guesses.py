@@ -1,4 +1,4 @@
-"""Seeds at the anticontinuous limit: named sites oscillate, all others stand still."""
+"""Guesses at the anticontinuous limit: named sites oscillate, all others stand still."""
 
 import equinox as eqx
 import jax
@@ -14,7 +14,7 @@ from ..orbits import shifts
 from ..solvers import KahanLi8
 from .problem import checked_lattice
 
-STEPS, PARTS, GROW, LARGEST = 128, 16, 1.25, 1e4
+HALF_STEPS, PARTS, GROW, LARGEST = 128, 16, 1.25, 1e4
 
 
 def single_site(lattice, omega, sites, *, amplitudes=None, least=1e-3):
@@ -56,7 +56,7 @@ def _held(t, y, scene):
 @eqx.filter_jit
 def _path(lattice, moving, u, half):
     """(u, v) from rest at u to the half period, at equal distances, the beginning left out."""
-    flow, part = Flow(STEPS // PARTS, KahanLi8(), _held), half / PARTS
+    flow, part = Flow(HALF_STEPS // PARTS, KahanLi8(), _held), half / PARTS
 
     def go(y, i):
         y = flow(y, i * part, (i + 1) * part, (lattice, moving))
@@ -115,5 +115,5 @@ def _amplitude(lattice, omega, site, sign, least):
 
 
 def at_rest(state):
-    """A simulated state with its velocities dropped, as `breather` would; near a turning point it is a fair seed."""
+    """A simulated state with its velocities dropped, as `breather` would; near a turning point it is a fair guess."""
     return State(state.u, jax.tree.map(jnp.zeros_like, state.v))

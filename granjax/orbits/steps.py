@@ -1,0 +1,58 @@
+"""The time steps of a period: how many, the flow over it, and the motion along it."""
+
+import math
+
+import jax
+import jax.numpy as jnp
+
+from ..checks import concrete, refuse, whole
+from ..flow import Flow, linear_frequency
+from ..lattice import State
+
+# h omega of a step, with omega the highest linear frequency, and the fewest steps of a period
+FINE, LEAST_STEPS = 0.3, 16
+
+
+def default_steps(lattice, period, multiple=1, *, fineness=FINE, doubled=False):
+    """Steps of a period such that h omega_max <= fineness, with omega_max the highest linear frequency; at least 16.
+
+    A multiple of `multiple`; a number, or an array where the lattice or the period is traced. **Raises** ValueError in
+    a sonic vacuum, where that frequency is zero, unless the steps are `doubled` by the caller as need be.
+    """
+    turned = period * linear_frequency(lattice)
+    known = concrete(turned)
+    least = -(-LEAST_STEPS // multiple)
+    if known is None:
+        return multiple * jnp.maximum(jnp.ceil(turned / fineness / multiple).astype(int), least)
+    if not (doubled or known > 0):
+        refuse("steps", "steps per period", "None", "Nothing is stiff at rest (a sonic vacuum): give steps=.")
+    return multiple * max(math.ceil(known / fineness / multiple), least)
+
+
+def flow_over(lattice, period, steps, solver, multiple=1):
+    """The flow over a period; a given number of steps is static, the default one an array.
+
+    `multiple`: segments that must divide them.
+    """
+    if steps is None:
+        return Flow(jnp.asarray(default_steps(lattice, period, multiple)), solver)
+    if whole("steps", steps, multiple) % multiple:
+        refuse("steps", f"a multiple of the {multiple} segments", repr(steps))
+    return Flow(int(steps), solver)
+
+
+def history(flow, lattice, state, t0, period, frames, periods=1):
+    """`periods` periods from t0 on in `frames` equal parts each: (the state at the end, times, states).
+
+    Times and states have a leading axis and leave the end out; `flow` has the steps of one period. Every period begins
+    at the same phase, so that what is periodic does not drift by the rounding of the time.
+    """
+    between = Flow(-(-flow.steps // frames), flow.solver)
+    length = period / frames
+    ts = t0 + length * jnp.arange(frames)
+
+    def one(y, t):
+        return between(y, t, t + length, lattice), y
+
+    end, states = jax.lax.scan(one, State(*state), jnp.tile(ts, periods))
+    return end, t0 + length * jnp.arange(frames * periods), states
