@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ...checks import concrete, parameter, refuse, show, whole
+from ..checks import concrete, parameter, refuse, show, whole
 
 
 def bright(X, T, kappa, nu2, nu3, X0=0.0):
