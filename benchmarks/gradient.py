@@ -25,7 +25,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import granjax as gx
-from granjax.work_precision.machine import machine
+from granjax.work_precision import machine
 
 HERE = Path(__file__).parent
 ADJOINTS = {

@@ -30,8 +30,7 @@ from peers.tangents import METHODS, Orbit
 from precision import AGREEMENT, disagreeing, versions
 
 import granjax as gx
-from granjax.work_precision import Ladder, measure
-from granjax.work_precision.machine import machine
+from granjax.work_precision import Ladder, machine, measure
 
 HERE = Path(__file__).parent
 MODULES = ("tangents", "taylor_tangents")

@@ -26,8 +26,7 @@ from peers.chain import SPLITTING
 from peers.native import compiler
 
 import granjax as gx
-from granjax.work_precision import Ladder, measure
-from granjax.work_precision.machine import machine
+from granjax.work_precision import Ladder, machine, measure
 from granjax.work_precision.solvers import highest_frequency, stable_step
 
 HERE = Path(__file__).parent

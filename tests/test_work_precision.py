@@ -18,9 +18,10 @@ from scipy.integrate import solve_ivp  # noqa: E402
 from scipy.linalg import expm  # noqa: E402
 
 import granjax as gx  # noqa: E402
-from granjax.work_precision import Ladder, WorkPrecision, distance, measure, timing  # noqa: E402
-from granjax.work_precision.orders import observed_order  # noqa: E402
-from granjax.work_precision.reference import find_reference  # noqa: E402
+from granjax.work_precision import Ladder, WorkPrecision, distance, measure  # noqa: E402
+from granjax.work_precision import ladder as ladders  # noqa: E402
+from granjax.work_precision.ladder import observed_order  # noqa: E402
+from granjax.work_precision.scene import find_reference  # noqa: E402
 from granjax.work_precision.solvers import sensible_solvers  # noqa: E402
 
 END = 2.0
@@ -133,7 +134,7 @@ def test_slow_calls_are_repeated_less(monkeypatch):
         time.sleep(step)
         return (np.ones(1), np.ones(1)), None
 
-    monkeypatch.setattr(timing, "ENOUGH", 0.05)
+    monkeypatch.setattr(ladders, "ENOUGH", 0.05)
     ladder = Ladder("slow", "step", (0.1, 0.02, 1e-6), call, compile_seconds=0.0)
     wp = measure([ladder], (np.full(1, 1.5), np.ones(1)), repeats=5)
     # once for the error, then until 0.05 s are full

@@ -5,12 +5,9 @@ tolerances and a function that computes the final state with one of them.
 """
 
 from .advice import Advice
-from .errors import distance
-from .ladder import Ladder
-from .machine import machine
-from .measuring import measure
-from .reference import Reference
-from .scene import work_precision
+from .ladder import Ladder, distance
+from .measuring import machine, measure
+from .scene import Reference, work_precision
 from .table import WorkPrecision
 
 __all__ = ["Advice", "Ladder", "Reference", "WorkPrecision", "distance", "machine", "measure", "work_precision"]

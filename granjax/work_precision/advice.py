@@ -6,10 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..checks import positive, refuse
-from .errors import distance
-from .ladder import DEFAULT
-from .timing import in_turns, once
-from .words import number, seconds_in_words
+from .ladder import DEFAULT, distance, in_turns, number, once, seconds_in_words
 
 # an advised error lies between asked/NEAR and asked
 NEAR = 3.0

@@ -1,22 +1,27 @@
-"""Measuring ladders: errors first, then times in turns."""
+"""Measuring ladders: errors first, then times in turns; and on which machine."""
 
+import datetime
 import math
+import os
+import platform
+import subprocess
+from importlib import metadata
+from pathlib import Path
 
 import numpy as np
 
 from ..checks import refuse, whole
-from .errors import distance
-from .ladder import checked_ladders
-from .machine import machine
-from .orders import ASYMPTOTIC
+from .ladder import ASYMPTOTIC, checked_ladders, distance, in_turns, once, warmed
 from .table import DRAWN, LARGEST_FLOOR, WorkPrecision
-from .timing import in_turns, once, warmed
 
 BELOW = f"Below {DRAWN:g} times the reference's uncertainty."
 NOT_FINITE = "The state is not finite."
 MEANINGLESS = "An error above 1: everything is wrong."
 # so many values without a smaller error mean that rounding has taken over; where contacts open, errors scatter
 PATIENCE = 4
+
+_PACKAGES = ("granjax", "jax", "jaxlib", "diffrax", "equinox", "numpy")
+_ROOT = Path(__file__).parents[2]
 
 
 def measure(ladders, reference, floor=math.nan, repeats=5, *, longest=math.inf, note=""):
@@ -100,3 +105,43 @@ def _seconds(points, notes, repeats):
         calls = [(points[i][0].call, points[i][1]) for i in order]
         seconds[:, order] = in_turns(calls, repeats, [points[i][2].seconds for i in order])
     return seconds
+
+
+def machine():
+    """A dict: processor, cores that this process may use, system, versions, XLA's flags, date (UTC), commit.
+
+    `commit` is that of the checkout that granjax runs from, with `-dirty` where files differ from it; `None` where it
+    is installed without one.
+    """
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return {
+        "processor": _processor(), "cores": cores, "system": f"{platform.system()} {platform.machine()}",
+        "python": platform.python_version(), **{name: _version(name) for name in _PACKAGES},
+        "xla_flags": os.environ.get("XLA_FLAGS", ""),
+        "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"), "commit": _commit(),
+    }
+
+
+def _processor():
+    cpuinfo = Path("/proc/cpuinfo")
+    lines = cpuinfo.read_text().splitlines() if cpuinfo.is_file() else []
+    named = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return named[0] if named else platform.processor() or platform.machine()
+
+
+def _version(name):
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+def _commit():
+    if not (_ROOT / ".git").exists():
+        return None
+    command = ["git", "-C", str(_ROOT), "describe", "--always", "--dirty", "--abbrev=12", "--exclude", "*"]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=10, check=False)
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    return done.stdout.strip() or None

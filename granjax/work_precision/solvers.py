@@ -1,11 +1,13 @@
 """Ladders of solvers on a lattice: which solvers, which steps and tolerances."""
 
 import diffrax
+import jax
 import numpy as np
+from jax.flatten_util import ravel_pytree
 
 from ..checks import one_of, refuse
 from ..flow import frequency_bound, linear_frequency, simulate
-from ..lattice import acceleration_only, split_system
+from ..lattice import State, acceleration_only, split_system
 from ..solvers import (
     RKN86,
     RKN1210,
@@ -18,7 +20,6 @@ from ..solvers import (
 )
 from ..solvers.stability import stability_limit
 from .ladder import DEFAULT, Ladder, checked_values
-from .tangents import tangent_call
 
 SPLITTING = (VelocityVerlet, SRKN6b, SRKN11b, SRKN14a, KahanLi8, SofroniouSpaletta10)
 NYSTROM = (RKN86, RKN1210)
@@ -129,8 +130,30 @@ def _call(lattice, state, t0, t1, solver, parameter, tangents):
         matrix, stats = mapped(value)
         return matrix, _evaluations(type(solver).__name__, stats), stats["steps"]
 
-    mapped = tangent_call(lattice, state, t0, t1, solver, parameter) if tangents else None
+    mapped = _tangent_call(lattice, state, t0, t1, solver, parameter) if tangents else None
     return counted if tangents else final
+
+
+def _tangent_call(lattice, state, t0, t1, solver, parameter):
+    """A function of the step or tolerance that returns the map (2N, 2N) and the run's `stats`.
+
+    By forward differentiation through the solver: for adaptive ones through their mesh, which follows the state alone.
+    """
+    start, restore = ravel_pytree(tuple(state))
+
+    @jax.jit
+    def call(value):
+        chosen = {} if parameter is None else {parameter: value}
+
+        def flow(y):
+            run = simulate(
+                lattice, State(*restore(y)), t1, t0=t0, solver=solver, adjoint=diffrax.ForwardMode(), **chosen
+            )
+            return ravel_pytree(tuple(run.final))[0], run.stats
+
+        return jax.jacfwd(flow, has_aux=True)(start)
+
+    return call
 
 
 def _evaluations(name, stats):

@@ -8,8 +8,7 @@ import numpy as np
 
 from ..checks import refuse
 from .advice import advise
-from .orders import observed_order
-from .words import number, seconds_in_words
+from .ladder import number, observed_order, seconds_in_words
 
 # errors below this many floors are neither drawn nor used
 DRAWN = 4.0
