@@ -1,10 +1,16 @@
-"""granjax is imported before JAX starts computing, so that its float type and XLA flags are in force for every test."""
+"""granjax is imported before JAX starts computing, so that its float type and XLA flags are in force for every test.
+
+Before that the import hook is set, with which every annotation is checked (tests/typed.py).
+"""
 
 import os
 
 import pytest
+import typed
 
-import granjax
+typed.install()
+
+import granjax  # noqa: E402
 
 # the command line, called by tests, keeps nothing in the user's cache folder
 os.environ["GRANJAX_CACHE"] = "0"

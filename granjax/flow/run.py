@@ -1,5 +1,8 @@
 """The record of a run."""
 
+from collections.abc import Iterator
+from typing import ClassVar
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -7,11 +10,13 @@ import numpy as np
 
 from ..checks import concrete
 from ..lattice import State
+from ..results import Held, Result
+from ..types import Counts, Displacements, Flags, Number, Numbers, Times
 
 COMPLETED, NOT_FINITE, TOO_MANY_STEPS, STEP_TOO_SMALL, FAILED = range(5)
 
 
-class Run(eqx.Module):
+class Run(Result):
     """What `simulate` returns. It prints itself.
 
     - `ts` (T,), `us`, `vs` (T, N): times, displacements and velocities that were saved (T = 1, the end, by default).
@@ -24,26 +29,30 @@ class Run(eqx.Module):
       `force_evaluations` (NaN for diffrax's own solvers). `solver`: its name; `choice`: what was chosen and why.
     """
 
-    ts: jax.Array
-    us: object
-    vs: object
+    held: ClassVar[dict[str, Held]] = {
+        "ts": Held("time", "s", "time"), "us": Held("time site", "m", "u"), "vs": Held("time site", "m/s", "v"),
+        "energy_error": Held(None), "contact_opened": Held(None),
+    }
+    ts: Times
+    us: Displacements
+    vs: Displacements
     final: State
-    recorded: dict
-    energy_error: jax.Array
-    contact_opened: jax.Array
-    code: jax.Array
-    stats: dict
-    failed_at: tuple | None
+    recorded: dict[str, Numbers]
+    energy_error: Numbers
+    contact_opened: Flags
+    code: Counts
+    stats: dict[str, Number]
+    failed_at: tuple[float, float, tuple[int, ...]] | None
     solver: str = eqx.field(static=True)
     choice: str = eqx.field(static=True)
     remark: str = eqx.field(static=True)
 
     @property
-    def completed(self):
+    def completed(self) -> Flags:
         return self.code == COMPLETED
 
     @property
-    def outcome(self):
+    def outcome(self) -> str:
         """What became of the run, in a sentence (only where the run is not traced)."""
         code = concrete(self.code)
         if code is None:
@@ -65,14 +74,7 @@ class Run(eqx.Module):
         before, after, sites = self.failed_at
         return f" (first between t = {before:g} and {after:g}, at sites {sites})"
 
-    def __repr__(self):
-        if concrete(self.code) is None:
-            return f"Run({self.solver}, traced)"
-        return "\n".join(f"{name:<15}{value}" for name, value in self._rows())
-
-    __str__ = __repr__
-
-    def _rows(self):
+    def _rows(self) -> Iterator[tuple[str, str]]:
         yield "solver", self.solver
         yield "choice", self.choice
         steps = f"{int(np.max(self.stats['steps']))}"
@@ -84,31 +86,15 @@ class Run(eqx.Module):
         yield "saved", f"{self.ts.shape[-1]} times" + (f", records {', '.join(self.recorded)}" if self.recorded else "")
         yield "outcome", self.outcome
 
-    def to_numpy(self):
+    def to_numpy(self) -> dict:
         """A dict of NumPy arrays: ts, us, vs and the records."""
         tree = {"ts": self.ts, "us": self.us, "vs": self.vs, **self.recorded}
         return jax.tree.map(np.asarray, tree)
 
-    def to_xarray(self):
-        """An `xarray.Dataset` with displacement `u` and velocity `v` over `time` and `site` (one pair per field).
-
-        Further axes are called `axis_k`; records and the scalars of the run are variables and attributes.
-        """
-        import xarray as xr
-
-        variables = {}
-        for name, tree in (("u", self.us), ("v", self.vs)):
-            for field, x in tree.items() if isinstance(tree, dict) else ((None, tree),):
-                x = np.asarray(x)
-                dims = ("time", "site" if field is None else f"site_{field}", *(f"axis_{k}" for k in range(2, x.ndim)))
-                variables[name if field is None else f"{name}_{field}"] = (dims, x)
-        for name, x in self.recorded.items():
-            x = np.asarray(x)
-            variables[name] = (tuple(f"{name}_{k}" for k in range(x.ndim)), x)
-        attributes = {"solver": self.solver, "choice": self.choice, "outcome": self.outcome}
-        attributes["energy_error"] = np.asarray(self.energy_error).tolist()
-        attributes["contact_opened"] = np.asarray(self.contact_opened).astype(int).tolist()
-        return xr.Dataset(variables, {"time": np.asarray(self.ts)}, attributes)
+    def _fields(self) -> Iterator[tuple[str, object]]:
+        own = ("ts", "us", "vs", "energy_error", "contact_opened", "stats", "solver", "choice")
+        yield from ((name, getattr(self, name)) for name in own)
+        yield from self.recorded.items()
 
 
 def named(run, solver, choice, remark):

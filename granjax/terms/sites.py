@@ -44,7 +44,7 @@ class Drive(Term):
 
     conserves: ClassVar[bool] = False
     waveform: Callable
-    site: tuple[int, ...] = eqx.field(static=True)
+    site: tuple = eqx.field(static=True)
     field: str | None = eqx.field(static=True)
 
     def __init__(self, waveform, site=0, field=None):
