@@ -1,5 +1,6 @@
 """`Result`: what every record of the library is: an outcome, text for reading, named arrays with units, files."""
 
+import dataclasses
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -56,7 +57,9 @@ class Result(eqx.Module):
 
     def _fields(self) -> Iterator[tuple[str, object]]:
         """Names and values of the fields that are shown and kept, without the outcome and what is not there."""
-        for name in (name for name in self.__dataclass_fields__ if name != "outcome" and name[0] != "_"):
+        for name in (field.name for field in dataclasses.fields(self)):
+            if name == "outcome" or name[0] == "_":
+                continue
             value = getattr(self, name)
             if value is not None:
                 yield name, value
@@ -148,7 +151,7 @@ def _text(value: object, unit: str = "") -> str:
         x = concrete(value)
         if x is None:
             return f"traced, shape {value.shape}"
-        return f"{_numbers(x)} {unit}".strip()
+        return f"{_numbers(x)} {'' if unit == '1' else unit}".strip()
     if isinstance(value, (list, tuple)):
         if value and all(isinstance(x, (int, float, complex, np.generic)) for x in value):
             return _text(np.asarray(value), unit)
