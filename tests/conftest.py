@@ -1,23 +1,68 @@
 """granjax is imported before JAX starts computing, so that its float type and XLA flags are in force for every test.
 
 Before that the import hook is set, with which every annotation is checked (tests/typed.py).
+
+Most of the tests' time is compiling programs that run once. So they are compiled cheaply, unless XLA_FLAGS is set
+(`XLA_FLAGS= pytest` compiles as a user's programs are; the numbers are the same to rounding), and what was compiled is
+kept in the user's cache folder for the next run, unless GRANJAX_CACHE is 0.
 """
 
+import gc
 import os
+import time
+from pathlib import Path
 
 import pytest
 import typed
 
 typed.install()
+CHEAP = (
+    "--xla_llvm_disable_expensive_passes=true --xla_cpu_use_fusion_emitters=false "
+    "--xla_cpu_parallel_codegen_split_count=1"
+)
+os.environ.setdefault("XLA_FLAGS", CHEAP)
+
+import jax  # noqa: E402
 
 import granjax  # noqa: E402
+from granjax import tuning  # noqa: E402
 
+KEPT_FOR = 14 * 24 * 3600
+MOST_MEMORY = 1.8e9
+
+kept = tuning.keep_compiled()
+if kept:
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 # the command line, called by tests, keeps nothing in the user's cache folder
 os.environ["GRANJAX_CACHE"] = "0"
+# traces are trees of many small objects that live long: rarer collections save a twentieth
+gc.set_threshold(100_000, 20, 50)
 
 
 def pytest_report_header(config):
-    return f"granjax {granjax.__version__}: {granjax.tune().message}"
+    return f"granjax {granjax.__version__}: {granjax.tune().message} Compiled programs are kept in {kept}."
+
+
+def pytest_sessionstart(session):
+    """What no run of the last days has written again is let go."""
+    if kept and not os.environ.get("PYTEST_XDIST_WORKER"):
+        for program in kept.glob("*-cache"):
+            if program.stat().st_mtime < time.time() - KEPT_FOR:
+                program.unlink(missing_ok=True)
+
+
+def _memory():
+    """Resident bytes of this process; 0 where the system does not say."""
+    try:
+        return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    except OSError:
+        return 0
+
+
+def pytest_runtest_teardown(item, nextitem):
+    """Compiled programs are let go where a module ends: a worker would grow to many GB."""
+    if nextitem is not None and item.path != nextitem.path and _memory() > MOST_MEMORY:
+        jax.clear_caches()
 
 
 @pytest.fixture
