@@ -2,11 +2,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.special import ellipe, ellipj, ellipk
 
 import granjax as gx
 from granjax.continuation import continuation
+from granjax.forced import orbit
 from granjax.newton import newton
-from granjax.orbits import FullPeriod, HalfPeriod, shifts
+from granjax.orbits import Mirror, Shooting, Sign, Translation, shifts
 
 N = 5
 RNG = np.random.default_rng(4)
@@ -78,7 +80,7 @@ STEPS = 20
 
 
 def half_of(lattice, steps=STEPS):
-    return HalfPeriod.of(lattice, gx.Flow(steps, gx.KahanLi8()))
+    return Shooting.half(lattice, gx.Flow(steps, gx.KahanLi8()))
 
 
 @pytest.fixture(scope="module")
@@ -156,7 +158,7 @@ def test_newton_over_a_half_period_is_quadratic_and_differentiable(breather):
 def test_an_orbit_over_half_a_period_is_one_over_a_whole(breather, segments):
     state, period = breather
     scene = DIMER, period
-    full = FullPeriod.of(DIMER, gx.Flow(42 // segments, gx.KahanLi8()), reference=state, segments=segments)
+    full = Shooting.of(DIMER, gx.Flow(42 // segments, gx.KahanLi8()), reference=state, segments=segments)
     exact = full.guess(state, scene)
     assert exact.shape == (segments * 2 * N + 2,)
     assert np.abs(full.residual(exact, scene)).max() < 1e-11
@@ -180,7 +182,7 @@ def test_an_orbit_over_half_a_period_is_one_over_a_whole(breather, segments):
 def test_the_reference_fixes_the_phase(breather):
     state, period = breather
     later = gx.Flow(16, gx.KahanLi8())(state, 0.0, period / 5, DIMER)
-    full = FullPeriod.of(DIMER, gx.Flow(42, gx.KahanLi8()), reference=later)
+    full = Shooting.of(DIMER, gx.Flow(42, gx.KahanLi8()), reference=later)
     scene = DIMER, period
     # the guess: another phase of the orbit, displaced as a whole
     guess = gx.Flow(16, gx.KahanLi8())(state, 0.0, period / 5 + 0.03, DIMER)
@@ -196,7 +198,7 @@ def test_between_walls_nothing_but_the_phase_is_free():
     found = newton(half.residual, 0.45 * shape / np.abs(shape).max(), (WALLS, period), linearise=half.linearise)
     state = half.state(found.x)
     assert np.abs(state.u).max() > 0.2 and found.x.shape == (N,)
-    full = FullPeriod.of(WALLS, gx.Flow(21, gx.KahanLi8()), reference=state, segments=2)
+    full = Shooting.of(WALLS, gx.Flow(21, gx.KahanLi8()), reference=state, segments=2)
     guess = full.guess(gx.State(state.u * 1.02, state.v + 0.01), (WALLS, period))
     assert guess.shape == (4 * N + 1,)
     root = newton(full.residual, guess, (WALLS, period), linearise=full.linearise, tolerance=1e-13)
@@ -212,7 +214,7 @@ FORCED = gx.Lattice(1.0, (
 @pytest.mark.parametrize("segments, t0", (pytest.param(1, 0.0, marks=pytest.mark.slow), (3, 0.4)))
 def test_a_forced_damped_orbit_is_where_a_long_run_settles(segments, t0):
     period, scene = 2 * np.pi / OMEGA, (FORCED, 2 * np.pi / OMEGA)
-    full = FullPeriod.of(FORCED, gx.Flow(36 // segments), t0=t0, segments=segments)
+    full = Shooting.of(FORCED, gx.Flow(36 // segments), t0=t0, segments=segments)
     rest = gx.State(jnp.zeros(N), jnp.zeros(N))
     guess = full.guess(rest, scene)
     assert guess.shape == (2 * N * segments,)
@@ -228,7 +230,7 @@ def test_a_forced_damped_orbit_is_where_a_long_run_settles(segments, t0):
 
 @pytest.mark.slow
 def test_a_forced_orbits_derivative():
-    full = FullPeriod.of(FORCED, gx.Flow(18))
+    full = Shooting.of(FORCED, gx.Flow(18))
     start = full.guess(gx.State(jnp.zeros(N), jnp.zeros(N)), (FORCED, 1.0))
 
     @jax.jit
@@ -240,3 +242,109 @@ def test_a_forced_orbits_derivative():
     np.testing.assert_allclose(slope, (orbit(0.3 + 1e-5) - orbit(0.3 - 1e-5)) / 2e-5, rtol=0, atol=1e-9)
     np.testing.assert_allclose(slope, jax.jit(jax.jacrev(orbit))(0.3), rtol=0, atol=1e-12)
     assert np.abs(slope).max() > 0.05
+
+
+# orbits modulo a symmetry -------------------------------------------------------------------------------------------
+
+
+def cnoidal(sites, m):
+    """Toda's wave of one crest on a ring whose mean compression is zero, and the time in which it moves on by a site.
+
+    With rate^-2 = 1/sn^2(2K/N) - 1 + E/K the wave exp(e) - 1 = rate^2 (dn^2(2K n/N - rate t) - E/K) solves Toda's
+    equations; a uniform compression c more stretches time by exp(c/2). Source: Toda, Phys. Rep. 18, 1 (1975).
+    """
+    K, E = ellipk(m), ellipe(m)
+    rate = (1 / ellipj(2 * K / sites, m)[0] ** 2 - 1 + E / K) ** -0.5
+    sn, cn, dn, _ = ellipj(2 * K * np.arange(sites) / sites, m)
+    force = rate**2 * (dn**2 - E / K)
+    e, slope = np.log1p(force), 2 * m * rate**3 * sn * cn * dn / (1 + force)
+    pace = np.exp(-e.mean() / 2)
+    u, v = (-np.cumsum(x - x.mean()) for x in (e, slope * pace))
+    return gx.State(np.roll(u - u.mean(), 1), np.roll(v - v.mean(), 1)), 2 * K / rate / sites / pace
+
+
+RING = gx.scenes.toda(6, boundary="periodic")
+
+
+@pytest.fixture(scope="module")
+def rotating():
+    """A rotating wave from a guess that is off by some per cent."""
+    exact, period = cnoidal(6, 0.9)
+    guess = gx.State(1.03 * exact.u, 0.99 * exact.v + 0.002 * RNG.normal(size=6))
+    return exact, orbit(RING, guess, period, symmetry=Translation(1))
+
+
+def test_a_rotating_wave_of_a_toda_ring_is_the_cnoidal_one(rotating):
+    exact, wave = rotating
+    end = gx.Flow(64)(exact, 0.0, wave.period, RING)
+    np.testing.assert_allclose(end.u, np.roll(exact.u, 1), rtol=0, atol=1e-14)
+    assert wave.converged and float(wave.energy) == pytest.approx(float(RING.energy(0.0, *exact)), rel=1e-11)
+    # the same wave, later or earlier by a while: a site ago it stood one site before
+    state, best = wave.state, min(np.linspace(-0.1, 0.1, 41), key=lambda s: apart(exact, wave.state, s))
+    assert apart(exact, state, best) < 0.02 and np.abs(state.u).max() > 0.25
+
+
+def apart(exact, state, time):
+    return float(jnp.abs(gx.Flow(4)(exact, 0.0, time, RING).u - state.u).max())
+
+
+def test_a_wave_modulo_a_shift_is_an_orbit_of_the_whole_ring(rotating):
+    _, wave = rotating
+    whole = orbit(RING, wave.state, 6 * wave.period)
+    assert whole.root.iterations == 1 and whole.residual < 1e-10
+    turned, full = wave.floquet(), whole.floquet()
+    assert turned.expected == full.expected == 4 and turned.verdict == full.verdict == "stable"
+    power = turned.multipliers**6
+    assert np.abs(power[:, None] - full.multipliers).min(1).max() < 1e-6
+
+
+@pytest.mark.slow
+def test_a_travelling_wave_of_steel_beads_in_si_and_in_scaled_units():
+    ring = gx.scenes.monomer(8, mass=28.2e-3, stiffness=9.76e9, precompression=20.0, boundary="periodic")
+    scaled, units = gx.scenes.scaled(ring)
+    k = 2 * np.pi / 8
+    period = 0.985 * k / (6**0.5 * np.sin(k / 2))  # faster than the linear wave
+    n = np.arange(8)
+    guess = gx.State(0.6 * np.cos(k * n), 0.6 * k / period * np.sin(k * n))
+    wave = orbit(scaled, guess, period, symmetry=Translation(1), segments=2)
+    assert 0.5 < np.abs(wave.state.u).max() < 0.7
+    si = orbit(ring, units.state_to_si(guess), period * float(units.time), symmetry=Translation(1), segments=2)
+    np.testing.assert_allclose(units.state_from_si(si.state).u, wave.state.u, rtol=0, atol=1e-9)
+    whole = orbit(scaled, wave.state, 8 * period)
+    np.testing.assert_allclose(whole.state.u, wave.state.u, rtol=0, atol=1e-8)
+    # d energy/d T through the root, against a difference
+    energy = jax.jit(lambda T: orbit(scaled, wave.state, T, symmetry=Translation(1), steps=24, throw=False,
+                                     tolerance=1e-13).energy)
+    slope = (energy(period + 1e-5) - energy(period - 1e-5)) / 2e-5
+    assert float(jax.jacfwd(energy)(period)) == pytest.approx(float(slope), rel=1e-6)
+
+
+@pytest.mark.slow
+def test_half_a_period_of_an_odd_lattice_is_an_orbit_modulo_its_sign():
+    chain = gx.scenes.fput(5, alpha=0.0, beta=1.0)
+    b = gx.breathers.breather(chain, 1.05 * float(gx.linear.normal_modes(chain).omega[-1]), check=False)
+    half = orbit(chain, b.state, b.period / 2, symmetry=Sign())
+    np.testing.assert_allclose(half.state.u, b.state.u, rtol=0, atol=1e-9)
+    assert half.floquet().expected == 2
+    # and of an odd number of sites its own mirror image, which is the same here
+    mirrored = orbit(chain, b.state, b.period, symmetry=Mirror() @ Sign())
+    np.testing.assert_allclose(mirrored.state.u, b.state.u, rtol=0, atol=1e-9)
+
+
+def test_symmetries_compose_and_what_is_none_of_the_lattice_is_refused():
+    u = jnp.arange(4.0)
+    for a, b in ((Translation(1), Mirror()), (Mirror(), Translation(1)), (Sign(), Translation(-1))):
+        assert np.array_equal((a @ b)(u), a(b(u)))
+    chain = gx.scenes.toda(6, boundary="free")
+    with pytest.raises(ValueError, match="symmetry: expected a symmetry of the lattice"):
+        orbit(chain, gx.State(np.sin(np.arange(6.0)), np.zeros(6)), 1.0, symmetry=Translation(1))
+    with pytest.raises(ValueError, match="symmetry: expected a symmetry"):
+        orbit(RING, gx.State(np.sin(np.arange(6.0)), np.zeros(6)), 1.0, symmetry=Sign())
+
+
+def test_a_guess_that_falls_to_rest_is_no_orbit():
+    guess = gx.State(1e-3 * np.sin(np.arange(6.0)), np.zeros(6))
+    with pytest.raises(RuntimeError, match="The guess fell to rest, where every time is a period: Converged"):
+        orbit(RING, guess, 0.7, symmetry=Translation(1))
+    found = orbit(RING, guess, 0.7, symmetry=Translation(1), throw=False)
+    assert not found.converged and np.abs(found.state.u).max() < 1e-9

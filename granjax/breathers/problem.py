@@ -10,7 +10,7 @@ from ..checks import refuse, whole
 from ..floquet import reversible_multipliers
 from ..flow import Flow
 from ..lattice import Lattice, spread_mass
-from ..orbits import HalfPeriod, default_steps
+from ..orbits import Shooting, default_steps
 from ..solvers import KahanLi8
 
 # the error of half a period that is let pass, and how often the steps are doubled for it
@@ -21,7 +21,7 @@ TOLERANCE = 1e-11
 class ByFrequency(eqx.Module):
     """F(x, omega; lattice) = 0: half a period from rest to rest, for Newton's method and for continuation."""
 
-    half: HalfPeriod
+    half: Shooting
 
     def residual(self, x, omega, lattice):
         """The half period's gaps at a frequency."""
@@ -58,7 +58,7 @@ def half_steps(lattice, period, steps=None):
 
 def by_frequency(lattice, steps, solver=None):
     """The root problem with a number of steps that may change without compiling anew."""
-    return ByFrequency(HalfPeriod.of(lattice, Flow(jnp.asarray(steps, int), solver or KahanLi8())))
+    return ByFrequency(Shooting.half(lattice, Flow(jnp.asarray(steps, int), solver or KahanLi8())))
 
 
 @eqx.filter_jit

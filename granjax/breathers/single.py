@@ -9,7 +9,7 @@ from ..checks import one_of, positive, refuse
 from ..flow import Flow
 from ..lattice import State
 from ..newton import newton
-from ..orbits import HalfPeriod
+from ..orbits import Shooting
 from ..solvers import KahanLi8
 from ..tuning import one_thread
 from .branch import Breather
@@ -73,7 +73,7 @@ def breather(lattice, omega, guess=None, *, energy=None, centre=None, steps=None
             raise RuntimeError(f"The family did not reach omega = {float(omega):.6g}: {found.outcome}")
         guess = found.breather(-1).state
     count = half_steps(lattice, 2 * np.pi / omega, steps)
-    half = HalfPeriod.of(lattice, Flow(count if traced else jnp.asarray(count), solver or KahanLi8()))
+    half = Shooting.half(lattice, Flow(count if traced else jnp.asarray(count), solver or KahanLi8()))
     if isinstance(guess, str):
         guess = _from_envelope(lattice, half, float(omega), guess, centre, tolerance)
     if energy is None:

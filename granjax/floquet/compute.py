@@ -9,7 +9,7 @@ from jax.flatten_util import ravel_pytree
 from ..checks import refuse, whole
 from ..flow import Flow, linear_frequency
 from ..lattice import Lattice, vector_field
-from ..orbits import default_steps
+from ..orbits import Symmetry, default_steps, free_moves, shifts
 from ..solvers import KahanLi8
 from .record import RESOLUTION, Floquet, decide
 from .spectrum import product_spectrum, spectrum
@@ -26,7 +26,7 @@ def _derivative(flow, y, t0, t1, args):
 
 
 def floquet(lattice, state, period, *, t0=0.0, steps=None, solver=None, segments=1, tolerance=TOLERANCE, args=None,
-            expected=None, resolution=RESOLUTION):
+            symmetry=Symmetry(), expected=None, resolution=RESOLUTION):
     r"""Monodromy matrix, multipliers and stability of a periodic orbit.
 
     M = d y(t0 + T)/d y(t0) by tangents through a fixed-step flow, with two step sizes whose difference is the error.
@@ -40,6 +40,7 @@ def floquet(lattice, state, period, *, t0=0.0, steps=None, solver=None, segments
       (relative to its largest entry) or 16384 steps are reached, as may happen where contacts open.
     - `solver`: `None` is KahanLi8, or the flow's own. `segments`: factors of which M is the product; several keep
       multipliers that lie far below the largest one's rounding.
+    - `symmetry`: S of an orbit with y(t0 + T) = S y(t0); M is then S^-1 times that derivative.
     - `expected`: multipliers that symmetry puts at +1; `None` is what the terms of a lattice say, and none for a
       `Flow`: give 1 for a limit cycle of an autonomous one.
     - `resolution`: what an undetected instability may be; an error above it leaves the verdict open.
@@ -56,6 +57,8 @@ def floquet(lattice, state, period, *, t0=0.0, steps=None, solver=None, segments
         known, args = structure(lattice), lattice
         if known.autonomous and _rests(lattice, state, t0):  # has neither phase nor energy
             known = known._replace(expected=known.expected - (2 if known.rate == 0 else 1))
+        turned = shifts(lattice).shape[1] - free_moves(lattice, symmetry).shape[1]
+        known = known._replace(expected=known.expected - turned * (2 if known.rate == 0 else 1))
         solver, field = solver or KahanLi8(), {}
         start = steps or default_steps(lattice, period, 2 * segments, doubled=True)
     else:
@@ -68,7 +71,8 @@ def floquet(lattice, state, period, *, t0=0.0, steps=None, solver=None, segments
 
     def factors(count):
         flow = Flow(jnp.asarray(count // segments), solver, **field)
-        return _factors(flow, state, t0, period, segments, args)
+        found = _factors(flow, state, t0, period, segments, args)
+        return found if symmetry.trivial else [*found[:-1], symmetry.matrix(state).T @ found[-1]]
 
     count, coarse, fine = start, factors(start // 2), factors(start)
     while steps is None and 2 * count <= MOST_STEPS:

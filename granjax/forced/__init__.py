@@ -2,6 +2,6 @@
 
 from .branch import ForcedBranch, forced_branch
 from .events import Bifurcation
-from .orbit import ForcedOrbit, OrbitRun, forced_orbit
+from .orbit import Orbit, OrbitRun, forced_orbit, orbit
 
-__all__ = ["Bifurcation", "ForcedBranch", "ForcedOrbit", "OrbitRun", "forced_branch", "forced_orbit"]
+__all__ = ["Bifurcation", "ForcedBranch", "Orbit", "OrbitRun", "forced_branch", "forced_orbit", "orbit"]

@@ -17,8 +17,8 @@ from ..orbits import flow_over, history
 from ..solvers import SRKN14a
 from ..tuning import one_thread
 from .events import BRANCH_POINT, FOLD, Between, Bifurcation, critical, kind_of
+from .family import Family, period_at
 from .orbit import FRAMES, checked_guess, forced_orbit, prepared
-from .shooting import Family, period_at
 
 # of dp along the first tangent, so that a branch that begins near a fold does not count as endlessly steep
 LEAST_SLOPE = 1e-2
@@ -58,7 +58,7 @@ class ForcedBranch(eqx.Module):
         return self.verdicts == "stable"
 
     def orbit(self, i):
-        """The `ForcedOrbit` at point i."""
+        """The `Orbit` at point i."""
         state = jax.tree.map(lambda x: x[i], self.states)
         return forced_orbit(self.make(jnp.asarray(self.p[i])), self.periods[i], state, t0=self.t0, steps=self.steps,
                             segments=self.segments)
@@ -143,7 +143,7 @@ def forced_branch(
 def _examined(family, flow, z, response):
     """State, period, response and two monodromy matrices of an orbit, the finer flow's first."""
     (lattice, period), state = family.scene(z[-1]), family.shooting.state(z[:-1])
-    t0 = family.shooting.whole.t0
+    t0 = family.shooting.t0
     _, ts, ys = history(flow, lattice, state, t0, period, FRAMES)
     number = response(lattice, ys.u, ys.v, ts)
     counts = jnp.stack([flow.steps, flow.steps // 2])

@@ -1,25 +1,29 @@
-"""Time-periodic orbits of damped, driven lattices by Newton's method."""
+"""A periodic orbit, y(t0 + T) = S y(t0), and how to ask for one."""
+
+import math
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.flatten_util import ravel_pytree
 
 from ..checks import positive, refuse, whole
 from ..floquet import floquet
 from ..flow import Flow
-from ..lattice import Lattice, State
-from ..newton import Root, newton
-from ..orbits import flow_over, history
+from ..lattice import Lattice, State, vector_field
+from ..newton import CONVERGED, Root, newton
+from ..orbits import Shooting, Symmetry, checked_symmetry, flow_over, history
 from ..solvers import SRKN14a
 from ..tuning import one_thread
-from .shooting import Shooting
 
 FRAMES = 32
+# of the guess's size, below which an orbit is none; and its code, beside those of `newton`
+AT_REST, FELL = 1e-6, 4
 
 
 class OrbitRun(eqx.Module):
-    """One period of an orbit at equal distances, without its end: `ts` (F,), `us` and `vs` (F, N), `lattice`.
+    """One period of an orbit at equal distances, without its end: `ts` (F,), `us` and `vs` (F, N).
 
     Means over these frames are integrals over the period to the accuracy of a Fourier series.
     """
@@ -29,11 +33,11 @@ class OrbitRun(eqx.Module):
     vs: object
 
 
-class ForcedOrbit(eqx.Module):
-    """A periodic orbit of a forced lattice; what `forced_orbit` returns.
+class Orbit(eqx.Module):
+    """A periodic orbit of a lattice, driven or not: y(t0 + T) = S y(t0).
 
-    **Fields:** `state`: at `t0`. `period`: T. `lattice`. `root`: how Newton's method ended, its residual relative to
-    the orbit's size. `flow`: steps and solver over a period.
+    **Fields:** `state`: at `t0`; a breather is at rest there. `period`: T. `lattice`. `root`: how Newton's method
+    ended. `flow`: steps and solver over a period. `symmetry`: S; after T times its order the state itself returns.
     """
 
     state: State
@@ -42,21 +46,39 @@ class ForcedOrbit(eqx.Module):
     root: Root
     flow: Flow
     t0: jax.Array
+    symmetry: Symmetry = Symmetry()
+
+    @property
+    def omega(self):
+        """2 pi/T."""
+        return 2 * np.pi / self.period
+
+    @property
+    def energy(self):
+        """Energy at t0, from equilibrium."""
+        return _energy(self.lattice, self.t0, self.state)
 
     @property
     def residual(self):
-        """max |y(t0 + T) - y(t0)|, relative to the largest displacement, and to velocities of that times 2 pi/T."""
+        """What Newton's method left: max |v(T/2)| of a breather; of others max |y(t0 + T) - S y(t0)|.
+
+        The latter relative to the orbit's size: displacements to the largest one, velocities to that times 2 pi/T.
+        """
         return self.root.residual
 
     @property
     def converged(self):
-        """Whether the residual came below the tolerance."""
+        """Whether the residual came below the tolerance, and not at rest."""
         return self.root.converged
 
     @property
     def outcome(self):
         """What became of Newton's method, a sentence."""
-        return self.root.outcome
+        code = self.root.code
+        if isinstance(code, jax.core.Tracer) or not np.any(np.asarray(code) == FELL):
+            return self.root.outcome
+        went = eqx.tree_at(lambda r: r.code, self.root, np.where(np.asarray(code) == FELL, CONVERGED, code)).outcome
+        return f"The guess fell to rest, where every time is a period: {went}"
 
     def run(self, frames=FRAMES):
         """The orbit in time, `OrbitRun`."""
@@ -77,7 +99,7 @@ class ForcedOrbit(eqx.Module):
 
     @property
     def amplitude(self):
-        """Amplitude of every site at the frequency of the drive, |c_1|, (N,)."""
+        """Amplitude of every site at the frequency 2 pi/T, |c_1|, (N,)."""
         return jax.tree.map(lambda c: jnp.abs(c[1]), self.harmonics())
 
     @property
@@ -98,27 +120,30 @@ class ForcedOrbit(eqx.Module):
         return self.period * jnp.mean(jax.vmap(power)(run.ts, run.us, run.vs))
 
     def floquet(self, **keywords):
-        """Multipliers and stability, from `granjax.floquet.floquet` with its keywords."""
+        """Multipliers of S^-1 y(t0 + T) and stability, from `granjax.floquet.floquet` with its keywords."""
+        keywords = {"symmetry": self.symmetry} | keywords
         return floquet(self.lattice, self.state, float(self.period), t0=float(self.t0), **keywords)
 
 
 @one_thread
-def forced_orbit(lattice, period, guess=None, *, t0=0.0, steps=None, segments=1, transient=0, solver=SRKN14a(),
-                 tolerance=1e-10, max_steps=20, throw=None):
-    r"""A T-periodic orbit of a lattice under T-periodic forcing: y(t0 + T) = y(t0), by Newton's method.
+def orbit(lattice, guess, period, *, symmetry=Symmetry(), t0=0.0, steps=None, segments=1, transient=0,
+          solver=SRKN14a(), tolerance=1e-10, max_steps=20, throw=None):
+    r"""An orbit of a lattice that returns after a time, up to a symmetry: y(t0 + T) = S y(t0), by Newton's method.
 
-    The root is isolated, since the drive sets the phase. It need not be stable, and where several orbits exist the
-    guess decides. From rest Newton's first iterate is the linear response, as far as one period from rest is linear.
+    Under T-periodic forcing the root is isolated, since the drive sets the phase. Without forcing and damping the
+    orbits are a family over T; the phase is that of the guess, and a lattice that is free to move is held at its mean.
+    With `Translation(1)` on a ring the wave reappears one site further after T, that is with the speed 1/T: a rotating
+    wave. The root need not be stable, and where several orbits exist the guess decides.
     Works under `jit` and `vmap` and is differentiable in the lattice and the period: in forward mode, and in reverse
     where `steps` is given.
 
     **Arguments:**
 
-    - `lattice`: with `Wall` in motion, `Drive` or `Modulated` terms of period T (or T/2, T/3 ...); damping makes the
-      orbit unique at small amplitude.
+    - `lattice`: under T-periodic forcing (or T/2, T/3 ...), or with neither forcing nor damping.
+    - `guess`: a `State` at t0. `transient`: periods that are run from it before Newton begins; of a driven, damped
+      lattice some 1/(gamma T) of them lead to the orbit that a run would settle to.
     - `period`: T > 0. A multiple of the drive's gives orbits after a period doubling.
-    - `guess`: a `State` at t0; `None` is rest. `transient`: periods that are run from it before Newton begins; some
-      1/(gamma T) of them lead to the orbit that a run would settle to.
+    - `symmetry`: S, made of `Translation(cells)`, `Mirror()` and `Sign()`; by default the identity.
     - `t0`: phase of the drive at which the state is taken.
     - `steps` per period; `None` takes h omega_max <= 0.3, with omega_max the highest linear frequency, which gives
       displacements to about 1e-9; scenes whose contacts open need more.
@@ -127,22 +152,59 @@ def forced_orbit(lattice, period, guess=None, *, t0=0.0, steps=None, segments=1,
     - `max_steps`: the most Jacobians. `throw`: raise where it does not converge; `None` does so outside of
       transformations.
 
-    **Returns:** `ForcedOrbit`. **Raises** ValueError for a period that is not positive, a batch of lattices, steps
-    that the segments do not divide, or a sonic vacuum without `steps`; RuntimeError where `throw` and it did not
-    converge.
+    **Returns:** `Orbit`. **Raises** ValueError for a period that is not positive, a batch of lattices, steps that the
+    segments do not divide, what is no symmetry of the lattice, or a sonic vacuum without `steps`; RuntimeError where
+    `throw` and it did not converge, or fell to rest without forcing.
     """
     if not isinstance(lattice, Lattice) or lattice.lanes:
         refuse("lattice", "one Lattice", "a batch" if isinstance(lattice, Lattice) else repr(lattice),
                "For a batch use jax.vmap(lambda c: forced_orbit(c, T, throw=False), in_axes=-1).")
     period, segments = positive("period", period), whole("segments", segments, 1)
     transient = whole("transient", transient, 0)
-    guess = State(lattice.zeros(), lattice.zeros()) if guess is None else checked_guess(lattice, guess)
+    guess = checked_guess(lattice, guess)
+    checked_symmetry(lattice, symmetry, guess, t0, period)
     flow = flow_over(lattice, period, steps, solver, segments)
     t0 = jnp.asarray(t0, lattice.dtype)
-    shooting, x = prepared(lattice, period, guess, flow, t0, segments, jnp.asarray(transient))
+    free = not forced(lattice)
+    if free and not all(term.conserves for term in lattice.terms):
+        remedy = "A damped lattice without forcing comes to rest."
+        refuse("lattice", "forcing, or neither forcing nor damping", "damping alone", remedy)
+    shooting, x = prepared(lattice, period, guess, flow, t0, segments, jnp.asarray(transient), symmetry, free)
     root = newton(shooting.residual, x, (lattice, period), tolerance=tolerance, max_steps=max_steps,
                   linearise=shooting.linearise, throw=throw)
-    return ForcedOrbit(shooting.state(root.x), period, lattice, root, flow, t0)
+    state = shooting.state(root.x)
+    return checked_orbit(Orbit(state, period, lattice, root, flow, t0, symmetry), guess if free else None, throw)
+
+
+def forced_orbit(lattice, period, guess=None, **keywords):
+    """A T-periodic orbit of a lattice under T-periodic forcing, y(t0 + T) = y(t0): `gx.orbits.orbit`.
+
+    `guess`: a `State` at t0; `None` is rest, from where Newton's first iterate is the linear response, as far as one
+    period from rest is linear. `keywords`: of `gx.orbits.orbit`. **Returns:** `Orbit`.
+    """
+    if guess is None and isinstance(lattice, Lattice) and not lattice.lanes:
+        guess = State(lattice.zeros(), lattice.zeros())
+    return orbit(lattice, guess, period, **keywords)
+
+
+def forced(lattice):
+    """Whether a force depends on time, as its traced program says."""
+    u, v = lattice.template(), lattice.template()
+    program = jax.make_jaxpr(lambda t, y: vector_field(t, y, lattice))(0.0, State(u, v)).jaxpr
+    return any(program.invars[0] is x for equation in program.eqns for x in equation.invars)
+
+
+def checked_orbit(orbit, guess, throw):
+    """The orbit, marked where a guess that moves has led to rest."""
+    if guess is None:
+        return orbit
+    speed = lambda y: jnp.max(jnp.stack([jnp.max(jnp.abs(x)) for x in jax.tree.leaves(y)]))
+    moves = [speed(vector_field(orbit.t0, y, orbit.lattice)) for y in (orbit.state, guess)]
+    fell = orbit.root.converged & (moves[0] <= AT_REST * moves[1])
+    orbit = eqx.tree_at(lambda o: o.root.code, orbit, jnp.where(fell, FELL, orbit.root.code))
+    if not isinstance(fell, jax.core.Tracer) and fell and (throw is None or throw):
+        raise RuntimeError(orbit.outcome)
+    return orbit
 
 
 def checked_guess(lattice, guess):
@@ -157,14 +219,23 @@ def checked_guess(lattice, guess):
 
 
 @eqx.filter_jit
-def prepared(lattice, period, guess, flow, t0, segments, transient):
-    """The problem and the unknowns of the guess, neither of which is differentiated."""
-    still = jax.lax.stop_gradient((lattice, period, guess))
-    lattice, period, guess = still
-    advance = lambda i, y: flow(y, t0, t0 + period, lattice)
-    guess = jax.lax.fori_loop(0, transient, advance, guess)
-    shooting = Shooting.of(lattice, period, guess, flow, t0, segments)
+def prepared(lattice, period, guess, flow, t0, segments, transient, symmetry=Symmetry(), free=False):
+    """The problem and the unknowns of the guess, neither of which is differentiated.
+
+    The unknowns have the norm of the relative amplitude, whatever the units of the lattice: the unit is the size of the
+    guess, or of where it is a period later, if that is more.
+    """
+    lattice, period, guess = jax.lax.stop_gradient((lattice, period, guess))
+    guess = jax.lax.fori_loop(0, transient, lambda i, y: flow(y, t0, t0 + period, lattice), guess)
+    end, n, omega = flow(guess, t0, t0 + period, lattice), ravel_pytree(guess.u)[0].size, 2 * jnp.pi / period
+    x = jnp.stack([ravel_pytree(y)[0] for y in (guess, end)])
+    size = jnp.maximum(jnp.max(jnp.abs(x[:, :n])), jnp.max(jnp.abs(x[:, n:])) / omega)
+    size = jnp.where((size > 0) & jnp.isfinite(size), size, 1) * math.sqrt(2 * n * segments)
+    scale = jnp.concatenate([jnp.full(n, size), jnp.full(n, size * omega)])
+    shooting = Shooting.of(lattice, Flow(flow.steps // segments, flow.solver), guess if free else None, t0, segments,
+                           scale=scale, symmetry=symmetry)
     return shooting, shooting.guess(guess, (lattice, period))
 
 
 _history = eqx.filter_jit(history)
+_energy = eqx.filter_jit(lambda lattice, t, state: lattice.energy(t, state.u, state.v))

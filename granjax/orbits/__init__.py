@@ -1,8 +1,10 @@
-"""Time-periodic orbits as roots: shooting residuals."""
+"""Time-periodic orbits as roots: shooting residuals, symmetries, the steps of a period."""
 
-from .closed import FullPeriod
-from .reversible import HalfPeriod
+from .problems import Mirror, Shooting, Sign, Symmetry, Translation, checked_symmetry, free_moves
 from .steps import default_steps, flow_over, history
 from .symmetry import shifts
 
-__all__ = ["FullPeriod", "HalfPeriod", "default_steps", "flow_over", "history", "shifts"]
+__all__ = [
+    "Mirror", "Shooting", "Sign", "Symmetry", "Translation", "checked_symmetry", "default_steps", "flow_over",
+    "free_moves", "history", "shifts",
+]

@@ -10,7 +10,7 @@ import granjax as gx
 from granjax.floquet import floquet
 from granjax.forced import forced_branch, forced_orbit
 from granjax.newton import newton
-from granjax.orbits import HalfPeriod
+from granjax.orbits import Shooting
 
 # a guess that falls to rest -----------------------------------------------------------------------------------------
 
@@ -27,7 +27,7 @@ def breather():
 
 @pytest.mark.slow
 def test_newton_at_a_given_frequency_falls_to_rest_from_a_small_guess(breather):
-    half = HalfPeriod.of(DIMER, gx.Flow(jnp.asarray(20), gx.KahanLi8()))
+    half = Shooting.half(DIMER, gx.Flow(jnp.asarray(20), gx.KahanLi8()))
     shape = np.asarray(gx.linear.normal_modes(DIMER).modes)[:, -1]
 
     def found(amplitude):

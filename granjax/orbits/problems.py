@@ -1,0 +1,251 @@
+"""Time-periodic orbits as roots of one residual, y(t0 + T) = S y(t0), with a symmetry S of the lattice."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+
+from ..checks import refuse, whole
+from ..flow import Flow
+from ..lattice import State, spread_mass, vector_field
+from .symmetry import shifts
+
+
+class Symmetry(eqx.Module):
+    r"""S of y(t0 + T) = S y(t0): displacements moved by some cells, reflected, with a sign; velocities alike.
+
+    (S u)_n = sign u_{n - cells}, and with `mirror` first u_n -> -u_{N-1-n}: displacements along a chain turn around
+    with it, so that compressions are reflected. `cells` counts places along the first axis of every field.
+
+    `Translation(1)`, `Mirror()` and `Sign()` make one, and `a @ b` is b, then a.
+    """
+
+    cells: int = eqx.field(static=True, default=0)
+    mirror: bool = eqx.field(static=True, default=False)
+    sign: int = eqx.field(static=True, default=1)
+
+    @property
+    def trivial(self):
+        """Whether it is the identity."""
+        return self == Symmetry()
+
+    def matrix(self, like):
+        """S over the raveled state, (2n, 2n); S^-1 is its transpose."""
+        flat, unravel = ravel_pytree(like)
+        return np.asarray(jax.vmap(lambda x: ravel_pytree(self(unravel(x)))[0], 1, 1)(jnp.eye(flat.size)))
+
+    def __matmul__(self, other):
+        turned = -other.cells if self.mirror else other.cells
+        return Symmetry(self.cells + turned, self.mirror != other.mirror, self.sign * other.sign)
+
+    def __call__(self, y):
+        """S of displacements, or of a state."""
+        def one(x):
+            x = -x[::-1] if self.mirror else x
+            return self.sign * (jnp.roll(x, self.cells, 0) if self.cells else x)
+
+        return y if self.trivial else jax.tree.map(one, y)
+
+
+def Translation(cells=1):
+    """The wave reappears `cells` further on after a period: a rotating wave of a ring, or one that travels."""
+    return Symmetry(cells=whole("cells", cells, -(2**31)))
+
+
+def Mirror():
+    """The motion is its own mirror image half of its full period later."""
+    return Symmetry(mirror=True)
+
+
+def Sign():
+    """The motion is its own negative half of its full period later, in lattices of odd forces."""
+    return Symmetry(sign=-1)
+
+
+def checked_symmetry(lattice, symmetry, state, t0, period):
+    """Refuse what is no symmetry of the lattice, as its forces at a state and its image say."""
+    if not isinstance(symmetry, Symmetry):
+        refuse("symmetry", "a Symmetry, such as Translation(1)", f"a {type(symmetry).__name__}")
+    if symmetry.trivial or any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves((lattice, state, period))):
+        return symmetry
+    if symmetry.mirror and lattice.dimension is not None:
+        refuse("symmetry", "translations and signs in the plane", repr(symmetry))
+    size = max(float(jnp.abs(x).max()) for x in jax.tree.leaves(state.u)) or 1.0
+    rng = np.random.default_rng(0)
+    u, v = (jax.tree.map(lambda x: jnp.asarray(size * scale * rng.uniform(-1, 1, x.shape), x.dtype), state.u)
+            for scale in (1.0, 2 * np.pi / float(period)))
+    there = symmetry(lattice.acceleration(t0, u, v))
+    here = lattice.acceleration(t0 + period, symmetry(u), symmetry(v))
+    off = max(float(jnp.abs(a - b).max()) for a, b in zip(jax.tree.leaves(there), jax.tree.leaves(here)))
+    most = max(float(jnp.abs(a).max()) for a in jax.tree.leaves(there))
+    if off > 1e3 * jnp.finfo(lattice.dtype).eps * max(most, size * (2 * np.pi / float(period)) ** 2):
+        refuse("symmetry", "a symmetry of the lattice", repr(symmetry), "Its image has other accelerations.")
+    return symmetry
+
+
+def free_moves(lattice, symmetry):
+    """Uniform displacements that cost nothing and that S leaves alone, as columns (n, k)."""
+    moves = shifts(lattice)
+    return moves if symmetry.sign * (-1 if symmetry.mirror else 1) > 0 else moves[:, :0]
+
+
+class Shooting(eqx.Module):
+    r"""Shooting for y(t0 + T) = S y(t0), in m segments, in units of `scale`.
+
+    Unknowns are the states at the segments' beginnings over their scale, (m 2n,); each segment must end where the next
+    begins, the last one at S of the first. One segment multiplies every error by the largest multiplier; several keep
+    long or strongly unstable orbits within Newton's reach.
+
+    An orbit of an autonomous, conservative lattice is not isolated: it may be moved along itself and, with free ends or
+    on a ring, as a whole. `reference` (a state; None for driven or damped orbits) then fixes its phase,
+    (y - y_ref) . f(y_ref) = 0, and the mean displacement is zero; multipliers of the energy's gradient and of the
+    uniform velocity, zero at the root, keep the system square. They belong to orbits at a given period.
+
+    Of a `reversible` orbit (forces of positions alone, even in t) half a period between two rests is enough: unknowns
+    are the displacements at rest, and v(T/2) = 0 in place of the last gap.
+
+    **Arguments:** `flow`: a `Flow` whose `steps` cover one segment. `like`: a state, for its structure. `scale` (2n,).
+    `moves`: (n, k), the uniform displacements that cost no energy and that S leaves alone. `t0`: phase of the drive at
+    which the orbit begins.
+
+    The scene of `residual`, `linearise` and `slopes` is the pair (lattice, period).
+    """
+
+    flow: Flow
+    like: State
+    scale: jax.Array
+    moves: jax.Array
+    reference: State | None = None
+    t0: float | jax.Array = 0.0
+    symmetry: Symmetry = Symmetry()
+    segments: int = eqx.field(static=True, default=1)
+    reversible: bool = eqx.field(static=True, default=False)
+
+    @classmethod
+    def of(cls, lattice, flow, reference=None, t0=0.0, segments=1, *, scale=None, symmetry=Symmetry()):
+        """Over whole periods; with a `reference` the free displacements are found."""
+        like, moves = State(lattice.zeros(), lattice.zeros()), free_moves(lattice, symmetry)
+        moves = moves[:, :0] if reference is None else moves
+        scale = jnp.ones(2 * len(moves), moves.dtype) if scale is None else scale
+        return cls(flow, like, scale, moves, reference, t0, symmetry, segments)
+
+    @classmethod
+    def half(cls, lattice, flow, segments=1):
+        """Over half a period between two rests."""
+        moves = shifts(lattice)
+        like = State(lattice.zeros(), lattice.zeros())
+        return cls(flow, like, jnp.ones(2 * len(moves), moves.dtype), moves, segments=segments, reversible=True)
+
+    @property
+    def count(self):
+        """Number of displacements, n."""
+        return self.moves.shape[0]
+
+    @property
+    def size(self):
+        """Unknowns of the first state: 2n, or n of a reversible orbit."""
+        return self.count if self.reversible else 2 * self.count
+
+    def guess(self, state, scene=None):
+        """The unknowns of a state at t0: it is run through the period for the beginnings of later segments."""
+        starts = [state]
+        for i in range(self.segments - 1):
+            state = self.flow(state, *self._times(i, scene[1]), scene[0])
+            starts.append(state)
+        x = jnp.concatenate([ravel_pytree(State(*y))[0] / self.scale for y in starts])
+        first, rest = x[: self.size], x[2 * self.count :]
+        idle = jnp.zeros(self.moves.shape[1] + (self.reference is not None), x.dtype)
+        return jnp.concatenate([first, rest, idle])
+
+    def state(self, x):
+        """The state at t0 that the unknowns describe."""
+        return State(*ravel_pytree(self.like)[1](self._parts(x)[0][0] * self.scale))
+
+    def residual(self, x, scene):
+        """Gaps between the segments, then the conditions."""
+        lattice, period = scene
+        starts, idle = self._parts(x)
+        unravel = ravel_pytree(self.like)[1]
+
+        def end(start_and_index):
+            start, i = start_and_index
+            after = self.flow(unravel(start * self.scale), *self._times(i, period), lattice)
+            return ravel_pytree(after)[0] / self.scale
+
+        return self._conditions(starts, idle, jax.lax.map(end, (starts, self._indices())), lattice)
+
+    def linearise(self, x, scene):
+        """The residual and its derivative in the unknowns, from one pass with tangents."""
+        return self.slopes(x, scene)[:2]
+
+    def slopes(self, x, scene):
+        """The residual, its derivative in the unknowns, and that in the period of an autonomous lattice."""
+        lattice, period = scene
+        starts, _ = self._parts(x)
+        unravel, n, m = ravel_pytree(self.like)[1], self.count, self.segments
+        # of the only segment of a reversible orbit the velocities stay zero
+        columns = n if self.reversible and m == 1 else 2 * n
+        unit = jax.vmap(unravel, in_axes=-1, out_axes=-1)(jnp.diag(self.scale)[:, :columns])
+
+        def one(start_and_index):
+            start, i = start_and_index
+            begin, after = self._times(i, period)
+            end, moved = self.flow.tangents(unravel(start * self.scale), State(*unit), begin, after, lattice)
+            rows = jnp.concatenate([leaf.reshape(-1, columns) for leaf in jax.tree.leaves(moved)])
+            field = ravel_pytree(vector_field(after, end, lattice))[0]
+            return ravel_pytree(end)[0] / self.scale, rows / self.scale[:, None], field / self.scale
+
+        ends, blocks, fields = jax.lax.map(one, (starts, self._indices()))
+        block = jax.scipy.linalg.block_diag(*blocks)
+        fields = fields.ravel() / (2 * m if self.reversible else m)
+        if self.reversible:  # at rest at either end
+            block, fields = jnp.delete(block, slice((2 * m - 2) * n, (2 * m - 1) * n), 0), fields
+            fields = jnp.delete(fields, slice((2 * m - 2) * n, (2 * m - 1) * n))
+            block = block if m == 1 else jnp.delete(block, slice(n, 2 * n), 1)
+        # the conditions by themselves, whose derivative costs nothing beside the flow's
+        known = jax.lax.stop_gradient(ends)
+        jacobian = jax.jacfwd(lambda x: self._conditions(*self._parts(x), known, lattice))(x)
+        jacobian = jacobian.at[: len(block), : len(block)].add(block)
+        in_period = jnp.concatenate([fields, jnp.zeros(x.size - fields.size, x.dtype)])
+        return self._conditions(starts, self._parts(x)[1], ends, lattice), jacobian, in_period
+
+    def _indices(self):
+        return jnp.arange(self.segments, dtype=self.moves.dtype)
+
+    def _times(self, i, period):
+        length = (period / 2 if self.reversible else period) / self.segments
+        return self.t0 + i * length, self.t0 + (i + 1) * length
+
+    def _parts(self, x):
+        """The states at the segments' beginnings over their scale, (m, 2n), and the multipliers."""
+        n, count = self.count, (self.segments - 1) * 2 * self.count + self.size
+        starts = jnp.concatenate([x[:n], jnp.zeros_like(x[:n]), x[n:count]]) if self.reversible else x[:count]
+        return starts.reshape(self.segments, 2 * n), x[count:]
+
+    def _image(self, x):
+        """S of a raveled state."""
+        return ravel_pytree(self.symmetry(ravel_pytree(self.like)[1](x)))[0]
+
+    def _conditions(self, starts, idle, ends, lattice):
+        n, weights = self.count, ravel_pytree(spread_mass(lattice))[0]
+        mean = (self.moves.T * weights / weights.sum()) @ starts[0, :n]
+        gaps = ends - jnp.concatenate([starts[1:], self._image(starts[0])[None]])
+        if self.reversible:
+            velocity = ends[-1, n:] + self.moves @ idle
+            return jnp.concatenate([gaps[:-1].ravel(), velocity, mean])
+        if self.reference is None:
+            return gaps.ravel()
+        field = ravel_pytree(vector_field(self.t0, self.reference, lattice))[0]
+        along = _unit(field / self.scale)
+        # the energy's gradient (-F, m v) and a uniform velocity are where no state can go
+        gradient = _unit(self.scale * jnp.concatenate([-weights * field[n:], weights * field[:n]]))
+        uniform = jnp.concatenate([jnp.zeros_like(self.moves), self.moves])
+        gaps = gaps.at[-1].add(self._image(idle[0] * gradient + uniform @ idle[1:]))
+        phase = along @ (starts[0] - ravel_pytree(self.reference)[0] / self.scale)
+        return jnp.concatenate([gaps.ravel(), phase[None], mean])
+
+
+def _unit(x):
+    size = jnp.sqrt(jnp.sum(x**2))
+    return x / jnp.where(size > 0, size, 1)
