@@ -176,27 +176,11 @@ def _draw(sweep, extrema, path):
 
 
 def _write(sweep, extrema, path):
-    import xarray as xr
-
-    data = xr.Dataset(
-        {
-            "transmission": ("mass_ratio", sweep.transmission, {"units": "1", "long_name": DEFINITION}),
-            "peak_force": (
-                "mass_ratio", sweep.peak_force,
-                {"units": "A^(2/5) (m v^2)^(3/5)", "long_name": "largest force on the wall"},
-            ),
-            "resonances": ("resonance", extrema.resonances, {"units": "1", "long_name": "local minima"}),
-            "resonance_transmission": ("resonance", extrema.resonance_transmission, {"units": "1"}),
-            "anti_resonances": ("anti_resonance", extrema.anti_resonances, {"units": "1", "long_name": "local maxima"}),
-            "anti_resonance_transmission": ("anti_resonance", extrema.anti_resonance_transmission, {"units": "1"}),
-        },
-        {"mass_ratio": ("mass_ratio", sweep.mass_ratio, {"units": "1", "long_name": "light mass over heavy mass"})},
-        {
-            "beads": sweep.beads, "definition": DEFINITION, "granjax_version": gx.__version__,
-            "units": "mass of the heavy bead m = 1, contact stiffness A = 1, striker's velocity v = 1",
-            "monomer_force": sweep.reference, "run_time": sweep.run_time,
-        },
-    )
+    data = sweep.to_xarray().merge(extrema.to_xarray(), combine_attrs="drop_conflicts")
+    data.attrs |= {
+        "definition": DEFINITION, "granjax_version": gx.__version__,
+        "units": "mass of the heavy bead m = 1, contact stiffness A = 1, striker's velocity v = 1",
+    }
     data.to_netcdf(path, engine="h5netcdf")
 
 
@@ -229,7 +213,7 @@ def _reproduce(arguments):
     )
     for result in results:
         print(result)
-    return int(any(result.error or arguments.check and result.passed is False for result in results))
+    return int(any(result.failure or arguments.check and result.passed is False for result in results))
 
 
 def _setting(text):

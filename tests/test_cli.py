@@ -150,8 +150,8 @@ def test_reproduce_lists_the_figures(capsys):
 class Outcome:
     """Stands for a result of `reproduce.run`."""
 
-    def __init__(self, passed, error=""):
-        self.passed, self.error = passed, error
+    def __init__(self, passed, failure=""):
+        self.passed, self.failure = passed, failure
 
     def __str__(self):
         return f"figure, passed: {self.passed}"

@@ -175,7 +175,7 @@ def test_the_resonant_chain_has_its_ratio_and_keeps_its_energy(data_of):
 @pytest.mark.parametrize("label", ["fig1.3", "breather.1"])
 def test_check_writes_what_it_says(label, tmp_path):
     (result,) = reproduce.run(label, tmp_path, True, gx.plots)
-    assert result.passed is True and ": agrees" in result.sentence and "chosen here" in result.sentence
+    assert result.passed is True and ": agrees" in result.outcome and "chosen here" in result.outcome
     assert result.picture.read_bytes().startswith(b"\x89PNG")
     with xr.open_dataset(result.data, engine="h5netcdf") as data:
         assert reproduce.figure(label).number(data) == pytest.approx(result.number, rel=1e-14)
@@ -187,7 +187,7 @@ def test_a_run_writes_the_picture_and_the_data(quick, tmp_path):
     results = reproduce.run(["fig1.3", "fig1.4"], tmp_path / "deep" / "out", True, gx.plots)
     assert [result.label for result in results] == ["fig1.3", "fig1.4"]
     first = results[0]
-    assert first.passed is True and first.error == ""
+    assert first.passed is True and first.failure == ""
     assert first.picture == tmp_path / "deep" / "out" / "fig1.3.png"
     assert first.picture.read_bytes().startswith(b"\x89PNG")
     with xr.open_dataset(first.data, engine="h5netcdf") as data:
@@ -209,7 +209,7 @@ def test_without_a_folder_nothing_is_written(quick, tmp_path, monkeypatch):
 def test_a_number_that_disagrees_fails(quick):
     quick(expected=2.1)
     (result,) = reproduce.run("fig1.3", check=True)
-    assert result.passed is False and ": DISAGREES" in result.sentence
+    assert result.passed is False and ": DISAGREES" in result.outcome
 
 
 def test_a_simulation_that_fails_stops_no_other(quick, tmp_path):
@@ -234,7 +234,7 @@ def test_an_expected_value_does_not_hold_for_other_parameters(quick):
     quick()
     (result,) = reproduce.run("fig1.3", check=True, overrides={"slope": 3})
     assert result.number == 3.0 and result.passed is None
-    assert "not for those set" in result.sentence and "agrees" not in result.sentence
+    assert "not for those set" in result.outcome and "agrees" not in result.outcome
 
 
 @pytest.mark.parametrize("overrides, message", [

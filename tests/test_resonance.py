@@ -104,19 +104,15 @@ def test_refined_extrema_are_extrema():
 
 
 def test_refinement_finds_a_known_place():
-    class Parabola:
-        """Stands for the simulation: a minimum at 0.4321 and a cusp upwards at 0.7123."""
-
-        mass_ratio = np.linspace(0.1, 0.95, 18)
-        beads, run_time, reference = 3, 1.0, 2.0
-
     def force(x):
+        # stands for the simulation: a minimum at 0.4321 and a cusp upwards at 0.7123
         return np.where(x < 0.6, 2 + (x - 0.4321) ** 2, 2.2 - np.abs(x - 0.7123))
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(gx.resonance.finite, "peak_forces", lambda x, *_: force(x)[None])
-        Parabola.transmission = force(Parabola.mass_ratio) / 2
-        found = gx.resonance.refine(Parabola, accuracy=1e-5)
+        ratios = np.linspace(0.1, 0.95, 18)
+        sweep = gx.resonance.Transmission(ratios, force(ratios), force(ratios) / 2, 2.0, 3, 1.0)
+        found = gx.resonance.refine(sweep, accuracy=1e-5)
     np.testing.assert_allclose(found.resonances, [0.4321], atol=1e-5)
     np.testing.assert_allclose(found.resonance_transmission, [1.0], atol=1e-9)
     np.testing.assert_allclose(found.anti_resonances, [0.7123], atol=1e-5)

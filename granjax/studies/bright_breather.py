@@ -1,11 +1,13 @@
 """A bright breather from rest: the modulational instability of a dimer that is shaken at its optical edge."""
 
 import math
+from typing import ClassVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float, Integer
 
 from ..checks import positive, whole
 from ..driven import driven_chain
@@ -14,32 +16,39 @@ from ..flow import Flow
 from ..lattice import Lattice, State
 from ..linear import bands
 from ..measures import site_energy
+from ..results import Held, Result
 from ..scenes import beads
 from ..solvers import SRKN11b
+from ..types import Count, Scalar
 
 MATERIALS, RADIUS = ("steel 316", "aluminium 6061-T6"), 9.53e-3
 
 
-class BrightBreather(eqx.Module):
+class BrightBreather(Result):
     """What `bright_by_instability` returns, in SI.
 
     - `fraction` (P,): share of the energy that the fullest tenth of the beads, next to each other, holds after each
       period; driven periods first, then free ones. `place` (P,): its first bead. `energy` (P,) [J].
-    - `held`: the smallest such share in the last third of the free periods.
+    - `least_fraction`: the smallest such share in the last third of the free periods.
     - `frequency` [Hz]: of the bead with most kinetic energy there. `gap` (low, high) [Hz]: of the linear spectrum.
     - `site`: that bead. `velocity` (Q,): its velocity in the free periods, every `step` [s].
     - `driven_for`: number of driven periods. `lattice`, `state`: the free chain, and where it ended.
     - `outcome`: a sentence.
     """
 
-    fraction: np.ndarray
-    place: np.ndarray
-    energy: np.ndarray
-    held: float
+    held: ClassVar[dict[str, Held]] = {
+        "fraction": Held("period", "1"), "place": Held("period"), "energy": Held("period", "J"),
+        "frequency": Held(unit="Hz"), "gap": Held(None, "Hz"), "velocity": Held("sample", "m/s"),
+        "step": Held(unit="s"),
+    }
+    fraction: Float[np.ndarray, " P"]
+    place: Integer[np.ndarray, " P"]
+    energy: Float[np.ndarray, " P"]
+    least_fraction: float
     frequency: float
     gap: tuple[float, float]
     site: int
-    velocity: np.ndarray
+    velocity: Float[np.ndarray, " Q"]
     step: float
     driven_for: int
     lattice: Lattice
@@ -47,13 +56,15 @@ class BrightBreather(eqx.Module):
     outcome: str = eqx.field(static=True)
 
     @property
-    def localised(self):
+    def localised(self) -> bool:
         """Whether a tenth of the beads holds more than half of the energy, at a frequency inside of the gap."""
-        return bool(self.held > 0.5 and self.gap[0] < self.frequency < self.gap[1])
+        return bool(self.least_fraction > 0.5 and self.gap[0] < self.frequency < self.gap[1])
 
 
-def bright_by_instability(sites=81, *, amplitude=0.175, detuning=0.005, precompression=20.0, damping_time=0.2,
-                          driven_for=105, free_for=300):
+def bright_by_instability(
+    sites: Count = 81, *, amplitude: Scalar = 0.175, detuning: Scalar = 0.005, precompression: Scalar = 20.0,
+    damping_time: Scalar = 0.2, driven_for: Count = 105, free_for: Count = 300,
+) -> BrightBreather:
     r"""Shake one end of a steel-aluminium dimer at the lower edge of its optical band, then let it go.
 
     The wave that fills the chain is modulationally unstable, breaks up, and leaves a breather whose frequency has
@@ -72,18 +83,18 @@ def bright_by_instability(sites=81, *, amplitude=0.175, detuning=0.005, precompr
     """
     sites, driven_for, free_for = whole("sites", sites, 20), whole("driven_for", driven_for, 1), \
         whole("free_for", free_for, 30)
-    chain = beads([MATERIALS[n % 2] for n in range(sites)], RADIUS, positive("precompression", precompression))
+    lattice = beads([MATERIALS[n % 2] for n in range(sites)], RADIUS, positive("precompression", precompression))
     edges = bands(beads(MATERIALS, RADIUS, precompression, cells=4, boundary="periodic"), cell=2)
     low, high = float(edges.upper[0]), float(edges.lower[1])
     omega = high * (1 + detuning)
     period = 2 * math.pi / omega
-    overlap = jnp.mean(chain.terms[0].law.rest_overlap[1:-1])
+    overlap = jnp.mean(lattice.terms[0].law.rest_overlap[1:-1])
     damping = 1 / positive("damping_time", damping_time)
-    shaken = driven_chain(chain, amplitude * overlap, omega, ends="left", damping=damping)
+    shaken = driven_chain(lattice, amplitude * overlap, omega, ends="left", damping=damping)
     # the same program for both: a wall of amplitude zero
-    free = driven_chain(chain, 0.0 * overlap, omega, ends="left", damping=damping)
+    free = driven_chain(lattice, 0.0 * overlap, omega, ends="left", damping=damping)
     steps = steps_per_period(shaken, period)
-    rest = State(chain.zeros(), chain.zeros())
+    rest = State(lattice.zeros(), lattice.zeros())
     state, driven, _ = _run(shaken, rest, period, steps, driven_for)
     state, alone, v = _run(free, state, period, steps, free_for)
     fraction, place, energy = (np.concatenate(pair) for pair in zip(driven, alone))

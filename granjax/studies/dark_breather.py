@@ -1,9 +1,10 @@
 """A dark breather from rest: two waves from shaking walls that cancel in the middle of a steel chain."""
 
 import math
+from typing import ClassVar
 
-import equinox as eqx
 import numpy as np
+from jaxtyping import Float
 
 from ..checks import whole
 from ..driven import Attractor, driven_chain, settle
@@ -11,14 +12,16 @@ from ..driven.settle import largest
 from ..lattice import Lattice, State
 from ..linear import normal_modes
 from ..materials import Material, hertz_coefficient
+from ..results import Held, Result
 from ..scenes import monomer
+from ..types import Count, Parameter, Scalar
 
 YOUNG, POISSON, MASS, RADIUS = 200e9, 0.3, 28.2e-3, 9.53e-3
 PRECOMPRESSION, DAMPING_TIME = 10.0, 5e-3
 STEPS, HARMONICS = 48, 6
 
 
-def steel_chain(sites=21, precompression=PRECOMPRESSION):
+def steel_chain(sites: Count = 21, precompression: Scalar = PRECOMPRESSION) -> Lattice:
     """Precompressed steel beads between walls that are felt as beads, in SI: 28.2 g, 9.53 mm, E = 200 GPa, nu = 0.3.
 
     **Returns:** a `Lattice` without damping; A = 1.0114e10 N/m^{3/2}, d0 = 0.992 um and cut-off 7369 Hz at F0 = 10 N.
@@ -28,7 +31,7 @@ def steel_chain(sites=21, precompression=PRECOMPRESSION):
     return monomer(sites, MASS, hertz_coefficient(steel, RADIUS), precompression=precompression)
 
 
-class DarkBreather(eqx.Module):
+class DarkBreather(Result):
     """What `dark_by_interference` returns, in SI.
 
     - `attractor`: where the chain has settled. `lattice`: the driven chain. `frequency`, `highest_mode` of
@@ -42,33 +45,40 @@ class DarkBreather(eqx.Module):
     - `harmonics` (6, N): amplitudes of the velocities at 1 ... 6 times the frequency [m/s].
     """
 
+    held: ClassVar[dict[str, Held]] = {
+        "velocity": Held("site", "m/s"), "strain": Held("contact", "m"), "harmonics": Held("harmonic site", "m/s"),
+        "frequency": Held(unit="Hz"), "highest_mode": Held(unit="Hz"), "background": Held(unit="m/s"),
+    }
     attractor: Attractor
     lattice: Lattice
     frequency: float
     highest_mode: float
-    velocity: np.ndarray
-    strain: np.ndarray
+    velocity: Float[np.ndarray, " N"]
+    strain: Float[np.ndarray, " contacts"]
     background: float
     depth: float
     width: float
     staggering: float
-    harmonics: np.ndarray
+    harmonics: Float[np.ndarray, "harmonics N"]
 
     @property
-    def outcome(self):
+    def outcome(self) -> str:
         """What became of the motion, a sentence."""
         return self.attractor.outcome
 
 
-def dark_by_interference(chain=None, *, amplitude=0.2e-6, frequency=7290.0, damping_time=DAMPING_TIME,
-                         phase=(0.0, math.pi), periods=8000, tolerance=1e-8):
+def dark_by_interference(
+    lattice: Lattice | None = None, *, amplitude: Scalar = 0.2e-6, frequency: Scalar = 7290.0,
+    damping_time: Scalar = DAMPING_TIME, phase: Parameter = (0.0, math.pi), periods: Count = 8000,
+    tolerance: Scalar = 1e-8,
+) -> DarkBreather:
     r"""Drive both walls of a precompressed chain just below its cut-off, from rest, until it settles.
 
     The walls push towards the chain at the same time, u_0 = a cos(omega t) and u_{N+1} = -a cos(omega t), as two
     actuators that face each other do with one signal; by the mirror symmetry of the chain the two waves then cancel at
     the middle bead of an odd chain. Walls that move in the same direction, phase = (0, 0), make an antinode there.
 
-    **Arguments:** `chain`: an odd number of beads between fixed walls, by default `steel_chain()`; `amplitude` [m];
+    **Arguments:** `lattice`: an odd number of beads between fixed walls, by default `steel_chain()`; `amplitude` [m];
     `frequency` [Hz]; `damping_time`: tau [s]; `phase`: of the left and right wall; `periods`, `tolerance`: as in
     `settle`.
 
@@ -78,13 +88,13 @@ def dark_by_interference(chain=None, *, amplitude=0.2e-6, frequency=7290.0, damp
     orbit is unstable by a Neimark-Sacker bifurcation; at 0.3 um the motion is chaotic, its exponent 0.065 a period.
     Source: as `steel_chain`.
     """
-    chain = steel_chain() if chain is None else chain
-    sites = whole("sites", chain.shape[0], 5)
-    highest = float(normal_modes(chain).omega[-1]) / (2 * math.pi)
+    lattice = steel_chain() if lattice is None else lattice
+    sites = whole("sites", lattice.shape[0], 5)
+    highest = float(normal_modes(lattice).omega[-1]) / (2 * math.pi)
     omega = 2 * math.pi * frequency
-    lattice = driven_chain(chain, amplitude, omega, damping=1 / damping_time, phase=phase)
-    rest = State(chain.zeros(), chain.zeros())
-    found = settle(lattice, rest, 2 * math.pi / omega, periods=periods, tolerance=tolerance, steps=STEPS)
+    driven = driven_chain(lattice, amplitude, omega, damping=1 / damping_time, phase=phase)
+    rest = State(lattice.zeros(), lattice.zeros())
+    found = settle(driven, rest, 2 * math.pi / omega, periods=periods, tolerance=tolerance, steps=STEPS)
     u, v = np.asarray(found.us), np.asarray(found.vs)
     left, right = phase if isinstance(phase, (tuple, list)) else (phase, phase)
     walls = [amplitude * np.cos(omega * np.asarray(found.ts) + p)[:, None] for p in (left, right)]
@@ -97,7 +107,7 @@ def dark_by_interference(chain=None, *, amplitude=0.2e-6, frequency=7290.0, damp
     spectrum = 2 * np.abs(np.fft.rfft(v, axis=0)) / len(v)
     repeats = len(v) // STEPS
     return DarkBreather(
-        found, lattice, float(frequency), highest, speed, strain, float(background),
+        found, driven, float(frequency), highest, speed, strain, float(background),
         float(1 - speed[middle] / background), _width(speed, middle, background / 2), float(neighbours[outer].mean()),
         spectrum[repeats : (HARMONICS + 1) * repeats : repeats],
     )

@@ -1,20 +1,23 @@
 """A chain that lets power through one way: a light defect near one end, driven from either."""
 
 import math
+from typing import ClassVar
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from ..checks import non_negative, positive, whole
 from ..driven import Sweep, driven_chain, sweep
 from ..linear import normal_modes
+from ..results import Held, Result
 from ..scenes import beads
+from ..types import Count, Parameter, Scalar
 
 RADIUS, DEFECT_RADIUS, DEFECT = 9.53e-3, 7e-3, 1
 
 
-class Rectifier(eqx.Module):
+class Rectifier(Result):
     """What `rectifier` returns, in SI.
 
     - `amplitudes` (P,) [m] of the driven wall. `near`, `far`: the two `Sweep`s, with the wall beside the defect moving,
@@ -24,19 +27,33 @@ class Rectifier(eqx.Module):
     - `frequency` of the drive, `defect` mode, `cutoff` of the band [Hz].
     """
 
-    amplitudes: np.ndarray
+    held: ClassVar[dict[str, Held]] = {
+        "amplitudes": Held("amplitudes", "m"), "asymmetry": Held("amplitudes", "1"),
+        "threshold_near": Held(unit="m"), "threshold_far": Held(unit="m"), "frequency": Held(unit="Hz"),
+        "defect": Held(unit="Hz"), "cutoff": Held(unit="Hz"),
+    }
+    amplitudes: Float[np.ndarray, " P"]
     near: Sweep
     far: Sweep
     threshold_near: float
     threshold_far: float
-    asymmetry: np.ndarray
+    asymmetry: Float[np.ndarray, " P"]
     frequency: float
     defect: float
     cutoff: float
 
+    @property
+    def outcome(self) -> str:
+        return (
+            f"From the defect's side up to {self.asymmetry.max():.3g} times the power from the other; its motion "
+            f"repeats every period below {self.threshold_near:.3g} m, the other's below {self.threshold_far:.3g} m."
+        )
 
-def rectifier(amplitudes, *, sites=20, detuning=-0.02, defect_radius=DEFECT_RADIUS, precompression=8.0,
-              damping_time=1.75e-3, periods=1500, tolerance=1e-6):
+
+def rectifier(
+    amplitudes: Parameter, *, sites: Count = 20, detuning: Scalar = -0.02, defect_radius: Scalar = DEFECT_RADIUS,
+    precompression: Scalar = 8.0, damping_time: Scalar = 1.75e-3, periods: Count = 1500, tolerance: Scalar = 1e-6,
+) -> Rectifier:
     r"""Transmitted power against the drive's amplitude, with the defect beside the driver and at the far end.
 
     Steel beads, the second of them smaller: its mode lies above the band. Driven just below that mode, in the gap, a
@@ -59,8 +76,8 @@ def rectifier(amplitudes, *, sites=20, detuning=-0.02, defect_radius=DEFECT_RADI
     amplitudes = np.asarray(non_negative("amplitudes", amplitudes), float)
     radii = np.full(sites, RADIUS)
     radii[DEFECT] = float(positive("defect_radius", defect_radius))
-    chain = beads("steel 316", radii, precompression)
-    modes = np.asarray(normal_modes(chain).omega)
+    lattice = beads("steel 316", radii, precompression)
+    modes = np.asarray(normal_modes(lattice).omega)
     omega = float(modes[-1]) * (1 + detuning)
     damping = 1 / float(positive("damping_time", damping_time))
 
@@ -69,7 +86,7 @@ def rectifier(amplitudes, *, sites=20, detuning=-0.02, defect_radius=DEFECT_RADI
             return damping * jnp.mean(jnp.sum((lattice.mass * v * v)[:, beyond], 1))
 
         return sweep(
-            lambda a: driven_chain(chain, a, omega, ends=end, damping=damping), amplitudes,
+            lambda a: driven_chain(lattice, a, omega, ends=end, damping=damping), amplitudes,
             lambda a: 2 * jnp.pi / omega, response=power, periods=periods, tolerance=tolerance, watch=60, down=False,
             jump=0.5, accuracy=0.01,
         )

@@ -1,12 +1,15 @@
 """The solitary wave of the Hertz chain without precompression."""
 
 import numpy as np
+from jaxtyping import Float
+
+from ..types import Count
 
 HALF = 16
 ITERATIONS = 100
 
 
-def hertz_wave(points=32):
+def hertz_wave(points: Count = 32) -> tuple[Float[np.ndarray, " X"], Float[np.ndarray, " X"], Float[np.ndarray, " X"]]:
     r"""Strain of the Hertz chain's solitary wave of speed 1 (A = m = 1) on a grid of so many points per contact.
 
     phi = Lambda * phi^{3/2}, Lambda(x) = [1 - |x|]_+. The product sinc^2(k/2) in place of the convolution is exact to

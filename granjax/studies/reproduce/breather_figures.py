@@ -13,6 +13,7 @@ from ...laws import taylor
 from ...linear import bands
 from ...scenes import monomer, pattern
 from ...theory import nls
+from ...types import Count, Scalar
 from ..dark_breather import dark_by_interference, steel_chain
 from .figure import Choice, Figure
 
@@ -20,7 +21,7 @@ from .figure import Choice, Figure
 DETUNINGS = (0.01, 0.015, 0.02, 0.03, 0.04)
 
 
-def dark(beads, frequency):
+def dark(beads: Count, frequency: Scalar) -> xr.Dataset:
     """Dark breathers of a monomer, A = d0 = m = 1, constant force at both ends, and their envelope's.
 
     Strain at the turning point, its part that is odd in harmonics, [y(0) - y(T/2)]/2, and at one quarter of the chain
@@ -29,12 +30,12 @@ def dark(beads, frequency):
     beads = whole("beads", beads, 40, "The dip needs a background on either side.")
     if beads % 2:
         refuse("beads", "an even number, so that a bond is in the middle", repr(beads))
-    chain = monomer(beads, precompression=1.0, boundary="free")
-    edge = float(bands(chain).upper[0])
-    coefficients = nls.coefficients(1.0, *taylor(chain.terms[0].law), math.pi)
+    lattice = monomer(beads, precompression=1.0, boundary="free")
+    edge = float(bands(lattice).upper[0])
+    coefficients = nls.coefficients(1.0, *taylor(lattice.terms[0].law), math.pi)
     found, odd, size, envelope = [], [], [], []
     for ratio in (frequency, *(1 - d for d in DETUNINGS)):
-        found.append(breather(chain, ratio * edge, "dark"))
+        found.append(breather(lattice, ratio * edge, "dark"))
         u = np.asarray(found[-1].run(3).us)
         y = u[:, :-1] - u[:, 1:]
         odd.append((y[0] - y[1]) / 2)
@@ -58,14 +59,14 @@ def dark(beads, frequency):
     )
 
 
-def envelope_error(data):
+def envelope_error(data: xr.Dataset) -> np.ndarray:
     """Relative error of the envelope's amplitude at every detuning, (D,)."""
     return data["envelope_amplitude"].values / data["amplitude"].values - 1
 
 
-def order(data):
+def order(data: xr.Dataset) -> float:
     """Slope of that error over the detuning, both logarithmic."""
-    return np.polyfit(np.log(data["detuning"].values), np.log(envelope_error(data)), 1)[0]
+    return float(np.polyfit(np.log(data["detuning"].values), np.log(envelope_error(data)), 1)[0])
 
 
 def _draw_dark(plots, figure, data):
@@ -88,7 +89,7 @@ def _draw_dark(plots, figure, data):
     right.legend()
 
 
-def driven(amplitude, frequency):
+def driven(amplitude: Scalar, frequency: Scalar) -> xr.Dataset:
     """Dark breather of 21 driven, damped steel beads from rest, and Newton's orbit; one period of the velocities.
 
     `cutoff` is that of the infinite chain, `highest_mode` that of the 21 beads between walls [Hz].
@@ -113,10 +114,10 @@ def driven(amplitude, frequency):
     )
 
 
-def disagreement(data):
+def disagreement(data: xr.Dataset) -> float:
     """Largest difference of the velocities of the chain from rest and of Newton's orbit, over the largest velocity."""
     v, exact = data["velocity"].values, data["orbit_velocity"].values
-    return np.abs(v - exact).max() / np.abs(exact).max()
+    return float(np.abs(v - exact).max() / np.abs(exact).max())
 
 
 def _draw_driven(plots, figure, data):
@@ -139,13 +140,13 @@ def _draw_driven(plots, figure, data):
     right.set_ylabel("change per period (relative)")
 
 
-def bright(beads, heavy, frequency):
+def bright(beads: Count, heavy: Scalar, frequency: Scalar) -> xr.Dataset:
     """The bright breather of a dimer, light beads of mass 1, A = d0 = 1, constant force, and its leading multiplier."""
     beads = whole("beads", beads, 21, "The breather needs room on either side.")
     if beads % 4 != 1:
         refuse("beads", "a multiple of 4, plus 1, so that a light bead is in the middle", repr(beads))
-    chain = pattern(beads, (1.0, heavy), precompression=1.0, boundary="free")
-    found = breather(chain, frequency * float(bands(chain).lower[1]))
+    lattice = pattern(beads, (1.0, heavy), precompression=1.0, boundary="free")
+    found = breather(lattice, frequency * float(bands(lattice).lower[1]))
     fl = found.floquet()
     return xr.Dataset(
         {
@@ -160,7 +161,7 @@ def bright(beads, heavy, frequency):
     )
 
 
-def largest_multiplier(data):
+def largest_multiplier(data: xr.Dataset) -> float:
     """Modulus of the leading multiplier."""
     return float(np.hypot(data["multiplier_real"].values[0], data["multiplier_imag"].values[0]))
 

@@ -9,6 +9,7 @@ from ...materials import bead_mass, hertz_coefficient
 from ...measures import contact_force
 from ...scenes import beads as bead_chain
 from ...states import impact
+from ...types import Count, Scalar
 from .figure import Choice, Figure
 
 # the review's first resonance, light over heavy
@@ -32,7 +33,7 @@ def _velocity(t, y, lattice):
     return y.v
 
 
-def compute(material, radius, striker, beads):
+def compute(material: str, radius: Scalar, striker: Scalar, beads: Count) -> xr.Dataset:
     """Velocities [m/s] and peak contact forces [N] of a chain of heavy and light spheres in turn, struck at its end.
 
     Bead 0 is the striker, a heavy bead; contact n lies between the beads n and n + 1. Light beads are of the same
@@ -43,8 +44,8 @@ def compute(material, radius, striker, beads):
     light = radius * RATIO ** (1 / 3)
     A, m = float(hertz_coefficient(material, radius, material, light)), float(bead_mass(material, radius))
     rate = (A * A * striker / (m * m)) ** 0.2
-    chain = bead_chain(material, [radius if n % 2 == 0 else light for n in range(beads)], boundary="free")
-    run = simulate(chain, impact(chain, striker), _SLOWNESS * beads / rate, step=_STEP / rate, save_at=801,
+    lattice = bead_chain(material, [radius if n % 2 == 0 else light for n in range(beads)], boundary="free")
+    run = simulate(lattice, impact(lattice, striker), _SLOWNESS * beads / rate, step=_STEP / rate, save_at=801,
                    record={"force": Peak(_force), "peak": Peak(_velocity)})
     attributes = {
         "rate": rate, "striker": striker, "ratio": RATIO, "radius_heavy": radius, "radius_light": light,
@@ -67,17 +68,17 @@ def _relative_force(data):
     return data["force"].values / (MONOMER_FORCE * data.attrs["force_unit"])
 
 
-def transmitted_force(data):
+def transmitted_force(data: xr.Dataset) -> float:
     """Peak force of contact 100 over that of a monomer chain of the heavy beads."""
     return float(_relative_force(data)[CONTACT])
 
 
-def heavy_peak(data):
+def heavy_peak(data: xr.Dataset) -> float:
     """Largest velocity of bead 40 over the striker's."""
     return float(data["peak"].values[HEAVY]) / data.attrs["striker"]
 
 
-def light_peak(data):
+def light_peak(data: xr.Dataset) -> float:
     """Largest velocity of bead 41 over the striker's."""
     return float(data["peak"].values[LIGHT]) / data.attrs["striker"]
 

@@ -4,6 +4,7 @@ import numpy as np
 import xarray as xr
 
 from ...checks import whole
+from ...types import Count
 from ..resonance import ANTI_RESONANCES, refine, transmission
 from .figure import Choice, Figure
 
@@ -11,7 +12,7 @@ _LOWEST = 0.05
 _ACCURACY = 2e-5
 
 
-def compute(beads, ratios):
+def compute(beads: Count, ratios: Count) -> xr.Dataset:
     """Peak force on the wall behind a struck dimer chain over the monomer's, and its extrema."""
     ratios = whole("ratios", ratios, 20, "It is the number of mass ratios.")
     sweep = transmission(np.linspace(_LOWEST, 1.0, ratios), beads)
@@ -28,7 +29,7 @@ def compute(beads, ratios):
     )
 
 
-def deepest(data):
+def deepest(data: xr.Dataset) -> tuple[float, float]:
     """Mass ratio and transmission of the deepest minimum."""
     lowest = int(data["resonance_transmission"].values.argmin())
     return float(data["resonance"].values[lowest]), float(data["resonance_transmission"].values[lowest])

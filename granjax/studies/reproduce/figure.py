@@ -42,7 +42,7 @@ class Figure:
     binding: tuple[str, ...] = ()
     size: tuple[float, float] = (8.8, 3.6)
 
-    def parameters(self, overrides=None):
+    def parameters(self, overrides: Mapping[str, object] | None = None) -> dict[str, object]:
         """The chosen parameters with some replaced; text is read as the kind of number that it replaces.
 
         **Raises** ValueError for a name that this figure does not have, or text that is no such number.

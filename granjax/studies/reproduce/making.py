@@ -2,43 +2,48 @@
 
 import math
 import time
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import ModuleType
 
+import equinox as eqx
 import numpy as np
 
 from ...checks import one_of, refuse
+from ...results import Result
 from .figure import Figure
 from .registry import figure, made
 
 
-@dataclass(frozen=True)
-class Result:
+class Made(Result):
     """What became of one figure.
 
     - `label`; `number`, `expected`, `tolerance`; `passed`: whether they agree, `None` where the expected value does
       not hold for the parameters that were set. `seconds`: of the computation.
     - `parameters`: dict of the chosen parameters that were used; `picture`, `data`: paths, `None` where not written.
-    - `error`: a sentence where the simulation failed, and empty otherwise. `sentence`: all of it in words.
+    - `failure`: a sentence where the simulation failed, and empty otherwise. `outcome`: all of it in words.
     """
 
-    label: str
+    label: str = eqx.field(static=True)
     number: float
     expected: float
     tolerance: float
     passed: bool | None
     seconds: float
-    parameters: dict
-    picture: Path | None
-    data: Path | None
-    error: str
-    sentence: str
+    parameters: dict[str, object]
+    picture: Path | None = eqx.field(static=True)
+    data: Path | None = eqx.field(static=True)
+    failure: str = eqx.field(static=True)
+    outcome: str = eqx.field(static=True)
 
-    def __str__(self):
-        return self.sentence
+    def __repr__(self) -> str:
+        return self.outcome
 
 
-def run(labels=None, out=None, check=False, plots=None, overrides=None):
+def run(
+    labels: str | Figure | Sequence[str | Figure] | None = None, out: str | Path | None = None, check: bool = False,
+    plots: ModuleType | None = None, overrides: Mapping[str, object] | None = None,
+) -> list[Made]:
     """Make figures: a picture `LABEL.png`, its data `LABEL.nc` and the number beside its expected value.
 
     **Arguments:**
@@ -50,7 +55,7 @@ def run(labels=None, out=None, check=False, plots=None, overrides=None):
     - `overrides`: dict from the name of a chosen parameter to its value, a number or its text; it holds for every
       figure asked for that has the parameter.
 
-    **Returns:** a list of `Result`, one per label; after `check` all is well where none has `passed is False`.
+    **Returns:** a list of `Made`, one per label; after `check` all is well where none has `passed is False`.
     **Raises** ValueError for an unknown label (suggesting the nearest), a figure that is not made yet, or a parameter
     that none of the figures has.
     """
@@ -84,12 +89,12 @@ def _make(f, parameters, out, check, plots):
     try:
         data = f.compute(**parameters)
         value = float(f.number(data))
-        error = ""
-    except RuntimeError as failure:
-        data, value, error = None, math.nan, str(failure)
+        failure = ""
+    except RuntimeError as error:
+        data, value, failure = None, math.nan, str(error)
     seconds = time.perf_counter() - start
     bound = all(parameters[name] == f.chosen[name].value for name in f.binding)
-    passed = bool(abs(value - f.expected) <= f.tolerance) if bound or error else None
+    passed = bool(abs(value - f.expected) <= f.tolerance) if bound or failure else None
     picture = path = None
     if out is not None and data is not None:
         _describe(f, parameters, data, value)
@@ -99,8 +104,8 @@ def _make(f, parameters, out, check, plots):
             canvas = plots.figure(*f.size)
             f.draw(plots, canvas, data)
             plots.save(canvas, picture)
-    sentence = _sentence(f, parameters, value, passed if check else None, bound, error, picture, path)
-    return Result(f.label, value, f.expected, f.tolerance, passed, seconds, parameters, picture, path, error, sentence)
+    outcome = _outcome(f, parameters, value, passed if check else None, bound, failure, picture, path)
+    return Made(f.label, value, f.expected, f.tolerance, passed, seconds, parameters, picture, path, failure, outcome)
 
 
 def _describe(f, parameters, data, value):
@@ -113,10 +118,10 @@ def _describe(f, parameters, data, value):
         data.attrs[f"chosen_{name}"] = parameter
 
 
-def _sentence(f, parameters, value, passed, bound, error, picture, path):
+def _outcome(f, parameters, value, passed, bound, failure, picture, path):
     lines = [f"{f.label}: {f.title}"]
-    if error:
-        lines.append(f"  failed: {error}")
+    if failure:
+        lines.append(f"  failed: {failure}")
     else:
         digits = max(0, 1 - int(np.floor(np.log10(f.tolerance))))
         holds = f"expected {f.expected:.{digits}f} +- {f.tolerance:g}, {f.source}"

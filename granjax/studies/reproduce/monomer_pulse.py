@@ -9,6 +9,7 @@ from ...materials import bead_mass, hertz_coefficient
 from ...measures import front_speed
 from ...scenes import beads as bead_chain
 from ...states import impact
+from ...types import Count, Scalar
 from .figure import Choice, Figure
 
 # a striker of the beads' own mass, long chain, A = m = v = 1
@@ -22,15 +23,15 @@ def _velocity(t, y, lattice):
     return y.v
 
 
-def compute(material, radius, striker, beads):
+def compute(material: str, radius: Scalar, striker: Scalar, beads: Count) -> xr.Dataset:
     """Velocities of all beads [m/s] until the pulse is near the end; bead 0 is the striker, a bead like the others."""
     beads = whole("beads", beads, _LEAST, "The pulse needs some ten beads to take its shape.")
     striker = float(positive("striker", striker, "It is the striker's velocity in m/s."))
     A, m = float(hertz_coefficient(material, radius)), float(bead_mass(material, radius))
     # sites per second in units of the solitary wave's scaling law
     rate = (A * A * striker / (m * m)) ** 0.2
-    chain = bead_chain(material, radius, cells=beads, boundary="free")
-    run = simulate(chain, impact(chain, striker), (beads - 2) / (SPEED * rate), save_at=601,
+    lattice = bead_chain(material, radius, cells=beads, boundary="free")
+    run = simulate(lattice, impact(lattice, striker), (beads - 2) / (SPEED * rate), save_at=601,
                    record={"peak": Peak(_velocity)})
     attributes = {
         "rate": rate, "striker": striker, "diameter": 2 * radius, "stiffness": A, "mass": m, "material": material,
@@ -52,12 +53,12 @@ def _front(data):
     return float(front_speed(data["time"].values, data["velocity"].values, n).speed)
 
 
-def scaled_speed(data):
+def scaled_speed(data: xr.Dataset) -> float:
     """Speed of the pulse over (A^2 v/m^2)^{1/5}."""
     return _front(data) / data.attrs["rate"]
 
 
-def scaled_peak(data):
+def scaled_peak(data: xr.Dataset) -> float:
     """Largest velocity of the bead two thirds down the chain over the striker's."""
     return float(data["peak"].values[2 * data.sizes["bead"] // 3]) / data.attrs["striker"]
 

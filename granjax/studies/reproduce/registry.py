@@ -26,12 +26,12 @@ _LABELS = (
 _BY_LABEL = {figure.label: figure for figure in (*_AWAITED, *_MADE)}
 
 
-def figures():
+def figures() -> dict[str, Figure | Awaited]:
     """A dict from label to `Figure`, or to `Awaited` where it is not made yet, in the order of the review."""
     return {label: _BY_LABEL[label] for label in _LABELS}
 
 
-def figure(label):
+def figure(label: str) -> Figure:
     """The figure of a label. **Raises** ValueError for an unknown label, naming the nearest, or one not made yet."""
     found = _BY_LABEL[one_of("figure", label, _LABELS)]
     if isinstance(found, Awaited):
@@ -40,12 +40,12 @@ def figure(label):
     return found
 
 
-def made():
+def made() -> tuple[str, ...]:
     """Labels of the figures that are made, in the order of the review."""
     return tuple(label for label in _LABELS if isinstance(_BY_LABEL[label], Figure))
 
 
-def listing():
+def listing() -> str:
     """A table of all figures as text: label, whether it is made, title, what it chooses."""
     lines = []
     for label, found in figures().items():

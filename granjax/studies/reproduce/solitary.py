@@ -10,6 +10,7 @@ from ...lattice import State
 from ...measures import along, strain
 from ...scenes import monomer
 from ...travelling import hertz_wave
+from ...types import Count
 from .figure import Choice, Figure
 
 POINTS, AHEAD = 32, 12
@@ -20,7 +21,7 @@ def _strain(t, y, lattice):
     return strain(lattice, y)
 
 
-def compute(sites, travel):
+def compute(sites: Count, travel: Count) -> xr.Dataset:
     """The wave at contact 12 of a chain at rest, and `travel` contacts later."""
     travel = whole("travel", travel, 2, "It is how many contacts the wave runs.")
     sites = whole("sites", sites, travel + 2 * AHEAD, f"The wave needs {AHEAD} contacts before it and behind.")
@@ -31,13 +32,13 @@ def compute(sites, travel):
     e[AHEAD + offsets] = phi[origin + POINTS * offsets]
     v[AHEAD + offsets] = velocity[origin + POINTS * offsets]
     e[-1] = 0.0
-    chain = monomer(sites, boundary="free")
+    lattice = monomer(sites, boundary="free")
     # u_n - u_{n+1} = e_n, the beads ahead at rest
     state = State(jnp.asarray(np.cumsum(e[::-1])[::-1]), jnp.asarray(v))
     half = float(phi[origin + POINTS // 2])
-    run = simulate(chain, state, float(travel), tolerance=TOLERANCE, save_at=4 * travel + 1,
+    run = simulate(lattice, state, float(travel), tolerance=TOLERANCE, save_at=4 * travel + 1,
                    record={"arrival": Arrival(_strain, half)})
-    strains = np.asarray(along(strain, chain, run))
+    strains = np.asarray(along(strain, lattice, run))
     near = np.abs(x) <= 6
     return xr.Dataset(
         {
@@ -50,10 +51,10 @@ def compute(sites, travel):
     )
 
 
-def speed(data):
+def speed(data: xr.Dataset) -> float:
     """Contacts per time, from the line through the times at which contacts reach the strain phi(1/2)."""
     n = np.arange(AHEAD + 1, AHEAD + data.attrs["travel"])
-    return 1 / np.polyfit(n, data["arrival"].values[n], 1)[0]
+    return float(1 / np.polyfit(n, data["arrival"].values[n], 1)[0])
 
 
 def _draw(plots, figure, data):

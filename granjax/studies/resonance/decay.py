@@ -1,8 +1,12 @@
 """The leading pulse in a long dimer chain: peak contact forces, rate of decay, and the ratios where that is zero."""
 
+from collections.abc import Sequence
+
 import numpy as np
+from jaxtyping import Float
 
 from ...checks import refuse, whole, within
+from ...types import Parameter, Scalar
 from .lanes import LANES, checked_ratios, peak_forces
 
 # beads behind the last contact that is read, so that the free end is not felt there
@@ -11,7 +15,9 @@ MARGIN = 12
 FIT_WIDTH = 0.01
 
 
-def contact_forces(ratios, contacts, *, progress=False):
+def contact_forces(
+    ratios: Parameter, contacts: Parameter, *, progress: bool = False
+) -> Float[np.ndarray, "contacts n"]:
     """Largest contact forces of a long dimer chain with free ends, struck at bead 0 with v = 1.
 
     **Arguments:** `ratios`: light over heavy, in (0, 1], (n,); `contacts`: (c,), contact n lies between the beads n
@@ -28,7 +34,9 @@ def contact_forces(ratios, contacts, *, progress=False):
     return peak_forces(ratios, beads, "free", bonds, 1.5 * beads + 10, progress)
 
 
-def decay_rate(ratios, contacts=(200, 600), *, progress=False):
+def decay_rate(
+    ratios: Parameter, contacts: Sequence[int] = (200, 600), *, progress: bool = False
+) -> Float[np.ndarray, " n"]:
     """Decay rate of the leading pulse per dimer: -ln(F_b/F_a)/((b - a)/2), F the peak forces at two contacts.
 
     It is zero at anti-resonances and positive between them, up to the error of the step (1e-9).
@@ -57,7 +65,9 @@ def _pair(contacts):
     return contacts
 
 
-def anti_resonance(low, high, *, contacts=(200, 600), progress=False):
+def anti_resonance(
+    low: Scalar, high: Scalar, *, contacts: Sequence[int] = (200, 600), progress: bool = False
+) -> float:
     """Mass ratio between `low` and `high` at which the leading pulse does not decay: zero of the asymptotic decay rate.
 
     The rate touches zero there from above, so it is sought as the rate's minimum: by grids of sixteen ratios until

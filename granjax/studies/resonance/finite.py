@@ -1,39 +1,62 @@
 """Transmission of a finite dimer chain to a rigid wall, and its extrema over the mass ratio."""
 
+from typing import ClassVar
+
 import equinox as eqx
 import numpy as np
+from jaxtyping import Float
 
 from ...checks import positive, refuse, whole
+from ...results import Held, Result
+from ...types import Count, Parameter, Scalar
 from .lanes import LANES, checked_ratios, peak_forces
 
 LEAST_BEADS = 3
 
 
-class Transmission(eqx.Module):
+class Transmission(Result):
     """What `transmission` returns.
 
     - `mass_ratio` (n,); `peak_force` (n,): largest force on the wall; `transmission` (n,): that over the monomer's.
     - `reference`: the monomer's peak force; `beads`; `run_time`: until when the wall was watched.
     """
 
-    mass_ratio: np.ndarray
-    peak_force: np.ndarray
-    transmission: np.ndarray
+    held: ClassVar[dict[str, Held]] = {
+        "mass_ratio": Held("mass_ratio", "1"), "transmission": Held("mass_ratio", "1"),
+        "peak_force": Held("mass_ratio", "A^(2/5) (m v^2)^(3/5)"), "reference": Held(None, name="monomer_force"),
+    }
+    mass_ratio: Float[np.ndarray, " n"]
+    peak_force: Float[np.ndarray, " n"]
+    transmission: Float[np.ndarray, " n"]
     reference: float
     beads: int = eqx.field(static=True)
     run_time: float = eqx.field(static=True)
 
+    @property
+    def outcome(self) -> str:
+        lost = np.count_nonzero(np.isnan(self.transmission))
+        failed = f"; {lost} of them failed" if lost else ""
+        return f"Chains of {self.beads} beads and a wall at {len(self.mass_ratio)} mass ratios{failed}."
 
-class Extrema(eqx.Module):
+
+class Extrema(Result):
     """What `refine` returns: local minima (`resonances`) and maxima (`anti_resonances`) of the transmission, (k,) each.
 
     `resonance_transmission`, `anti_resonance_transmission`: the transmission there. Ratios ascend.
     """
 
-    resonances: np.ndarray
-    resonance_transmission: np.ndarray
-    anti_resonances: np.ndarray
-    anti_resonance_transmission: np.ndarray
+    held: ClassVar[dict[str, Held]] = {
+        "resonances": Held("resonance", "1"), "resonance_transmission": Held("resonance", "1"),
+        "anti_resonances": Held("anti_resonance", "1"), "anti_resonance_transmission": Held("anti_resonance", "1"),
+    }
+    resonances: Float[np.ndarray, " k"]
+    resonance_transmission: Float[np.ndarray, " k"]
+    anti_resonances: Float[np.ndarray, " m"]
+    anti_resonance_transmission: Float[np.ndarray, " m"]
+
+    @property
+    def outcome(self) -> str:
+        return f"{len(self.resonances)} resonances, {len(self.anti_resonances)} anti-resonances."
 
 
 def _run_time(beads):
@@ -41,7 +64,9 @@ def _run_time(beads):
     return 1.5 * beads + 10
 
 
-def transmission(ratios, beads=101, *, run_time=None, progress=False):
+def transmission(
+    ratios: Parameter, beads: Count = 101, *, run_time: Scalar | None = None, progress: bool = False
+) -> Transmission:
     r"""Largest force that a struck dimer chain exerts on a rigid wall at its far end, relative to the monomer's.
 
     T(epsilon) = max_t F_wall(t; epsilon)/max_t F_wall(t; 1), so T(1) = 1. The wall is felt as one more contact with
@@ -76,7 +101,7 @@ def _wall_forces(ratios, beads, run_time, progress):
     return peak_forces(ratios, beads, "fixed", (beads,), run_time, progress)[0]
 
 
-def refine(sweep, *, accuracy=1e-4, progress=False):
+def refine(sweep: Transmission, *, accuracy: Scalar = 1e-4, progress: bool = False) -> Extrema:
     """Local extrema of a transmission over the mass ratio, by search between the neighbours of the grid's.
 
     Brackets of all extrema shrink together by 2/9 a round, eight ratios in each, so that a cusp is no harder than a

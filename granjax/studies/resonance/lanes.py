@@ -66,9 +66,9 @@ def _program(beads, boundary, bonds, devices):
         return jnp.stack([force[bond] for bond in bonds])
 
     def forces(ratios, t1):
-        chains = jax.vmap(lambda ratio: dimer(beads, ratio, boundary=boundary), out_axes=-1)(ratios)
+        lattice = jax.vmap(lambda ratio: dimer(beads, ratio, boundary=boundary), out_axes=-1)(ratios)
         # ForwardMode: the number of steps is not bounded, so it is no part of the program
-        run = simulate(chains, impact(chains), t1, record={"peak": Peak(quantity)}, adjoint=diffrax.ForwardMode())
+        run = simulate(lattice, impact(lattice), t1, record={"peak": Peak(quantity)}, adjoint=diffrax.ForwardMode())
         return jnp.where(run.completed, run.recorded["peak"], jnp.nan)
 
     mesh = Mesh(np.array(devices), ("lanes",))
