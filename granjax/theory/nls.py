@@ -24,238 +24,208 @@ Source: G. Huang, B. Hu, Phys. Rev. B 57, 5746 (1998); C. Chong, P. G. Kevrekidi
 Crystals (Springer, 2018). The fixed-length relation is tested against periodic orbits of rings.
 """
 
+from typing import ClassVar
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Complex, Float
 
-from ..checks import concrete, one_of, parameter, positive, refuse, show, whole
-from .nls_solitons import Profile, bright, bright_profile, dark, dark_profile, growth_rate
+from ..checks import concrete, parameter, refuse, show, whole
+from ..results import Held, Result
+from ..types import Count, Number, Parameter
+from .nls_coefficients import B, Coefficients, band_edges, coefficients
 
 __all__ = [
     "B", "Coefficients", "Profile", "band_edges", "bright", "bright_profile", "coefficients", "dark", "dark_profile",
     "growth_rate",
 ]
 
-# relative distances of omega^2, in units of rounding, below which branches touch and a harmonic lies on a branch
-TOUCHING, RESONANT = 1e6, 1e5
-# of derivatives in the parameters
-ORDERS = 2
+
+def bright(
+    X: Number, T: Number, kappa: Number, nu2: Number, nu3: Number, X0: Number = 0.0
+) -> Complex[Array, "..."]:
+    r"""Bright soliton at rest: Y = (2 kappa/nu3)^{1/2} sech[(kappa/nu2)^{1/2} (X - X0)] exp(i kappa T).
+
+    **Arguments:** `X`, `T`: arrays that broadcast; `kappa`: shift of the frequency, of the sign of nu2 and nu3; `nu2`,
+    `nu3`: as in `coefficients`, at constant force; `X0`: centre. **Returns:** Y, complex.
+    **Raises** ValueError where nu2 nu3 < 0, which has only dark solitons, and where kappa nu3 <= 0.
+    """
+    amplitude, width = _bright(kappa, nu2, nu3)
+    return amplitude * _sech(width * (X - X0)) * jnp.exp(1j * kappa * T)
 
 
-class Coefficients(eqx.Module):
-    """What `coefficients` returns, for Y as in the module's text; P bonds and sites per cell.
+def dark(
+    X: Number, T: Number, kappa: Number, nu2: Number, nu3: Number, X0: Number = 0.0,
+    nu3_force: Number | None = None,
+) -> Complex[Array, "..."]:
+    r"""Black soliton: Y = (kappa/nu3)^{1/2} tanh[(-nu3_force kappa/(2 nu2 nu3))^{1/2} (X - X0)] exp(i kappa T).
 
-    - `k`, `omega` [rad/s], `group_velocity` d omega/dk [cells/s], `nu2` [cells^2/s].
-    - `nu3` [1/(length^2 s)]: under the constraint; `nu3_force`: at constant force, that of every modulated envelope.
-    - `mode` (P,): displacements per Y; `strain` (P,): strains per Y, s_j; `strain_slope` (P,): ds/dk.
-    - `mean_strain` (P,): per |Y|^2, under the constraint; `mean_strain_force` (P,): at constant force.
-    - `harmonic_mode`, `harmonic_strain` (P,): second harmonic per Y^2, on e^{2i(kn + omega t)}.
-    - `resonant`: whether 2k, 2 omega is a wave of the chain that the second harmonic feeds. `nu3` is then infinite.
-    - `bond`: where s_j is real and positive; the bond that is strained most, the first of equals.
+    At constant force nu3_force = nu3 and the inverse width is (-kappa/(2 nu2))^{1/2}. At fixed length the background
+    has the nu3 of fixed length (monomer at k = pi: 3 K4 K2^{-1/2}, m = 1), while the dip keeps that of constant force.
+
+    **Arguments:** as in `bright`; `nu3` of the background, `nu3_force` of the dip, `None` for the same.
+    **Returns:** Y, complex.
+    **Raises** ValueError where nu2 nu3_force > 0, which has only bright solitons, and where kappa nu3 <= 0.
+    """
+    amplitude, width = _dark(kappa, nu2, nu3, nu3 if nu3_force is None else nu3_force)
+    return amplitude * jnp.tanh(width * (X - X0)) * jnp.exp(1j * kappa * T)
+
+
+def growth_rate(Q: Parameter, amplitude: Parameter, nu2: Number, nu3: Number) -> Float[Array, "..."]:
+    r"""Growth per unit T of a modulation e^{iQX} of a uniform wave: [nu2 Q^2 (2 nu3 |Y|^2 - nu2 Q^2)]^{1/2}.
+
+    Zero where the bracket is not positive. Largest, nu3 |Y|^2, at Q^2 = nu3 |Y|^2/nu2.
+
+    **Arguments:** `Q`: per cell; `amplitude`: |Y|; `nu2`, `nu3`: as in `coefficients`, at constant force, also where
+    the chain has a fixed length. **Returns:** array of their broadcast shape.
+    Source: T. B. Benjamin, J. E. Feir, J. Fluid Mech. 27, 417 (1967).
+    """
+    Q, amplitude = parameter("Q", Q), parameter("amplitude", amplitude)
+    square = nu2 * Q**2 * (2 * nu3 * amplitude**2 - nu2 * Q**2)
+    return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0)
+
+
+class Profile(Result):
+    """A breather at a turning point (all velocities zero), to second order in its amplitude; N sites.
+
+    - `strain` (N,): y_i = u_i - u_{i+1} of the bond to the right of site i; the last one leads out of the chain.
+    - `mean_strain` (N,): its part that does not oscillate. `displacement` (N,): sites, with `strain` as differences.
+    - `amplitude`: |Y|, at the centre (bright) or far from it (dark); `inverse_width`: per cell.
+    - `omega`: frequency of the breather; `kappa`: that less the linear one.
     """
 
-    k: jax.Array
-    omega: jax.Array
-    group_velocity: jax.Array
-    nu2: jax.Array
-    nu3: jax.Array
-    nu3_force: jax.Array
-    mode: jax.Array
-    strain: jax.Array
-    strain_slope: jax.Array
-    mean_strain: jax.Array
-    mean_strain_force: jax.Array
-    harmonic_mode: jax.Array
-    harmonic_strain: jax.Array
-    resonant: jax.Array
-    bond: jax.Array
+    held: ClassVar[dict[str, Held]] = {
+        "strain": Held("site"), "mean_strain": Held("site"), "displacement": Held("site"),
+        "inverse_width": Held(unit="1/cell"), "omega": Held(unit="rad/s"), "kappa": Held(unit="rad/s"),
+    }
+    strain: Float[Array, " N"]
+    mean_strain: Float[Array, " N"]
+    displacement: Float[Array, " N"]
+    amplitude: Float[Array, ""]
+    inverse_width: Float[Array, ""]
+    omega: Float[Array, ""]
+    kappa: Float[Array, ""]
 
     @property
-    def focusing(self):
-        """Whether nu2 nu3 > 0 for a modulated envelope: bright solitons, modulational instability."""
-        return self.nu2 * self.nu3_force > 0
-
-    @property
-    def outcome(self):
-        """One sentence."""
-        nu2, nu3, resonant = concrete(self.nu2), concrete(self.nu3_force), concrete(self.resonant)
-        if resonant is None:
+    def outcome(self) -> str:
+        omega, kappa = concrete(self.omega), concrete(self.kappa)
+        if omega is None:
             return "Not known inside a transformation."
-        if resonant.any():
-            return "The second harmonic 2k, 2 omega is a wave of the chain: no envelope equation, nu3 is infinite."
-        if not np.isfinite(nu3).all():
-            return "The packet travels with the speed of sound, or its branch is not simple: no envelope equation."
-        if nu2.ndim:
-            return f"{nu2.size} envelope equations."
-        return f"nu2 = {nu2:.6g}, nu3 = {nu3:.6g} at constant force: {'bright' if nu2 * nu3 > 0 else 'dark'} solitons."
+        return f"A breather of frequency {show(omega)}, that of the linear wave shifted by {show(kappa)}."
 
 
-def coefficients(mass, K2, K3, K4, k, branch=0, constraint="force"):
-    r"""Coefficients of the envelope equation at one wave number of one branch.
+def bright_profile(
+    coefficients: Coefficients, omega: Number, cells: Count, centre: Number | None = None
+) -> Profile:
+    r"""Bright breather of frequency omega: 2 (2 kappa/nu3)^{1/2} sech[(kappa/nu2)^{1/2} x], kappa = omega - omega(k).
 
-    With the Bloch mode e (strains s = S(k) e of mean square 1) the third order, projected on e, gives
-    nu3 = sum_j [3 K4_j |s_j|^4 + 2 K3_j (y0_j |s_j|^2 + Y2_j conj(s_j)^2)] / (2 omega sum_j m_j |e_j|^2). Second
-    harmonic: (D(2k) - 4 omega^2 M) U2 = -S(2k)^H K3 s^2, Y2 = S(2k) U2. Mean strain:
-    K2_j y0_j + 2 K3_j |s_j|^2 = f in every bond, with f = (d omega/dk)^2 (sum_j m_j) (sum_j y0_j) at constant force,
-    and with sum_j y0_j = 0 at fixed length. Monomer at k = pi: `B` at constant force, 3 K4 (K2 m)^{-1/2} at fixed
-    length.
+    The strain holds the oscillation at its turning point, the second harmonic and the mean strain. Far away the chain
+    is at rest, so constant force and fixed length are the same.
 
     **Arguments:**
 
-    - `mass`, `K2`, `K3`, `K4`: scalars or (P,), one per site or bond of the cell; mass > 0, K2 > 0.
-    - `k`: phase per cell [rad]; `branch`: 0 is the acoustic one.
-    - `constraint`: `"force"` or `"length"`, what the ends hold constant.
+    - `coefficients`: what `nls.coefficients` returned at k = 0 or pi, where the packet stands still.
+    - `omega`: frequency of the breather, on the side of omega(k) to which the nonlinearity shifts it.
+    - `cells`: number of cells; the first site of the chain is the first of the cell.
+    - `centre`: in sites: 4 is site 4, 4.5 the bond between 4 and 5; `None` the middle, (N - 1)/2.
 
-    **Returns:** `Coefficients`. Differentiable in every number, and under `jit` and `vmap`; there a branch that is not
-    simple gives NaN.
-    **Raises** ValueError for masses or K2 that are not positive, shapes that do not fit, a branch that the cell has
-    not, omega = 0 (k = 0 of the acoustic branch: long waves, Korteweg-de Vries), and where two branches touch.
-    Typical: K2, K3, K4 = 3/2, 3/8, -1/16 (Hertz, d0 = A = 1), m = 1, k = pi: nu2 = 0.306186, nu3 = -0.459279.
+    **Returns:** `Profile`. Relative error of the strain of the order of `inverse_width` squared.
+    **Raises** ValueError for another k, where nu2 nu3 < 0, and for omega on the other side.
+    Typical: dimer K2, K3, K4 = 3/2, 3/8, -1/16 with m = 1, M = 3 at the bottom of its optical branch,
+    omega = 0.99 sqrt3.
     """
-    mass, K2, K3, K4 = _cell(mass, K2, K3, K4)
-    k = parameter("k", k)
-    if k.ndim:
-        refuse("k", "one number", f"shape {k.shape}", "For many use jax.vmap.")
-    sites = mass.size
-    if whole("branch", branch) >= sites:
-        refuse("branch", f"a branch below {sites}, as the cell has {sites} sites", repr(branch))
-    length = one_of("constraint", constraint, ("force", "length")) == "length"
-    found, touches = _coefficients(mass, K2, K3, K4, k, np.asarray(branch), np.asarray(length))
-    omega, touches = concrete(found.omega), concrete(touches)
-    if touches is not None and touches:
-        remedy = "Give another k, or the smallest cell of the chain."
-        refuse("k", "one simple branch", f"{show(k)}, where branch {branch} touches another", remedy)
-    if omega is not None and np.isnan(omega):
-        refuse("k", "a wave that oscillates", f"{show(k)}, where omega = 0", "Long waves: use Korteweg-de Vries.")
-    return found
+    kappa = _kappa(coefficients, omega)
+    amplitude, width = _bright(kappa, coefficients.nu2, coefficients.nu3_force)
+    strains = _profile(coefficients, _sech, amplitude, width, 0.0, *_places(coefficients, cells, centre))
+    return Profile(*strains, amplitude, width, kappa + coefficients.omega, kappa)
 
 
-def _cell(mass, K2, K3=0.0, K4=0.0):
-    """Masses and coefficients of one cell, (P,) each."""
-    arrays = {"mass": positive("mass", mass), "K3": parameter("K3", K3), "K4": parameter("K4", K4)}
-    arrays["K2"] = positive("K2", K2, "A bond without linear stiffness carries no linear wave; give precompression.")
-    sites = max(array.size for array in arrays.values())
-    for name, array in arrays.items():
-        if array.ndim > 1 or array.size not in (1, sites):
-            refuse(name, f"a scalar or shape ({sites},), as another has", f"shape {array.shape}")
-    return [jnp.broadcast_to(arrays[name], (sites,)) for name in ("mass", "K2", "K3", "K4")]
+def dark_profile(
+    coefficients: Coefficients, omega: Number, cells: Count, centre: Number | None = None
+) -> Profile:
+    r"""Dark breather of frequency omega: 2 (kappa/nu3)^{1/2} tanh[b x], b as in `dark`, kappa = omega - omega(k).
 
+    As `bright_profile`. At fixed length (`coefficients` with `constraint="length"`) the mean strain vanishes far from
+    the dip, as in an infinite chain; a ring of N sites is stretched by the dip's mean strain over N.
 
-def _strains(turn, sites, order=0):
-    """The matrix S from the displacements of a cell to the strains of its bonds, or a derivative of it in k.
-
-    `turn`: e^{ik}.
+    **Raises** ValueError for k other than 0 or pi, where nu2 nu3_force > 0, and for omega on the other side.
+    Typical: monomer K2, K3, K4 = 3/2, 3/8, -1/16, m = 1, k = pi, omega = 0.99 sqrt6: amplitude 0.23094.
     """
-    wrap = np.zeros((sites, sites))
-    wrap[-1, 0] = 1
-    turned = -(1j**order) * turn * wrap
-    return turned if order else np.eye(sites) - np.eye(sites, k=1) + turned
+    kappa, c = _kappa(coefficients, omega), coefficients
+    amplitude, width = _dark(kappa, c.nu2, c.nu3, c.nu3_force)
+    background = (c.mean_strain - c.mean_strain_force) * amplitude**2
+    strains = _profile(c, jnp.tanh, amplitude, width, background, *_places(c, cells, centre))
+    return Profile(*strains, amplitude, width, kappa + c.omega, kappa)
 
 
-def _inverse(values, vectors, least):
-    """Pseudo-inverse of a Hermitian matrix, without the eigenvalues up to `least`."""
-    kept = jnp.abs(values) > least
-    return (vectors * jnp.where(kept, 1 / jnp.where(kept, values, 1), 0)) @ vectors.conj().T
+def _sech(x):
+    # neither overflows nor has a kink
+    return 2 * jnp.exp(-(jax.nn.softplus(2 * x) + jax.nn.softplus(-2 * x)) / 2)
 
 
-def _solve(A, b, inverse):
-    """x with A x = b, where `inverse` is constant: each correction carries one more order of derivatives."""
-    x = inverse @ b
-    for _ in range(ORDERS):
-        x = x + inverse @ (b - A @ x)
-    return x
+def _bright(kappa, nu2, nu3):
+    kappa, nu2, nu3 = _signs(kappa, nu2, nu3, nu3, 1)
+    return jnp.sqrt(2 * kappa / nu3), jnp.sqrt(kappa / nu2)
 
 
-def _square(z):
-    return z.real**2 + z.imag**2
+def _dark(kappa, nu2, nu3, nu3_force):
+    kappa, nu2, nu3 = _signs(kappa, nu2, nu3, nu3_force, -1)
+    return jnp.sqrt(kappa / nu3), jnp.sqrt(-nu3_force * kappa / (2 * nu2 * nu3))
+
+
+def _signs(kappa, nu2, nu3, nu3_force, focusing):
+    """Refuses what has no such soliton: `focusing` is the sign of nu2 nu3_force that it asks for."""
+    kappa, nu2, nu3 = parameter("kappa", kappa), parameter("nu2", nu2), parameter("nu3", nu3)
+    values = [concrete(x) for x in (kappa, nu2, nu3, nu3_force)]
+    if any(value is None for value in values):
+        return kappa, nu2, nu3
+    shift, two, three, force = values
+    wanted, other = ("bright", "dark") if focusing == 1 else ("dark", "bright")
+    if not (np.sign(two * force) == focusing).all():
+        signs = [f"{'>' if (x > 0).all() else '<' if (x < 0).all() else 'about'} 0" for x in (force, two)]
+        refuse("nu2, nu3", f"a pair with {wanted} solitons", f"nu3 = {_short(force)} and nu2 = {_short(two)}",
+               f"nu3 {signs[0]} with nu2 {signs[1]}: only {other} solitons exist here.")
+    if not (shift * three > 0).all():
+        refuse("kappa", f"a shift of the sign of nu3 = {_short(three)}", _short(shift),
+               f"The nonlinearity {'raises' if (three > 0).all() else 'lowers'} the frequency of this wave.")
+    return kappa, nu2, nu3
+
+
+def _short(x):
+    return f"{x:.6g}" if np.ndim(x) == 0 else show(x)
+
+
+def _kappa(coefficients, omega):
+    k, resonant = concrete(coefficients.k), concrete(coefficients.resonant)
+    if k is not None and abs(np.sin(k)) > 1e-9:
+        refuse("coefficients", "those of k = 0 or pi, where a packet stands still", f"k = {show(k)}")
+    if resonant is not None and resonant:
+        refuse("coefficients", "an envelope equation", "none", coefficients.outcome)
+    return parameter("omega", omega) - coefficients.omega
+
+
+def _places(coefficients, cells, centre):
+    cells = whole("cells", cells, 1)
+    return cells, parameter("centre", (len(coefficients.mode) * cells - 1) / 2 if centre is None else centre)
 
 
 @eqx.filter_jit
-def _coefficients(mass, K2, K3, K4, k, branch, length):
-    sites, turn = mass.size, jnp.exp(1j * k)
-    # displacement per mass-normalised one
-    light = 1 / jnp.sqrt(mass)
-    # M^{-1/2} D M^{-1/2} = S^H K2 S
-    S, S1, S2 = (_strains(turn, sites, order) * light for order in range(3))
-    product = lambda A, B: (A.conj().T * K2) @ B
-    H, H1 = product(S, S), product(S1, S) + product(S, S1)
-    H2 = product(S2, S) + 2 * product(S1, S1) + product(S, S2)
-    # constant, as derivatives of `eigh` fail where any two branches touch; corrections carry those of this one
-    squared, vectors = jnp.linalg.eigh(jax.lax.stop_gradient(H))
-    value, v, rounding = squared[branch], vectors[:, branch], jnp.finfo(squared.dtype).eps
-    least = TOUCHING * rounding * squared[-1]
-    touches = jnp.any((jnp.abs(squared - value) <= least) & (jnp.arange(sites) != branch))
-    oscillates = value > least
-    inverse = _inverse(squared - value, vectors, least)
-    for _ in range(ORDERS):
-        v = v - inverse @ (H @ v - value * v)
-        v = v * (1 / jnp.sqrt(jnp.sum(_square(v))))
-        value = jnp.real(v.conj() @ H @ v)
-    first = jnp.real(v.conj() @ H1 @ v)
-    v1 = _solve(H - value * jnp.eye(sites), first * v - H1 @ v, inverse)
-    v1 = v1 - v * (v.conj() @ v1)
-    second = jnp.real(v.conj() @ H2 @ v + 2 * v.conj() @ H1 @ v1)
-    omega = jnp.sqrt(jnp.where(oscillates & ~touches, value, jnp.nan))
-    velocity = first / (2 * omega)
-    curvature = (second / 2 - velocity**2) / omega
-
-    strain, strain1 = S @ v, S1 @ v + S @ v1
-    size, with_slope = _square(strain), strain.conj() * strain1
-    bond = jnp.argmax(size > (1 - 1e-9) * size.max())
-    norm = strain[bond].conj() * (1 / jnp.sqrt(size[bond] * jnp.mean(size)))
-    norm1 = jnp.mean(with_slope.real) / jnp.mean(size) + 1j * (with_slope[bond].imag / size[bond])
-    e, s = v * light * norm, strain * norm
-    s1, size = strain1 * norm - norm1 * s, size / jnp.mean(size)
-
-    doubled = _strains(turn * turn, sites) * light
-    A, push = product(doubled, doubled) - 4 * value * jnp.eye(sites), doubled.conj().T @ (K3 * s**2)
-    others, waves = jnp.linalg.eigh(jax.lax.stop_gradient(A))
-    x = _solve(A, -push, _inverse(others, waves, RESONANT * rounding * jnp.abs(others).max()))
-    resonant = _square(A @ x + push).max() > 1e-12 * jnp.max((K3 * light * size) ** 2)
-    U2, Y2 = x * light, doubled @ x
-
-    give, compliance = 2 * K3 * size / K2, jnp.sum(1 / K2)
-    inertia = velocity**2 * mass.sum()
-    force = -inertia * give.sum() / (1 - inertia * compliance)
-    mean_force = force / K2 - give
-    mean = jnp.where(length, give.sum() / compliance / K2 - give, mean_force)
-
-    def nu3(mean):
-        third = 3 * K4 * size**2 + 2 * K3 * (mean * size + jnp.real(Y2 * s.conj() ** 2))
-        return jnp.where(resonant, jnp.inf, third.sum() / (2 * omega * jnp.sum(mass * _square(e))))
-
-    found = Coefficients(
-        k, omega, velocity, -curvature / 2, nu3(mean), nu3(mean_force), e, s, s1, mean, mean_force,
-        *(jnp.where(resonant, jnp.inf, second) for second in (U2, Y2)), resonant, bond,
-    )
-    return found, touches
-
-
-def B(K2, K3, K4, mass=1.0):
-    r"""nu3 of the monomer chain at k = pi and constant force: (3 K2 K4 - 4 K3^2)/(K2^{3/2} m^{1/2}).
-
-    Power law A [d0 + sign(p) y]^p with m = 1: -p^3 (p - 1) A^2 d0^{2p-4}/(2 K2^{3/2}), positive for 0 < p < 1 alone.
-    **Raises** ValueError for K2 or masses that are not positive.
-    """
-    K2, mass = positive("K2", K2), positive("mass", mass)
-    return (3 * K2 * parameter("K4", K4) - 4 * parameter("K3", K3) ** 2) / (K2 * jnp.sqrt(K2 * mass))
-
-
-def band_edges(mass, K2):
-    """Edges of all bands, (P, 2): lowest and highest omega of each.
-
-    In a chain of nearest neighbours they lie at k = 0 and pi: even branches rise from 0 to pi, odd ones fall.
-    **Arguments:** as in `coefficients`. **Raises** ValueError for masses or K2 that are not positive.
-    Typical: dimer (2 K2/M)^{1/2}, (2 K2/m)^{1/2}, (2 K2 (1/m + 1/M))^{1/2}.
-    """
-    mass, K2, _, _ = _cell(mass, K2)
-    return _edges(mass, K2)
-
-
-@jax.jit
-def _edges(mass, K2):
-    S = jnp.stack([_strains(turn, mass.size).real / jnp.sqrt(mass) for turn in (1, -1)])
-    squared = jnp.linalg.eigvalsh(jnp.einsum("kba,b,kbc->kac", S, K2, S)).T
-    least = TOUCHING * jnp.finfo(squared.dtype).eps * squared.max()
-    return jnp.sort(jnp.sqrt(jnp.where(squared > least, squared, 0)), axis=-1)
+def _profile(c, shape, amplitude, width, background, cells, centre):
+    """Strain, mean strain and displacement of a chain of cells under a real envelope (P sites per cell)."""
+    P = len(c.mode)
+    i = np.arange(P * cells)
+    j, sign = i % P, jnp.where(jnp.cos(c.k) > 0, 1, -1) ** (i // P)
+    envelope = lambda x: amplitude * shape(width * x / P)
+    bonds = i + 0.5 - centre
+    # a modulated wave strains bond j by s A - i (ds/dk) A'; of it, `lag` is what the place of the bond does not say
+    s, lag = jnp.real(c.strain), P * jnp.imag(c.strain_slope) - jnp.real(c.strain) * np.arange(P)
+    lag = lag - s * jnp.sum(s * lag) / jnp.sum(s**2)
+    A, slope = jax.jvp(envelope, (bonds,), (jnp.ones_like(bonds),))
+    swing = 2 * sign * (s[j] * A + lag[j] * slope) + 2 * jnp.real(c.harmonic_strain)[j] * A**2
+    mean = c.mean_strain_force[j] * A**2 + jnp.broadcast_to(background, P)[j]
+    u, drift = (-jnp.append(0, jnp.cumsum(strain)[:-1]) for strain in (swing, mean))
+    A = envelope(i - centre)
+    wave = 2 * sign * jnp.real(c.mode)[j] * A + 2 * jnp.real(c.harmonic_mode)[j] * A**2
+    return swing + mean, mean, u + jnp.mean(wave - u) + drift - jnp.mean(drift)

@@ -1,0 +1,243 @@
+"""Coefficients of the envelope equation of a periodic chain; `nls` says which equation."""
+
+from typing import ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Complex, Float, Integer
+
+from ..checks import concrete, one_of, parameter, positive, refuse, show, whole
+from ..results import Held, Result
+from ..types import Count, Number, Parameter
+
+# relative distances of omega^2, in units of rounding, below which branches touch and a harmonic lies on a branch
+TOUCHING, RESONANT = 1e6, 1e5
+# of derivatives in the parameters
+ORDERS = 2
+
+
+class Coefficients(Result):
+    """What `coefficients` returns, for Y as in the text of `nls`; P bonds and sites per cell.
+
+    - `k`, `omega` [rad/s], `group_velocity` d omega/dk [cells/s], `nu2` [cells^2/s].
+    - `nu3` [1/(length^2 s)]: under the constraint; `nu3_force`: at constant force, that of every modulated envelope.
+    - `mode` (P,): displacements per Y; `strain` (P,): strains per Y, s_j; `strain_slope` (P,): ds/dk.
+    - `mean_strain` (P,): per |Y|^2, under the constraint; `mean_strain_force` (P,): at constant force.
+    - `harmonic_mode`, `harmonic_strain` (P,): second harmonic per Y^2, on e^{2i(kn + omega t)}.
+    - `resonant`: whether 2k, 2 omega is a wave of the chain that the second harmonic feeds. `nu3` is then infinite.
+    - `bond`: where s_j is real and positive; the bond that is strained most, the first of equals.
+    """
+
+    held: ClassVar[dict[str, Held]] = {
+        "omega": Held(unit="rad/s"), "mode": Held("site"), "strain": Held("bond"),
+        "strain_slope": Held("bond"), "mean_strain": Held("bond"), "mean_strain_force": Held("bond"),
+        "harmonic_mode": Held("site"), "harmonic_strain": Held("bond"), "bond": Held(None),
+    }
+    k: Float[Array, "*lanes"]
+    omega: Float[Array, "*lanes"]
+    group_velocity: Float[Array, "*lanes"]
+    nu2: Float[Array, "*lanes"]
+    nu3: Float[Array, "*lanes"]
+    nu3_force: Float[Array, "*lanes"]
+    mode: Complex[Array, "*lanes P"]
+    strain: Complex[Array, "*lanes P"]
+    strain_slope: Complex[Array, "*lanes P"]
+    mean_strain: Float[Array, "*lanes P"]
+    mean_strain_force: Float[Array, "*lanes P"]
+    harmonic_mode: Complex[Array, "*lanes P"]
+    harmonic_strain: Complex[Array, "*lanes P"]
+    resonant: Bool[Array, "*lanes"]
+    bond: Integer[Array, "*lanes"]
+
+    @property
+    def focusing(self) -> Bool[Array, "*lanes"]:
+        """Whether nu2 nu3 > 0 for a modulated envelope: bright solitons, modulational instability."""
+        return self.nu2 * self.nu3_force > 0
+
+    @property
+    def outcome(self) -> str:
+        nu2, nu3, resonant = concrete(self.nu2), concrete(self.nu3_force), concrete(self.resonant)
+        if resonant is None:
+            return "Not known inside a transformation."
+        if resonant.any():
+            return "The second harmonic 2k, 2 omega is a wave of the chain: no envelope equation, nu3 is infinite."
+        if not np.isfinite(nu3).all():
+            return "The packet travels with the speed of sound, or its branch is not simple: no envelope equation."
+        if nu2.ndim:
+            return f"{nu2.size} envelope equations."
+        return f"nu2 = {nu2:.6g}, nu3 = {nu3:.6g} at constant force: {'bright' if nu2 * nu3 > 0 else 'dark'} solitons."
+
+
+def coefficients(
+    mass: Parameter, K2: Parameter, K3: Parameter, K4: Parameter, k: Number, branch: Count = 0,
+    constraint: str = "force",
+) -> Coefficients:
+    r"""Coefficients of the envelope equation at one wave number of one branch.
+
+    With the Bloch mode e (strains s = S(k) e of mean square 1) the third order, projected on e, gives
+    nu3 = sum_j [3 K4_j |s_j|^4 + 2 K3_j (y0_j |s_j|^2 + Y2_j conj(s_j)^2)] / (2 omega sum_j m_j |e_j|^2). Second
+    harmonic: (D(2k) - 4 omega^2 M) U2 = -S(2k)^H K3 s^2, Y2 = S(2k) U2. Mean strain:
+    K2_j y0_j + 2 K3_j |s_j|^2 = f in every bond, with f = (d omega/dk)^2 (sum_j m_j) (sum_j y0_j) at constant force,
+    and with sum_j y0_j = 0 at fixed length. Monomer at k = pi: `B` at constant force, 3 K4 (K2 m)^{-1/2} at fixed
+    length.
+
+    **Arguments:**
+
+    - `mass`, `K2`, `K3`, `K4`: scalars or (P,), one per site or bond of the cell; mass > 0, K2 > 0.
+    - `k`: phase per cell [rad]; `branch`: 0 is the acoustic one.
+    - `constraint`: `"force"` or `"length"`, what the ends hold constant.
+
+    **Returns:** `Coefficients`. Differentiable in every number, and under `jit` and `vmap`; there a branch that is not
+    simple gives NaN.
+    **Raises** ValueError for masses or K2 that are not positive, shapes that do not fit, a branch that the cell has
+    not, omega = 0 (k = 0 of the acoustic branch: long waves, Korteweg-de Vries), and where two branches touch.
+    Typical: K2, K3, K4 = 3/2, 3/8, -1/16 (Hertz, d0 = A = 1), m = 1, k = pi: nu2 = 0.306186, nu3 = -0.459279.
+    """
+    mass, K2, K3, K4 = _cell(mass, K2, K3, K4)
+    k = parameter("k", k)
+    if k.ndim:
+        refuse("k", "one number", f"shape {k.shape}", "For many use jax.vmap.")
+    sites = mass.size
+    if whole("branch", branch) >= sites:
+        refuse("branch", f"a branch below {sites}, as the cell has {sites} sites", repr(branch))
+    length = one_of("constraint", constraint, ("force", "length")) == "length"
+    found, touches = _coefficients(mass, K2, K3, K4, k, np.asarray(branch), np.asarray(length))
+    omega, touches = concrete(found.omega), concrete(touches)
+    if touches is not None and touches:
+        remedy = "Give another k, or the smallest cell of the chain."
+        refuse("k", "one simple branch", f"{show(k)}, where branch {branch} touches another", remedy)
+    if omega is not None and np.isnan(omega):
+        refuse("k", "a wave that oscillates", f"{show(k)}, where omega = 0", "Long waves: use Korteweg-de Vries.")
+    return found
+
+
+def _cell(mass, K2, K3=0.0, K4=0.0):
+    """Masses and coefficients of one cell, (P,) each."""
+    arrays = {"mass": positive("mass", mass), "K3": parameter("K3", K3), "K4": parameter("K4", K4)}
+    arrays["K2"] = positive("K2", K2, "A bond without linear stiffness carries no linear wave; give precompression.")
+    sites = max(array.size for array in arrays.values())
+    for name, array in arrays.items():
+        if array.ndim > 1 or array.size not in (1, sites):
+            refuse(name, f"a scalar or shape ({sites},), as another has", f"shape {array.shape}")
+    return [jnp.broadcast_to(arrays[name], (sites,)) for name in ("mass", "K2", "K3", "K4")]
+
+
+def _strains(turn, sites, order=0):
+    """The matrix S from the displacements of a cell to the strains of its bonds, or a derivative of it in k.
+
+    `turn`: e^{ik}.
+    """
+    wrap = np.zeros((sites, sites))
+    wrap[-1, 0] = 1
+    turned = -(1j**order) * turn * wrap
+    return turned if order else np.eye(sites) - np.eye(sites, k=1) + turned
+
+
+def _inverse(values, vectors, least):
+    """Pseudo-inverse of a Hermitian matrix, without the eigenvalues up to `least`."""
+    kept = jnp.abs(values) > least
+    return (vectors * jnp.where(kept, 1 / jnp.where(kept, values, 1), 0)) @ vectors.conj().T
+
+
+def _solve(A, b, inverse):
+    """x with A x = b, where `inverse` is constant: each correction carries one more order of derivatives."""
+    x = inverse @ b
+    for _ in range(ORDERS):
+        x = x + inverse @ (b - A @ x)
+    return x
+
+
+def _square(z):
+    return z.real**2 + z.imag**2
+
+
+@eqx.filter_jit
+def _coefficients(mass, K2, K3, K4, k, branch, length):
+    sites, turn = mass.size, jnp.exp(1j * k)
+    # displacement per mass-normalised one
+    light = 1 / jnp.sqrt(mass)
+    # M^{-1/2} D M^{-1/2} = S^H K2 S
+    S, S1, S2 = (_strains(turn, sites, order) * light for order in range(3))
+    product = lambda A, B: (A.conj().T * K2) @ B
+    H, H1 = product(S, S), product(S1, S) + product(S, S1)
+    H2 = product(S2, S) + 2 * product(S1, S1) + product(S, S2)
+    # constant, as derivatives of `eigh` fail where any two branches touch; corrections carry those of this one
+    squared, vectors = jnp.linalg.eigh(jax.lax.stop_gradient(H))
+    value, v, rounding = squared[branch], vectors[:, branch], jnp.finfo(squared.dtype).eps
+    least = TOUCHING * rounding * squared[-1]
+    touches = jnp.any((jnp.abs(squared - value) <= least) & (jnp.arange(sites) != branch))
+    oscillates = value > least
+    inverse = _inverse(squared - value, vectors, least)
+    for _ in range(ORDERS):
+        v = v - inverse @ (H @ v - value * v)
+        v = v * (1 / jnp.sqrt(jnp.sum(_square(v))))
+        value = jnp.real(v.conj() @ H @ v)
+    first = jnp.real(v.conj() @ H1 @ v)
+    v1 = _solve(H - value * jnp.eye(sites), first * v - H1 @ v, inverse)
+    v1 = v1 - v * (v.conj() @ v1)
+    second = jnp.real(v.conj() @ H2 @ v + 2 * v.conj() @ H1 @ v1)
+    omega = jnp.sqrt(jnp.where(oscillates & ~touches, value, jnp.nan))
+    velocity = first / (2 * omega)
+    curvature = (second / 2 - velocity**2) / omega
+
+    strain, strain1 = S @ v, S1 @ v + S @ v1
+    size, with_slope = _square(strain), strain.conj() * strain1
+    bond = jnp.argmax(size > (1 - 1e-9) * size.max())
+    norm = strain[bond].conj() * (1 / jnp.sqrt(size[bond] * jnp.mean(size)))
+    norm1 = jnp.mean(with_slope.real) / jnp.mean(size) + 1j * (with_slope[bond].imag / size[bond])
+    e, s = v * light * norm, strain * norm
+    s1, size = strain1 * norm - norm1 * s, size / jnp.mean(size)
+
+    doubled = _strains(turn * turn, sites) * light
+    A, push = product(doubled, doubled) - 4 * value * jnp.eye(sites), doubled.conj().T @ (K3 * s**2)
+    others, waves = jnp.linalg.eigh(jax.lax.stop_gradient(A))
+    x = _solve(A, -push, _inverse(others, waves, RESONANT * rounding * jnp.abs(others).max()))
+    resonant = _square(A @ x + push).max() > 1e-12 * jnp.max((K3 * light * size) ** 2)
+    U2, Y2 = x * light, doubled @ x
+
+    give, compliance = 2 * K3 * size / K2, jnp.sum(1 / K2)
+    inertia = velocity**2 * mass.sum()
+    force = -inertia * give.sum() / (1 - inertia * compliance)
+    mean_force = force / K2 - give
+    mean = jnp.where(length, give.sum() / compliance / K2 - give, mean_force)
+
+    def nu3(mean):
+        third = 3 * K4 * size**2 + 2 * K3 * (mean * size + jnp.real(Y2 * s.conj() ** 2))
+        return jnp.where(resonant, jnp.inf, third.sum() / (2 * omega * jnp.sum(mass * _square(e))))
+
+    found = Coefficients(
+        k, omega, velocity, -curvature / 2, nu3(mean), nu3(mean_force), e, s, s1, mean, mean_force,
+        *(jnp.where(resonant, jnp.inf, second) for second in (U2, Y2)), resonant, bond,
+    )
+    return found, touches
+
+
+def B(K2: Parameter, K3: Parameter, K4: Parameter, mass: Parameter = 1.0) -> Float[Array, "..."]:
+    r"""nu3 of the monomer chain at k = pi and constant force: (3 K2 K4 - 4 K3^2)/(K2^{3/2} m^{1/2}).
+
+    Power law A [d0 + sign(p) y]^p with m = 1: -p^3 (p - 1) A^2 d0^{2p-4}/(2 K2^{3/2}), positive for 0 < p < 1 alone.
+    **Raises** ValueError for K2 or masses that are not positive.
+    """
+    K2, mass = positive("K2", K2), positive("mass", mass)
+    return (3 * K2 * parameter("K4", K4) - 4 * parameter("K3", K3) ** 2) / (K2 * jnp.sqrt(K2 * mass))
+
+
+def band_edges(mass: Parameter, K2: Parameter) -> Float[Array, "P 2"]:
+    """Edges of all bands, (P, 2): lowest and highest omega of each.
+
+    In a chain of nearest neighbours they lie at k = 0 and pi: even branches rise from 0 to pi, odd ones fall.
+    **Arguments:** as in `coefficients`. **Raises** ValueError for masses or K2 that are not positive.
+    Typical: dimer (2 K2/M)^{1/2}, (2 K2/m)^{1/2}, (2 K2 (1/m + 1/M))^{1/2}.
+    """
+    mass, K2, _, _ = _cell(mass, K2)
+    return _edges(mass, K2)
+
+
+@jax.jit
+def _edges(mass, K2):
+    S = jnp.stack([_strains(turn, mass.size).real / jnp.sqrt(mass) for turn in (1, -1)])
+    squared = jnp.linalg.eigvalsh(jnp.einsum("kba,b,kbc->kac", S, K2, S)).T
+    least = TOUCHING * jnp.finfo(squared.dtype).eps * squared.max()
+    return jnp.sort(jnp.sqrt(jnp.where(squared > least, squared, 0)), axis=-1)
