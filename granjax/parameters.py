@@ -42,7 +42,7 @@ class Coordinates(eqx.Module):
         for name, value in self.start.items():
             self.low[name], self.high[name] = _interval(name, value, bounds.get(name))
         # one scale for an array: an entry that is zero may move as far as its neighbours
-        self.scale = jax.tree.map(lambda x: jnp.where(jnp.any(x != 0), jnp.max(jnp.abs(x)), 1.0), self.start)
+        self.scale = {name: _scale(value) for name, value in self.start.items()}
 
     @property
     def names(self):
@@ -63,8 +63,12 @@ class Coordinates(eqx.Module):
 
     def parameters(self, x):
         """The dict of parameters at x (P,)."""
-        parts = self.unflat(x)
-        return {name: self._at(name, parts[name]) for name in self.order}
+        found = self._parameters(x)
+        return {name: found[name] for name in self.order}
+
+    @eqx.filter_jit
+    def _parameters(self, x):
+        return {name: self._at(name, part) for name, part in self.unflat(x).items()}
 
     def _at(self, name, x):
         start, low, high = self.start[name], self.low[name], self.high[name]
@@ -97,9 +101,17 @@ class Coordinates(eqx.Module):
         shapes = [self.start[name].shape for name in self.order]
         return {name: part.reshape(shape) for name, part, shape in zip(self.order, jnp.split(vector, ends), shapes)}
 
+    @eqx.filter_jit
     def slopes(self, x):
         """d theta/d x at x, (P,): every parameter has a coordinate of its own."""
         return jax.jvp(lambda x: self.flat(self.parameters(x)), (x,), (jnp.ones_like(x),))[1]
+
+
+def _scale(value):
+    at = concrete(value)
+    if at is None:
+        return jnp.where(jnp.any(value != 0), jnp.max(jnp.abs(value)), 1.0)
+    return jnp.asarray(np.abs(at).max() if at.any() else 1.0, value.dtype)
 
 
 def _interval(name, value, bounds):

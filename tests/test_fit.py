@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import granjax as gx
-from granjax.fit.problem import Problem
+from granjax.fit.problem import prepared
 from granjax.fit.windows import cut
 from granjax.parameters import Coordinates
 
@@ -221,14 +221,10 @@ def test_descent_reaches_what_least_squares_reach(short):
 @pytest.mark.slow
 def test_the_jacobian_of_windows_is_put_together_rightly(short):
     times, _, v = short
-    from granjax.fit.fit import prepared
-
     state = gx.states.impact(spring({"stiffness": 1.0}), 0.4)
     traces = gx.Traces(times, velocity=v, sites=range(6), sigma=0.01)
-    problem = prepared(spring, Coordinates({"stiffness": 1.1}), traces, state, 0.0, None, None)
-    assert isinstance(problem, Problem)
-    windows = cut(problem, 4)
-    x = windows.guess(jnp.zeros(1)) + 0.01
+    windows = cut(prepared(spring, {"stiffness": 1.1}, traces, state=state), 4)
+    x = jnp.full(1 + windows.starts.size, 0.01)
     value, blocks, _ = jax.jit(lambda x: windows.linearise(x))(x)
     whole = jax.jit(jax.jacfwd(windows.residuals))(x)
     assert blocks.shape == whole.shape == (4 * 38 * 6 + 3 * 12, 1 + 3 * 12)

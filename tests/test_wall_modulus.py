@@ -77,13 +77,13 @@ def test_noise_and_an_unknown_velocity_of_impact():
     ("poisson: expected numbers in", {"poisson": 0.6}),
     ("others: expected parameters beside 'modulus'", {"others": {"modulus": 1e9}}),
     ("side: expected one of 'left', 'right'", {"side": "top"}),
-    ("chain: expected no contact with a wall at its left end, got one",
-     {"side": "left", "chain": gx.Lattice(CHAIN.mass, (*CHAIN.terms, gx.Wall(gx.Hertz(), "left")), sites=N)}),
-    ("chain: expected no contact with a wall", {"chain": gx.scenes.beads(STEEL, RADIUS, cells=N)}),
-    ("chain: expected a Lattice", {"chain": lambda others: 7}),
+    ("lattice: expected no contact with a wall at its left end, got one",
+     {"side": "left", "lattice": gx.Lattice(CHAIN.mass, (*CHAIN.terms, gx.Wall(gx.Hertz(), "left")), sites=N)}),
+    ("lattice: expected no contact with a wall", {"lattice": gx.scenes.beads(STEEL, RADIUS, cells=N)}),
+    ("lattice: expected a Lattice", {"lattice": lambda others: 7}),
 ])
 def test_what_cannot_be_meant_is_refused(message, keywords):
-    given = {"chain": CHAIN, "start": 3e9, "material": STEEL, "radius": RADIUS, **keywords}
+    given = {"lattice": CHAIN, "start": 3e9, "material": STEEL, "radius": RADIUS, **keywords}
     traces = gx.Traces(TIMES, velocity=TIMES, sites=12)
     with pytest.raises(ValueError, match=message):
-        wall_modulus(given.pop("chain"), traces, state=gx.states.impact(CHAIN, SPEED), **given)
+        wall_modulus(given.pop("lattice"), traces, state=gx.states.impact(CHAIN, SPEED), **given)

@@ -2,9 +2,11 @@
 
 from .files import read_csv, read_mat
 from .fit import fit
+from .problem import Problem, prepared
 from .record import Fit
+from .solve import linearised
 from .traces import Traces
 
 Traces.from_csv, Traces.from_mat = staticmethod(read_csv), staticmethod(read_mat)
 
-__all__ = ["Fit", "Traces", "fit", "read_csv", "read_mat"]
+__all__ = ["Fit", "Problem", "Traces", "fit", "linearised", "prepared", "read_csv", "read_mat"]

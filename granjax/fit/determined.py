@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -92,21 +93,25 @@ def sentences(found, names, quantities):
 
 def quantities(problem, parameters, flat, sizes):
     """(name, gradient (P,) of its logarithm in relative parameters) of each bond's linear stiffness."""
-    lattice = problem.lattice(parameters)
-    found = []
-    for i, term in enumerate(lattice.terms):
-        if not isinstance(term, Bond):
-            continue
-
-        def stiffness(theta, i=i):
-            return jnp.mean(jnp.abs(taylor(problem.lattice(problem.coordinates.unflat(theta)).terms[i].law).K2))
-
-        value, gradient = jax.value_and_grad(stiffness)(flat)
+    terms, found = problem.lattice(parameters).terms, []
+    bonds = tuple(i for i, term in enumerate(terms) if isinstance(term, Bond))
+    for i, value, gradient in zip(bonds, *map(np.asarray, _stiffnesses(problem, bonds, jnp.asarray(flat)))):
+        term = terms[i]
         if np.isfinite(value) and value > 0 and np.isfinite(gradient).all():
             power = isinstance(term.law, (Hertz, PowerLaw))
             name = f"the linear stiffness {'A p d0^(p-1)' if power else 'K2'} of terms[{i}] ({type(term.law).__name__})"
-            found.append((name, np.asarray(gradient * sizes / value)))
+            found.append((name, gradient * sizes / value))
     return found
+
+
+@eqx.filter_jit
+def _stiffnesses(problem, bonds, flat):
+    """The mean linear stiffness of some terms (B,), and its derivatives with respect to the parameters (B, P)."""
+    def every(flat):
+        terms = problem.lattice(problem.coordinates.unflat(flat)).terms
+        return jnp.stack([jnp.mean(jnp.abs(taylor(terms[i].law).K2)) for i in bonds])
+
+    return every(flat), jax.jacfwd(every)(flat)
 
 
 def _along(found, gradient):

@@ -8,19 +8,30 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import one_of, refuse
-from ..flow import simulate
+from ..checks import one_of, positive, refuse
+from ..flow import frequency_bound, simulate
+from ..flow.dispatch import facts
+from ..flow.inputs import checked_state
+from ..flow.method import STEP_FRACTION
 from ..lattice import Lattice, State
 from ..measures import contact_force
 from ..parameters import Coordinates
-from .traces import Traces, checked_shape, number
+from ..solvers import SRKN11b
+from ..terms import Dashpot
+from .traces import Traces, checked_shape, checked_traces, number
+
+# room behind the last sample for an offset that is fitted, in record lengths
+ROOM = 0.1
 
 
 class Problem(eqx.Module):
-    """What a fit compares: the run of `scene(parameters)` from t0 to t1 at a fixed step, read off where traces are."""
+    """What a fit compares: the run of `scene(parameters)` from t0 to t1 at a fixed step, read off where traces are.
 
-    scene: Callable = eqx.field(static=True)
-    make_state: Callable | None = eqx.field(static=True)
+    A scene or a state that is a module may hold arrays: others like it are compared by the same program.
+    """
+
+    scene: Callable
+    make_state: Callable | None
     given_state: State | None
     coordinates: Coordinates
     traces: tuple[Traces, ...]
@@ -28,6 +39,21 @@ class Problem(eqx.Module):
     t1: jax.Array
     step: jax.Array
     solver: diffrax.AbstractSolver
+
+    @property
+    def dtype(self):
+        """The floating type of the lattice."""
+        return self.step.dtype
+
+    @property
+    def plain(self):
+        """Itself: a record in one piece."""
+        return self
+
+    @property
+    def moving(self):
+        """Whether the time of some trace is fitted."""
+        return any(isinstance(trace.offset, str) for trace in self.traces)
 
     def lattice(self, parameters):
         """The lattice of some parameters."""
@@ -37,19 +63,18 @@ class Problem(eqx.Module):
         """The state at t0."""
         if self.make_state is None:
             return self.given_state
-        state = self.make_state(parameters, lattice)
-        return as_state(state, lattice.dtype)
+        return as_state(self.make_state(parameters, lattice), lattice.dtype)
 
     def with_step(self, step):
         """The same at another time step."""
-        return eqx.tree_at(lambda p: p.step, self, jnp.asarray(step, self.step.dtype))
+        return eqx.tree_at(lambda p: p.step, self, jnp.asarray(step, self.dtype))
 
-    def run(self, parameters, times=None, adjoint=diffrax.ForwardMode(), steps=None, state=None):
+    def run(self, parameters, times=None, adjoint=diffrax.ForwardMode(), max_steps=None, state=None):
         """The run of some parameters, saved at rising times; from their own state or another."""
         lattice = self.lattice(parameters)
         state = self.state(parameters, lattice) if state is None else state
         return simulate(lattice, state, self.t1, t0=self.t0, solver=self.solver, step=self.step, save_at=times,
-                        adjoint=adjoint, max_steps=steps, throw=False)
+                        adjoint=adjoint, max_steps=max_steps, throw=False)
 
     def signals(self, parameters, **keywords):
         """What every trace would show without noise, a tuple of (T, S), and the state at t1."""
@@ -70,21 +95,64 @@ class Problem(eqx.Module):
 
     def residuals(self, x, **keywords):
         """(signal - data)/sigma of every sample at free coordinates x, one vector; zero where a sample is missing."""
-        return self.both(x, **keywords)[0]
-
-    def both(self, x, **keywords):
-        """The residuals and the signals at free coordinates x."""
-        signals, _ = self.signals(self.coordinates.parameters(x), **keywords)
-        return misfits(self.traces, signals), signals
+        return misfits(self.traces, self.signals(self.coordinates.parameters(x), **keywords)[0])
 
     def linearise(self, x):
         """(residuals, their Jacobian, signals) at x."""
-        def twice(x):
-            residuals, signals = self.both(x)
+        def both(x):
+            signals, _ = self.signals(self.coordinates.parameters(x))
+            residuals = misfits(self.traces, signals)
             return residuals, (residuals, signals)
 
-        matrix, (value, signals) = jax.jacfwd(twice, has_aux=True)(x)
+        matrix, (value, signals) = jax.jacfwd(both, has_aux=True)(x)
         return value, matrix, signals
+
+    def times(self, parameters):
+        """The times of all samples in the scene's clock, at some parameters."""
+        return np.concatenate([np.asarray(trace.times) + np.asarray(number(trace.offset, parameters))
+                               for trace in self.traces])
+
+    def end(self, parameters):
+        """Where a run has to end: at the last sample, with room behind it where its time is fitted."""
+        times = self.times(parameters)
+        return jnp.asarray(times.max() + ROOM * np.ptp(times) * self.moving, self.dtype)
+
+    def wanted_step(self, parameters):
+        """The step that some parameters ask for; ValueError where no time scale sets one."""
+        lattice = self.lattice(parameters)
+        omega = frequency_bound(lattice, checked_state(lattice, self.state(parameters, lattice)), self.t0, self.t1)
+        if not omega > 0:
+            refuse("step", "a time step", "None",
+                   "Nothing is stiff at this energy, so no time scale sets one: give step=.")
+        # a lattice of dashpots decays as fast as 4 c/m
+        rates = [float(np.max(term.coefficient)) for term in lattice.terms if isinstance(term, Dashpot)]
+        lightest = min(float(np.min(m)) for m in jax.tree.leaves(lattice.mass))
+        return min([STEP_FRACTION / float(omega), *(lightest / c for c in rates if c > 0)])
+
+
+def prepared(scene, start, traces, *, state, bounds=None, t0=0.0, step=None, solver=None):
+    """The checked `Problem` of a fit, with a step for the start. **Arguments**, **Raises:** as in `fit`."""
+    coordinates = Coordinates(start, bounds)
+    parameters = coordinates.start
+    lattice, traces = _checked_scene(scene, parameters), checked_traces(traces)
+    if len(traces) > 1 and any(trace.sigma is None for trace in traces):
+        refuse("sigma", "one for each of several traces", "None", "It says how they weigh against each other.")
+    given = None if callable(state) else checked_state(lattice, state)
+    begin = given if given is not None else checked_state(lattice, as_state(state(parameters, lattice), lattice.dtype))
+    _check_places(traces, lattice, begin, parameters)
+    dtype = lattice.dtype
+    if any(trace.data.dtype != dtype for trace in traces):
+        refuse("scene", f"a lattice of {traces[0].data.dtype}, as the traces are", f"{dtype}")
+    if solver is None:
+        solver = SRKN11b() if facts(lattice).splits else diffrax.Dopri8()
+    t0, unknown = jnp.asarray(t0, dtype), jnp.ones((), dtype)
+    make_state = state if given is None else None
+    problem = Problem(scene, make_state, given, coordinates, traces, t0, unknown, unknown, solver)
+    times = problem.times(parameters)
+    if not problem.moving and times.min() < t0 - 1e-9 * np.ptp(times):
+        refuse("times", f"samples from t0 = {t0} on", f"{times.min()}", "Give offset=, or an earlier t0.")
+    problem = eqx.tree_at(lambda p: p.t1, problem, problem.end(parameters))
+    return problem.with_step(problem.wanted_step(parameters) if step is None else float(positive("step", step)))
 
 
 def as_state(state, dtype):
@@ -113,7 +181,7 @@ def _read(trace, lattice, us, vs, times):
     return jnp.stack([x[(slice(None), *place, *vector)] for place in trace.places], axis=-1)
 
 
-def check_places(traces, lattice, state, parameters):
+def _check_places(traces, lattice, state, parameters):
     """That every sensor is where something is, and every named gain and offset a parameter."""
     for k, trace in enumerate(traces):
         for what, x in (("gain", trace.gain), ("offset", trace.offset)):
@@ -140,7 +208,7 @@ def check_places(traces, lattice, state, parameters):
                 refuse(name, f"indices within {shape}", f"{place[0] if len(place) == 1 else place}")
 
 
-def checked_scene(scene, parameters):
+def _checked_scene(scene, parameters):
     """The lattice that a scene makes of the start."""
     if not callable(scene):
         refuse("scene", "a function of a dict of parameters that returns a Lattice", repr(scene),
@@ -150,8 +218,3 @@ def checked_scene(scene, parameters):
         refuse("scene", "a function that returns one Lattice", "lanes" if isinstance(lattice, Lattice) else
                repr(lattice))
     return lattice
-
-
-def known_times(traces, parameters):
-    """The times of all traces in the scene's clock, at some parameters."""
-    return np.concatenate([np.asarray(trace.times + number(trace.offset, parameters)) for trace in traces])

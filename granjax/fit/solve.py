@@ -6,67 +6,83 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optimistix as optx
 
 from .. import descent
+from .problem import misfit
 
 CONVERGED, SPENT, NOT_FINITE, BLIND = range(4)
 # the codes of a descent: converged, stalled, spent, not finite on the way, no gradient, no start
 _AS_HERE = np.array([CONVERGED, SPENT, SPENT, SPENT, BLIND, NOT_FINITE])
+# of the damping: relative to the squares of the Jacobian's columns at the start, and at least
+DAMPING, LEAST_DAMPING = 1e-3, 1e-12
+# singular values below this share of the largest are of directions that the data do not see
+NEGLIGIBLE = 1e-6
 
 
 class Found(NamedTuple):
     """Where a minimiser ended: free coordinates, half the sum of squares, steps, code."""
 
-    x: jax.Array
-    cost: jax.Array
-    steps: jax.Array
-    code: jax.Array
+    x: np.ndarray
+    cost: float
+    steps: int
+    code: int
 
 
 @eqx.filter_jit
-def least_squares(problem, x0, tolerance, max_steps):
-    """Levenberg and Marquardt from every row of x0 (starts, n), with derivatives in forward mode."""
-    solver = optx.LevenbergMarquardt(rtol=tolerance, atol=tolerance)
-    residuals = with_jacobian(problem)
-
-    def one(x0):
-        solution = optx.least_squares(lambda x, _: residuals(x), solver, x0, max_steps=max_steps, throw=False)
-        cost = half_square(solution.state.f_info.residual)
-        code = jnp.where(solution.result == optx.RESULTS.successful, CONVERGED, SPENT)
-        code = jnp.where(jnp.isfinite(cost), code, NOT_FINITE)
-        return Found(solution.value, cost, solution.stats["num_steps"], code)
-
-    return jax.vmap(one)(x0) if len(x0) > 1 else jax.tree.map(lambda x: x[None], one(x0[0]))
+def linearised(problem, x):
+    """(residuals, their Jacobian, signals, misfits per trace) at x: the one program of a fit by least squares."""
+    value, matrix, signals = problem.linearise(x)
+    return value, matrix, signals, tuple(misfit(*both) for both in zip(problem.traces, signals))
 
 
-def with_jacobian(problem):
-    """The residuals, whose derivative is one matrix: a linear solver asks for its columns, and they cost one run."""
-    @jax.custom_jvp
-    def residuals(x):
-        return problem.residuals(x)
+def evaluated(problem, x):
+    """(residuals, Jacobian) at x in double precision."""
+    value, jacobian, *_ = linearised(problem, jnp.asarray(x, problem.dtype))
+    return np.asarray(value, float), np.asarray(jacobian, float)
 
-    @residuals.defjvp
-    def _(primals, tangents):
-        value, matrix, _ = problem.linearise(*primals)
-        return value, matrix @ tangents[0]
 
-    return residuals
+def directions_left(value, jacobian):
+    """(s, V^T, b, left) of a Jacobian U S V^T: b = U^T value, left = what |value|^2 could still fall by."""
+    n = jacobian.shape[1]
+    triangle = np.linalg.qr(np.column_stack([jacobian, value]), mode="r")[:n]
+    u, s, vh = np.linalg.svd(triangle[:, :n], full_matrices=False)
+    b = u.T @ triangle[:, n]
+    return s, vh, b, np.sum(b[s > NEGLIGIBLE * s[0]] ** 2)
+
+
+def least_squares(problem, x, tolerance, max_steps):
+    """Levenberg and Marquardt from x (n,), damped as by Nielsen: IMM-REP-1999-05, Technical University of Denmark.
+
+    It ends where a step, or what could be gained by the undamped one, is relatively below the tolerance.
+    """
+    value, jacobian = evaluated(problem, x)
+    x, square, scale = np.asarray(x, float), value @ value, np.zeros(len(x))
+    damping, growth = DAMPING, 2.0
+    tolerance = max(float(tolerance), 4 * float(jnp.finfo(problem.dtype).eps))
+    for steps in range(1, max_steps + 1):
+        scale = np.maximum(scale, np.linalg.norm(jacobian, axis=0))
+        unit = np.where(scale > 0, scale, 1.0)
+        s, vh, b, left = directions_left(value, jacobian / unit)
+        step = -(b * s / (s**2 + damping)) @ vh / unit
+        small = np.abs(step).max() <= tolerance * (1 + np.abs(x).max()) or left <= tolerance * square
+        after = evaluated(problem, x + step)
+        fall = np.sum(b**2 * (1 - (damping / (s**2 + damping)) ** 2))
+        gain = (square - after[0] @ after[0]) / max(fall, np.finfo(float).tiny)
+        if gain > 0 and np.isfinite(after[1]).all():
+            x, (value, jacobian) = x + step, after
+            square = value @ value
+            damping, growth = max(damping * max(1 / 3, 1 - (2 * gain - 1) ** 3), LEAST_DAMPING), 2.0
+        else:
+            damping, growth = damping * growth, 2 * growth
+        if small:
+            return Found(x, square / 2, steps, CONVERGED)
+    return Found(x, square / 2, max_steps, SPENT)
 
 
 @eqx.filter_jit
-def gradient_descent(problem, x0, optimiser, tolerance, max_steps, adjoint, steps):
-    """Descent on half of the mean square from every row of x0 (starts, n), with derivatives in reverse mode."""
+def gradient_descent(problem, x, optimiser, tolerance, max_steps, adjoint, most):
+    """Descent on half of the mean square from x (n,), with derivatives in reverse mode through at most `most` steps."""
     samples = sum(trace.data.size for trace in problem.traces)
-
-    def one(x0):
-        cost = lambda z: half_square(problem.residuals(x0 + z, adjoint=adjoint, steps=steps)) / samples
-        found = descent.descend(cost, jax.value_and_grad(cost), x0.size, optimiser, max_steps, tolerance)
-        return Found(x0 + found.x, samples * found.least, found.steps, jnp.asarray(_AS_HERE)[found.code])
-
-    return jax.lax.map(one, x0)
-
-
-def half_square(residuals):
-    """Half of the sum of squares."""
-    return 0.5 * jnp.sum(residuals**2)
+    cost = lambda z: jnp.sum(problem.residuals(x + z, adjoint=adjoint, max_steps=most) ** 2) / (2 * samples)
+    found = descent.descend(cost, jax.value_and_grad(cost), x.size, optimiser, max_steps, tolerance)
+    return Found(x + found.x, samples * found.least, found.steps, jnp.asarray(_AS_HERE)[found.code])

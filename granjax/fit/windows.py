@@ -37,27 +37,34 @@ class Windows(eqx.Module):
     unravel: Callable = eqx.field(static=True)
 
     @property
-    def coordinates(self):
-        """Those of the parameters."""
-        return self.problem.coordinates
+    def plain(self):
+        """The problem in one piece."""
+        return self.problem
 
     @property
-    def count(self):
-        """K."""
-        return self.edges.size - 1
+    def traces(self):
+        """Those of the whole record."""
+        return self.problem.traces
+
+    @property
+    def dtype(self):
+        """The floating type of the lattice."""
+        return self.problem.dtype
 
     def with_step(self, step):
         """The same at another time step."""
         return eqx.tree_at(lambda w: w.problem, self, self.problem.with_step(step))
 
-    def guess(self, x):
-        """Free numbers at parameters x (P,), windows starting where they were cut."""
-        return jnp.concatenate([x, jnp.zeros(self.starts.size, x.dtype)])
+    def remark(self, residuals):
+        """How well the windows meet, from the residuals, whose last ones these are."""
+        jumps = MEETING * np.abs(residuals[-self.starts.size :]).max()
+        return f"{len(self.starts) + 1} windows, which meet to {jumps:.2g} sigma."
 
     def _cut(self, x):
         """(x of the parameters, states at the starts of all windows (K, n))."""
-        own, rest = x[: self.coordinates.size], x[self.coordinates.size :]
-        parameters = self.coordinates.parameters(own)
+        coordinates = self.problem.coordinates
+        own, rest = x[: coordinates.size], x[coordinates.size :]
+        parameters = coordinates.parameters(own)
         first = ravel_pytree(self.problem.state(parameters, self.problem.lattice(parameters)))[0]
         moved = self.starts + self.scale * rest.reshape(self.starts.shape)
         return own, jnp.concatenate([first[None], moved])
@@ -69,8 +76,7 @@ class Windows(eqx.Module):
         signals, final = problem.signals(problem.coordinates.parameters(own))
         return misfits(parts, signals), ravel_pytree(final)[0], signals
 
-    def _every(self, x, window):
-        own, starts = self._cut(x)
+    def _every(self, own, starts, window):
         parts, named = eqx.partition(self.parts, eqx.is_array)
 
         def one(start, parts, t0, t1):
@@ -78,15 +84,11 @@ class Windows(eqx.Module):
 
         return jax.vmap(one)(starts, parts, self.edges[:-1], self.edges[1:])
 
-    def both(self, x):
-        """(residuals, signals) at free numbers x."""
-        residuals, ends, signals = self._every(x, self._window)
-        jumps = (ends[:-1] - self._cut(x)[1][1:]) / self.meeting
-        return jnp.concatenate([residuals.ravel(), jumps.ravel()]), self._joined(signals)
-
     def residuals(self, x):
-        """All residuals, one vector."""
-        return self.both(x)[0]
+        """All residuals, one vector: of the data, then where windows meet."""
+        own, starts = self._cut(x)
+        residuals, ends, _ = self._every(own, starts, self._window)
+        return jnp.concatenate([residuals.ravel(), ((ends[:-1] - starts[1:]) / self.meeting).ravel()])
 
     def linearise(self, x):
         """(residuals, their Jacobian, signals): every window's tangents side by side, put together as blocks."""
@@ -98,13 +100,15 @@ class Windows(eqx.Module):
             by_both, values = jax.jacfwd(both, (0, 1), has_aux=True)(own, start)
             return values, *zip(*by_both)
 
-        (residuals, ends, signals), by_own, by_start = self._every(x, window)
-        _, starts = self._cut(x)
+        def cut(p):
+            own, starts = self._cut(jnp.concatenate([p, x[p.size :]]))
+            return starts[0], (own, starts)
+
+        first, (own, starts) = jax.jacfwd(cut, has_aux=True)(x[: self.problem.coordinates.size])
+        (residuals, ends, signals), by_own, by_start = self._every(own, starts, window)
         jumps = (ends[:-1] - starts[1:]) / self.meeting
-        own = self.coordinates.size
-        first = jax.jacfwd(lambda p: self._cut(jnp.concatenate([p, x[own:]]))[1][0])(x[:own])
         # window j starts at the free state j - 1 and ends at the free state j
-        begins, ends_at = (np.eye(self.count, self.count - 1, k) for k in (-1, 0))
+        begins, ends_at = (np.eye(len(starts), len(starts) - 1, k) for k in (-1, 0))
         blocks = []
         for of, (p, s) in enumerate(zip(by_own, by_start)):
             p, s = p.at[0].add(s[0] @ first), jnp.einsum("jmn,n,jk->jmkn", s, self.scale, begins)
@@ -116,11 +120,6 @@ class Windows(eqx.Module):
 
     def _joined(self, signals):
         return tuple(s.reshape(-1, s.shape[-1])[self.kept] for s in signals)
-
-    def jumps(self, x):
-        """What the ends of windows miss of the next start, in deviations of the noise, the largest."""
-        _, ends, _ = self._every(x, self._window)
-        return jnp.max(jnp.abs(ends[:-1] - self._cut(x)[1][1:]) / self.meeting) * MEETING
 
 
 def cut(problem, count):

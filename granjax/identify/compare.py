@@ -5,7 +5,6 @@ import numpy as np
 
 from ..checks import positive, refuse
 from ..fit import Fit, fit
-from ..fit.problem import misfit
 from ..fit.traces import checked_traces
 
 # probability of chi^2 below which even the best model does not describe the data
@@ -130,11 +129,9 @@ def compare(models, traces, *, state, level=10.0, options=None, **common):
 
 def _deviance(found, known):
     """-2 log likelihood up to a constant; infinite for a fit that is not finite."""
-    squares = [float(np.sum(np.asarray(misfit(*both)) ** 2)) for both in zip(found.traces, found.signals)]
-    total = sum(squares)
-    if not np.isfinite(total):
+    if not np.isfinite(found.chi_square):
         return np.inf
-    return total if known else found.samples * np.log(total / found.samples)
+    return found.chi_square if known else found.samples * np.log(found.chi_square * found.noise**2 / found.samples)
 
 
 def _probability(found):

@@ -8,12 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import parameter, positive, refuse, whole
-from ..fit import Fit, fit
-from ..fit.fit import prepared
-from ..fit.problem import known_times
+from ..fit import Fit, fit, prepared
 from ..fit.traces import checked_traces
 from ..laws import Law, Linear
-from ..parameters import Coordinates
 from ..terms import Modulated, OnSite, Wall
 from .families import LawScene, law_scene, starting_law
 
@@ -127,8 +124,8 @@ def _until(trace, share):
 def _linear_reach(scene, stiffness, traces, state, others, options):
     of_law, start, _ = law_scene(scene, Linear(stiffness), others, ())
     acting = _acting(of_law, start)
-    given = [options.get("t0", 0.0), options.get("step"), options.get("solver")]
-    problem = prepared(of_law, Coordinates(start), traces, state, *given)
+    given = {name: options[name] for name in ("t0", "step", "solver") if name in options}
+    problem = prepared(of_law, start, traces, state=state, **given)
     low, high = _visited(acting, problem, problem.coordinates.start)
     return WIDER * low, WIDER * high
 
@@ -153,7 +150,7 @@ def _acting(of_law, parameters):
 
 def _visited(acting, problem, parameters):
     """Least and largest strain of what the law acts on, up to the last sample."""
-    last = float(known_times(problem.traces, parameters).max())
+    last = float(problem.times(parameters).max())
     frames = int(np.ceil((last - float(problem.t0)) / float(problem.step))) * FRAMES + 1
     times = jnp.linspace(problem.t0, last, frames)
     return tuple(map(float, _extremes(problem, parameters, times, acting)))

@@ -1,17 +1,17 @@
 """Elastic modulus of a wall, from a wave that a granular chain sends against it: the actuator-sensor for bone."""
 
+from collections.abc import Callable
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ..checks import one_of, positive, refuse, whole, within
-from ..fit import Fit, fit
-from ..fit.fit import prepared
+from ..fit import Fit, fit, linearised, prepared
 from ..lattice import Lattice
 from ..laws import Hertz
 from ..materials import Material, hertz_coefficient
-from ..parameters import Coordinates
 from ..terms import Wall
 
 NAME = "modulus"
@@ -47,7 +47,32 @@ class WallModulus(eqx.Module):
         return f"{said} {self.fit.outcome}"
 
 
-def wall_modulus(chain, traces, *, state, material, radius, start, poisson=0.3, precompression=0.0, side="right",
+class WallScene(eqx.Module):
+    """A lattice with a wall at its end as a function of a dict of parameters: equal ones compile once."""
+
+    free: Lattice | Callable
+    material: str | Material
+    radius: float | jax.Array
+    poisson: float
+    precompression: float
+    side: str = eqx.field(static=True)
+    others: tuple[str, ...] = eqx.field(static=True)
+
+    def stiffness(self, modulus):
+        """A of the contact with the wall."""
+        return hertz_coefficient(self.material, self.radius, Material("wall", modulus, self.poisson, 1.0), jnp.inf)
+
+    def __call__(self, parameters):
+        free = self.free({name: parameters[name] for name in self.others}) if callable(self.free) else self.free
+        if not isinstance(free, Lattice):
+            refuse("lattice", "a Lattice, or a function that returns one", repr(free))
+        if any(_stands(term, self.side) for term in free.terms):
+            refuse("lattice", f"no contact with a wall at its {self.side} end", "one", 'Make it with boundary="free".')
+        wall = Wall(Hertz(self.stiffness(parameters[NAME]), self.precompression), self.side)
+        return Lattice(free.mass, (*free.terms, wall), sites=free.sites, dimension=free.dimension)
+
+
+def wall_modulus(lattice, traces, *, state, material, radius, start, poisson=0.3, precompression=0.0, side="right",
                  others=None, factor=10.0, scan=13, **options):
     r"""Young's modulus of the wall at the end of a chain, from one trace of the wave that it reflects.
 
@@ -59,7 +84,7 @@ def wall_modulus(chain, traces, *, state, material, radius, start, poisson=0.3, 
 
     **Arguments:**
 
-    - `chain`: a `Lattice` in SI without a contact at that end, `gx.scenes.beads(..., boundary="free")`; or a function
+    - `lattice`: a chain in SI without a contact at that end, `gx.scenes.beads(..., boundary="free")`; or a function
       of the dict `others` that returns one.
     - `traces`, `state`: as in `fit`: one `Traces` of the velocity of a bead or the force of a contact. `state` may be a
       function (parameters, lattice).
@@ -82,31 +107,18 @@ def wall_modulus(chain, traces, *, state, material, radius, start, poisson=0.3, 
     factor = float(within("factor", factor, 1, np.inf, open_low=True, open_high=True))
     poisson = float(within("poisson", poisson, -1, 0.5, open_low=True, remedy="Poisson's ratio is 0.3 for bone."))
     one_of("side", side, ("left", "right"))
-
-    def stiffness(modulus):
-        return hertz_coefficient(material, radius, Material("wall", modulus, poisson, 1.0), jnp.inf)
-
-    def scene(parameters):
-        free = chain({name: parameters[name] for name in others}) if callable(chain) else chain
-        if not isinstance(free, Lattice):
-            refuse("chain", "a Lattice, or a function that returns one", repr(free))
-        if any(_stands(term, side) for term in free.terms):
-            refuse("chain", f"no contact with a wall at its {side} end", "one", 'Make it with boundary="free".')
-        wall = Wall(Hertz(stiffness(parameters[NAME]), precompression), side)
-        return Lattice(free.mass, (*free.terms, wall), sites=free.sites, dimension=free.dimension)
-
+    scene = WallScene(lattice, material, radius, poisson, precompression, side, tuple(others))
     bounds = {**(options.pop("bounds", None) or {}), NAME: (0.0, None)}
     ladder = start * np.geomspace(1 / factor, factor, whole("scan", scan, 3))
     # the stiffest wall sets the step
-    top = Coordinates({**others, NAME: ladder[-1]}, bounds)
-    places = (options.get(name) for name in ("step", "solver"))
-    problem = prepared(scene, top, traces, state, options.get("t0", 0.0), *places)
-    at = np.zeros((len(ladder), top.size))
-    at[:, top.names.index(NAME)] = np.log(ladder / ladder[-1])
-    chi_square = np.asarray(_chi_squares(problem, jnp.asarray(at)))
+    given = {name: options[name] for name in ("t0", "step", "solver") if name in options}
+    problem = prepared(scene, {**others, NAME: ladder[-1]}, traces, state=state, bounds=bounds, **given)
+    at = np.zeros((len(ladder), problem.coordinates.size))
+    at[:, -1] = np.log(ladder / ladder[-1])
+    chi_square = np.array([np.sum(np.asarray(linearised(problem, jnp.asarray(x))[0]) ** 2) for x in at])
     found = fit(scene, {**others, NAME: ladder[_least(chi_square)]}, traces, state=state, bounds=bounds, **options)
     modulus, deviation = float(found.parameters[NAME]), float(found.deviations[NAME])
-    A, slope = jax.value_and_grad(lambda E: jnp.asarray(stiffness(E)))(jnp.asarray(modulus))
+    A, slope = jax.value_and_grad(scene.stiffness)(jnp.asarray(modulus))
     relative, share = deviation / modulus, float(slope) * modulus / float(A)
     return WallModulus(modulus, deviation, modulus / (1 - poisson**2), float(0.75 * A / np.sqrt(radius)), float(A),
                        relative * np.array([1.0, share, share]), ladder, chi_square, found)
@@ -120,7 +132,3 @@ def _stands(term, side):
 def _least(chi_square):
     return int(np.argmin(np.where(np.isfinite(chi_square), chi_square, np.inf)))
 
-
-@eqx.filter_jit
-def _chi_squares(problem, x):
-    return jax.lax.map(lambda x: jnp.sum(problem.residuals(x) ** 2), x)

@@ -8,6 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import granjax as gx
+from granjax.fit.problem import prepared
 
 # a chaotic record --------------------------------------------------------------------------------------------------
 
@@ -41,10 +42,7 @@ def chaotic():
 
 @pytest.mark.slow
 def test_one_long_window_has_a_useless_gradient_and_windows_succeed(chaotic):
-    from granjax.fit.fit import prepared
-    from granjax.parameters import Coordinates
-
-    problem = prepared(vacuum, Coordinates({"stiffness": 1.2}), chaotic, two_strokes, 0.0, None, None)
+    problem = prepared(vacuum, {"stiffness": 1.2}, chaotic, state=two_strokes)
     slope = jax.jit(lambda x: (lambda value, matrix, _: matrix[:, 0] @ value)(*problem.linearise(x)))
     slopes = np.array([slope(jnp.array([x / 1.2])) for x in np.linspace(-0.18, 0.0, 24)])
     # everywhere above the true parameter the slope should be positive; it is, by chance, at every second place
