@@ -36,7 +36,8 @@ class Coordinates(eqx.Module):
         bounds = {} if bounds is None else bounds
         for name in bounds:
             one_of("bounds", name, tuple(start))
-        self.start = {name: parameter(name, value) for name, value in start.items()}
+        # of no weak type, which would be another program
+        self.start = {k: jnp.asarray(x, x.dtype) for k, x in ((k, parameter(k, x)) for k, x in start.items())}
         self.order = tuple(start)
         self.low, self.high = {}, {}
         for name, value in self.start.items():

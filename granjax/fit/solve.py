@@ -50,6 +50,7 @@ def directions_left(value, jacobian):
     return s, vh, b, np.sum(b[s > NEGLIGIBLE * s[0]] ** 2)
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def least_squares(problem, x, tolerance, max_steps):
     """Levenberg and Marquardt from x (n,), damped as by Nielsen: IMM-REP-1999-05, Technical University of Denmark.
 

@@ -18,6 +18,8 @@ from .families import LawScene, law_scene, starting_law
 WIDER = 1.2
 # frames a time step, by which strains between steps are not missed
 FRAMES = 4
+# part of the way back to the start before it from which a stage begins
+BACK = 1e-3
 
 
 class ForceLaw(eqx.Module):
@@ -110,7 +112,9 @@ def law(scene, family, traces, *, state, stiffness=None, reach=None, others=None
     traces, bounds = checked_traces(traces), {**own, **(bounds or {})}
     for share in 0.5 ** np.arange(whole("stages", stages, 1) - 1, 0, -1):
         early = [_until(trace, share) for trace in traces]
-        start = fit(of_law, start, early, state=state, bounds=bounds, **{**options, "throw": False}).parameters
+        ended = fit(of_law, start, early, state=state, bounds=bounds, **{**options, "throw": False}).parameters
+        # a number that the part does not see may have come to its bound, where no search can begin
+        start = {name: x + BACK * (start[name] - x) for name, x in ended.items()}
     found = fit(of_law, start, traces, state=state, bounds=bounds, **options)
     return ForceLaw(of_law.law(found.parameters), found, _visited(acting, found.problem, found.parameters), of_law)
 
