@@ -7,6 +7,8 @@ Most of the tests' time is compiling programs that run once. So they are compile
 kept in the user's cache folder for the next run, unless GRANJAX_CACHE is 0.
 """
 
+import contextlib
+import ctypes
 import gc
 import os
 import time
@@ -63,6 +65,10 @@ def pytest_runtest_teardown(item, nextitem):
     """Compiled programs are let go where a module ends: a worker would grow to many GB."""
     if nextitem is not None and item.path != nextitem.path and _memory() > MOST_MEMORY:
         jax.clear_caches()
+        gc.collect()
+        # glibc keeps what was freed until it is asked
+        with contextlib.suppress(OSError, AttributeError, TypeError):
+            ctypes.CDLL(None).malloc_trim(0)
 
 
 @pytest.fixture
