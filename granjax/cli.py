@@ -9,6 +9,7 @@ import json
 import math
 import os
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import granjax as gx
@@ -25,7 +26,7 @@ DEFINITION = (
 )
 
 
-def main(argv=None):
+def main(argv: Sequence[str] | None = None) -> int:
     """Run a command; `argv` without the program's name, `None` for that of the process. Returns the exit code."""
     try:
         arguments = _parser().parse_args(argv)
@@ -109,7 +110,7 @@ def _prepare(cache):
         keep_compiled()
     tuning = gx.tune()
     if not tuning.complete and os.environ.get("GRANJAX_TUNE", "1") != "0":
-        print(f"granjax: {tuning.message}", file=sys.stderr)
+        print(f"granjax: {tuning.outcome}", file=sys.stderr)
     chosen = "xla_force_host_platform_device_count" in tuning.flags or jax.config.jax_num_cpu_devices > 0
     if not chosen:
         try:

@@ -12,6 +12,7 @@ import hashlib
 import os
 import platform
 import sys
+from collections.abc import Callable
 from functools import cache, wraps
 from pathlib import Path
 from typing import NamedTuple
@@ -25,7 +26,7 @@ class Tuning(NamedTuple):
 
     flags: str
     complete: bool
-    message: str
+    outcome: str
 
 
 # seconds of compilation from which on a program is worth a file
@@ -54,13 +55,13 @@ def _started():
     return xla_bridge.backends_are_initialized()
 
 
-def tune():
+def tune() -> Tuning:
     """Set granjax's XLA flags if JAX has not started computing yet, and say what is in force.
 
     Import does this already unless the environment holds `GRANJAX_TUNE=0`. A flag that the user has set in XLA_FLAGS
     stays as it is. granjax's flags are put in front, because XLA reads nothing after a bare word.
 
-    **Returns:** `Tuning(flags, complete, message)`; `complete` is false where JAX had started without them.
+    **Returns:** `Tuning(flags, complete, outcome)`; `complete` is false where JAX had started without them.
     """
     flags = os.environ.get("XLA_FLAGS", "")
     missing = _missing(flags)
@@ -76,7 +77,7 @@ def tune():
     return Tuning(flags, True, f"Set {' '.join(missing)}.")
 
 
-def keep_compiled(folder=None):
+def keep_compiled(folder: str | Path | None = None) -> Path | None:
     """Keep compiled programs on disk, so that the next process does not compile them again. The command line does so.
 
     **Arguments:** `folder`: where; `None` is what `GRANJAX_CACHE` says, or granjax's folder in the user's cache
@@ -115,7 +116,7 @@ def _user_cache():
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
 
 
-def prepare_import():
+def prepare_import() -> None:
     """What `import granjax` does first: float64 unless the environment says otherwise, and the XLA flags."""
     import jax
 
@@ -132,7 +133,7 @@ def _pools():
     return ThreadpoolController()
 
 
-def one_thread(function):
+def one_thread(function: Callable) -> Callable:
     """The function with LAPACK on one thread: below some 500 rows more threads only wait for each other."""
 
     @wraps(function)

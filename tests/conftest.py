@@ -42,7 +42,7 @@ gc.set_threshold(100_000, 20, 50)
 
 
 def pytest_report_header(config):
-    return f"granjax {granjax.__version__}: {granjax.tune().message} Compiled programs are kept in {kept}."
+    return f"granjax {granjax.__version__}: {granjax.tune().outcome} Compiled programs are kept in {kept}."
 
 
 def pytest_sessionstart(session):

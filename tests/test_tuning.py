@@ -13,7 +13,7 @@ import json, os, sys
 import granjax as gx
 import jax, jax.numpy as jnp
 tuning = gx.tune()
-print(json.dumps([tuning.flags, tuning.complete, tuning.message, str(jnp.zeros(()).dtype)]))
+print(json.dumps([tuning.flags, tuning.complete, tuning.outcome, str(jnp.zeros(()).dtype)]))
 """
 
 

@@ -12,6 +12,7 @@ from ..lattice import Lattice, State
 from ..laws import Hertz
 from ..strains import Shift
 from ..terms import Bond, Damping, Dashpot, Harmonic, Modulated, Wall
+from ..types import Pytree
 from . import stored
 
 LIGHT, HEAVY = 1.0, 2.957949
@@ -41,18 +42,18 @@ class Scene(NamedTuple):
     state: State
     t0: float
     t1: float
-    reference: object
+    reference: State | np.ndarray
     uncertainty: float
     growth: float
     smooth: bool
     tangents: bool
 
-    def error(self, final):
+    def error(self, final: Pytree) -> float:
         """max(max|du|/max|u|, max|dv|/max|v|) of a final state against the reference; max|dM|/max|M| of a map."""
         return measure(final, self.reference)
 
 
-def measure(found, reference):
+def measure(found: Pytree, reference: Pytree) -> float:
     """The relative difference of two states, or of two maps of tangents, as in `Scene.error`."""
     pairs = ((found, reference),) if isinstance(reference, np.ndarray) else zip(found, reference)
     return max(float(np.abs(np.asarray(x) - y).max() / np.abs(y).max()) for x, y in pairs)
@@ -63,18 +64,18 @@ class Recipe(NamedTuple):
 
     title: str
     note: str
-    build: Callable
+    build: Callable[[stored.Stored], tuple[Lattice, State]]
     t1: float
     smooth: bool = True
     tangents: bool = False
 
 
-def names():
+def names() -> tuple[str, ...]:
     """Names of the canonical scenes."""
     return tuple(RECIPES)
 
 
-def scene(name):
+def scene(name: str) -> Scene:
     """A canonical scene by its name. **Returns** `Scene`. **Raises** ValueError for an unknown one, with the nearest.
 
     About error and time of many solvers on it: `granjax.work_precision`.

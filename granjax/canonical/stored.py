@@ -28,7 +28,7 @@ class Stored(NamedTuple):
 
 
 @cache
-def read(name):
+def read(name: str) -> Stored:
     """The data of a scene, arrays that cannot be written to."""
     with resources.files(__package__).joinpath("data", f"{name}.npz").open("rb") as file, np.load(file) as data:
         arrays = {key: data[key] for key in data.files}
@@ -37,7 +37,7 @@ def read(name):
     return Stored(**{key: x if x.ndim else x.item() for key, x in arrays.items()})
 
 
-def unfolded(data, sites):
+def unfolded(data: Stored, sites: int) -> tuple[np.ndarray, np.ndarray]:
     """Displacements and velocities of all sites.
 
     A window shorter than the chain is the half right of the middle of an odd motion, u(-n) = -u(n); further out all

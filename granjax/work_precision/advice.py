@@ -1,11 +1,14 @@
 """What to choose for an error that is asked for."""
 
 import math
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
+import diffrax
+import equinox as eqx
 import numpy as np
 
 from ..checks import positive, refuse
+from ..results import Held, Result
 from .ladder import DEFAULT, distance, in_turns, number, once, seconds_in_words
 
 # an advised error lies between asked/NEAR and asked
@@ -14,8 +17,8 @@ TRIALS = 8
 FASTEST = 3
 
 
-class Advice(NamedTuple):
-    """A method and its step or tolerance for an error; `str` of it says so in words.
+class Advice(Result):
+    """A method and its step or tolerance for an error; printed, it says so in words.
 
     - `asked`: the error that was asked for; `method`, `parameter`, `value`: what to use.
     - `error`, `seconds`, `evaluations`: what that gave when it was run (evaluations NaN where not known).
@@ -23,24 +26,26 @@ class Advice(NamedTuple):
     - `solver`: the solver, where it is one of `gx.simulate`'s.
     """
 
+    held: ClassVar[dict[str, Held]] = {"seconds": Held(unit="s"), "default_seconds": Held(unit="s")}
     asked: float
-    method: str
-    parameter: str
+    method: str = eqx.field(static=True)
+    parameter: str = eqx.field(static=True)
     value: float
     error: float
     seconds: float
     evaluations: float
     default_error: float
     default_seconds: float
-    solver: object = None
+    solver: diffrax.AbstractSolver | None = None
 
     @property
-    def keywords(self):
+    def keywords(self) -> dict[str, object]:
         """For `gx.simulate(lattice, state, t1, **advice.keywords)`; without the solver where it is not known."""
         solver = {} if self.solver is None else {"solver": self.solver}
         return {**solver, self.parameter: self.value}
 
-    def __str__(self):
+    @property
+    def outcome(self) -> str:
         sentence = (
             f"For {number(self.asked)}: {self.method}, {self.parameter} {self.value!r}, "
             f"{seconds_in_words(self.seconds)} (error {number(self.error)})"
@@ -50,6 +55,9 @@ class Advice(NamedTuple):
                 f"; the default would give {number(self.default_error)} in {seconds_in_words(self.default_seconds)}"
             )
         return sentence + "."
+
+    def __repr__(self) -> str:
+        return self.outcome
 
 
 def advise(table, asked):
@@ -129,11 +137,11 @@ def _approached(table, choice, asked):
         share = (math.log(coarse[1]) - aim) / (math.log(coarse[1]) - math.log(max(fine[1], 1e-300)))
         share = 0.5 if trial % 3 == 2 else min(max(share, 0.1), 0.9)
         value = float(f"{coarse[0] * (fine[0] / coarse[0]) ** share:.2e}")
-        outcome = once(choice.ladder.call, value)
-        error = math.nan if outcome.note else distance(outcome.state, table.reference)
+        called = once(choice.ladder.call, value)
+        error = math.nan if called.note else distance(called.state, table.reference)
         if error <= asked:
             fine = value, error
-            choice = choice._replace(value=value, error=error, evaluations=outcome.evaluations)
+            choice = choice._replace(value=value, error=error, evaluations=called.evaluations)
             if error >= asked / NEAR:
                 break
         else:

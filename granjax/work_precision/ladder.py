@@ -9,6 +9,7 @@ import jax
 import numpy as np
 
 from ..checks import one_of, refuse, show
+from ..types import Parameter, Pytree, Scalar
 
 PARAMETERS = ("step", "tolerance")
 DEFAULT = "default"
@@ -37,8 +38,8 @@ class Ladder(NamedTuple):
 
     name: str
     parameter: str
-    values: object
-    call: Callable
+    values: Parameter
+    call: Callable[[float], tuple]
     stops: bool = False
     limit: float = np.inf
     solver: object = None
@@ -77,7 +78,7 @@ def checked_values(name, values):
     return tuple(float(x) for x in np.unique(array)[::-1])
 
 
-class Outcome(NamedTuple):
+class Called(NamedTuple):
     """What one call gave: its state, its counts, its wall time [s], and a sentence where it failed."""
 
     state: object
@@ -88,18 +89,18 @@ class Outcome(NamedTuple):
 
 
 def once(call, value):
-    """Call and wait for the result; a ValueError or RuntimeError becomes the outcome's note."""
+    """Call and wait for the result; a ValueError or RuntimeError becomes a note."""
     start = time.perf_counter()
     try:
         result = jax.block_until_ready(call(value))
     except (ValueError, RuntimeError) as error:
-        return Outcome(None, np.nan, np.nan, time.perf_counter() - start, str(error))
+        return Called(None, np.nan, np.nan, time.perf_counter() - start, str(error))
     seconds = time.perf_counter() - start
     if not isinstance(result, tuple) or len(result) not in (2, 3):
         refuse("call", "a function that returns (state, evaluations) or (state, evaluations, steps)", repr(result)[:60])
     state, *counts = result
     evaluations, steps = (*counts, None, None)[:2]
-    return Outcome(state, _count(evaluations), _count(steps), seconds, "")
+    return Called(state, _count(evaluations), _count(steps), seconds, "")
 
 
 def _count(x):
@@ -135,7 +136,7 @@ def in_turns(calls, repeats, known=None):
     return np.array([[np.median(times), np.min(times)] for times in spent]).reshape(-1, 2).T
 
 
-def distance(state, reference):
+def distance(state: Pytree, reference: Pytree) -> float:
     r"""Largest error of a state, each of its parts by its own scale.
 
         error = max over parts x of  max |x - x_ref| / max |x_ref|
@@ -172,7 +173,7 @@ def _largest(x):
     return np.max(np.abs(x), initial=0.0)
 
 
-def observed_order(steps, errors, floor):
+def observed_order(steps: Parameter, errors: Parameter, floor: Scalar) -> tuple[float, float]:
     r"""Slope of log(error) over log(step), by least squares, and its standard error.
 
     Only errors below 1e-2 and above ten floors count; where the error rises again towards the shortest steps, so that
@@ -200,12 +201,12 @@ def observed_order(steps, errors, floor):
     return slope, float(np.sqrt(rest @ rest / (len(x) - 2) / spread))
 
 
-def number(x):
+def number(x: Scalar) -> str:
     """Three digits: 0.0123, 2.3e-09."""
     return f"{x:.3g}"
 
 
-def seconds_in_words(seconds):
+def seconds_in_words(seconds: Scalar) -> str:
     """A time with its unit: 1.9 ms."""
     if not math.isfinite(seconds):
         return "no time"

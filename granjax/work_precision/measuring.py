@@ -5,13 +5,15 @@ import math
 import os
 import platform
 import subprocess
+from collections.abc import Sequence
 from importlib import metadata
 from pathlib import Path
 
 import numpy as np
 
 from ..checks import refuse, whole
-from .ladder import ASYMPTOTIC, checked_ladders, distance, in_turns, once, warmed
+from ..types import Count, Pytree, Scalar
+from .ladder import ASYMPTOTIC, Ladder, checked_ladders, distance, in_turns, once, warmed
 from .table import DRAWN, LARGEST_FLOOR, WorkPrecision
 
 BELOW = f"Below {DRAWN:g} times the reference's uncertainty."
@@ -24,7 +26,10 @@ _PACKAGES = ("granjax", "jax", "jaxlib", "diffrax", "equinox", "numpy")
 _ROOT = Path(__file__).parents[2]
 
 
-def measure(ladders, reference, floor=math.nan, repeats=5, *, longest=math.inf, note=""):
+def measure(
+    ladders: Sequence[Ladder], reference: Pytree, floor: Scalar = math.nan, repeats: Count = 5, *,
+    longest: Scalar = math.inf, note: str = "",
+) -> WorkPrecision:
     """Error, time and force evaluations of every value of every ladder, against one reference.
 
     First every ladder is called, for its compile time, its errors and its counts. Then all points are called
@@ -49,7 +54,7 @@ def measure(ladders, reference, floor=math.nan, repeats=5, *, longest=math.inf, 
     ladders = tuple(x if x.compile_seconds is not None else warmed(x)[0] for x in ladders)
     climbed = [_climb(ladder, reference, floor, longest) for ladder in ladders]
     points = [(ladder, *rung) for ladder, rungs in zip(ladders, climbed) for rung in rungs]
-    notes = [_judged(error, floor, outcome) for _, _, outcome, error in points]
+    notes = [_judged(error, floor, called) for _, _, called, error in points]
     seconds, fastest = _seconds(points, notes, repeats)
     return WorkPrecision(
         method=tuple(ladder.name for ladder, *_ in points),
@@ -57,8 +62,8 @@ def measure(ladders, reference, floor=math.nan, repeats=5, *, longest=math.inf, 
         value=np.array([value for _, value, *_ in points]),
         error=np.array([error for *_, error in points]),
         seconds=seconds, fastest=fastest,
-        evaluations=np.array([outcome.evaluations for _, _, outcome, _ in points]),
-        steps=np.array([outcome.steps for _, _, outcome, _ in points]),
+        evaluations=np.array([called.evaluations for _, _, called, _ in points]),
+        steps=np.array([called.steps for _, _, called, _ in points]),
         drawn=np.array([not note for note in notes]), note=tuple(notes),
         methods=tuple(ladder.name for ladder in ladders),
         compile_seconds=np.array([ladder.compile_seconds for ladder in ladders]),
@@ -69,24 +74,24 @@ def measure(ladders, reference, floor=math.nan, repeats=5, *, longest=math.inf, 
 
 
 def _climb(ladder, reference, floor, longest):
-    """(value, outcome, error) of the values, as far as the ladder goes."""
+    """(value, called, error) of the values, as far as the ladder goes."""
     rungs, smallest, waited = [], math.inf, 0
     for value in ladder.values:
-        outcome = once(ladder.call, value)
-        error = math.nan if outcome.note else distance(outcome.state, reference)
-        rungs.append((value, outcome._replace(state=None), error))
+        called = once(ladder.call, value)
+        error = math.nan if called.note else distance(called.state, reference)
+        rungs.append((value, called._replace(state=None), error))
         waited = 0 if error < smallest else waited + 1
         smallest = error if error < smallest else smallest
         stalled = smallest < ASYMPTOTIC and waited == PATIENCE
-        if ladder.stops and (error < DRAWN * floor or outcome.seconds > longest or stalled):
+        if ladder.stops and (error < DRAWN * floor or called.seconds > longest or stalled):
             break
     return rungs
 
 
-def _judged(error, floor, outcome):
+def _judged(error, floor, called):
     """Why a point is not drawn, or nothing."""
-    if outcome.note:
-        return outcome.note
+    if called.note:
+        return called.note
     if not math.isfinite(error):
         return NOT_FINITE
     if error < DRAWN * floor:
@@ -107,7 +112,7 @@ def _seconds(points, notes, repeats):
     return seconds
 
 
-def machine():
+def machine() -> dict[str, str | int | None]:
     """A dict: processor, cores that this process may use, system, versions, XLA's flags, date (UTC), commit.
 
     `commit` is that of the checkout that granjax runs from, with `-dirty` where files differ from it; `None` where it

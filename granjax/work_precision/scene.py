@@ -1,6 +1,7 @@
 """Work and precision of solvers on a scene, against a reference of its own: two methods of high order that agree."""
 
 import math
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import diffrax
@@ -11,7 +12,9 @@ import numpy as np
 from ..checks import non_negative, positive, refuse, whole
 from ..flow import simulate
 from ..flow.inputs import checked_state, checked_times
+from ..lattice import Lattice
 from ..solvers import RKN86, RKN1210, SofroniouSpaletta10
+from ..types import Count, Parameter, Pytree, Scalar
 from .ladder import distance, number, warmed
 from .measuring import measure
 from .solvers import (
@@ -25,7 +28,7 @@ from .solvers import (
     splits,
     stable_step,
 )
-from .table import LARGEST_FLOOR
+from .table import LARGEST_FLOOR, WorkPrecision
 
 # a ladder ends where a call takes this many times as long as a coarse one; where that is slow [s], fewer times
 LONGER, LITTLE_LONGER = 20.0, 4.0
@@ -41,9 +44,11 @@ OTHER_MESH = 1.3
 
 
 def work_precision(
-    lattice, state, t1, solvers=None, steps=None, *, t0=0.0, reference=None, uncertainty=None, repeats=5, longest=None,
-    tangents=False,
-):
+    lattice: Lattice, state: Pytree, t1: Scalar,
+    solvers: diffrax.AbstractSolver | Sequence | Mapping[str, diffrax.AbstractSolver] | None = None,
+    steps: Parameter | Mapping[str, Parameter] | None = None, *, t0: Scalar = 0.0, reference: Pytree = None,
+    uncertainty: Parameter | None = None, repeats: Count = 5, longest: Scalar | None = None, tangents: bool = False,
+) -> WorkPrecision:
     r"""Error at t1 against the time of `simulate`, and against force evaluations, for many solvers.
 
     The error is dimensionless: the largest over sites of |u - u_ref| / max |u_ref| and |v - v_ref| / max |v_ref|.
@@ -123,12 +128,12 @@ def _given(reference, uncertainty, state, tangents):
 class Reference(NamedTuple):
     """The final state of a run that others have confirmed; `floor`: their distance; `note`: what they were."""
 
-    state: object
+    state: Pytree
     floor: float
     note: str
 
 
-def find_reference(lattice, state, t0, t1):
+def find_reference(lattice: Lattice, state: Pytree, t0: Scalar, t1: Scalar) -> Reference:
     r"""Two runs by methods of high order, refined until their distance stops falling.
 
     The first is RKN1210, or Dopri8 where a force reads the velocity. The second is of another family:

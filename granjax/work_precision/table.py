@@ -2,21 +2,27 @@
 
 import json
 import math
+from collections.abc import Iterator
+from typing import ClassVar
 
 import equinox as eqx
 import numpy as np
+from jaxtyping import Bool, Float
 
 from ..checks import refuse
-from .advice import advise
-from .ladder import number, observed_order, seconds_in_words
+from ..results import Held, Result
+from ..types import Pytree, Scalar
+from .advice import Advice, advise
+from .ladder import Ladder, number, observed_order, seconds_in_words
 
 # errors below this many floors are neither drawn nor used
 DRAWN = 4.0
 LARGEST_FLOOR = 1e-3
 _COLUMNS = ("value", "error", "seconds", "fastest", "evaluations", "steps")
+_WORDS = ("method", "parameter", "note")
 
 
-class WorkPrecision(eqx.Module):
+class WorkPrecision(Result):
     """Error, time and force evaluations of many methods at many steps and tolerances. It prints itself.
 
     One entry a point (P,):
@@ -41,33 +47,45 @@ class WorkPrecision(eqx.Module):
     - `ladders`: what was measured, for `advice` to run more of it; empty after `from_json`.
     """
 
-    method: tuple = eqx.field(static=True)
-    parameter: tuple = eqx.field(static=True)
-    value: np.ndarray
-    error: np.ndarray
-    seconds: np.ndarray
-    fastest: np.ndarray
-    evaluations: np.ndarray
-    steps: np.ndarray
-    drawn: np.ndarray
-    note: tuple = eqx.field(static=True)
-    methods: tuple = eqx.field(static=True)
-    compile_seconds: np.ndarray
-    limit: np.ndarray
+    held: ClassVar[dict[str, Held]] = {name: Held("point") for name in (*_COLUMNS, *_WORDS, "drawn")} | {
+        "seconds": Held("point", "s"), "fastest": Held("point", "s"), "methods": Held("method_name", "", "method_name"),
+        "compile_seconds": Held("method_name", "s"), "limit": Held("method_name"), "order": Held("method_name"),
+        "order_error": Held("method_name"), "reference_note": Held(None, "", "reference"),
+    }
+    method: tuple[str, ...] = eqx.field(static=True)
+    parameter: tuple[str, ...] = eqx.field(static=True)
+    value: Float[np.ndarray, " P"]
+    error: Float[np.ndarray, " P"]
+    seconds: Float[np.ndarray, " P"]
+    fastest: Float[np.ndarray, " P"]
+    evaluations: Float[np.ndarray, " P"]
+    steps: Float[np.ndarray, " P"]
+    drawn: Bool[np.ndarray, " P"]
+    note: tuple[str, ...] = eqx.field(static=True)
+    methods: tuple[str, ...] = eqx.field(static=True)
+    compile_seconds: Float[np.ndarray, " M"]
+    limit: Float[np.ndarray, " M"]
     floor: float
     repeats: int = eqx.field(static=True)
     reference_note: str = eqx.field(static=True)
-    machine: dict = eqx.field(static=True)
-    ladders: tuple = eqx.field(static=True, default=())
-    reference: object = None
+    machine: dict[str, str | int | None] = eqx.field(static=True)
+    ladders: tuple[Ladder, ...] = eqx.field(static=True, default=())
+    reference: Pytree = None
 
     @property
-    def least_error(self):
+    def outcome(self) -> str:
+        return (
+            f"{np.count_nonzero(self.drawn)} of {len(self.drawn)} points of {len(self.methods)} methods say something; "
+            f"reference: {self.reference_note or 'given'}."
+        )
+
+    @property
+    def least_error(self) -> float:
         """Four floors: the smallest error that is drawn; 0 where the floor is not known."""
         return DRAWN * self.floor if math.isfinite(self.floor) else 0.0
 
     @property
-    def orders(self):
+    def orders(self) -> dict[str, tuple[float, float]]:
         """Dict from method to (observed order, its standard error), NaN for tolerances or fewer than three points.
 
         Least squares in the logarithms between half the stability limit and the floor, see `observed_order`.
@@ -83,7 +101,7 @@ class WorkPrecision(eqx.Module):
         steps = 1 / self.steps[own] if np.all(np.isfinite(self.steps[own])) else self.value[own]
         return observed_order(steps, self.error[own], self.floor)
 
-    def advice(self, error):
+    def advice(self, error: Scalar) -> Advice:
         """What to use for an error that you can live with, in the measure of `distance`.
 
         The fastest three methods are tried at values between their measured points until a run has shown an error
@@ -96,10 +114,8 @@ class WorkPrecision(eqx.Module):
         """
         return advise(self, error)
 
-    def __repr__(self):
+    def __repr__(self) -> str:
         return "\n".join(self._lines())
-
-    __str__ = __repr__
 
     def _lines(self):
         known = f"floor {number(self.floor)}" if math.isfinite(self.floor) else "floor not known"
@@ -122,22 +138,12 @@ class WorkPrecision(eqx.Module):
         forces = f"{self.evaluations[i]:.0f} forces" if math.isfinite(self.evaluations[i]) else ""
         return f"{start}{seconds_in_words(self.seconds[i]):<11}{forces}"
 
-    def to_xarray(self):
-        """An `xarray.Dataset`: one variable a column over `point`, one a property over `method_name`."""
-        import xarray as xr
-
+    def _fields(self) -> Iterator[tuple[str, object]]:
+        yield from ((name, x) for name, x in super()._fields() if name not in ("ladders", "reference"))
         orders = np.array([self.orders[name] for name in self.methods]).reshape(-1, 2)
-        points = {name: ("point", getattr(self, name)) for name in (*_COLUMNS, "drawn")}
-        texts = {name: ("point", np.array(getattr(self, name), dtype=str)) for name in ("method", "parameter", "note")}
-        methods = {
-            "compile_seconds": ("method_name", self.compile_seconds), "limit": ("method_name", self.limit),
-            "order": ("method_name", orders[:, 0]), "order_error": ("method_name", orders[:, 1]),
-        }
-        attributes = {"floor": self.floor, "reference": self.reference_note, "repeats": self.repeats}
-        attributes |= {name: "" if x is None else x for name, x in self.machine.items()}
-        return xr.Dataset({**points, **texts, **methods}, {"method_name": list(self.methods)}, attributes)
+        yield from zip(("order", "order_error"), orders.T)
 
-    def to_dict(self):
+    def to_dict(self) -> dict:
         """The table as plain numbers, strings, lists and dicts; what is not a number is `None`."""
         names = ("method", "parameter", *_COLUMNS, "drawn", "note")
         rows = zip(*(getattr(self, name) for name in names))
@@ -153,12 +159,12 @@ class WorkPrecision(eqx.Module):
             "methods": methods, "points": points,
         })
 
-    def to_json(self, indent=None):
+    def to_json(self, indent: int | None = None) -> str:
         """`to_dict` as one JSON object, a string."""
         return json.dumps(self.to_dict(), indent=indent, allow_nan=False)
 
     @classmethod
-    def from_json(cls, text):
+    def from_json(cls, text: str | bytes | dict) -> "WorkPrecision":
         """The table that `to_json` wrote (or its dict): for charts and for advice from measured points.
 
         **Raises** ValueError for text that is no such table.
@@ -167,7 +173,7 @@ class WorkPrecision(eqx.Module):
             data = json.loads(text) if isinstance(text, str | bytes) else text
             points, methods = data["points"], data["methods"]
             columns = {name: _numbers(point[name] for point in points) for name in _COLUMNS}
-            texts = {name: tuple(point[name] for point in points) for name in ("method", "parameter", "note")}
+            texts = {name: tuple(point[name] for point in points) for name in _WORDS}
             drawn = np.array([point["drawn"] for point in points], bool)
             own = {"methods": tuple(m["name"] for m in methods)}
             own["compile_seconds"] = _numbers(m["compile_seconds"] for m in methods)
