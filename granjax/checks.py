@@ -4,13 +4,15 @@ Every check looks at concrete values only. A traced value passes, because what i
 """
 
 import difflib
+from collections.abc import Iterable
+from typing import Any, NoReturn
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 
-def refuse(argument, expected, got, remedy=""):
+def refuse(argument: str, expected: str, got: str, remedy: str = "") -> NoReturn:
     """Raise the one kind of error that granjax raises for bad input.
 
     ValueError: `argument: expected ..., got .... remedy`
@@ -18,18 +20,18 @@ def refuse(argument, expected, got, remedy=""):
     raise ValueError(f"{argument}: expected {expected}, got {got}." + (f" {remedy}" if remedy else "")) from None
 
 
-def concrete(x):
+def concrete(x: Any) -> np.ndarray | None:
     """`x` as a NumPy array, or `None` where it is traced."""
     return None if isinstance(x, jax.core.Tracer) else np.asarray(x)
 
 
-def show(x):
+def show(x: Any) -> str:
     """A value for an error message, short."""
     x = np.asarray(x)
     return np.array2string(x, threshold=6, edgeitems=2, precision=6) if x.ndim else repr(x.item())
 
 
-def parameter(argument, x):
+def parameter(argument: str, x: Any) -> jax.Array:
     """`x` as a floating array: finite real numbers, of any shape.
 
     A NumPy or Python number takes the default dtype; a floating JAX array keeps its own.
@@ -53,7 +55,7 @@ def parameter(argument, x):
     return array
 
 
-def positive(argument, x, remedy=""):
+def positive(argument: str, x: Any, remedy: str = "") -> jax.Array:
     """A parameter that is finite and above zero."""
     array = parameter(argument, x)
     value = concrete(array)
@@ -62,7 +64,7 @@ def positive(argument, x, remedy=""):
     return array
 
 
-def non_negative(argument, x, remedy=""):
+def non_negative(argument: str, x: Any, remedy: str = "") -> jax.Array:
     """A parameter that is finite and not below zero."""
     array = parameter(argument, x)
     value = concrete(array)
@@ -71,7 +73,10 @@ def non_negative(argument, x, remedy=""):
     return array
 
 
-def within(argument, x, low, high, *, open_low=False, open_high=False, remedy=""):
+def within(
+    argument: str, x: Any, low: float, high: float, *, open_low: bool = False, open_high: bool = False,
+    remedy: str = "",
+) -> jax.Array:
     """A parameter inside an interval; a bracket that is open excludes its end."""
     array = parameter(argument, x)
     value = concrete(array)
@@ -84,7 +89,7 @@ def within(argument, x, low, high, *, open_low=False, open_high=False, remedy=""
     return array
 
 
-def one_of(argument, name, options):
+def one_of(argument: str, name: Any, options: Iterable) -> Any:
     """One of some names; the nearest are suggested."""
     if name in options:
         return name
@@ -94,7 +99,7 @@ def one_of(argument, name, options):
     refuse(argument, "one of " + ", ".join(repr(o) for o in options), repr(name), remedy)
 
 
-def whole(argument, x, at_least=0, remedy=""):
+def whole(argument: str, x: Any, at_least: int = 0, remedy: str = "") -> int:
     """A Python integer, not below a least value."""
     if isinstance(x, bool) or not isinstance(x, (int, np.integer)) or x < at_least:
         refuse(argument, f"a whole number not below {at_least}", repr(x), remedy)

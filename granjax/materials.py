@@ -6,6 +6,7 @@ polymers by a factor of two with rate and temperature.
 
 import difflib
 import math
+from collections.abc import Sequence
 
 import equinox as eqx
 import jax
@@ -13,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .checks import concrete, positive, refuse, within
+from .types import Number, Parameter
 
 _BOECHLER = "as used by Boechler et al., Phys. Rev. Lett. 104, 244302 (2010)"
 _CALLISTER = "Callister, Materials Science and Engineering, appendix B"
@@ -55,14 +57,14 @@ class Material(eqx.Module):
     density: jax.Array
     source: str = eqx.field(static=True)
 
-    def __init__(self, name, young, poisson, density, source=""):
+    def __init__(self, name: str, young: Parameter, poisson: Parameter, density: Parameter, source: str = ""):
         self.name, self.source = str(name), str(source)
         self.young = positive("young", young, "Young's modulus is in pascal: 193e9 for steel, 1.46e9 for PTFE.")
         self.poisson = within("poisson", poisson, -1, 0.5, open_low=True, remedy="Poisson's ratio is 0.3 for steel.")
         self.density = positive("density", density, "The density is in kg/m^3: 8000 for steel, 2200 for PTFE.")
 
     @property
-    def compliance(self):
+    def compliance(self) -> Number:
         """(1 - nu^2)/E [1/Pa]: what one body gives to 1/E*."""
         return (1 - self.poisson**2) / self.young
 
@@ -74,7 +76,7 @@ def _plain(name):
 _PLAIN = {_plain(name): name for name in (*NAMES, *_ALIASES)}
 
 
-def material(name):
+def material(name: str | Material) -> Material:
     """A material of the table by its name; capitals, spaces, dashes and underscores do not matter.
 
     Names: `granjax.materials.NAMES`. `"rigid"` is a body that does not yield (E infinite), for walls. A `Material`
@@ -102,7 +104,7 @@ def _find(name):
     return Material(known, *_TABLE[known])
 
 
-def stack(materials):
+def stack(materials: Sequence[str | Material]) -> Material:
     """One `Material` whose numbers are arrays (N,), from a sequence of N materials or names."""
     bodies = [_find(m) for m in materials]
     young, poisson, density = (jnp.stack([getattr(b, n) for b in bodies]) for n in ("young", "poisson", "density"))
@@ -144,7 +146,10 @@ def _effective_modulus(first, second):
     return 1 / compliance
 
 
-def hertz_coefficient(material_1, radius_1, material_2=None, radius_2=None):
+def hertz_coefficient(
+    material_1: str | Material, radius_1: Parameter, material_2: str | Material | None = None,
+    radius_2: Parameter | None = None,
+) -> Number:
     r"""Coefficient A of the contact F = A d^{3/2} of two elastic spheres.
 
     A = (4/3) E* sqrt(R*),   1/E* = (1 - nu1^2)/E1 + (1 - nu2^2)/E2,   1/R* = 1/R1 + 1/R2;
@@ -171,7 +176,7 @@ def hertz_coefficient(material_1, radius_1, material_2=None, radius_2=None):
     return 4 / 3 * _effective_modulus(first, second) / jnp.sqrt(curvature)
 
 
-def bead_mass(material, radius):
+def bead_mass(material: str | Material, radius: Parameter) -> Number:
     """Mass of a solid sphere, m = (4/3) pi R^3 rho [kg].
 
     **Arguments:** a `Material` or a name of the table; `radius` R > 0 [m], a number or an array.
@@ -186,7 +191,10 @@ def bead_mass(material, radius):
     return 4 / 3 * math.pi * R**3 * body.density
 
 
-def crossed_cylinders(material_1, radius_1, material_2=None, radius_2=None, angle=math.pi / 2):
+def crossed_cylinders(
+    material_1: str | Material, radius_1: Parameter, material_2: str | Material | None = None,
+    radius_2: Parameter | None = None, angle: Parameter = math.pi / 2,
+) -> Number:
     r"""Coefficient A of the contact F = A d^{3/2} of two cylinders whose axes cross at an angle.
 
     With the curvatures of the gap Q_1 <= Q_2, Q_1 + Q_2 = (1/R1 + 1/R2)/2, Q_1 Q_2 = sin^2(angle)/(4 R1 R2), the

@@ -20,7 +20,8 @@ class Held(NamedTuple):
     """What a field of a result holds: its axes, words with a space between; its unit; its name in a file.
 
     `axes=None` makes an attribute of it instead of a variable. A variable of the one axis that has its name is a
-    coordinate. Axes beyond those named are called `axis_k`, those of a field without any `NAME_k`.
+    coordinate. Axes beyond those named are called `axis_k`, those of a field without any `NAME_k`; they stand where
+    the dots do ("site ... mode"), or at the end.
     """
 
     axes: str | None = ""
@@ -82,11 +83,10 @@ class Result(eqx.Module):
                     attributes[key] = x.astype(int).tolist() if x.dtype == bool else x.tolist()
                     continue
                 suffix = key.removeprefix(f"{name or field}_") if isinstance(value, dict) else ""
-                dims = [f"site_{suffix}" if axis == "site" and suffix else axis for axis in axes.split()]
-                further = "axis" if dims else key
-                dims += [f"{further}_{k}" for k in range(len(dims), x.ndim)]
+                dims = _axes(axes, key, x.ndim)
+                dims = [f"site_{suffix}" if axis == "site" and suffix else axis for axis in dims]
                 for part, y in (("_real", x.real), ("_imag", x.imag)) if x.dtype.kind == "c" else (("", x),):
-                    variables[key + part] = (dims[: x.ndim], y, {"units": unit} if unit else {})
+                    variables[key + part] = (dims, y, {"units": unit} if unit else {})
         origin = {"result": type(self).__name__, "outcome": self.outcome}
         versions = {"granjax": sys.modules[__package__].__version__, "jax": jax.__version__}
         return xarray.Dataset(variables, attrs=attributes | origin | versions)
@@ -117,6 +117,14 @@ class Result(eqx.Module):
         import xarray
 
         return xarray.load_dataset(path, engine="h5netcdf")
+
+
+def _axes(axes: str, name: str, count: int) -> list[str]:
+    """Names of an array's axes."""
+    first, _, last = (part.split() for part in axes.partition("..."))
+    first = first[: max(count - len(last), 0)]
+    between = range(len(first), count - len(last))
+    return first + [f"{'axis' if axes else name}_{k}" for k in between] + last[len(last) - min(len(last), count) :]
 
 
 def _arrays(name: str, value: object) -> Iterator[tuple[str, object]]:

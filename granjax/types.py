@@ -58,3 +58,15 @@ Waveform: TypeAlias = Callable[[Any], Any]
 
 VectorField: TypeAlias = Callable[..., Any]
 """The right-hand side f(t, y, args) of y' = f, in diffrax's form."""
+
+StateLike: TypeAlias = tuple | list
+"""A `State(u, v)`, or a pair."""
+
+Site: TypeAlias = Count | tuple[Count, ...] | list[Count]
+"""Index of a site, negative from the end; on a grid one per axis."""
+
+Cell: TypeAlias = Count | tuple[Count, ...] | None
+"""Sites per unit cell, on a grid along each axis; `None` finds them."""
+
+Seed: TypeAlias = Count | jax.Array
+"""A whole number, or a key of `jax.random`."""

@@ -410,7 +410,7 @@ def test_velocity_trace_samples_between_frames():
 def test_velocity_trace_has_the_noise_it_was_asked_for():
     ts = np.linspace(0, 1, 101)
     vs = np.zeros((101, 2))
-    one, again, other = (measures.velocity_trace(ts, vs, 0, sampling=2e4, noise=0.03, key=k) for k in (1, 1, 2))
+    one, again, other = (measures.velocity_trace(ts, vs, 0, sampling=2e4, noise=0.03, seed=k) for k in (1, 1, 2))
     np.testing.assert_array_equal(one.velocity, again.velocity)
     assert np.any(one.velocity != other.velocity)
     # 20001 samples: the deviation is known to 0.5 %, three of which are allowed

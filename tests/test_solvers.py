@@ -19,9 +19,9 @@ from granjax.solvers import (
     SRKN14a,
     VelocityVerlet,
 )
+from granjax.solvers.inner import weights
 from granjax.solvers.interpolation import Bootstrapped, QuinticHermite, correction, quintic
 from granjax.solvers.nystrom import _stages
-from granjax.solvers.seeds import weights
 
 splittings = pytest.mark.parametrize("solver", SPLITTING, ids=lambda s: s.__name__)
 
@@ -373,7 +373,7 @@ def test_bootstrapped_is_exact_to_its_degree(m):
 
 
 @pairs
-def test_seeds_satisfy_their_order(solver):
+def test_inner_places_satisfy_their_order(solver):
     # a free position at c has an error of order h^7 (8(6)) or h^10 (12(10)) on u'' = -u
     stages = _stages(solver)
     nodes = np.array([0.25, 0.6, 0.9])

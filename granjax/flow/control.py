@@ -5,6 +5,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from ..types import Number, StateLike
+
 SAFETY = 0.8
 SHRINK, GROW = 0.2, 3.0
 HALVINGS = 3
@@ -16,7 +18,7 @@ class Scales(eqx.Module):
     displacement: jax.Array
     velocity: jax.Array
 
-    def __call__(self, y):
+    def __call__(self, y: StateLike) -> Number:
         u, v = y
         return jnp.maximum(_largest(u) / self.displacement, _largest(v) / self.velocity)
 

@@ -1,6 +1,7 @@
 """What `simulate` is given, checked before tracing."""
 
 import math
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -8,13 +9,14 @@ import numpy as np
 
 from ..checks import concrete, one_of, refuse, show, whole
 from ..lattice import Lattice, State
+from ..types import Scalar
 from .dispatch import facts
 from .record import CLOSEST, Record
 
 RESERVED = ("time", "ts", "us", "vs", "u", "v", CLOSEST)
 
 
-def checked_state(lattice, state):
+def checked_state(lattice: Any, state: Any) -> State:
     """The state as arrays of the lattice's structure, shape and floating type."""
     if not isinstance(lattice, Lattice):
         refuse("lattice", "a Lattice, such as gx.scenes.monomer(100)", repr(lattice))
@@ -53,7 +55,7 @@ def _checked_array(name, x, shape, dtype):
     return x if isinstance(x, jax.Array) else jnp.asarray(x)
 
 
-def checked_times(t0, t1):
+def checked_times(t0: Any, t1: Any) -> tuple:
     """Start and end, in order; known ones as Python numbers, with which tracing does not interfere."""
     t0, t1 = _checked_time("t0", t0), _checked_time("t1", t1)
     if not isinstance(t0, jax.core.Tracer) and not isinstance(t1, jax.core.Tracer) and not t1 > t0:
@@ -70,7 +72,7 @@ def _checked_time(name, t):
     return value.item()
 
 
-def checked_size(name, x):
+def checked_size(name: str, x: Any) -> Scalar | None:
     """A step or a tolerance: one finite number above zero, or `None`."""
     if x is None or isinstance(x, jax.core.Tracer) or type(x) is float and 0 < x < math.inf:
         return x
@@ -80,7 +82,7 @@ def checked_size(name, x):
     return float(value)
 
 
-def checked_save_at(save_at, t0, t1):
+def checked_save_at(save_at: Any, t0: Scalar, t1: Scalar) -> tuple:
     """Times to save at, the number of equal intervals that fixed steps have to fit, and whether to save every step."""
     if save_at is None:
         return None, 1, False
@@ -121,7 +123,7 @@ def _intervals(ts, t0, t1):
     return int(round((t1 - t0) / spacing)) if fits else 1
 
 
-def checked_records(record, lattice, state):
+def checked_records(record: Any, lattice: Lattice, state: State) -> dict:
     """The records as a dict, empty where there are none."""
     if record is None:
         return {}

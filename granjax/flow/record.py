@@ -2,7 +2,7 @@
 
 import abc
 from collections.abc import Callable
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import diffrax
 import equinox as eqx
@@ -10,6 +10,8 @@ import jax
 import jax.numpy as jnp
 
 from ..checks import refuse
+from ..lattice import Lattice
+from ..types import Number, Numbers, Parameter, Scalar, StateLike
 
 NEWTON_STEPS = 4
 # the record beside the user's own that says whether a contact opened
@@ -27,18 +29,18 @@ class Record(eqx.Module):
     sampled: ClassVar[bool] = True
 
     @abc.abstractmethod
-    def start(self, t, q, dq):
+    def start(self, t: Number, q: Numbers, dq: Numbers) -> Any:
         """What is carried, from the quantity and its rate before the first step."""
 
     @abc.abstractmethod
-    def follow(self, carried, t0, t1, middle, end):
+    def follow(self, carried: Any, t0: Scalar, t1: Scalar, middle: Any, end: Any) -> Any:
         """What is carried after the step [t0, t1]; `middle` and `end` are pairs (quantity, rate)."""
 
-    def finish(self, carried):
+    def finish(self, carried: Any) -> Numbers:
         """The result."""
         return carried[0]
 
-    def value(self, t, y, lattice):
+    def value(self, t: Number, y: StateLike, lattice: Lattice) -> Numbers:
         """The quantity, one floating array."""
         q = self.quantity(t, y, lattice)
         if not isinstance(q, jax.Array) or not jnp.issubdtype(q.dtype, jnp.floating):
@@ -64,10 +66,10 @@ class Peak(Record):
 
     quantity: Callable = eqx.field(static=True, converter=_function)
 
-    def start(self, t, q, dq):
+    def start(self, t: Number, q: Numbers, dq: Numbers) -> Any:
         return q, q, dq
 
-    def follow(self, carried, t0, t1, middle, end):
+    def follow(self, carried: Any, t0: Scalar, t1: Scalar, middle: Any, end: Any) -> Any:
         best, q0, dq0 = carried
         q1, dq1 = end
         h = t1 - t0
@@ -83,12 +85,12 @@ class Arrival(Record):
     """
 
     quantity: Callable = eqx.field(static=True, converter=_function)
-    threshold: object = 0.0
+    threshold: Parameter = 0.0
 
-    def start(self, t, q, dq):
+    def start(self, t: Number, q: Numbers, dq: Numbers) -> Any:
         return jnp.where(q >= self.threshold, t, jnp.nan).astype(q.dtype), q, dq
 
-    def follow(self, carried, t0, t1, middle, end):
+    def follow(self, carried: Any, t0: Scalar, t1: Scalar, middle: Any, end: Any) -> Any:
         when, q0, dq0 = carried
         q1, dq1 = end
         h = t1 - t0
@@ -105,10 +107,10 @@ class Integral(Record):
 
     quantity: Callable = eqx.field(static=True, converter=_function)
 
-    def start(self, t, q, dq):
+    def start(self, t: Number, q: Numbers, dq: Numbers) -> Any:
         return jnp.zeros_like(q), q, dq
 
-    def follow(self, carried, t0, t1, middle, end):
+    def follow(self, carried: Any, t0: Scalar, t1: Scalar, middle: Any, end: Any) -> Any:
         total, q0, dq0 = carried
         q1, dq1 = end
         h = t1 - t0
@@ -125,13 +127,13 @@ class Lowest(Record):
     sampled: ClassVar[bool] = False
     quantity: Callable = eqx.field(static=True, converter=_function)
 
-    def start(self, t, q, dq):
+    def start(self, t: Number, q: Numbers, dq: Numbers) -> Any:
         return q
 
-    def follow(self, carried, t0, t1, middle, end):
+    def follow(self, carried: Any, t0: Scalar, t1: Scalar, middle: Any, end: Any) -> Any:
         return jnp.minimum(carried, end)
 
-    def finish(self, carried):
+    def finish(self, carried: Any) -> Numbers:
         return carried
 
 
@@ -194,7 +196,7 @@ class Recorded(diffrax.AbstractWrappedSolver):
     """A solver that carries records beside its own state; a rejected step leaves them untouched."""
 
     solver: diffrax.AbstractSolver
-    records: dict
+    records: dict[str, Record]
 
     @property
     def term_structure(self):

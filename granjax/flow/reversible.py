@@ -7,10 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import positive, refuse
-from ..lattice import split_system, vector_field
+from ..lattice import Lattice, split_system, vector_field
 from ..solvers import AbstractSplitting
+from ..types import Number, Scalar, StateLike, Times
 from .dispatch import compiled
 from .integrate import integrate
+from .run import Run
 from .stepping import Flow
 
 _FORWARD = diffrax.ForwardMode()
@@ -39,12 +41,12 @@ class Reversible(eqx.Module):
     return_error: jax.Array
     tolerance: float = eqx.field(static=True)
 
-    def __init__(self, tolerance=1e-6):
+    def __init__(self, tolerance: Scalar = 1e-6):
         self.return_error = jnp.zeros(())
         self.tolerance = float(positive("tolerance", tolerance))
 
 
-def checked_reversible(solver, records, every):
+def checked_reversible(solver: diffrax.AbstractSolver, records: dict, every: bool) -> None:
     """That a run is one that can be undone."""
     if not isinstance(solver, AbstractSplitting):
         refuse("adjoint", "a splitting solver at a fixed step, such as SRKN11b, with Reversible",
@@ -55,7 +57,9 @@ def checked_reversible(solver, records, every):
 
 
 @compiled
-def return_error(lattice, state, t0, t1, steps, solver):
+def return_error(
+    lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, steps: Number, solver: diffrax.AbstractSolver,
+) -> Number:
     """What integrating to t1 and back to t0 misses: max |y - y0| over the largest entry at both ends, of u or of v.
 
     **Arguments:** `steps`: how many each way, a whole number or an array; `solver`: any with symmetric steps.
@@ -67,7 +71,10 @@ def return_error(lattice, state, t0, t1, steps, solver):
 
 
 @eqx.filter_custom_vjp
-def reversible(moved, span, dt, save_ts, solver, limit, progress):
+def reversible(
+    moved: tuple, span: tuple, dt: Number, save_ts: Times | None, solver: diffrax.AbstractSolver,
+    limit: int | None, progress: bool,
+) -> Run:
     """`integrate` with the derivative of `Reversible`; moved = (lattice, state, adjoint)."""
     lattice, state, _ = moved
     return integrate(lattice, state, *span, dt, None, save_ts, {}, solver, _FORWARD, limit, False, progress)
@@ -130,8 +137,8 @@ class _Way(eqx.Module):
     solver: AbstractSplitting
     free: object
     fixed: object
-    t0: jax.Array
-    h: jax.Array
+    t0: Number
+    h: Number
 
     def _system(self, free):
         return split_system(eqx.combine(free, self.fixed))

@@ -11,7 +11,7 @@ import numpy as np
 from ..checks import concrete
 from ..lattice import State
 from ..results import Held, Result
-from ..types import Counts, Displacements, Flags, Number, Numbers, Times
+from ..types import Counts, Displacements, Flags, Number, Numbers, Pytree, Times
 
 COMPLETED, NOT_FINITE, TOO_MANY_STEPS, STEP_TOO_SMALL, FAILED = range(5)
 
@@ -97,7 +97,7 @@ class Run(Result):
         yield from self.recorded.items()
 
 
-def named(run, solver, choice, remark):
+def named(run: Run, solver: str, choice: str, remark: str) -> Run:
     """A run that a compiled function has just returned, with its names.
 
     Written into it, which nobody else holds yet: making a Module anew takes longer than a short run.
@@ -107,6 +107,6 @@ def named(run, solver, choice, remark):
     return run
 
 
-def finite(tree):
+def finite(tree: Pytree) -> Flags:
     """Whether every number of a tree is finite."""
     return jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves(tree)]))

@@ -1,6 +1,7 @@
 """`simulate`: from a lattice and a state to a run, over diffrax."""
 
 import dataclasses
+from typing import Any
 
 import diffrax
 import equinox as eqx
@@ -9,12 +10,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import one_of, refuse, show, whole
+from ..lattice import Lattice
+from ..types import Count, Parameter, Scalar, StateLike
 from .dispatch import facts, traced
 from .inputs import checked_records, checked_save_at, checked_state, checked_times
 from .integrate import integrate
 from .method import checked_method, fixed_step, number, suspicion
+from .record import Record
 from .reversible import Reversible, checked_reversible, reversible
-from .run import COMPLETED, NOT_FINITE, named
+from .run import COMPLETED, NOT_FINITE, Run, named
 
 # bounds a traced run whose number of steps is not known; a bound that is not reached costs nothing
 TRACED_STEPS = 2**24
@@ -29,9 +33,11 @@ KEYWORDS = ("t0", "solver", "step", "tolerance", "save_at", "record", "adjoint",
 
 
 def simulate(
-    lattice, state, t1, *, t0=0.0, solver=None, step=None, tolerance=None, save_at=None, record=None, adjoint=None,
-    progress=False, throw=None, max_steps=None, **misspelt,
-):
+    lattice: Lattice, state: StateLike, t1: Scalar, *, t0: Scalar = 0.0, solver: diffrax.AbstractSolver | None = None,
+    step: Scalar | None = None, tolerance: Scalar | None = None, save_at: Parameter | str | None = None,
+    record: dict[str, Record] | None = None, adjoint: diffrax.AbstractAdjoint | Reversible | None = None,
+    progress: bool = False, throw: bool | None = None, max_steps: Count | None = None, **misspelt: Any,
+) -> Run:
     r"""Integrate m a = F(t, u, v) from t0 to t1.
 
     **Arguments:**

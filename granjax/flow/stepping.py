@@ -1,6 +1,7 @@
 """The map of a state over a time by a fixed number of steps, with tangents: what orbits and Floquet theory stand on."""
 
 from collections.abc import Callable
+from typing import Any
 
 import diffrax
 import equinox as eqx
@@ -10,6 +11,7 @@ from jax.flatten_util import ravel_pytree
 
 from ..lattice import vector_field
 from ..solvers import SRKN14a
+from ..types import Number, Numbers, Pytree, Scalar
 
 # numbers that go through a processor at once, at most: rows of tangents that are a multiple of it are up to 1.2x faster
 VECTOR = 8
@@ -26,15 +28,15 @@ class Flow(eqx.Module):
     default that of a lattice, with the lattice as `args` and `State(u, v)` as y.
     """
 
-    steps: int | jax.Array
+    steps: Number
     solver: diffrax.AbstractSolver = SRKN14a()
     field: Callable = eqx.field(static=True, default=vector_field)
 
-    def __call__(self, y, t0, t1, args):
+    def __call__(self, y: Pytree, t0: Scalar, t1: Scalar, args: Any) -> Pytree:
         """The state at t1 of what is `y` at t0."""
         return _march(self.solver, self.field, self.steps, y, t0, t1, args)
 
-    def tangents(self, y, tangents, t0, t1, args):
+    def tangents(self, y: Pytree, tangents: Pytree, t0: Scalar, t1: Scalar, args: Any) -> tuple:
         """(phi(y), D phi(y) tangents), with `tangents` like `y` plus a trailing axis."""
         count = jax.tree.leaves(tangents)[0].shape[-1]
         idle = -count % VECTOR if count > VECTOR else 0
@@ -43,7 +45,7 @@ class Flow(eqx.Module):
         end, moved = _part(y, ends)
         return end, jax.tree.map(lambda x: x[..., :count], moved)
 
-    def derivative(self, y, t0, t1, args):
+    def derivative(self, y: Pytree, t0: Scalar, t1: Scalar, args: Any) -> tuple:
         """(phi(y), D phi(y)), the derivative as a matrix over the raveled state."""
         flat, unravel = ravel_pytree(y)
         unit = jax.vmap(unravel, out_axes=-1)(jnp.eye(flat.size, dtype=flat.dtype))
@@ -51,12 +53,12 @@ class Flow(eqx.Module):
         return end, matrix(tangents)
 
 
-def matrix(tangents):
+def matrix(tangents: Pytree) -> Numbers:
     """Tangents as the columns of a matrix, rows raveled as a state is."""
     return jnp.concatenate([x.reshape(-1, x.shape[-1]) for x in jax.tree.leaves(tangents)])
 
 
-def columns(like, vectors):
+def columns(like: Pytree, vectors: Numbers) -> Pytree:
     """Inverse of `matrix`: columns (n, m) as tangents of a state."""
     _, unravel = ravel_pytree(like)
     return jax.vmap(unravel, in_axes=-1, out_axes=-1)(vectors)

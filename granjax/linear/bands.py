@@ -1,6 +1,8 @@
 """Band edges and gaps."""
 
+from collections.abc import Iterator
 from math import prod
+from typing import ClassVar
 
 import equinox as eqx
 import jax
@@ -8,6 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import concrete, refuse
+from ..lattice import Lattice
+from ..results import Held, Result
+from ..types import Count, Numbers
 from .cell import unit_cell
 from .modes import signed_root
 
@@ -15,7 +20,7 @@ SHRINK, ROUNDS = 0.6, 48
 TOUCHING = 1e-8
 
 
-class Bands(eqx.Module):
+class Bands(Result):
     """Edges of the bands, in the order of omega.
 
     **Fields:** `lower`, `upper`: (bands,) [rad/s]. `lower_k`, `upper_k`: phases per cell at which they lie, (bands,)
@@ -23,14 +28,18 @@ class Bands(eqx.Module):
     a list of pairs (low, high), as NumPy numbers; bands that touch leave none.
     """
 
-    lower: jax.Array
-    upper: jax.Array
-    lower_k: jax.Array
-    upper_k: jax.Array
+    held: ClassVar[dict[str, Held]] = {
+        "lower": Held("band", "rad/s"), "upper": Held("band", "rad/s"), "lower_k": Held("band", "rad"),
+        "upper_k": Held("band", "rad"), "cell": Held(None),
+    }
+    lower: Numbers
+    upper: Numbers
+    lower_k: Numbers
+    upper_k: Numbers
     cell: tuple[int, ...] = eqx.field(static=True)
 
     @property
-    def gaps(self):
+    def gaps(self) -> list[tuple[float, float]]:
         """Complete gaps between neighbouring bands, a list of pairs (low, high) [rad/s].
 
         **Raises** ValueError where the edges are traced, as their number is not known then.
@@ -43,32 +52,37 @@ class Bands(eqx.Module):
         least = TOUCHING * np.abs(low).max()
         return [(float(a), float(b)) for a, b in zip(low[:-1], high[1:]) if b - a > least]
 
-    def __repr__(self):
-        lower, upper = concrete(self.lower), concrete(self.upper)
-        if lower is None or upper is None or lower.ndim != 1:
-            return f"Bands(lower={self.lower}, upper={self.upper}, cell={self.cell})"
-        sites = " x ".join(map(str, self.cell))
-        lines = [f"{len(lower)} band{'s' * (len(lower) > 1)}, cell of {sites} site{'s' * (prod(self.cell) > 1)}"]
+    @property
+    def outcome(self) -> str:
+        """How many bands and gaps."""
+        sites, count = " x ".join(map(str, self.cell)), self.lower.shape[-1]
+        gaps = f", {len(self.gaps)} gap{'s' * (len(self.gaps) != 1)}" if self.lower.ndim == 1 else ""
+        return f"{count} band{'s' * (count > 1)}{gaps}, cell of {sites} site{'s' * (prod(self.cell) > 1)}."
+
+    def _rows(self) -> Iterator[tuple[str, str]]:
+        if self.lower.ndim != 1:
+            yield from super()._rows()
+            return
         gaps = dict(self.gaps)
-        for a, b in zip(lower, upper):
-            lines.append(f"  band {a:.9g} ... {b:.9g}")
+        for a, b in zip(np.asarray(self.lower), np.asarray(self.upper)):
+            yield "band", f"{a:.9g} ... {b:.9g}"
             if float(b) in gaps:
-                lines.append(f"  gap  {b:.9g} ... {gaps[float(b)]:.9g}")
-        return "\n".join(lines)
+                yield "gap", f"{b:.9g} ... {gaps[float(b)]:.9g}"
+        yield "outcome", self.outcome
 
 
-def bands(chain, cell=None):
+def bands(lattice: Lattice, cell: Count | tuple[Count, ...] | None = None) -> Bands:
     r"""Edges of the bands of omega(k), and the gaps between them.
 
     omega^2 is sampled over the zone (finer for bonds that reach further) and every least and greatest value refined,
     so that edges inside the zone are found too; edges at k = 0 and pi are exact.
 
-    **Arguments:** `chain`, `cell`: as in `dispersion`. **Returns:** `Bands`. Precompressed dimer with stiffness K2,
+    **Arguments:** `lattice`, `cell`: as in `dispersion`. **Returns:** `Bands`. Precompressed dimer with stiffness K2,
     masses m < M: 0 ... (2 K2/M)^{1/2} and (2 K2/m)^{1/2} ... (2 K2 (1/m + 1/M))^{1/2}. Edges are differentiable in
     every parameter, where one band alone reaches them.
     **Raises** ValueError where `dispersion` does.
     """
-    found = unit_cell(chain, cell)
+    found = unit_cell(lattice, cell)
     axes = len(found.cell)
     reach = np.abs(np.array(found.shells)).max()
     points = [96 * max(1, reach) + 1] if axes == 1 else [48 if axes == 2 else 12] * axes

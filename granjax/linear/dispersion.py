@@ -1,18 +1,23 @@
 """Dispersion relation, Bloch vectors, group velocity and curvature of a periodic lattice."""
 
+from typing import ClassVar
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ..checks import parameter, refuse
+from ..lattice import Lattice
+from ..results import Held, Result
+from ..types import ComplexNumbers, Count, Numbers, Parameter
 from .cell import unit_cell
 from .modes import signed_root
 
 DEGENERATE = 4096
 
 
-class Dispersion(eqx.Module):
+class Dispersion(Result):
     """omega(k) of every band, in the order of omega at each k.
 
     **Fields**, with `k` of shape (k...,) for a chain and (k..., d) for a lattice of d axes:
@@ -30,21 +35,36 @@ class Dispersion(eqx.Module):
     acoustic band has a corner (see `sound_speed`), and where bands cross. Bands that stay together keep theirs.
     """
 
-    k: jax.Array
-    omega: jax.Array
-    omega_squared: jax.Array
-    vectors: object
-    group_velocity: jax.Array
-    curvature: jax.Array
+    held: ClassVar[dict[str, Held]] = {
+        "k": Held("wave", "rad"), "omega": Held("wave ... band", "rad/s"),
+        "omega_squared": Held("wave ... band", "rad^2/s^2"), "vectors": Held("wave ... band"),
+        "group_velocity": Held("wave", "1/s"), "curvature": Held("wave", "1/s"), "cell": Held(None),
+    }
+    k: Numbers
+    omega: Numbers
+    omega_squared: Numbers
+    vectors: ComplexNumbers | dict[str, ComplexNumbers]
+    group_velocity: Numbers
+    curvature: Numbers
     cell: tuple[int, ...] = eqx.field(static=True)
 
+    @property
+    def outcome(self) -> str:
+        """How many bands, at how many wave numbers, within which frequencies."""
+        omega = np.asarray(self.omega)
+        bands = omega.shape[-1]
+        return f"{bands} band{'s' * (bands > 1)} at {omega.size // bands} wave numbers, " \
+               f"omega = {omega.min():.6g} ... {omega.max():.6g} rad/s."
 
-def dispersion(chain, k, cell=None):
+
+def dispersion(
+    lattice: Lattice, k: Parameter, cell: Count | tuple[Count, ...] | None = None,
+) -> Dispersion:
     r"""Dispersion relation of the infinite lattice that a lattice belongs to: D(k) q = omega^2 q.
 
     **Arguments:**
 
-    - `chain`: one `Lattice`, of any boundary: sites within reach of an end do not count.
+    - `lattice`: one `Lattice`, of any boundary: sites within reach of an end do not count.
     - `k`: phase advance per unit cell [rad], any shape; on a grid of d axes the last axis has length d. A wave vector
       q in space has the phases k_i = q . a_i, with a_i the lattice vectors (triangular lattice, axes at 60 degrees:
       (2 pi/3, 4 pi/3) is the K point, (pi, 0) an M point).
@@ -56,7 +76,7 @@ def dispersion(chain, k, cell=None):
     cell with several sites omega itself carries up to 1e-8 of the cutoff as omega tends to zero.
     **Raises** ValueError where `unit_cell` does, and for `k` of another shape.
     """
-    found = unit_cell(chain, cell)
+    found = unit_cell(lattice, cell)
     axes = len(found.cell)
     k = parameter("k", k).astype(found.mass.dtype)
     given = k

@@ -1,18 +1,23 @@
 """Normal modes of a finite lattice."""
 
+from typing import ClassVar
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
+from jaxtyping import Float
 
-from ..lattice import spread_mass
+from ..lattice import Lattice, spread_mass
+from ..results import Held, Result
+from ..types import AnyArray, Displacements, Number, Numbers
 from .stiffness import at_rest, refuse_one_way, stiffness_product
 
 ROUNDING, AT_ONCE = 8, 512
 
 
-def signed_root(squared, scale, size):
+def signed_root(squared: Numbers, scale: Number, size: int) -> Numbers:
     """omega = sign(omega^2) |omega^2|^{1/2}, exactly zero where omega^2 is rounding of a matrix of that scale."""
     floor = ROUNDING * size * jnp.finfo(squared.dtype).eps * jax.lax.stop_gradient(scale)
     still = jnp.abs(squared) <= floor
@@ -20,7 +25,7 @@ def signed_root(squared, scale, size):
     return jnp.where(still, 0, jnp.sign(squared) * root)
 
 
-class NormalModes(eqx.Module):
+class NormalModes(Result):
     """Normal modes of a finite lattice, in the order of omega^2.
 
     **Fields:** `omega_squared`: (modes,) [rad^2/s^2]; negative where the lattice is unstable at u = 0. `omega`:
@@ -30,38 +35,48 @@ class NormalModes(eqx.Module):
     sum m phi_a phi_b = 1 for a = b, else 0.
     """
 
-    omega: jax.Array
-    omega_squared: jax.Array
-    modes: object
+    held: ClassVar[dict[str, Held]] = {
+        "omega": Held("mode", "rad/s"), "omega_squared": Held("mode", "rad^2/s^2"), "modes": Held("site ... mode"),
+    }
+    omega: Float[AnyArray, " modes"]
+    omega_squared: Float[AnyArray, " modes"]
+    modes: Displacements
+
+    @property
+    def outcome(self) -> str:
+        """How many modes, up to which frequency, and how many of them grow."""
+        omega = np.asarray(self.omega)
+        unstable = f"{np.sum(omega < 0)} of them unstable" if np.any(omega < 0) else "none of them unstable"
+        return f"{omega.shape[-1]} modes up to {omega.max():.6g} rad/s, {unstable}."
 
 
-def normal_modes(chain):
+def normal_modes(lattice: Lattice) -> NormalModes:
     r"""Normal modes of a finite lattice about u = 0: K phi = omega^2 M phi, any boundary, any masses, any terms.
 
     Solved as the symmetric problem M^{-1/2} K M^{-1/2} q = omega^2 q, phi = M^{-1/2} q, with K = -d force/du traced
     from the terms. Damping and drives are left out, moving walls stand still. In a sonic vacuum K = 0, and so is
     every frequency.
 
-    **Arguments:** `chain`: one `Lattice`. **Returns:** `NormalModes`.
+    **Arguments:** `lattice`: one `Lattice`. **Returns:** `NormalModes`.
 
     Cost: n^2 numbers and n^3 operations for n degrees of freedom; n up to a few thousand. Frequencies are
     differentiable in every parameter; modes where their frequency is simple.
     **Raises** ValueError for a batch of lattices (use `jax.vmap(normal_modes, in_axes=-1)`), stiffness modulated in
     time, and forces without an energy (K not symmetric).
     """
-    chain = at_rest(chain)
-    result, uneven = _solve(chain)
+    lattice = at_rest(lattice)
+    result, uneven = _solve(lattice)
     uneven = jax.lax.stop_gradient(uneven)
-    if not isinstance(uneven, jax.core.Tracer) and float(uneven) > 1e3 * np.finfo(chain.dtype).eps:
+    if not isinstance(uneven, jax.core.Tracer) and float(uneven) > 1e3 * np.finfo(lattice.dtype).eps:
         refuse_one_way()
     return result
 
 
 @eqx.filter_jit
-def _solve(chain):
+def _solve(lattice):
     """The modes, and the largest difference between K and its transpose, relative to K."""
-    flat, unravel = ravel_pytree(chain.zeros())
-    product_with = stiffness_product(chain)
+    flat, unravel = ravel_pytree(lattice.zeros())
+    product_with = stiffness_product(lattice)
     unit = jnp.eye(flat.size, dtype=flat.dtype)
 
     def column(w):
@@ -70,7 +85,7 @@ def _solve(chain):
     K = jax.vmap(column)(unit) if flat.size <= AT_ONCE else jax.lax.map(column, unit, batch_size=AT_ONCE // 2)
     scale = jnp.abs(K).max()
     uneven = jnp.abs(K - K.T).max() / jnp.where(scale > 0, scale, 1)
-    mass, _ = ravel_pytree(spread_mass(chain))
+    mass, _ = ravel_pytree(spread_mass(lattice))
     D = K / jnp.sqrt(mass[:, None] * mass)
     squared, q = jnp.linalg.eigh(D)
     modes = jax.vmap(unravel, -1, -1)(q / jnp.sqrt(mass)[:, None])

@@ -6,18 +6,22 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import parameter, refuse
+from ..lattice import Lattice
+from ..types import Count, Number, Parameter
 from .cell import LOOSE, unit_cell
 from .modes import signed_root
 
 
-def sound_speed(chain, cell=None, direction=None):
+def sound_speed(
+    lattice: Lattice, cell: Count | tuple[Count, ...] | None = None, direction: Parameter | None = None,
+) -> Number:
     r"""Long-wave speed c = lim omega/k of the acoustic band(s), in sites per unit time.
 
     Second-order perturbation of D(k) about k = 0, within the translations T:
     c^2 = T^+ [ D''/2 - D' D(0)^+ D' ] T, times the square of the sites per cell. A chain of equal beads has
     c = (K2/m)^{1/2} (Hertz: K2 = (3/2) A d0^{1/2}); in general c^2 = 1/(mean mass * mean compliance 1/K2) per site.
 
-    **Arguments:** `chain`, `cell`: as in `dispersion`. `direction`: on a grid, the phase advances per site along each
+    **Arguments:** `lattice`, `cell`: as in `dispersion`. `direction`: on a grid, the phase advances per site along each
     axis for a unit of wave number, (axes,), by default the first axis. With lattice vectors a_i (rows of `a`) and a
     unit vector n in the plane `direction = a @ n` gives c in lengths per time.
 
@@ -26,7 +30,7 @@ def sound_speed(chain, cell=None, direction=None):
     **Raises** ValueError in a sonic vacuum (no linear stiffness), with forces that tie sites to their rest positions
     (no acoustic band), where parts of the cell hang loose, and where `dispersion` does.
     """
-    found = unit_cell(chain, cell)
+    found = unit_cell(lattice, cell)
     axes = len(found.cell)
     if direction is None:
         direction = np.eye(axes)[0]
@@ -72,12 +76,12 @@ def _check_acoustic(found):
     T = _translations(np, np.asarray(mass), found.dimension)
     scale = np.abs(coupling).max()
     if scale == 0:
-        refuse("chain", "linear stiffness at rest", "none",
+        refuse("lattice", "linear stiffness at rest", "none",
                "A sonic vacuum has no linear sound speed; give precompression > 0.")
     tolerance = LOOSE * np.finfo(coupling.dtype).eps * scale
     if np.abs(D @ T).max() > tolerance:
-        refuse("chain", "forces between sites alone", "forces that tie sites to their rest positions",
+        refuse("lattice", "forces between sites alone", "forces that tie sites to their rest positions",
                "Such a lattice has no acoustic band, and so no sound speed; see granjax.linear.bands.")
     if np.sum(np.abs(np.linalg.eigvalsh(D)) <= tolerance) > T.shape[1]:
-        refuse("chain", "a cell that is held together", "parts that move freely at no cost",
+        refuse("lattice", "a cell that is held together", "parts that move freely at no cost",
                "Some bonds have no linear stiffness; give precompression > 0, or look at granjax.linear.dispersion.")

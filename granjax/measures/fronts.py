@@ -1,32 +1,52 @@
 """Fronts: when a pulse arrives at each site, when it peaks there, and how fast it runs."""
 
-from typing import NamedTuple
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ..checks import concrete, one_of, parameter, refuse, show, within
+from ..results import Held, Result
+from ..types import Number, Numbers, Parameter, Scalar
 
 ROOT_STEPS = 12
 
 
-class Peaks(NamedTuple):
+class Peaks(Result):
     """Time and height of the highest maximum of every site, shape of one frame; NaN where it lies at an end."""
 
-    times: jax.Array
-    heights: jax.Array
+    held: ClassVar[dict[str, Held]] = {"times": Held("site", "s"), "heights": Held("site")}
+    times: Numbers
+    heights: Numbers
+
+    @property
+    def outcome(self) -> str:
+        """How many sites have a maximum inside the record."""
+        there = np.isfinite(np.asarray(self.times))
+        return f"{there.sum()} of {there.size} maxima lie inside the record."
 
 
-class Front(NamedTuple):
+class Front(Result):
     """Speed of a front [sites/time], its standard error, and the arrival times that it was fitted to."""
 
-    speed: jax.Array
-    error: jax.Array
-    arrivals: jax.Array
+    held: ClassVar[dict[str, Held]] = {
+        "speed": Held(unit="1/s"), "error": Held(unit="1/s"), "arrivals": Held("site", "s"),
+    }
+    speed: Number
+    error: Number
+    arrivals: Numbers
+
+    @property
+    def outcome(self) -> str:
+        """From how many arrivals the speed comes."""
+        there = np.isfinite(np.asarray(self.arrivals))
+        return f"A line through {there.sum()} of {there.size} arrivals."
 
 
-def arrival_times(ts, q, threshold=None, *, fraction=0.5):
+def arrival_times(
+    ts: Parameter, q: Parameter, threshold: Parameter | None = None, *, fraction: Scalar = 0.5,
+) -> Numbers:
     """Time at which a quantity first reaches a threshold, at every site.
 
     The crossing is found on the cubic through the four frames about it; its error falls as the fourth power of the
@@ -46,7 +66,7 @@ def arrival_times(ts, q, threshold=None, *, fraction=0.5):
     return _crossings(ts, q, jnp.broadcast_to(threshold, q.shape[1:]))
 
 
-def peak_times(ts, q):
+def peak_times(ts: Parameter, q: Parameter) -> Peaks:
     """Time and height of the highest maximum of a quantity at every site, refined between frames.
 
     The maximum is that of the polynomial of degree 4 through the five frames about the highest one (a parabola where
@@ -59,7 +79,10 @@ def peak_times(ts, q):
     return _maxima(ts, q)
 
 
-def front_speed(ts, q, sites=None, *, by="peak", threshold=None, fraction=0.5):
+def front_speed(
+    ts: Parameter, q: Parameter, sites: Parameter | None = None, *, by: str = "peak",
+    threshold: Parameter | None = None, fraction: Scalar = 0.5,
+) -> Front:
     """Speed of a front, from a least-squares line of arrival time against site: t = t0 + n/c.
 
     **Arguments:** `ts`, `q`: as in `arrival_times`. `sites`: indices of the sites that count, `None` for all; leave

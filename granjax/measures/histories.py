@@ -1,14 +1,17 @@
 """Measures of histories: a state's measure frame by frame, and means over all frames."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
 from ..checks import refuse
-from ..lattice import State
+from ..lattice import Lattice, State
+from ..types import Displacements, Number, Numbers, Pytree, Quantity
 
 
-def along(measure, lattice, run, **options):
+def along(measure: Quantity, lattice: Lattice, run: Any, **options: Any) -> Pytree:
     """A measure of every frame of a run: `measure(lattice, State(u, v), t, **options)`, stacked on a leading axis.
 
     **Arguments:** `measure`: such as `contact_force`, or a function of (lattice, y, t); `run`: anything with `ts`,
@@ -23,6 +26,6 @@ def along(measure, lattice, run, **options):
     return jax.vmap(lambda t, u, v: measure(lattice, State(u, v), t, **options))(run.ts, run.us, run.vs)
 
 
-def rms_velocity(lattice, u, v, t):
+def rms_velocity(lattice: Lattice, u: Displacements, v: Displacements, t: Numbers) -> Number:
     """Root mean square of all velocities in a history u, v (F, N) over t (F,): a response for sweeps and branches."""
     return jnp.sqrt(jnp.mean(ravel_pytree(v)[0] ** 2))

@@ -1,22 +1,34 @@
 """What an instrument would show: a laser vibrometer's trace of one bead."""
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import ClassVar
 
 import jax
 import numpy as np
 from scipy.interpolate import CubicSpline
 
 from ..checks import non_negative, parameter, positive, refuse, show, whole
+from ..results import Held, Result
+from ..types import Count, Numbers, Parameter, Scalar, Seed
 
 
-class Trace(NamedTuple):
+class Trace(Result):
     """A sampled signal: time (S,) [s] and velocity (S,) + trailing axes [m/s]."""
 
-    time: np.ndarray
-    velocity: np.ndarray
+    held: ClassVar[dict[str, Held]] = {"time": Held("time", "s"), "velocity": Held("time", "m/s")}
+    time: Numbers
+    velocity: Numbers
+
+    @property
+    def outcome(self) -> str:
+        """How many samples."""
+        return f"{self.time.size} samples over {np.ptp(self.time):.6g} s."
 
 
-def velocity_trace(ts, vs, bead, *, sampling, noise=0.0, key=0, units=None):
+def velocity_trace(
+    ts: Parameter, vs: Parameter, bead: Count, *, sampling: Scalar, noise: Scalar = 0.0, seed: Seed = 0,
+    units: Sequence[Scalar] | None = None,
+) -> Trace:
     """Velocity of one bead as a laser vibrometer gives it: sampled at a fixed rate, with Gaussian noise.
 
     Between frames the velocity is a cubic spline, so the frames must resolve the motion (at least ten to a period of
@@ -28,7 +40,7 @@ def velocity_trace(ts, vs, bead, *, sampling, noise=0.0, key=0, units=None):
     - `bead`: index, negative from the end.
     - `sampling`: samples per second [Hz].
     - `noise`: standard deviation of the noise [m/s].
-    - `key`: whole number that seeds the noise; the same key gives the same trace.
+    - `seed`: whole number of the noise; the same seed gives the same trace.
     - `units`: (second, metre) of the run's units of time and length, where it is in scaled units: one unit of time is
       `second` s, one of length `metre` m. `None`: the run is in SI.
 
@@ -56,7 +68,7 @@ def velocity_trace(ts, vs, bead, *, sampling, noise=0.0, key=0, units=None):
     velocity = CubicSpline(time, vs[:, bead] * (metre / second), axis=0)(at)
     sigma = float(non_negative("noise", noise))
     if sigma:
-        velocity = velocity + sigma * np.random.default_rng(whole("key", key)).standard_normal(velocity.shape)
+        velocity = velocity + sigma * np.random.default_rng(whole("seed", seed)).standard_normal(velocity.shape)
     return Trace(at, velocity)
 
 

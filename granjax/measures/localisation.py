@@ -4,10 +4,12 @@ import jax
 import jax.numpy as jnp
 
 from ..checks import parameter, refuse
+from ..lattice import Lattice
+from ..types import Number, Parameter, StateLike
 from .energies import site_energy
 
 
-def participation(weights, axis=0):
+def participation(weights: Parameter, axis: int | tuple[int, ...] = 0) -> Number:
     """Number of sites that share a positive quantity: (sum w)^2 / sum w^2; N where all are equal, 1 for one alone.
 
     **Arguments:** `weights`: such as energies, or squares of a mode's displacements times mass; `axis`: one axis of
@@ -17,7 +19,7 @@ def participation(weights, axis=0):
     return weights.sum(axis) ** 2 / (weights * weights).sum(axis)
 
 
-def participation_number(lattice, y, t=0.0):
+def participation_number(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
     """Participation number of the site energies, (sum e)^2 / sum e^2, from 1 to N; shape of the lanes.
 
     The fields of a cell count together. NaN for a lattice at rest. **Raises** ValueError as `site_energy` does.
@@ -25,7 +27,7 @@ def participation_number(lattice, y, t=0.0):
     return participation(_cell_energy(lattice, y, t), tuple(range(lattice.axes)))
 
 
-def energy_centre(lattice, y, t=0.0):
+def energy_centre(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
     """Mean place of the energy, sum n e_n / sum e_n [sites]; shape of the lanes, after (2,) on a grid."""
     e = _cell_energy(lattice, y, t)
     axes = tuple(range(lattice.axes))
@@ -33,7 +35,7 @@ def energy_centre(lattice, y, t=0.0):
     return centres[0] if len(centres) == 1 else jnp.stack(centres)
 
 
-def second_moment(lattice, y, t=0.0):
+def second_moment(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
     """Mean square distance of the energy from its centre, sum (n - centre)^2 e_n / sum e_n [sites^2].
 
     On a grid the sum over both axes. Grows as t^2 where energy runs freely, stays bounded where it is localised.

@@ -4,10 +4,12 @@ import jax
 import jax.numpy as jnp
 
 from ..checks import parameter, refuse
+from ..lattice import Lattice
+from ..types import Numbers, Parameter, StateLike
 from .states_of import parts
 
 
-def modal_amplitudes(lattice, y, modes):
+def modal_amplitudes(lattice: Lattice, y: StateLike, modes: Parameter) -> tuple[Numbers, Numbers]:
     """Normal coordinates a_k = sum_i m_i phi_ik u_i of a state, and their rates.
 
     **Arguments:** `modes`: mass-orthonormal modes, sum_i m_i phi_ik phi_il = delta_kl, as columns: (N, M), or
@@ -27,7 +29,7 @@ def modal_amplitudes(lattice, y, modes):
     return tuple(jnp.einsum("nm...,n...->m...", modes, p) for p in momenta)
 
 
-def modal_energy(lattice, y, modes, omega):
+def modal_energy(lattice: Lattice, y: StateLike, modes: Parameter, omega: Parameter) -> Numbers:
     """Energy of every normal mode in the linear lattice, E_k = (a_dot_k^2 + omega_k^2 a_k^2)/2 [J].
 
     **Arguments:** `modes`: as in `modal_amplitudes`; `omega`: their frequencies (M,), or (M,) + lanes [rad/s].

@@ -1,6 +1,6 @@
 """Spectra: power over wave number and frequency, and over time and frequency."""
 
-from typing import NamedTuple
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -9,27 +9,45 @@ from scipy.signal import ShortTimeFFT
 from scipy.signal.windows import hann
 
 from ..checks import one_of, parameter, positive, refuse
+from ..results import Held, Result
+from ..types import Numbers, Parameter, Scalar
 
 WINDOWS = ("hann", "none")
 
 
-class Spectrum(NamedTuple):
+class Spectrum(Result):
     """Power over wave number k (K,) [rad/site], rising in [-pi, pi], and angular frequency omega (W,) >= 0."""
 
-    k: jax.Array
-    omega: jax.Array
-    power: jax.Array
+    held: ClassVar[dict[str, Held]] = {
+        "k": Held("k", "rad"), "omega": Held("omega", "rad/s"), "power": Held("k omega"),
+    }
+    k: Numbers
+    omega: Numbers
+    power: Numbers
+
+    @property
+    def outcome(self) -> str:
+        """How fine the spectrum is."""
+        return f"{self.k.size} wave numbers, {self.omega.size} frequencies up to {float(self.omega[-1]):.6g} rad/s."
 
 
-class Spectrogram(NamedTuple):
+class Spectrogram(Result):
     """Power density over time (S,) and angular frequency omega (W,) [rad/time]; power (S, W) + trailing axes."""
 
-    time: np.ndarray
-    omega: np.ndarray
-    power: np.ndarray
+    held: ClassVar[dict[str, Held]] = {
+        "time": Held("time", "s"), "omega": Held("omega", "rad/s"), "power": Held("time omega"),
+    }
+    time: Numbers
+    omega: Numbers
+    power: Numbers
+
+    @property
+    def outcome(self) -> str:
+        """How fine the spectrogram is."""
+        return f"{self.time.size} windows, {self.omega.size} frequencies up to {self.omega[-1]:.6g} rad/s."
 
 
-def spectrum(us, dt, *, time_window="hann", space_window="hann"):
+def spectrum(us: Parameter, dt: Scalar, *, time_window: str = "hann", space_window: str = "hann") -> Spectrum:
     r"""Spectrum of a history over wave number and frequency: |sum_nt w_n w_t u_n(t) exp(-i(k n - omega t))|^2.
 
     Sign: a wave cos(k n - omega t) with omega > 0 runs to the right for k > 0 and has its line at (k, omega). As u is
@@ -69,7 +87,7 @@ def _window(name, window, size):
     return jnp.asarray(hann(size, sym=False))
 
 
-def spectrogram(v, dt, window, *, hop=None):
+def spectrogram(v: Parameter, dt: Scalar, window: Scalar, *, hop: Scalar | None = None) -> Spectrogram:
     """Power density of a signal over time and frequency, by a short-time Fourier transform with a Hann window.
 
     Scale: the integral over omega is the mean square of the signal about that time. Only windows that lie inside the

@@ -3,19 +3,21 @@
 import jax
 
 from ..checks import refuse
+from ..lattice import Lattice
+from ..types import Displacements, StateLike
 
 
-def displacements(lattice, y):
+def displacements(lattice: Lattice, y: StateLike) -> Displacements:
     """u of a state."""
     return parts(lattice, y)[0]
 
 
-def velocities(lattice, y):
+def velocities(lattice: Lattice, y: StateLike) -> Displacements:
     """v of a state."""
     return parts(lattice, y)[1]
 
 
-def parts(lattice, y):
+def parts(lattice: Lattice, y: StateLike) -> StateLike:
     """(u, v) of a `State` or a pair, of the lattice's structure and shape."""
     if not isinstance(y, tuple) or len(y) != 2:
         refuse("y", "a State(u, v)", f"{type(y).__name__}", "Write gx.State(u, v).")

@@ -1,5 +1,7 @@
 """Chains in SI from materials and radii."""
 
+from collections.abc import Sequence
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,9 +12,14 @@ from ..laws import Hertz
 from ..materials import Material, bead_mass, hertz_coefficient, material, stack
 from ..strains import BOUNDARIES, Shift
 from ..terms import Bond, Damping
+from ..types import Count, Parameter, Scalar
 
 
-def beads(materials, radii, precompression=0.0, *, cells=None, wall=None, boundary="fixed", damping_time=None):
+def beads(
+    materials: str | Material | Sequence, radii: Parameter, precompression: Parameter = 0.0, *,
+    cells: Count | None = None, wall: str | Material | Sequence | None = None, boundary: str = "fixed",
+    damping_time: Scalar | None = None,
+) -> Lattice:
     r"""Chain of elastic spheres in SI: masses (4/3) pi R^3 rho, Hertz contacts of each pair of neighbours.
 
     m_n u_n'' = A_n [d0_n + u_{n-1} - u_n]_+^{3/2} - A_{n+1} [d0_{n+1} + u_n - u_{n+1}]_+^{3/2} - m_n u_n'/tau,

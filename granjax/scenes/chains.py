@@ -9,6 +9,7 @@ from ..lattice import Lattice
 from ..laws import Hertz, Polynomial, PowerLaw, Toda
 from ..strains import BOUNDARIES, Shift
 from ..terms import Bond
+from ..types import Count, Parameter, Scalar, Seed
 
 _MANY = "For many at once: jax.vmap(lambda x: scene(..., x), out_axes=-1)(values)."
 _RATIO = "The ratio is light over heavy; the heavy bead has mass 1."
@@ -41,7 +42,10 @@ def _sites(sites):
     return whole("sites", sites, 2, "A chain has at least two beads.")
 
 
-def monomer(sites, mass=1.0, stiffness=1.0, exponent=1.5, precompression=0.0, boundary="fixed"):
+def monomer(
+    sites: Count, mass: Parameter = 1.0, stiffness: Parameter = 1.0, exponent: Parameter = 1.5,
+    precompression: Parameter = 0.0, boundary: str = "fixed",
+) -> Lattice:
     r"""Chain of equal beads: m u_n'' = A [d0 + u_{n-1} - u_n]_+^p - A [d0 + u_n - u_{n+1}]_+^p, d0 = (F0/A)^{1/p}.
 
     **Arguments:**
@@ -62,7 +66,10 @@ def monomer(sites, mass=1.0, stiffness=1.0, exponent=1.5, precompression=0.0, bo
     return _chain(sites, mass, _contact(stiffness, exponent, precompression), boundary)
 
 
-def pattern(sites, masses, *, stiffness=1.0, exponent=1.5, precompression=0.0, boundary="fixed"):
+def pattern(
+    sites: Count, masses: Parameter, *, stiffness: Parameter = 1.0, exponent: Parameter = 1.5,
+    precompression: Parameter = 0.0, boundary: str = "fixed",
+) -> Lattice:
     """Chain whose masses repeat: m_n = masses[n mod len(masses)]; the last cell may be cut short.
 
     **Arguments:** `masses`: the masses of one cell, m > 0, numbers or traced; the others as in `monomer`.
@@ -83,7 +90,10 @@ def pattern(sites, masses, *, stiffness=1.0, exponent=1.5, precompression=0.0, b
     return _chain(sites, mass, _contact(stiffness, exponent, precompression), boundary)
 
 
-def dimer(sites, ratio=0.5, *, stiffness=1.0, exponent=1.5, precompression=0.0, boundary="fixed"):
+def dimer(
+    sites: Count, ratio: Scalar = 0.5, *, stiffness: Parameter = 1.0, exponent: Parameter = 1.5,
+    precompression: Parameter = 0.0, boundary: str = "fixed",
+) -> Lattice:
     """Chain of heavy and light beads in turn: masses 1, ratio, 1, ratio, ...; the heavy one first.
 
     With F0 > 0 and K2 = p A^{1/p} F0^{1-1/p} the bands are [0, sqrt(2 K2)] and
@@ -99,7 +109,10 @@ def dimer(sites, ratio=0.5, *, stiffness=1.0, exponent=1.5, precompression=0.0, 
                    precompression=precompression, boundary=boundary)
 
 
-def trimer(sites, ratios=(0.5, 0.25), *, stiffness=1.0, exponent=1.5, precompression=0.0, boundary="fixed"):
+def trimer(
+    sites: Count, ratios: Parameter = (0.5, 0.25), *, stiffness: Parameter = 1.0, exponent: Parameter = 1.5,
+    precompression: Parameter = 0.0, boundary: str = "fixed",
+) -> Lattice:
     """Chain of three kinds of beads in turn: masses 1, ratios[0], ratios[1], 1, ...
 
     **Arguments:** `ratios`: two masses over the heavy one, each in (0, 1]; the others as in `monomer`.
@@ -116,7 +129,10 @@ def trimer(sites, ratios=(0.5, 0.25), *, stiffness=1.0, exponent=1.5, precompres
                    boundary=boundary)
 
 
-def n_to_one(sites, beads, ratio=0.5, *, stiffness=1.0, exponent=1.5, precompression=0.0, boundary="fixed"):
+def n_to_one(
+    sites: Count, beads: Count, ratio: Scalar = 0.5, *, stiffness: Parameter = 1.0, exponent: Parameter = 1.5,
+    precompression: Parameter = 0.0, boundary: str = "fixed",
+) -> Lattice:
     """N:1 chain: `beads` heavy beads of mass 1, then one of mass `ratio`, and so on.
 
     **Arguments:** `beads`: N >= 1; 1 is the dimer; `ratio`: light over heavy, in (0, 1]; 1 is the monomer; the others
@@ -130,7 +146,10 @@ def n_to_one(sites, beads, ratio=0.5, *, stiffness=1.0, exponent=1.5, precompres
                    precompression=precompression, boundary=boundary)
 
 
-def defects(sites, masses, *, mass=1.0, stiffness=1.0, exponent=1.5, precompression=0.0, boundary="fixed"):
+def defects(
+    sites: Count, masses: dict, *, mass: Parameter = 1.0, stiffness: Parameter = 1.0, exponent: Parameter = 1.5,
+    precompression: Parameter = 0.0, boundary: str = "fixed",
+) -> Lattice:
     """Monomer chain with some beads of another mass.
 
     With F0 > 0 a light bead of mass m_d carries a mode above the band, at
@@ -158,7 +177,10 @@ def defects(sites, masses, *, mass=1.0, stiffness=1.0, exponent=1.5, precompress
     return _chain(sites, m, _contact(stiffness, exponent, precompression), boundary)
 
 
-def taper(sites, q=0.05, *, stiffness=1.0, precompression=0.0, boundary="fixed"):
+def taper(
+    sites: Count, q: Scalar = 0.05, *, stiffness: Parameter = 1.0, precompression: Parameter = 0.0,
+    boundary: str = "fixed",
+) -> Lattice:
     r"""Tapered chain of spheres of one material: R_{n+1} = (1 - q) R_n.
 
     Masses m_n = (R_n/R_0)^3 and Hertz coefficients A_n = A sqrt(R*_n/R*_0), 1/R*_n = 1/R_n + 1/R_{n+1}, where A is
@@ -186,8 +208,10 @@ def taper(sites, q=0.05, *, stiffness=1.0, precompression=0.0, boundary="fixed")
     return _chain(sites, R**3, Hertz(A * jnp.sqrt(share), precompression), boundary)
 
 
-def disordered(sites, spread, seed=0, *, distribution="uniform", stiffness=1.0, exponent=1.5, precompression=0.0,
-               boundary="fixed"):
+def disordered(
+    sites: Count, spread: Scalar, seed: Seed = 0, *, distribution: str = "uniform", stiffness: Parameter = 1.0,
+    exponent: Parameter = 1.5, precompression: Parameter = 0.0, boundary: str = "fixed",
+) -> Lattice:
     """Chain with random masses of mean 1, drawn one by one.
 
     **Arguments:** `spread`: s in [0, 1); `distribution`: `"uniform"` draws masses in [1 - s, 1 + s], of standard
@@ -223,7 +247,10 @@ def _key(seed):
     return jax.random.key(int(seed))
 
 
-def fput(sites, alpha=0.25, beta=0.0, *, mass=1.0, stiffness=1.0, boundary="fixed"):
+def fput(
+    sites: Count, alpha: Parameter = 0.25, beta: Parameter = 0.0, *, mass: Parameter = 1.0, stiffness: Parameter = 1.0,
+    boundary: str = "fixed",
+) -> Lattice:
     r"""Fermi-Pasta-Ulam-Tsingou chain: F(e) = K e + alpha e^2 + beta e^3 in the compression e = u_n - u_{n+1}.
 
     Compression is positive, so alpha > 0 stiffens under compression; the original chain stiffens under extension,
@@ -241,7 +268,9 @@ def fput(sites, alpha=0.25, beta=0.0, *, mass=1.0, stiffness=1.0, boundary="fixe
     return _chain(sites, mass, Polynomial(stiffness, alpha, beta), boundary)
 
 
-def toda(sites, *, mass=1.0, strength=1.0, rate=1.0, boundary="free"):
+def toda(
+    sites: Count, *, mass: Parameter = 1.0, strength: Parameter = 1.0, rate: Parameter = 1.0, boundary: str = "free",
+) -> Lattice:
     """Toda chain: F(e) = a (exp(b e) - 1); m u_n'' = a exp(b (u_{n-1} - u_n)) - a exp(b (u_n - u_{n+1})).
 
     Integrable with `"free"` and `"periodic"` ends. Free ends are held by the constant force a.

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..split_system import pair
+from ..types import Number
 
 
 class QuinticHermite(diffrax.AbstractLocalInterpolation):
@@ -71,7 +72,7 @@ class Bootstrapped(diffrax.AbstractLocalInterpolation):
         return _state(self.y0, both, u0, v0, *self.quintic, *self.inside)
 
 
-def quintic(rise, gain, p0, p1):
+def quintic(rise: Number, gain: Number, p0: Number, p1: Number) -> tuple:
     """Coefficients of s^2 ... s^5 of u(s) - u0 - s h v0.
 
     `rise` = u1 - u0 - h v0, `gain` = h (v1 - v0), `p0`, `p1` = h^2 a at the ends: all of the size of h^2 a, so that
@@ -95,7 +96,7 @@ class Correction(NamedTuple):
 
 
 @cache
-def correction(m):
+def correction(m: int) -> Correction:
     r"""Nodes and matrices for m interior accelerations.
 
     The error polynomial E, of degree m + 6 with triple zeros at the ends and E'' = 0 at the nodes, is made the

@@ -19,8 +19,8 @@ from jax.interpreters.partial_eval import dce_jaxpr
 from ..checks import refuse
 from ..split_system import FieldSplit, pair
 from . import tables
+from .inner import weights
 from .interpolation import Bootstrapped, correction, quintic
-from .seeds import weights
 from .splitting import unwrap
 from .stability import stability_limit
 
@@ -37,17 +37,17 @@ class AbstractNystrom(diffrax.AbstractAdaptiveSolver):
     inside: ClassVar[int]
 
     @classmethod
-    def table(cls):
+    def table(cls) -> tables.Nystrom:
         """The method's coefficients, `granjax.solvers.tables.Nystrom`."""
         return tables.nystrom(cls.__name__)
 
     @classmethod
-    def stability_limit(cls):
+    def stability_limit(cls) -> float | None:
         """Largest h omega at which a fixed step is stable on u'' = -omega^2 u: `granjax.solvers.stability`."""
         return stability_limit(cls)
 
     @classmethod
-    def evaluations(cls):
+    def evaluations(cls) -> float:
         """Force evaluations per step, with the last one kept for the next step's first."""
         return len(_stages(cls).c) - 1
 
@@ -220,7 +220,7 @@ def _weighted(weights, k, h, power):
 def _dense(cls, step, k, kept):
     """What `Bootstrapped` is made from: the quintic of the ends, and accelerations inside."""
     fit = correction(cls.inside)
-    place = step.places(fit.nodes, seeds(cls))
+    place = step.places(fit.nodes, inner_weights(cls))
 
     def inner_force(kept, x):
         i, time = x
@@ -245,7 +245,7 @@ def _polynomial(cls):
 
 
 @cache
-def seeds(cls):
+def inner_weights(cls) -> np.ndarray:
     """Weights over the stages of the positions where dense output asks for forces, one row per node."""
     stages = _stages(cls)
     return weights(stages.A, stages.c, correction(cls.inside).nodes)[0]

@@ -5,7 +5,8 @@ The equation is m a = F(t, u), H = T(v) + V(t, u). One step composes the two exa
 as an attribute `split_system(args)`; any other f(t, (u, v), args) = (v, a(t, u)) gets `FieldSplit`.
 """
 
-from typing import ClassVar
+from collections.abc import Callable
+from typing import Any, ClassVar
 
 import diffrax
 import jax
@@ -13,12 +14,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..split_system import FieldSplit
+from ..types import Number
 from . import tables
 from .interpolation import QuinticHermite
 from .stability import stability_limit
 
 
-def unwrap(terms):
+def unwrap(terms: Any) -> tuple[Callable, Number]:
     """The vector field inside diffrax's terms, and the direction of time that diffrax wraps around it."""
     direction = 1
     while hasattr(terms, "term"):
@@ -34,17 +36,17 @@ class AbstractSplitting(diffrax.AbstractSolver):
     interpolation_cls: ClassVar = QuinticHermite
 
     @classmethod
-    def table(cls):
+    def table(cls) -> tables.Splitting:
         """The method's coefficients, `granjax.solvers.tables.Splitting`."""
         return tables.splitting(cls.__name__)
 
     @classmethod
-    def stability_limit(cls):
+    def stability_limit(cls) -> float | None:
         """Largest h omega at which the method is stable on u'' = -omega^2 u: `granjax.solvers.stability`."""
         return stability_limit(cls)
 
     @classmethod
-    def evaluations(cls):
+    def evaluations(cls) -> Number:
         """Force evaluations per step, with the last kick's force kept for the next step's first."""
         return int(np.count_nonzero(cls.table().b)) - (cls.table().b[0] != 0)
 

@@ -22,6 +22,7 @@ import diffrax
 import numpy as np
 
 from ..checks import refuse
+from ..types import Number, Parameter, Scalar
 from . import tables
 
 # e-fold in 1e5 radians, 16 000 periods: less is not seen in the runs that a fixed step is made for
@@ -63,7 +64,7 @@ class Stability(NamedTuple):
     windows: tuple
 
 
-def stability(solver, until=16.0):
+def stability(solver: diffrax.AbstractSolver | type, until: Scalar = 16.0) -> Stability:
     """The table's line of a solver (class or instance), with its windows of instability up to h omega = `until`.
 
     **Raises** ValueError for a solver whose step is not known here.
@@ -77,7 +78,7 @@ def stability(solver, until=16.0):
     )
 
 
-def stability_limit(solver):
+def stability_limit(solver: diffrax.AbstractSolver | type) -> float | None:
     """h omega up to which a mode grows by less than `GROWTH` per radian; inf without end, `None` where not known.
 
     `solver`: class or instance; granjax's, or diffrax's with a table of coefficients. Computed once, then looked up.
@@ -85,7 +86,7 @@ def stability_limit(solver):
     return _limit(_kind(solver), GROWTH)
 
 
-def refused_from(solver):
+def refused_from(solver: diffrax.AbstractSolver | type) -> float | None:
     """h omega from which on `simulate` refuses a fixed step; inf without end, `None` where not known.
 
     `stability_limit` for granjax's own methods. Runge-Kutta methods, most of which amplify from zero on, may grow by
@@ -111,7 +112,7 @@ def _first(solver, growth):
     return ()
 
 
-def one_step(solver, z):
+def one_step(solver: diffrax.AbstractSolver | type, z: Parameter) -> np.ndarray:
     r"""R(z), shape (..., 2, 2) for z of shape (...): (u, v/omega) after one step h from (u, v/omega), z = h omega.
 
     `LeapfrogMidpoint` and `ReversibleHeun` carry a second state besides: the complex matrix on both, for
@@ -130,18 +131,18 @@ def one_step(solver, z):
     return _runge_kutta(kind.tableau, z)
 
 
-def amplification(solver, z):
+def amplification(solver: diffrax.AbstractSolver | type, z: Parameter) -> Number:
     """rho(z), the factor by which a step at h omega = z multiplies the fastest growing amplitude."""
     return np.exp(_log_radius(one_step(solver, z)))
 
 
-def growth(solver, z):
+def growth(solver: diffrax.AbstractSolver | type, z: Parameter) -> Number:
     """log(rho)/z, the growth per radian of phase."""
     z = np.asarray(z, float)
     return _log_radius(one_step(solver, z)) / z
 
 
-def windows(solver, until, growth=GROWTH):
+def windows(solver: diffrax.AbstractSolver | type, until: Scalar, growth: Scalar = GROWTH) -> tuple:
     """Every `Window` that begins below h omega = `until` in which a mode grows by more than `growth` per radian.
 
     Found however narrow: the grid is refined wherever eigenvalues nearly meet.
@@ -157,7 +158,7 @@ def windows(solver, until, growth=GROWTH):
     )
 
 
-def evaluations(solver):
+def evaluations(solver: diffrax.AbstractSolver | type) -> float:
     """Force evaluations per step, with those kept from the step before; NaN for an implicit method."""
     kind = _kind(solver)
     if hasattr(kind, "evaluations"):
@@ -262,7 +263,7 @@ def _log_radius(R):
     return np.where(D > 0, np.log(mean + np.sqrt(np.maximum(D, 0))), np.log(np.maximum(inside, 1e-300)) / 2)
 
 
-def places(solver, until):
+def places(solver: diffrax.AbstractSolver | type, until: Scalar) -> np.ndarray:
     """A grid of h omega, finer around every local maximum of the discriminant."""
     z = SPACING * np.arange(1, int(np.ceil(until / SPACING)) + 1)
     R = one_step(solver, z)

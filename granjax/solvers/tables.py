@@ -40,13 +40,13 @@ def _numbers(x):
     return np.array([[float(z) for z in y] if isinstance(y, list) else float(y) for y in x])
 
 
-def splitting(name):
+def splitting(name: str) -> Splitting:
     """Table of a splitting method by the name of its class."""
     t = _read()["splitting"][name]
     return Splitting(_numbers(t["a"]), _numbers(t["b"]), t["order"], t["source"])
 
 
-def nystrom(name):
+def nystrom(name: str) -> Nystrom:
     """Table of a Runge-Kutta-Nystrom pair by the name of its class."""
     t = _read()["nystrom"][name]
     return Nystrom(

@@ -8,11 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import concrete, parameter, refuse, whole
-from ..lattice import State
+from ..lattice import Lattice, State
+from ..types import Count, Parameter
 from .places import chain_only
 
 
-def normal_mode(lattice, index=0, amplitude=1.0, phase=0.0):
+def normal_mode(lattice: Lattice, index: Count = 0, amplitude: Parameter = 1.0, phase: Parameter = 0.0) -> State:
     r"""One normal mode phi of the linearised lattice: u = a cos(phase) phi, v = -omega a sin(phase) phi.
 
     The largest component of phi in modulus is 1, so `amplitude` is the largest displacement; the first component of a
@@ -45,7 +46,7 @@ def normal_mode(lattice, index=0, amplitude=1.0, phase=0.0):
     return State(_shaped(lattice, u), _shaped(lattice, v))
 
 
-def sine_mode(lattice, k=1, amplitude=1.0):
+def sine_mode(lattice: Lattice, k: Count = 1, amplitude: Parameter = 1.0) -> State:
     """Sine k of a chain between fixed ends: u_n = a sin(pi k (n+1)/(N+1)), n = 0 ... N-1, v = 0.
 
     The normal mode of a chain of equal masses and springs; for other chains a smooth start. No eigenproblem is solved.

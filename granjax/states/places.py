@@ -1,11 +1,14 @@
 """Which field and which site a state speaks of, checked against the lattice."""
 
+from typing import Any
+
 import numpy as np
 
 from ..checks import one_of, refuse
+from ..lattice import Lattice
 
 
-def field_of(lattice, field):
+def field_of(lattice: Lattice, field: str | None) -> str | None:
     """The field's name; `None` for a plain array."""
     if lattice.fields is None:
         if field is not None:
@@ -16,7 +19,7 @@ def field_of(lattice, field):
     return one_of("field", field, lattice.fields)
 
 
-def site_of(lattice, site, field):
+def site_of(lattice: Lattice, site: Any, field: str | None) -> tuple[int, ...]:
     """A site's index as a tuple, in range."""
     shape = lattice.sites if field is None else lattice.sites[field]
     index = tuple(site) if isinstance(site, (tuple, list)) else (site,)
@@ -29,7 +32,7 @@ def site_of(lattice, site, field):
     return tuple(int(i) for i in index)
 
 
-def chain_only(lattice, what):
+def chain_only(lattice: Lattice, what: str) -> int:
     """Refuse grids, vectors and named fields, where a state is meant for a plain chain."""
     if lattice.fields is not None or lattice.axes != 1 or lattice.dimension is not None:
         got = f"displacements of shape {lattice.shape}"

@@ -5,16 +5,17 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import non_negative, parameter, refuse
-from ..lattice import State
+from ..lattice import Lattice, State
+from ..types import Parameter, Seed, Site
 from .places import field_of, site_of
 
 
-def rest(lattice):
+def rest(lattice: Lattice) -> State:
     """Every site at rest in equilibrium: u = v = 0."""
     return State(lattice.zeros(), lattice.zeros())
 
 
-def impact(lattice, velocity=1.0, site=0, field=None):
+def impact(lattice: Lattice, velocity: Parameter = 1.0, site: Site = 0, field: str | None = None) -> State:
     """One site moves, all else is at rest in equilibrium: what a striker leaves behind.
 
     **Arguments:**
@@ -41,7 +42,7 @@ def impact(lattice, velocity=1.0, site=0, field=None):
     return State(lattice.zeros(), x if field is None else {**v, field: x})
 
 
-def random(lattice, seed=0, displacement=0.1, velocity=0.0):
+def random(lattice: Lattice, seed: Seed = 0, displacement: Parameter = 0.1, velocity: Parameter = 0.0) -> State:
     """Displacements and velocities uniform in [-displacement, displacement) and [-velocity, velocity), seeded.
 
     **Arguments:** `seed`: a whole number or a `jax.random` key; the same seed gives the same state. `displacement` [m]
@@ -53,7 +54,7 @@ def random(lattice, seed=0, displacement=0.1, velocity=0.0):
     return State(*(_draw(lattice, key, a, _uniform) for key, a in zip(keys, amplitudes)))
 
 
-def thermal(lattice, temperature, seed=0):
+def thermal(lattice: Lattice, temperature: Parameter, seed: Seed = 0) -> State:
     """Sites in equilibrium position with Gaussian velocities: m <v^2> = k_B T for each component.
 
     **Arguments:** `temperature`: k_B T [J], not negative, a number or one per lane; the mean kinetic energy of each

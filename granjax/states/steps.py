@@ -3,11 +3,12 @@
 import jax.numpy as jnp
 
 from ..checks import concrete, parameter, refuse, show
-from ..lattice import State
+from ..lattice import Lattice, State
+from ..types import Parameter
 from .places import chain_only
 
 
-def strain_step(lattice, left, right=0.0, centre=None):
+def strain_step(lattice: Lattice, left: Parameter, right: Parameter = 0.0, centre: Parameter | None = None) -> State:
     r"""A step in the strain, at rest: y_n = u_n - u_{n+1} = `left` for n < centre, `right` for n >= centre; v = 0.
 
     The last site stays at u = 0 and the displacements follow from it, u_n = sum of y_j over j >= n. With right = 0 all
@@ -30,7 +31,7 @@ def strain_step(lattice, left, right=0.0, centre=None):
     return State((zeros + (left * before + right * after)).astype(zeros.dtype), zeros)
 
 
-def velocity_step(lattice, c, centre=None):
+def velocity_step(lattice: Lattice, c: Parameter, centre: Parameter | None = None) -> State:
     r"""A velocity shock: u = 0, v_n = -2 c sign(n - centre), with sign(0) = 0.
 
     For c > 0 the left half moves right with 2c and the right half left with 2c, so that they collide: the relative

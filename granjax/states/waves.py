@@ -1,18 +1,24 @@
 """Wave packets of the linear chain."""
 
+from collections.abc import Callable
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ..checks import concrete, one_of, parameter, positive, refuse, show, within
-from ..lattice import State
+from ..lattice import Lattice, State
+from ..types import Parameter
 from .places import chain_only
 
 UNIFORM = 1e-6
 
 
-def wave_packet(lattice, k, centre=None, width=10.0, amplitude=0.01, *, omega=None, direction="right"):
+def wave_packet(
+    lattice: Lattice, k: Parameter, centre: Parameter | None = None, width: Parameter = 10.0,
+    amplitude: Parameter = 0.01, *, omega: Parameter | Callable | None = None, direction: str = "right",
+) -> State:
     r"""A Gaussian wave packet that runs one way: u_n = a exp(-(n - n0)^2/(2 w^2)) cos(k (n - n0)).
 
     The velocities are those of the wave sum_q U_q exp(i(q n - omega(q) t)) at t = 0, with omega odd in q, by a Fourier

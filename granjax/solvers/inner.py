@@ -13,10 +13,14 @@ from math import factorial
 
 import numpy as np
 
+from ..types import Scalar
+
 ROUNDING = 1e-13
 
 
-def weights(A, c, nodes, step=1.5, further=4):
+def weights(
+    A: np.ndarray, c: np.ndarray, nodes: np.ndarray, step: Scalar = 1.5, further: int = 4,
+) -> tuple[np.ndarray, int]:
     r"""Weights w, one row per node, and the order of the error of the positions that they give.
 
     `A`, `c`: the stages. The order conditions hold to the highest grade that they can; the freedom that is left makes
