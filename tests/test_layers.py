@@ -84,6 +84,11 @@ def test_the_reading_of_imports_sees_them():
     assert "terms" in imports(ROOT / "lattice" / "model.py")
 
 
+def test_no_file_name_stands_in_three_folders():
+    names = [path.name for path in FILES if path.name != "__init__.py"]
+    assert not {name for name in names if names.count(name) > 2}
+
+
 def test_there_is_no_circle_within_a_folder():
     for folder in [path for path in ROOT.iterdir() if (path / "__init__.py").is_file()]:
         files = {path.stem: path for path in folder.glob("*.py") if path.stem != "__init__"}

@@ -2,8 +2,8 @@
 
 from .files import read_csv, read_mat
 from .fit import fit
+from .fitted import Fit
 from .problem import Problem, prepared
-from .record import Fit
 from .solve import linearised
 from .traces import Traces
 

@@ -10,7 +10,7 @@ from ..measures import overlap
 from ..solvers import AbstractSplitting
 from ..terms import Bond
 from .determined import covariance, directions, quantities, sentences
-from .record import Fit
+from .fitted import Fit
 from .solve import BLIND, CONVERGED, NOT_FINITE, SPENT, Found, directions_left, evaluated, linearised
 
 NOTICEABLE = 0.1

@@ -11,5 +11,5 @@ from .fronts import Front, Peaks, arrival_times, front_speed, peak_times
 from .histories import along, rms_velocity
 from .instruments import Trace, velocity_trace
 from .localisation import energy_centre, participation, participation_number, second_moment
-from .modes import modal_amplitudes, modal_energy
+from .modal import modal_amplitudes, modal_energy
 from .spectra import Spectrogram, Spectrum, spectrogram, spectrum
