@@ -9,6 +9,7 @@ import numpy as np
 
 from ..checks import positive, refuse
 from ..results import Held, Result
+from ..types import Scalar
 from .ladder import DEFAULT, distance, in_turns, number, once, seconds_in_words
 
 # an advised error lies between asked/NEAR and asked
@@ -60,7 +61,7 @@ class Advice(Result):
         return self.outcome
 
 
-def advise(table, asked):
+def advise(table: Result, asked: Scalar) -> Advice:
     """`Advice` for an error, from a `WorkPrecision`; its docstring says how."""
     asked = float(positive("error", asked))
     known = [i for i in range(len(table.method)) if table.drawn[i] and table.method[i] != DEFAULT]

@@ -2,14 +2,15 @@
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import jax
 import numpy as np
+from jaxtyping import Float
 
 from ..checks import one_of, refuse, show
-from ..types import Parameter, Pytree, Scalar
+from ..types import Count, Parameter, Pytree, Scalar
 
 PARAMETERS = ("step", "tolerance")
 DEFAULT = "default"
@@ -46,7 +47,7 @@ class Ladder(NamedTuple):
     compile_seconds: float | None = None
 
 
-def checked_ladders(ladders):
+def checked_ladders(ladders: Sequence[Ladder]) -> tuple[Ladder, ...]:
     """The ladders as a tuple. **Raises** ValueError for another kind, two of one name, values that cannot be meant."""
     if isinstance(ladders, Ladder) or not isinstance(ladders, (tuple, list)) or not ladders:
         refuse("ladders", "a list of Ladder(name, parameter, values, call)", repr(ladders)[:60])
@@ -66,7 +67,7 @@ def checked_ladders(ladders):
     )
 
 
-def checked_values(name, values):
+def checked_values(name: str, values: Parameter) -> tuple[float, ...]:
     """Steps or tolerances as a tuple of floats, the coarsest first."""
     try:
         array = np.atleast_1d(np.asarray(values, dtype=float))
@@ -88,7 +89,7 @@ class Called(NamedTuple):
     note: str
 
 
-def once(call, value):
+def once(call: Callable, value: float) -> Called:
     """Call and wait for the result; a ValueError or RuntimeError becomes a note."""
     start = time.perf_counter()
     try:
@@ -107,7 +108,7 @@ def _count(x):
     return np.nan if x is None else float(np.max(x))
 
 
-def warmed(ladder):
+def warmed(ladder: Ladder) -> tuple[Ladder, float]:
     """The ladder with its `compile_seconds`, and the time of a warm call of the coarsest value that works.
 
     Compile time is that of the first call less that of the second.
@@ -122,7 +123,9 @@ def warmed(ladder):
     return ladder._replace(compile_seconds=compiling), seconds
 
 
-def in_turns(calls, repeats, known=None):
+def in_turns(
+    calls: Sequence[tuple[Callable, float]], repeats: Count, known: Sequence[float] | None = None
+) -> Float[np.ndarray, "2 calls"]:
     """Median and shortest wall time of calls [s] that take turns, A B C A B C, so that a drift of the machine hits all.
 
     `calls`: pairs (call, value). Each is called `repeats` times, or until its times add up to `ENOUGH`; `known`: the

@@ -1,5 +1,8 @@
 """Ladders of solvers on a lattice: which solvers, which steps and tolerances."""
 
+from collections.abc import Mapping, Sequence
+from typing import TypeAlias
+
 import diffrax
 import jax
 import numpy as np
@@ -7,7 +10,7 @@ from jax.flatten_util import ravel_pytree
 
 from ..checks import one_of, refuse
 from ..flow import frequency_bound, linear_frequency, simulate
-from ..lattice import State, acceleration_only, split_system
+from ..lattice import Lattice, State, acceleration_only, split_system
 from ..solvers import (
     RKN86,
     RKN1210,
@@ -19,7 +22,10 @@ from ..solvers import (
     VelocityVerlet,
 )
 from ..solvers.stability import stability_limit
+from ..types import Parameter, Pytree, Scalar
 from .ladder import DEFAULT, Ladder, checked_values
+
+Solvers: TypeAlias = dict[str, diffrax.AbstractSolver]
 
 SPLITTING = (VelocityVerlet, SRKN6b, SRKN11b, SRKN14a, KahanLi8, SofroniouSpaletta10)
 NYSTROM = (RKN86, RKN1210)
@@ -32,12 +38,12 @@ MOST_STEPS, LEAST_INTERVALS = 48, 4
 ORDER = 4
 
 
-def splits(lattice):
+def splits(lattice: Lattice) -> bool:
     """Whether splitting solvers take the lattice."""
     return _accepts(split_system, lattice)
 
 
-def reads_velocity(lattice):
+def reads_velocity(lattice: Lattice) -> bool:
     """Whether a force reads the velocity, so that Nystrom pairs do not take the lattice."""
     return not _accepts(acceleration_only, lattice)
 
@@ -50,13 +56,13 @@ def _accepts(form, lattice):
     return True
 
 
-def sensible_solvers(lattice):
+def sensible_solvers(lattice: Lattice) -> Solvers:
     """A dict from name to solver: all that take the lattice, and diffrax's Tsit5 and Dopri8."""
     kinds = (SPLITTING if splits(lattice) else ()) + (() if reads_velocity(lattice) else NYSTROM) + DIFFRAX
     return {kind.__name__: kind() for kind in kinds}
 
 
-def checked_solvers(solvers, lattice):
+def checked_solvers(solvers: diffrax.AbstractSolver | Sequence | Mapping | None, lattice: Lattice) -> Solvers:
     """A dict from name to solver. **Raises** ValueError for what is no solver."""
     if solvers is None:
         return sensible_solvers(lattice)
@@ -78,7 +84,7 @@ def checked_solvers(solvers, lattice):
     return found
 
 
-def checked_steps(steps, solvers):
+def checked_steps(steps: Parameter | Mapping | None, solvers: Solvers) -> dict[str, tuple[float, ...]]:
     """A dict from name to values, for the solvers that the user gave values for."""
     if steps is None:
         return {}
@@ -90,12 +96,14 @@ def checked_steps(steps, solvers):
     return {one_of("steps", name, tuple(solvers)): checked_values(name, values) for name, values in steps.items()}
 
 
-def adaptive(solver):
+def adaptive(solver: diffrax.AbstractSolver) -> bool:
     """Whether a solver takes a tolerance."""
     return isinstance(solver, diffrax.AbstractAdaptiveSolver)
 
 
-def solver_ladders(lattice, state, t0, t1, solvers, steps, tangents=False):
+def solver_ladders(
+    lattice: Lattice, state: Pytree, t0: float, t1: float, solvers: Solvers, steps: Mapping, tangents: bool = False
+) -> list[Ladder]:
     """One `Ladder` per solver of a dict; its values from the dict `steps`, or down from the stability limit."""
     omega = highest_frequency(lattice, state, t0, t1)
     ladders = []
@@ -114,7 +122,7 @@ def solver_ladders(lattice, state, t0, t1, solvers, steps, tangents=False):
     return ladders
 
 
-def default_ladder(lattice, state, t0, t1, tangents=False):
+def default_ladder(lattice: Lattice, state: Pytree, t0: float, t1: float, tangents: bool = False) -> Ladder:
     """What `simulate` does without any choice; its compile time is not measured, as it shares a solver's."""
     call = _call(lattice, state, t0, t1, None, None, tangents)
     return Ladder(DEFAULT, "step", (np.nan,), call, compile_seconds=np.nan)
@@ -164,7 +172,7 @@ def _evaluations(name, stats):
     return np.max(stats["steps"]) * (kind.tableau.num_stages - bool(kind.tableau.fsal))
 
 
-def highest_frequency(lattice, state, t0, t1):
+def highest_frequency(lattice: Lattice, state: Pytree, t0: Scalar, t1: Scalar) -> float:
     """The highest linear frequency; where that is zero (a sonic vacuum) the bound at this energy; 0 for neither."""
     omega = float(np.max(linear_frequency(lattice)))
     if omega == 0:
@@ -175,13 +183,13 @@ def highest_frequency(lattice, state, t0, t1):
     return omega
 
 
-def stable_step(solver, omega):
+def stable_step(solver: diffrax.AbstractSolver, omega: Scalar) -> float:
     """The longest stable step of a solver; infinity where none is known, or where it has no end."""
     limit = stability_limit(solver)
     return limit / omega if limit and omega > 0 else np.inf
 
 
-def least_tolerance(lattice):
+def least_tolerance(lattice: Lattice) -> float:
     """What the floating type holds."""
     return 20 * float(np.finfo(lattice.dtype).eps)
 

@@ -13,17 +13,19 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh
 from jax.sharding import PartitionSpec as Spec
+from jaxtyping import Float
 
 from ...checks import refuse, show, within
 from ...flow import Peak, simulate
 from ...measures import contact_force
 from ...scenes import dimer
 from ...states import impact
+from ...types import Count, Parameter, Scalar
 
 LANES = 8
 
 
-def checked_ratios(ratios):
+def checked_ratios(ratios: Parameter) -> Float[np.ndarray, " n"]:
     """Mass ratios as a NumPy array (n,), each in (0, 1]."""
     ratios = np.asarray(within("ratios", ratios, 0, 1, open_low=True, remedy="The ratio is light over heavy."), float)
     if ratios.ndim != 1 or not ratios.size:
@@ -31,7 +33,10 @@ def checked_ratios(ratios):
     return ratios
 
 
-def peak_forces(ratios, beads, boundary, bonds, t1, progress=False):
+def peak_forces(
+    ratios: Float[np.ndarray, " n"], beads: Count, boundary: str, bonds: tuple[int, ...], t1: Scalar,
+    progress: bool = False,
+) -> Float[np.ndarray, "bonds n"]:
     """Largest forces of some bonds until t1, shape (bonds, n); NaN for a chunk whose run did not complete.
 
     **Arguments:** `ratios` (n,), checked; `bonds`: a tuple of indices into the chain's bonds.
