@@ -35,6 +35,8 @@ MOST_MEMORY = 1.8e9
 kept = tuning.keep_compiled()
 if kept:
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+# where an operation was written is read by nobody here: a fourteenth
+jax.config.update("jax_traceback_in_locations_limit", 0)
 # the command line, called by tests, keeps nothing in the user's cache folder
 os.environ["GRANJAX_CACHE"] = "0"
 # traces are trees of many small objects that live long: rarer collections save a twentieth

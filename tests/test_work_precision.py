@@ -568,10 +568,10 @@ def test_contact_loss_makes_every_fixed_step_five_halves():
 
 @pytest.mark.slow
 def test_a_chaotic_scene_is_refused():
-    chain = gx.scenes.monomer(32)
+    chain = gx.scenes.monomer(16)
     state = gx.states.random(chain, 1, velocity=1.0)
-    with pytest.raises(RuntimeError, match="No reference exists at t1 = 300.*chaos"):
-        gx.work_precision(chain, state, 300.0, [gx.RKN86()], repeats=1)
+    with pytest.raises(RuntimeError, match="No reference exists at t1 = 1000.*chaos"):
+        gx.work_precision(chain, state, 1000.0, [gx.RKN86()], repeats=1)
 
 
 def written_out(masses, F0, gamma, state, t1):
@@ -592,7 +592,7 @@ def written_out(masses, F0, gamma, state, t1):
 def test_advice_on_a_random_damped_trimer_holds_when_followed(seed):
     rng = np.random.default_rng(seed)
     F0, gamma, t1 = rng.uniform(0.2, 2.0), rng.uniform(0.01, 0.2), rng.uniform(5, 25)
-    chain = gx.scenes.trimer(int(rng.integers(9, 30)), rng.uniform(0.2, 1.0, 2), precompression=F0)
+    chain = gx.scenes.trimer(16, rng.uniform(0.2, 1.0, 2), precompression=F0)
     chain = gx.Lattice(chain.mass, (*chain.terms, gx.Damping(gamma)))
     state = gx.states.random(chain, seed, displacement=rng.uniform(0.05, 0.5), velocity=rng.uniform(0, 0.3))
     wp = gx.work_precision(chain, state, t1, repeats=2)
