@@ -7,7 +7,6 @@ from jax.flatten_util import ravel_pytree
 
 from ..lattice import spread_mass
 from ..orbits import shifts
-from ..terms import Damping, Drive, Modulated, Wall
 
 
 class Structure(NamedTuple):
@@ -34,21 +33,20 @@ def structure(lattice):
     it is driven or damped, but the free displacement of a damped or driven chain, which keeps one (or two).
     """
     mass = ravel_pytree(spread_mass(lattice))[0]
-    damping = [term for term in lattice.terms if isinstance(term, Damping)]
-    others = [term for term in lattice.terms if term.reads_velocity and not isinstance(term, Damping)]
-    autonomous = not any(
-        isinstance(term, (Drive, Modulated)) or isinstance(term, Wall) and term.motion is not None
-        for term in lattice.terms)
+    damping = [term.exact_damping() for term in lattice.terms]
+    damping = [found for found in damping if found is not None]
+    others = [term for term in lattice.terms if term.exact_damping() is None and term.dependence(lattice).velocity]
+    autonomous = not lattice.reads_time
     moves = shifts(lattice).shape[1]
-    rates = {float(x) for term in damping for x in np.ravel(term.rate)}
-    everywhere = all(term.field is None for term in damping)
+    rates = {float(x) for _, rate in damping for x in np.ravel(rate)}
+    everywhere = all(field is None for field, _ in damping)
     dissipates = bool(others or any(rates))
     if dissipates:
         expected = moves + (1 if autonomous else 0)
     else:
         expected = 2 * moves + (2 if autonomous else 0)
-    uniform = not others and everywhere and all(np.unique(np.ravel(term.rate)).size == 1 for term in damping)
-    rate = sum(float(np.ravel(term.rate)[0]) for term in damping) if uniform else None
+    uniform = not others and everywhere and all(np.unique(np.ravel(rate)).size == 1 for _, rate in damping)
+    rate = sum(float(np.ravel(rate)[0]) for _, rate in damping) if uniform else None
     return Structure(np.asarray(mass), rate, expected, autonomous)
 
 

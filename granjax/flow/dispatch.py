@@ -7,8 +7,6 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from ..terms import Damping
-
 _ARRAYS = (jax.Array, np.ndarray, np.generic)
 
 
@@ -68,10 +66,10 @@ def facts(lattice):
 
 
 def _found(lattice):
-    velocity = [term for term in lattice.terms if term.reads_velocity]
+    velocity = [term for term in lattice.terms if term.dependence(lattice).velocity]
     return Facts(
         lattice.template(), lattice.dtype, traced(lattice), bool(velocity),
-        all(isinstance(term, Damping) for term in velocity), {},
+        all(term.exact_damping() is not None for term in velocity), {},
     )
 
 

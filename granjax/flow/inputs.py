@@ -11,9 +11,9 @@ from ..checks import concrete, one_of, refuse, show, whole
 from ..lattice import Lattice, State
 from ..types import Scalar
 from .dispatch import facts
-from .record import CLOSEST, Record
+from .record import CLOSEST, EXTREMES, Record
 
-RESERVED = ("time", "ts", "us", "vs", "u", "v", CLOSEST)
+RESERVED = ("time", "ts", "us", "vs", "u", "v", CLOSEST, EXTREMES)
 
 
 def checked_state(lattice: Any, state: Any) -> State:

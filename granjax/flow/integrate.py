@@ -6,21 +6,24 @@ import jax
 import jax.numpy as jnp
 
 from ..lattice import vector_field
-from ..solvers import RKN86, RKN1210
-from ..terms import Bond, Wall
+from ..solvers import AbstractNystrom
 from .control import Scales, StepControl
 from .dispatch import compiled
-from .record import CLOSEST, Lowest, Recorded
+from .record import CLOSEST, EXTREMES, Extremes, Lowest, Recorded
 from .run import COMPLETED, FAILED, NOT_FINITE, STEP_TOO_SMALL, TOO_MANY_STEPS, Run, finite
-from .stiffness import frequency_bound
+from .stiffness import compressions, frequency_bound, reached_frequency
 
 
 @compiled
 def integrate(
-    lattice, state, t0, t1, dt, tolerance, save_ts, records, solver, adjoint, max_steps, every, progress,
+    lattice, state, t0, t1, dt, tolerance, save_ts, records, solver, adjoint, max_steps, every, progress, watch=False,
 ):
-    """Integrate and reduce; everything checked, everything chosen. A `Run` without its names."""
-    records = {**records, CLOSEST: Lowest(_smallest_overlap)} if _overlaps(lattice) else records
+    """Integrate and reduce; everything checked, everything chosen. A `Run` without its names.
+
+    `watch`: follow every compression, for the highest frequency that the run reaches.
+    """
+    records = {**records, CLOSEST: Lowest(_smallest_overlap)} if _overlaps(lattice, t0, state.u) else records
+    records = {**records, EXTREMES: Extremes(_compressions)} if watch else records
     stepper = _ready(solver, adjoint)
     stepper = Recorded(stepper, records) if records else stepper
     if tolerance is None:
@@ -42,7 +45,7 @@ def integrate(
     ts, ys = (solution.ts[-1], solution.ys[-1])
     carried = solution.solver_state[1] if records else {}
     recorded = {name: records[name].finish(carried[name]) for name in records}
-    closest = recorded.pop(CLOSEST, None)
+    closest, extremes = recorded.pop(CLOSEST, None), recorded.pop(EXTREMES, None)
     opened = jnp.zeros(lattice.lanes, bool) if closest is None else _any_below_zero(closest, lattice)
     steps = solution.stats["num_steps"]
     evaluations = type(solver).evaluations() if hasattr(type(solver), "evaluations") else jnp.nan
@@ -52,6 +55,8 @@ def integrate(
         "step": (t1 - t0) / jnp.maximum(solution.stats["num_accepted_steps"], 1),
         "force_evaluations": steps * evaluations,
     }
+    if watch:
+        stats["omega"] = reached_frequency(lattice, *extremes, t0, t1, final.u)
     code = _code(solution.result, final)
     energy_error = _energy_error(lattice, state, t0, ts, ys)
     return Run(ts, ys.u, ys.v, final, recorded, energy_error, opened, code, stats, None, "", "", "")
@@ -64,27 +69,22 @@ def _ready(solver, adjoint):
     return solver
 
 
-def _overlaps(lattice):
-    """The contacts that can open, of bonds and walls: functions (t, u) of their overlap."""
-    found = []
-    for term in lattice.terms:
-        term = getattr(term, "term", term)
-        law = getattr(term, "law", None)
-        if law is None or jax.eval_shape(law.overlap, jax.ShapeDtypeStruct((), lattice.dtype)) is None:
-            continue
-        if isinstance(term, Bond):
-            found.append(lambda t, u, term=term: term.law.overlap(term.strain_map.strain(u)))
-        elif isinstance(term, Wall):
-            found.append(lambda t, u, term=term: term.law.overlap(term.compression(t, u)))
-    return found
+def _overlaps(lattice, t, u):
+    """The overlaps of the contacts that can open, of bonds and walls."""
+    found = [c.overlap for term in lattice.terms for c in term.compressions(t, u) if c.place != "site"]
+    return [overlap for overlap in found if overlap is not None]
 
 
 def _smallest_overlap(t, y, lattice):
-    overlaps = [overlap(t, y.u) for overlap in _overlaps(lattice)]
+    overlaps = _overlaps(lattice, t, y.u)
     if len(overlaps) == 1:
         return overlaps[0]
     lanes = len(lattice.lanes)
     return jnp.concatenate([s.reshape((-1,) + s.shape[s.ndim - lanes :]) for s in overlaps])
+
+
+def _compressions(t, y, lattice):
+    return compressions(lattice, t, y.u)
 
 
 def _any_below_zero(smallest, lattice):
@@ -136,6 +136,6 @@ def _controller(lattice, state, t0, t1, tolerance, solver, save_ts):
     velocity = jnp.maximum(fastest, omega * furthest)
     velocity = jax.lax.stop_gradient(jnp.where(velocity > 0, velocity, 1.0))
     controller = StepControl(tolerance, Scales(velocity / omega, velocity), first=1 / omega)
-    if save_ts is not None and not isinstance(solver, (RKN86, RKN1210)):
+    if save_ts is not None and not isinstance(solver, AbstractNystrom):
         controller = diffrax.ClipStepSizeController(controller, step_ts=save_ts)
     return controller

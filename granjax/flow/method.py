@@ -7,14 +7,19 @@ import numpy as np
 
 from ..checks import concrete, refuse, show
 from ..lattice import acceleration_only, split_system
-from ..solvers import RKN86, RKN1210, AbstractSplitting, SRKN11b
+from ..solvers import RKN86, AbstractNystrom, AbstractSplitting, SRKN11b
 from ..solvers.stability import refused_from
 from .dispatch import facts, traced
 from .inputs import checked_size
-from .stiffness import frequency_bound, has_bound, is_bounded, linear_frequency, softens
+from .stiffness import frequency_bound, linear_frequency, softens
 
 # h omega of the default step
 STEP_FRACTION = 0.5
+# neighbourhoods from which energy may gather in a bond, where it is looked at afterwards; the second one for a law
+# without a floor
+GATHERED = (4, 1)
+# how far beyond its bound a run at the default step may go before it is taken again
+PASSED = 1.1
 DEFAULT_TOLERANCE = 1e-8
 MOST_STEPS = 1e8
 # built once: making a module takes longer than a short run
@@ -49,7 +54,7 @@ def checked_method(lattice, solver, step, tolerance):
                 "tolerance", f"a fixed step with {type(solver).__name__}", f"tolerance={show(tolerance)}",
                 "A symplectic method loses its virtue under adaptive steps; use step=, or solver=gx.RKN86().",
             )
-    if velocity and isinstance(solver, (RKN86, RKN1210)):
+    if velocity and isinstance(solver, AbstractNystrom):
         acceleration_only(lattice)  # refuses, naming the term
     if tolerance is not None and not isinstance(solver, diffrax.AbstractAdaptiveSolver):
         wanted = "one with an error estimate for a tolerance"
@@ -77,12 +82,15 @@ def _default_tolerance(dtype):
     return max(DEFAULT_TOLERANCE, _least_tolerance(dtype))
 
 
-def fixed_step(lattice, state, t0, t1, step, solver, frames):
-    """The step, the number of steps where it is known, what was chosen, and a remark."""
+def fixed_step(lattice, state, t0, t1, step, solver, frames, bound=None):
+    """The step, the number of steps where it is known, what was chosen, and a remark.
+
+    `bound`: the highest frequency, where a run has shown it; by default that of the scene's energy.
+    """
     remark, choice, known = "", "given step", facts(lattice).known
     limit = refused_from(solver)
     if step is None:
-        bound = _known(_bound(lattice, state, t0, t1))
+        bound = _known(_bound(lattice, state, t0, t1) if bound is None else bound)
         if not isinstance(bound, jax.core.Tracer) and not bound > 0:
             refuse(
                 "step", "a time step", "None",
@@ -104,27 +112,45 @@ def fixed_step(lattice, state, t0, t1, step, solver, frames):
     return (t1 - t0) / (count * frames), steps, choice, remark
 
 
-def _refuse_useless(step, t0, t1):
+def passed(solver, run):
+    """The highest frequency that a run at the default step has reached, where it passed the bound; else `None`."""
+    omega = np.asarray(run.stats["omega"]).item()
+    limit = refused_from(solver)
+    fraction = min(STEP_FRACTION, limit or STEP_FRACTION)
+    return omega if float(run.stats["step"]) * omega > PASSED * fraction else None
+
+
+def _useless(step, t0, t1):
     if any(isinstance(x, jax.core.Tracer) for x in (step, t0, t1)):
-        return
-    if not np.isfinite(step) or (t1 - t0) / step > MOST_STEPS:
+        return False
+    return not np.isfinite(step) or (t1 - t0) / step > MOST_STEPS
+
+
+def _refuse_useless(step, t0, t1):
+    if _useless(step, t0, t1):
         refuse(
             "step", "a time step", "None",
             f"The bound on the stiffness at this energy asks for steps of {step:.1e}: no useful one (a law without a "
-            "floor, or energy that is spread over many sites). Give step= or tolerance=.",
+            "floor, or far more energy than moves). Give step= or tolerance=.",
         )
 
 
 def _bound(lattice, state, t0, t1):
-    """The bound as a Python number, where it is known."""
-    bound = frequency_bound(lattice, state, number(t0, np.dtype(float)), number(t1, np.dtype(float)))
-    return bound if isinstance(bound, jax.core.Tracer) else np.asarray(bound).item()
+    """The bound as a Python number, where it is known; a run that is not traced is looked at afterwards."""
+    span = number(t0, np.dtype(float)), number(t1, np.dtype(float))
+    if facts(lattice).traced or traced((state, t0, t1)):
+        return frequency_bound(lattice, state, *span)
+    for neighbourhood in GATHERED:
+        bound = np.asarray(frequency_bound(lattice, state, *span, neighbourhood)).item()
+        if not bound > 0 or not _useless(STEP_FRACTION / bound, t0, t1):
+            break
+    return bound
 
 
 def suspicion(lattice, state, t0, t1, step, solver):
     """A remark on a run that has lost much energy; empty where its step explains nothing."""
     limit = refused_from(solver)
-    if limit is None or step is None or not is_bounded(lattice) or not has_bound(lattice):
+    if limit is None or step is None:
         return ""
     omega = _bound(lattice, state, t0, t1)
     if step * omega <= limit:
@@ -156,7 +182,7 @@ def _refuse_unstable(lattice, state, t0, t1, step, solver, limit):
     if limit is None:
         return
     if "linear bound" not in known:
-        known["linear bound"] = concrete(linear_frequency(lattice, 0)) if has_bound(lattice) else None
+        known["linear bound"] = concrete(linear_frequency(lattice, 0))
     omega = known["linear bound"]
     if omega is None or 0 < step * omega <= limit:
         return

@@ -16,6 +16,8 @@ from ..types import Number, Numbers, Parameter, Scalar, StateLike
 NEWTON_STEPS = 4
 # the record beside the user's own that says whether a contact opened
 CLOSEST = "closest overlap"
+# and the one of all compressions, from which follows how stiff the lattice has been
+EXTREMES = "extreme compressions"
 
 
 class Record(eqx.Module):
@@ -134,6 +136,29 @@ class Lowest(Record):
         return jnp.minimum(carried, end)
 
     def finish(self, carried: Any) -> Numbers:
+        return carried
+
+
+class Extremes(Record):
+    """Smallest and largest values of some quantities at the ends of steps, elementwise, which carry no derivative.
+
+    **Arguments:** `quantity(t, y, lattice)`: a tree of arrays. **Result:** a pair of such trees.
+    """
+
+    sampled: ClassVar[bool] = False
+    quantity: Callable = eqx.field(static=True, converter=_function)
+
+    def value(self, t, y, lattice):
+        return jax.lax.stop_gradient(self.quantity(t, y, lattice))
+
+    def start(self, t, q, dq):
+        return q, q
+
+    def follow(self, carried, t0, t1, middle, end):
+        low, high = carried
+        return jax.tree.map(jnp.minimum, low, end), jax.tree.map(jnp.maximum, high, end)
+
+    def finish(self, carried):
         return carried
 
 

@@ -172,7 +172,7 @@ class _Way(eqx.Module):
             if hasattr(system, "spread"):
                 # what the force leaves in its slot is a buffer, not a cotangent
                 *pulled, idle = pulled
-                force = lambda free, e: self._system(free).bond.law.force(e)
+                force = lambda free, e: self._system(free).law.force(e)
                 forces, pull = jax.vjp(force, self.free, system.compression(w))
                 carry = system.filled(w, forces), (*pulled, jnp.zeros_like(idle)), gradient
                 w, pulled, gradient = self._undone("kick", carry, bh)

@@ -15,7 +15,7 @@ from ..types import Count, Parameter, Scalar, StateLike
 from .dispatch import facts, traced
 from .inputs import checked_records, checked_save_at, checked_state, checked_times
 from .integrate import integrate
-from .method import checked_method, fixed_step, number, suspicion
+from .method import checked_method, fixed_step, number, passed, suspicion
 from .record import Record
 from .reversible import Reversible, checked_reversible, reversible
 from .run import COMPLETED, NOT_FINITE, Run, named
@@ -95,8 +95,17 @@ def simulate(
     span = number(t0, dtype), number(t1, dtype)
     dt = None if dt is None else number(dt, dtype)
     save_ts = None if save_ts is None else jnp.asarray(save_ts, dtype)
+    watch = backwards is None and tolerance is None and step is None and not unknown
     if backwards is None:
-        run = integrate(lattice, state, *span, dt, tolerance, save_ts, records, solver, adjoint, limit, every, progress)
+        rest = records, solver, adjoint, limit, every, progress, watch
+        run = integrate(lattice, state, *span, dt, tolerance, save_ts, *rest)
+        again = passed(solver, run) if watch else None
+        if again is not None:
+            dt, steps, choice, remark = fixed_step(lattice, state, t0, t1, None, solver, frames, again)
+            choice += ", taken again: energy gathered beyond the bound at the start"
+            dt, limit = number(dt, dtype), None if limit is None else max(limit, steps)
+            rest = records, solver, adjoint, limit, every, progress, watch
+            run = integrate(lattice, state, *span, dt, tolerance, save_ts, *rest)
     else:
         run = reversible((lattice, state, backwards), span, dt, save_ts, solver, limit, progress)
     run = named(run, type(solver).__name__, choice, remark)

@@ -8,18 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import concrete, one_of, parameter, positive, refuse
-from ..laws import Hertz, Law, Network, PowerLaw, Sine, Spline, Toda
+from ..laws import Law, Network, PowerLaw, Spline
 
 KNOTS, UNITS = 7, 6
 FAMILIES = ("power law", "polynomial", "spline", "network")
-
-_POSITIVE = {
-    (Hertz, "stiffness"), (Hertz, "precompression"), (PowerLaw, "stiffness"), (PowerLaw, "precompression"),
-    (PowerLaw, "exponent"), (Sine, "wavenumber"), (Spline, "coefficients"), (Toda, "strength"), (Toda, "rate"),
-}
-# units, and preloads that the force from equilibrium does not hold
-_HELD = {(kind, name) for kind in ("Network", "Series", "Spline") for name in ("strain", "scale", "preload")}
-
 
 class Series(Law):
     r"""A polynomial of any degree through the origin: F(e) = F_s sum_{k=1}^n c_k (e/e_s)^k.
@@ -30,6 +22,8 @@ class Series(Law):
     **Raises** ValueError for e_s, F_s <= 0 or no coefficient.
     """
 
+    dimensions = {"_coefficients": (0, 0, 0), "strain": (0, 1, 0), "scale": (1, 0, 0)}
+    held = ("strain", "scale")
     _coefficients: tuple[jax.Array, ...]
     strain: jax.Array
     scale: jax.Array
@@ -95,10 +89,10 @@ def leaves_of(law):
 
 
 def _leaf(law, path, value):
-    owner, kind, name, parts = law, type(law), "", []
+    owner, holder, name, parts = law, law, "", []
     for key in path:
         if isinstance(owner, Law):
-            kind, name = type(owner), getattr(key, "name", "").removeprefix("_").removeprefix("free_")
+            holder, name = owner, getattr(key, "name", "").removeprefix("_").removeprefix("free_")
             parts.append(name)
             owner = getattr(owner, key.name)
         else:
@@ -106,10 +100,10 @@ def _leaf(law, path, value):
             owner = owner[getattr(key, "idx", getattr(key, "key", None))]
     at = concrete(value)
     bounds = None
-    if (kind, name) in _POSITIVE and at is not None and at.any():
+    if name in holder.positive and at is not None and at.any():
         bounds = (0.0, None) if (at > 0).all() else (None, 0.0)
     floating = isinstance(value, jax.Array) and jnp.issubdtype(value.dtype, jnp.floating)
-    return Leaf(".".join(parts), value, not floating or (kind.__name__, name) in _HELD, bounds)
+    return Leaf(".".join(parts), value, not floating or name in holder.held, bounds)
 
 
 class LawScene(NamedTuple):

@@ -1,11 +1,11 @@
 """The lattice, its equation of motion, and its split form."""
 
-from .linearised import linearised, slope
+from .linearised import linearised
 from .model import Lattice, State, spread_mass
 from .split import acceleration_only, split_system, vector_field
 from .tangents import variational
 
 __all__ = [
-    "Lattice", "State", "acceleration_only", "linearised", "slope", "split_system", "spread_mass", "variational",
+    "Lattice", "State", "acceleration_only", "linearised", "split_system", "spread_mass", "variational",
     "vector_field",
 ]

@@ -8,7 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import positive, refuse, whole
-from ..terms import Damping, Drive, Modulated, OnSite, Term, Wall
+from ..terms import Term
+from ..terms.base import SCALES, traced
+
+SAME = 1e-9
 
 
 class State(NamedTuple):
@@ -83,9 +86,9 @@ class Lattice(eqx.Module):
             name = f"terms[{i}] ({type(term).__name__})"
             if not isinstance(term, Term):
                 refuse(f"terms[{i}]", "a term, such as Bond(Shift(1), Hertz())", repr(term))
-            _check_place(name, term, self)
+            term.check(name, self)
             try:
-                got = jax.eval_shape(lambda u: term.force(jnp.zeros(()), u, u, self.mass), u)
+                got, _ = traced(term, self)
             except KeyError as error:
                 refuse(name, f"fields among {sorted(self.fields or ())}", str(error), "Check the names of the fields.")
             except (TypeError, ValueError, IndexError, AttributeError) as error:
@@ -200,7 +203,37 @@ class Lattice(eqx.Module):
     @property
     def conserves(self):
         """Whether every term keeps the energy."""
-        return all(term.conserves for term in self.terms)
+        return all(term.dependence(self).conserves for term in self.terms)
+
+    @property
+    def reads_time(self):
+        """Whether some force depends on time."""
+        return any(term.dependence(self).time for term in self.terms)
+
+    @property
+    def reads_velocity(self):
+        """Whether some force depends on velocities."""
+        return any(term.dependence(self).velocity for term in self.terms)
+
+    def commutes(self, move):
+        """Whether a linear change of the displacements, such as a shift by cells or the mirror image, is a symmetry.
+
+        `move(u)` takes displacements to displacements. Compared are the accelerations at rest in time, F(move(u))/m
+        and move(F(u)/m), at random displacements of all sizes; to 1e-9 of the largest.
+        """
+        random = np.random.default_rng(0)
+        where = jax.tree.map(lambda s: random.normal(size=s.shape).astype(s.dtype), self.template())
+        zeros = jax.tree.map(np.zeros_like, where)
+
+        def differ(scale):
+            u = jax.tree.map(lambda x: scale.astype(x.dtype) * x, where)
+            there = self.acceleration(jnp.zeros(()), move(u), zeros)
+            here = move(self.acceleration(jnp.zeros(()), u, zeros))
+            size = jnp.max(jnp.stack([jnp.max(jnp.abs(x)) for x in jax.tree.leaves(here)]))
+            off = jnp.max(jnp.stack(jax.tree.leaves(jax.tree.map(lambda a, b: jnp.max(jnp.abs(a - b)), there, here))))
+            return jnp.isfinite(size) & (off > SAME * size)
+
+        return not np.any(np.asarray(jax.jit(jax.vmap(differ))(SCALES)))
 
     def unbalanced(self):
         """Force on each site at rest, from the total contact forces (preloads included).
@@ -213,26 +246,7 @@ class Lattice(eqx.Module):
 
 
 def _per_vector(term, axes):
-    """A term of the sites with one parameter a site made one a vector, by a trailing axis."""
-    if isinstance(term, Modulated):
-        return eqx.tree_at(lambda t: t.term, term, _per_vector(term.term, axes))
-    if not isinstance(term, (Damping, OnSite)):
-        return term
-    return jax.tree.map(lambda x: x[..., None] if jnp.ndim(x) == axes else x, term)
-
-
-def _check_place(name, term, lattice):
-    """Terms that act on one site: that there is such a site."""
-    if isinstance(term, Wall) and (lattice.axes != 1 or lattice.dimension is not None):
-        refuse(name, "a chain with scalar displacements", f"a lattice of shape {lattice.shape}", "Hold ends by bonds.")
-    if isinstance(term, Drive):
-        sites = lattice.sites
-        sites = sites.get(term.field, ()) if isinstance(sites, dict) else sites
-        whole_numbers = all(isinstance(i, (int, np.integer)) and not isinstance(i, bool) for i in term.site)
-        if not whole_numbers or len(term.site) != len(sites) or any(not -n <= i < n for i, n in zip(term.site, sites)):
-            refuse(name, f"a site of a lattice of {sites}", f"site {term.site}")
-        if lattice.dimension is not None and jax.eval_shape(term.waveform, jnp.zeros(())).shape != (lattice.dimension,):
-            refuse(name, f"a waveform that gives a vector of {lattice.dimension}", "one of another shape")
+    return term.per_vector(axes) if isinstance(term, Term) else term
 
 
 def _sum(parts, like):

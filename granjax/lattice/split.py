@@ -8,10 +8,8 @@ import jax
 import jax.numpy as jnp
 
 from ..checks import refuse
-from ..laws import Linear
+from ..laws import Law
 from ..split_system import Split, pair
-from ..strains import Shift
-from ..terms import Bond, Damping
 from .model import Lattice
 
 
@@ -50,14 +48,15 @@ class ChainSplit(eqx.Module):
     """
 
     lattice: Lattice
-    bond: Bond
+    law: Law
+    boundary: str = eqx.field(static=True)
 
     @property
     def _walls(self):
-        return self.bond.strain_map.boundary[0] == "fixed"
+        return self.boundary == "fixed"
 
     def _write(self, f, u):
-        return self._put(f, self.bond.law.force(u[:-1] - u[1:]))
+        return self._put(f, self.law.force(u[:-1] - u[1:]))
 
     def _put(self, f, force):
         return jax.lax.dynamic_update_slice(f, force.astype(f.dtype), (0 if self._walls else 1,) + (0,) * (f.ndim - 1))
@@ -133,7 +132,8 @@ class SpringSplit(eqx.Module):
     """
 
     lattice: Lattice
-    bond: Bond
+    law: Law
+    boundary: str = eqx.field(static=True)
 
     def start(self, t, y):
         return ()
@@ -164,9 +164,9 @@ class SpringSplit(eqx.Module):
         return a if rate is None else a - rate * v
 
     def _pull(self, u, bh):
-        sites, free = u.shape[0] - 2, self.bond.strain_map.boundary[0] == "free"
+        sites, free = u.shape[0] - 2, self.boundary == "free"
         one = jnp.ones((sites - 1 if free else sites + 1,) + (1,) * (u.ndim - 1), u.dtype)
-        k = self.bond.law.force(one).astype(u.dtype)
+        k = self.law.force(one).astype(u.dtype)
         k = jnp.pad(k, [(1, 1)] + [(0, 0)] * (u.ndim - 1)) if free else k
         left, right = (bh / self.lattice.mass) * k[:-1], (bh / self.lattice.mass) * k[1:]
         return left * u[:-2] - (left + right) * u[1:-1] + right * u[2:]
@@ -179,16 +179,19 @@ def split_system(lattice):
     site, which no splitting into exact flows takes.
     """
     for i, term in enumerate(lattice.terms):
-        if term.reads_velocity and not isinstance(term, Damping):
+        if term.exact_damping() is None and term.dependence(lattice).velocity:
             refuse(
                 "solver", "forces that depend on positions and time, beside linear Damping of each site",
                 f"terms[{i}] ({type(term).__name__}), which reads the velocity",
                 "Use solver=diffrax.Tsit5() or diffrax.Dopri8() with tolerance=..., or replace the term by Damping.",
             )
     forces = _without_velocity(lattice)
-    if len(forces) == 1 and _is_plain_chain(lattice, forces[0]):
-        return (SpringSplit if isinstance(forces[0].law, Linear) else ChainSplit)(lattice, forces[0])
-    return PlainSplit(lattice)
+    plain = lattice.fields is None and lattice.dimension is None and lattice.axes == 1
+    found = forces[0].next_neighbours() if plain and len(forces) == 1 else None
+    if found is None or found[1] == "periodic":
+        return PlainSplit(lattice)
+    law, boundary = found
+    return (SpringSplit if law.is_linear else ChainSplit)(lattice, law, boundary)
 
 
 def acceleration_only(lattice):
@@ -197,7 +200,7 @@ def acceleration_only(lattice):
     **Raises** ValueError naming the term where a force reads the velocity.
     """
     for i, term in enumerate(lattice.terms):
-        if term.reads_velocity:
+        if term.dependence(lattice).velocity:
             refuse(
                 "solver", "forces that depend on positions and time alone",
                 f"terms[{i}] ({type(term).__name__}), which reads the velocity",
@@ -230,24 +233,15 @@ def damped_flight(u, v, rate, ah):
     return u + ah * weight * v, jnp.exp(-x) * v
 
 
-def _is_plain_chain(lattice, term):
-    pairs = getattr(term, "strain_map", None)
-    return (
-        isinstance(term, Bond) and isinstance(pairs, Shift) and pairs.offset == (1,) and pairs.fields is None
-        and pairs.boundary[0] != "periodic" and lattice.fields is None and lattice.dimension is None
-        and lattice.axes == 1
-    )
-
-
 def _without_velocity(lattice):
-    return tuple(term for term in lattice.terms if not term.reads_velocity)
+    return tuple(term for term in lattice.terms if term.exact_damping() is None)
 
 
 def _damping_rates(lattice, u):
     """Pairs (field, total rate or `None`) for every field of the displacements."""
-    damping = [term for term in lattice.terms if isinstance(term, Damping)]
+    damping = [term.exact_damping() for term in lattice.terms]
     for name in tuple(u) if isinstance(u, dict) else (None,):
-        rates = [term.rate for term in damping if term.field is None or term.field == name]
+        rates = [found[1] for found in damping if found is not None and found[0] in (None, name)]
         yield name, (sum(rates[1:], rates[0]) if rates else None)
 
 

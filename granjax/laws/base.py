@@ -1,14 +1,16 @@
 """What every force law is."""
 
 import abc
+from typing import ClassVar
 
-import equinox as eqx
+import jax
 import jax.numpy as jnp
 
 from ..checks import non_negative, refuse
+from ..units import PART, Dimensional
 
 
-class Law(eqx.Module):
+class Law(Dimensional):
     """A force law of one bond or one site: force against compression, measured from static equilibrium.
 
     `force(e)` is positive in compression and `force(0) = 0`; `energy(e)` is its integral with `energy(0) = 0`. The
@@ -18,8 +20,13 @@ class Law(eqx.Module):
 
     Everything is elementwise: `e` has the shape of the bonds (then lanes), parameters are scalars or arrays over them.
     To add a law write `force` and `energy`, with parameters that are arrays (another value of a plain number compiles
-    anew), and one line in the tests' list of cases. `law + law` is their sum.
+    anew), and one line in the tests' list of cases. `law + law` is their sum. `positive`: names of the parameters that
+    do not change their sign; `held`: those that a fit leaves alone.
     """
+
+    positive: ClassVar[tuple[str, ...]] = ()
+    held: ClassVar[tuple[str, ...]] = ()
+    is_linear: ClassVar[bool] = False
 
     @abc.abstractmethod
     def force(self, e):
@@ -38,8 +45,31 @@ class Law(eqx.Module):
         """Length that is positive while the contact is closed, or `None` where the law has no such limit."""
         return None
 
+    def slope(self, e):
+        """Stiffness F'(e), elementwise."""
+        e = jnp.asarray(e)
+        return jax.jvp(self.force, (e,), (jnp.ones_like(e),))[1]
+
+    @property
+    def parts(self):
+        """The laws that this one is made of in parallel; itself for a simple one."""
+        return (self,)
+
+    @property
+    def softens(self):
+        """Whether a contact that re-opens is infinitely stiff, so that no step bound exists there."""
+        return False
+
+    @property
+    def power(self):
+        """(A, p) of a contact A [d0 + e]^p, or `None`."""
+        return None
+
+    def _wrapped(self, units):
+        return InOtherUnits(self, units.length, units.force)
+
     def __add__(self, other):
-        return Sum(parts_of(self) + parts_of(checked_law(other)))
+        return Sum(self.parts + checked_law(other).parts)
 
 
 def checked_law(law):
@@ -63,7 +93,19 @@ class Sum(Law):
     potential on a linear one. The overlap is the smallest of the parts'.
     """
 
-    parts: tuple[Law, ...]
+    dimensions = {"_parts": PART}
+    _parts: tuple[Law, ...]
+
+    def __init__(self, parts):
+        self._parts = tuple(checked_law(part) for part in parts)
+
+    @property
+    def parts(self):
+        return self._parts
+
+    @property
+    def softens(self):
+        return any(part.softens for part in self.parts)
 
     def force(self, e):
         return sum(part.force(e) for part in self.parts)
@@ -85,22 +127,22 @@ class Sum(Law):
         return smallest
 
 
-def parts_of(law):
-    """The laws that a law is the sum of."""
-    return law.parts if isinstance(law, Sum) else (law,)
-
-
 class Scaled(Law):
     """A law times a factor: F = g F_law(e), for stiffness that changes in time or along the chain.
 
     **Arguments:** `law`; `factor`: number or array over bonds.
     """
 
+    dimensions = {"law": PART, "factor": (0, 0, 0)}
     law: Law
     factor: object
 
     def __init__(self, law, factor):
         self.law, self.factor = checked_law(law), factor
+
+    @property
+    def softens(self):
+        return self.law.softens
 
     def force(self, e):
         return self.factor * self.law.force(e)
@@ -114,3 +156,29 @@ class Scaled(Law):
 
     def overlap(self, e):
         return self.law.overlap(e)
+
+
+class InOtherUnits(Law):
+    """A law with compressions and forces counted in other units: F(e) = F_law(length e)/force."""
+
+    law: Law
+    length: jax.Array
+    unit: jax.Array
+
+    @property
+    def preload(self):
+        return self.law.preload / self.unit
+
+    @property
+    def softens(self):
+        return self.law.softens
+
+    def force(self, e):
+        return self.law.force(self.length * e) / self.unit
+
+    def energy(self, e):
+        return self.law.energy(self.length * e) / (self.unit * self.length)
+
+    def overlap(self, e):
+        overlap = self.law.overlap(self.length * e)
+        return None if overlap is None else overlap / self.length

@@ -32,6 +32,10 @@ class _Contact(Law):
         return False
 
     @property
+    def power(self):
+        return self.stiffness, self.exponent
+
+    @property
     def preload(self):
         return 0.0 if self.precompression is None else self.precompression
 
@@ -125,6 +129,8 @@ class Hertz(_Contact):
     Source: H. Hertz, J. reine angew. Math. 92, 156 (1881); Nesterenko, Dynamics of Heterogeneous Materials (2001).
     """
 
+    dimensions = {"stiffness": (1, -_HERTZ, 0), "precompression": (1, 0, 0)}
+    positive = ("stiffness", "precompression")
     stiffness: jax.Array
     precompression: jax.Array | None
 
@@ -156,6 +162,10 @@ class PowerLaw(_Contact):
     Source: Chong & Kevrekidis, Dynamics of Nonlinear Lattices, and references there.
     """
 
+    dimensions = {
+        "stiffness": lambda law: (1, -law.exponent, 0), "precompression": (1, 0, 0), "_free_exponent": (0, 0, 0),
+    }
+    positive = ("stiffness", "precompression", "exponent")
     stiffness: jax.Array
     precompression: jax.Array | None
     _fixed_exponent: float | None = eqx.field(static=True)
@@ -186,3 +196,8 @@ class PowerLaw(_Contact):
     @property
     def repels(self):
         return self._repels
+
+    @property
+    def softens(self):
+        exponent = concrete(self.exponent)
+        return exponent is not None and bool(((exponent > 0) & (exponent < 1)).any())

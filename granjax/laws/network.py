@@ -32,6 +32,8 @@ class Network(Law):
     Source: G. Cybenko, Math. Control Signals Systems 2, 303 (1989).
     """
 
+    dimensions = {"_parameters": (0, 0, 0), "strain": (0, 1, 0), "scale": (1, 0, 0), "_preload": (1, 0, 0)}
+    held = ("strain", "scale", "preload")
     _parameters: tuple[jax.Array, ...]
     strain: jax.Array
     scale: jax.Array

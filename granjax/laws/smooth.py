@@ -21,6 +21,7 @@ class Polynomial(Law):
     Source: Fermi, Pasta, Ulam (with Tsingou), Los Alamos report LA-1940 (1955).
     """
 
+    dimensions = {"K2": (1, -1, 0), "K3": (1, -2, 0), "K4": (1, -3, 0)}
     K2: jax.Array | None
     K3: jax.Array | None
     K4: jax.Array | None
@@ -54,6 +55,8 @@ class Toda(Law):
     Source: M. Toda, J. Phys. Soc. Jpn. 22, 431 (1967).
     """
 
+    dimensions = {"strength": (1, 0, 0), "rate": (0, -1, 0)}
+    positive = ("strength", "rate")
     strength: jax.Array
     rate: jax.Array
 
@@ -80,6 +83,8 @@ class Linear(Law):
     site potential). **Raises** ValueError for values not finite.
     """
 
+    dimensions = {"stiffness": (1, -1, 0)}
+    is_linear = True
     stiffness: jax.Array
 
     def __init__(self, stiffness=1.0):
@@ -99,6 +104,8 @@ class Sine(Law):
     the potential has period 2 pi/q. Typical: K = q = 1. **Raises** ValueError for values not finite, q <= 0.
     """
 
+    dimensions = {"stiffness": (1, -1, 0), "wavenumber": (0, -1, 0)}
+    positive = ("wavenumber",)
     stiffness: jax.Array
     wavenumber: jax.Array
 

@@ -28,6 +28,8 @@ class Spline(Law):
     length, F0 < 0. Source: J. O. Ramsay, Statistical Science 3, 425 (1988).
     """
 
+    positive = ("coefficients",)
+    held = ("preload",)
     _coefficients: tuple[jax.Array, ...]
     _preload: jax.Array | None
     knots: tuple[float, ...] = eqx.field(static=True)

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from ..checks import positive
+from ..units import PART
 from .base import Law, checked_law
 
 NEWTON_STEPS = 200
@@ -22,11 +23,16 @@ class Yielding(Law):
     **Raises** ValueError for k <= 0 or a law that is none.
     """
 
+    dimensions = {"law": PART, "support": (1, -1, 0)}
     law: Law
     support: jax.Array
 
     def __init__(self, law, support):
         self.law, self.support = checked_law(law), positive("support", support)
+
+    @property
+    def softens(self):
+        return self.law.softens
 
     def _inner(self, e):
         return _share(self.law, self.support, e)

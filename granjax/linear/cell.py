@@ -6,7 +6,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import refuse, whole
-from ..strains import Shift
 from .stiffness import at_rest, blocks, grid, masses, measure, offsets, refuse_one_way, unpack
 
 ROUNDING, TIGHT, LOOSE = 16, 1e3, 1e6
@@ -118,10 +117,9 @@ def _reach(lattice):
     """How far bonds reach along each axis: the bonds' offsets, doubled while that misses some. Blocks of K, masses."""
     sites = grid(lattice)
     reach = [1] * len(sites)
-    for shift in jax.tree.leaves(lattice.terms, is_leaf=lambda x: isinstance(x, Shift)):
-        if isinstance(shift, Shift):
-            for axis, offset in enumerate(shift.offset):
-                reach[axis] = max(reach[axis], abs(offset))
+    for term in lattice.terms:
+        for axis, span in enumerate(term.span() or ()):
+            reach[axis] = max(reach[axis], min(span, (sites[axis] - 1) // 2))
     short = [axis for axis, (n, r) in enumerate(zip(sites, reach)) if n < 2 * r + 1]
     if short:
         n, r = sites[short[0]], reach[short[0]]

@@ -9,7 +9,6 @@ import numpy as np
 
 from ..checks import refuse
 from ..lattice import Lattice, spread_mass
-from ..terms import Drive, Modulated, Wall
 
 
 def at_rest(chain):
@@ -24,18 +23,14 @@ def at_rest(chain):
             "chain", "one lattice", f"a batch with lanes {chain.lanes}",
             "Use jax.vmap(function, in_axes=-1)(chain), and give cell=... where a unit cell is needed.",
         )
-    terms = []
-    for i, term in enumerate(chain.terms):
-        if isinstance(term, Modulated):
+    still = eqx.tree_at(lambda lattice: lattice.terms, chain, tuple(term.undriven() for term in chain.terms))
+    for i, term in enumerate(still.terms):
+        if term.dependence(still).time and term.stiffness_changes(still):
             refuse(
-                f"terms[{i}] (Modulated)", "a stiffness that is constant in time", "one that changes",
+                f"terms[{i}] ({type(term).__name__})", "a stiffness that is constant in time", "one that changes",
                 "Modes in time do not exist then: take the lattice with the term that is modulated, or Floquet theory.",
             )
-        if isinstance(term, Wall) and term.motion is not None:
-            term = eqx.tree_at(lambda wall: wall.motion, term, None)
-        if not isinstance(term, Drive):
-            terms.append(term)
-    return eqx.tree_at(lambda lattice: lattice.terms, chain, tuple(terms))
+    return still
 
 
 def refuse_one_way():

@@ -1,33 +1,22 @@
 """Contacts: compression, overlap and total force of bonds and walls."""
 
-import jax.numpy as jnp
-
 from ..checks import refuse, whole
-from ..terms import Bond, Modulated, Wall
 from .states_of import displacements
 
 
-def _contacts(lattice):
-    """Bonds in the order of the terms, then walls in theirs."""
-    def is_bond(term):
-        return isinstance(term, Bond) or isinstance(term, Modulated) and isinstance(term.term, Bond)
-
-    bonds = [term for term in lattice.terms if is_bond(term)]
-    return bonds + [term for term in lattice.terms if isinstance(term, Wall)]
+def contacts(lattice, t, u):
+    """What the laws of all contacts act on: bonds in the order of the terms, then walls in theirs."""
+    found = [c for term in lattice.terms for c in term.compressions(t, u)]
+    return [c for c in found if c.place == "bond"] + [c for c in found if c.place == "wall"]
 
 
-def _law_and_compression(lattice, y, t, bond):
-    contacts = _contacts(lattice)
+def _contact(lattice, y, t, bond):
+    found = contacts(lattice, t, displacements(lattice, y))
     bond = whole("bond", bond)
-    if bond >= len(contacts):
-        names = ", ".join(f"{i}: {type(term).__name__}" for i, term in enumerate(contacts)) or "none"
-        refuse("bond", f"an index below {len(contacts)}", f"{bond}", f"The lattice's bonds and then walls are {names}.")
-    term, u = contacts[bond], displacements(lattice, y)
-    if isinstance(term, Wall):
-        return term.law, jnp.asarray(term.compression(t, u))[None]
-    if isinstance(term, Modulated):
-        term = term.at(t)
-    return term.law, term.strain_map.strain(u)
+    if bond >= len(found):
+        names = ", ".join(f"{i}: {type(c.law).__name__} ({c.place})" for i, c in enumerate(found)) or "none"
+        refuse("bond", f"an index below {len(found)}", f"{bond}", f"The lattice's bonds and then walls are {names}.")
+    return found[bond]
 
 
 def strain(lattice, y, t=0.0, *, bond=0):
@@ -38,7 +27,7 @@ def strain(lattice, y, t=0.0, *, bond=0):
     **Shapes:** (bonds,), then lanes; a grid's bonds on as many axes; (1,) for a wall.
     **Raises** ValueError for a state of another shape than the lattice's, or a bond that is not there.
     """
-    return _law_and_compression(lattice, y, t, bond)[1]
+    return _contact(lattice, y, t, bond).compression
 
 
 def contact_force(lattice, y, t=0.0, *, bond=0):
@@ -48,9 +37,7 @@ def contact_force(lattice, y, t=0.0, *, bond=0):
 
     **Arguments, shapes and errors:** as in `strain`.
     """
-    law, e = _law_and_compression(lattice, y, t, bond)
-    force = law.force(e)
-    return force + jnp.asarray(law.preload).astype(force.dtype)
+    return _contact(lattice, y, t, bond).force
 
 
 def overlap(lattice, y, t=0.0, *, bond=0):
@@ -58,8 +45,8 @@ def overlap(lattice, y, t=0.0, *, bond=0):
 
     **Arguments and shapes:** as in `strain`. **Raises** ValueError also for a law that cannot open.
     """
-    law, e = _law_and_compression(lattice, y, t, bond)
-    value = law.overlap(e)
+    contact = _contact(lattice, y, t, bond)
+    value = contact.overlap
     if value is None:
-        refuse("bond", "a law whose contact can open", f"{type(law).__name__}", "Ask for strain instead.")
+        refuse("bond", "a law whose contact can open", f"{type(contact.law).__name__}", "Ask for strain instead.")
     return value

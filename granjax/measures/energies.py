@@ -6,7 +6,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import refuse
-from ..terms import Bond, Modulated
 from .states_of import displacements, parts, velocities
 
 
@@ -53,7 +52,7 @@ def _share_out(lattice, u, v, t):
     shapes = dict(lattice.sites) if isinstance(u, dict) else {None: lattice.sites}
     total = {name: _per_site(lattice, m * v * v / 2) for name, m, v in _fields(lattice.mass, v)}
     for term in lattice.terms:
-        shared = _shared(term, t, u)
+        shared = term.site_energy(lattice, t, u)
         if shared is None:
             continue
         for name, part in (shared.items() if isinstance(shared, dict) else ((None, shared),)):
@@ -71,18 +70,6 @@ def _per_site(lattice, x):
     if lattice.dimension is not None and x.ndim == lattice.axes + 1 + len(lattice.lanes):
         return x.sum(lattice.axes)
     return x
-
-
-def _shared(term, t, u):
-    if isinstance(term, Modulated):
-        term = term.at(t)
-    if not isinstance(term, Bond):
-        return term.site_energy(t, u)
-    bonds = term.energy(t, u)
-    # what of each bond arrives at a site: 1, or 1/2 where the other end is a wall
-    sites, back = jax.vjp(lambda b: term.strain_map.split(b, u), bonds)
-    (arrives,) = back(jax.tree.map(jnp.ones_like, sites))
-    return term.strain_map.split(bonds / arrives, u)
 
 
 def species_energy(lattice, y, t=0.0, *, species=None):

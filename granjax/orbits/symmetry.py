@@ -5,35 +5,62 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from ..terms import Bond, Damping, Dashpot, Drag, Drive, Modulated, ViscousContact
+NOT_RESISTED = 1e-9
 
 
 def shifts(lattice):
     """Uniform displacements that cost nothing, as columns (n, k) over the raveled displacements.
 
     k = 1 for a chain with free ends or a ring, 0 with a wall or a site potential; in the plane one a free direction.
-    Read off the terms, whatever their parameters, so that a traced lattice has them too.
+    Fields that no term joins move each for themselves. Asked of the terms, whatever their parameters, so that a traced
+    lattice has them too.
     """
+    moves = _uniform(lattice)
+    answers = np.concatenate([np.zeros((1, len(moves)))] + [term.resistance(lattice, moves) for term in lattice.terms])
+    columns = np.stack([ravel_pytree(jax.tree.map(np.asarray, move))[0] for move in moves], -1)
+    return jnp.asarray(columns @ _null_space(answers), lattice.dtype)
+
+
+def _uniform(lattice):
+    """The displacement of one component of one field, for each."""
     shapes = lattice.template()
-    found = []
-    with jax.ensure_compile_time_eval():
-        for i in range(lattice.dimension or 1):
-            one = jax.tree.map(lambda s: _uniform(s.shape, lattice, i), shapes)
-            if all(_is_free(getattr(term, "term", term), one) for term in lattice.terms):
-                found.append(np.asarray(ravel_pytree(one)[0]))
-    size = sum(s.size for s in jax.tree.leaves(shapes))
-    dtype = lattice.dtype
-    return jnp.asarray(np.stack(found, -1), dtype) if found else jnp.zeros((size, 0), dtype)
+    names = list(shapes) if isinstance(shapes, dict) else [None]
+    moves = []
+    for i in range(lattice.dimension or 1):
+        for name in names:
+            def one(field, shape):
+                x = np.zeros(shape)
+                if field == name:
+                    x[(..., i) + (slice(None),) * len(lattice.lanes) if lattice.dimension else ...] = 1
+                return x
+
+            moves.append({k: one(k, s.shape) for k, s in shapes.items()} if names != [None] else one(None, shapes.shape))
+    return moves
 
 
-def _uniform(shape, lattice, i):
-    one = np.zeros(shape)
-    one[(..., i) if lattice.dimension else ...] = 1
-    return one
-
-
-def _is_free(term, one):
-    if not isinstance(term, (Bond, Dashpot, ViscousContact)):
-        return isinstance(term, (Damping, Drag, Drive, Modulated))
-    pairs = getattr(term.strain_map, "pairs", term.strain_map)
-    return not np.any(np.asarray(jax.jit(pairs.strain)(one)))
+def _null_space(answers):
+    """Combinations of columns that vanish, (moves, k), by elimination, so that they are plain where they can be."""
+    rows = answers[np.abs(answers).max(1) > 0]
+    size = answers.shape[1]
+    if len(rows):
+        # all rows of unlike size say the same as their triangular factor
+        rows = np.linalg.qr(rows / np.abs(rows).max(1, keepdims=True), mode="r")
+    rows, pivots = rows.copy(), []
+    for column in range(size):
+        below = np.abs(rows[len(pivots) :, column]) if len(rows) > len(pivots) else np.zeros(0)
+        if not below.size or below.max() <= NOT_RESISTED * max(1.0, np.abs(rows).max()):
+            continue
+        best = len(pivots) + int(np.argmax(below))
+        rows[[len(pivots), best]] = rows[[best, len(pivots)]]
+        pivot = rows[len(pivots)] / rows[len(pivots), column]
+        rows = rows - rows[:, [column]] * pivot
+        rows[len(pivots)] = pivot
+        pivots.append(column)
+    free = [column for column in range(size) if column not in pivots]
+    null = np.zeros((size, len(free)))
+    for k, column in enumerate(free):
+        null[column, k] = 1
+        for row, pivot in enumerate(pivots):
+            null[pivot, k] = -rows[row, column]
+    null[np.abs(null) < NOT_RESISTED] = 0
+    return null

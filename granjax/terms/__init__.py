@@ -3,14 +3,15 @@
 A term that a scene does not need is not in the tuple, and then costs nothing.
 """
 
-from .base import Term
+from .base import Compression, Dependence, Excitation, Term
 from .bonds import Bond, Modulated
 from .dissipation import Damping, Dashpot, Drag, ViscousContact
+from .reach import Reach, Reached
 from .sites import Drive, OnSite
 from .walls import Wall
 from .waveforms import Function, Harmonic
 
 __all__ = [
-    "Bond", "Damping", "Dashpot", "Drag", "Drive", "Function", "Harmonic", "Modulated", "OnSite", "Term",
-    "ViscousContact", "Wall",
+    "Bond", "Compression", "Damping", "Dashpot", "Dependence", "Drag", "Drive", "Excitation", "Function", "Harmonic",
+    "Modulated", "OnSite", "Reach", "Reached", "Term", "ViscousContact", "Wall",
 ]

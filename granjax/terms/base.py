@@ -1,39 +1,215 @@
-"""What every term is, and how it finds its field."""
+"""What every term is, and what the rest of the library asks of one."""
 
 import abc
-from typing import ClassVar
+from functools import lru_cache
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.interpreters.partial_eval import dce_jaxpr
+
+from ..checks import refuse
+from ..laws import Law
+from ..units import PART, Dimensional
+from .reach import largest_eigenvalue, raveled
+
+SCALES = 10.0 ** np.arange(-12, 4)
+RESISTS, DENSE = 1e-9, 4000
 
 
-class Term(eqx.Module):
-    """One contribution to the force on the sites.
+class Dependence(NamedTuple):
+    """What a force reads: `time`, `displacement`, `velocity`; and whether the term stores an `energy`."""
 
-    `force(t, u, v, mass)` has the structure of `u`, or is a dict of those fields that the term acts on.
-    `energy(t, u)` is an array over the term's bonds or sites, `site_energy(t, u)` the same shared out to sites; both
-    are `None` for a term that stores none. `conserves`: it keeps the energy. `reads_velocity`: its force depends on
-    `v`. To add a term write `force`, set the flags, and add one line to the tests' list of cases; its stiffness is not
-    known to `simulate`, which then asks for a step.
+    time: bool
+    displacement: bool
+    velocity: bool
+    energy: bool
+
+    @property
+    def conserves(self):
+        """Whether the term keeps the energy."""
+        return self.energy and not self.time and not self.velocity
+
+
+class Compression(NamedTuple):
+    """What a law of a term acts on at a time: `compression` [m] of all its bonds, or of its sites.
+
+    `place`: "bond" (between sites), "wall" (a site and a wall: one value) or "site" (no contact).
     """
 
-    conserves: ClassVar[bool] = True
-    reads_velocity: ClassVar[bool] = False
+    law: Law
+    compression: jax.Array
+    place: str = "bond"
+
+    @property
+    def force(self):
+        """Total contact force F0 + F(e) [N]."""
+        force = self.law.force(self.compression)
+        return force + jnp.asarray(self.law.preload).astype(force.dtype)
+
+    @property
+    def overlap(self):
+        """Overlap [m], positive where closed; `None` for a law that cannot open."""
+        return self.law.overlap(self.compression)
+
+
+class Excitation(NamedTuple):
+    """The largest `force` [N] of a drive, `displacement` [m] and `speed` [m/s] of a moving wall."""
+
+    force: jax.Array
+    displacement: jax.Array
+    speed: jax.Array
+
+
+class Term(Dimensional):
+    r"""One contribution to the force on the sites.
+
+    Write `force`, and `energy` where the term stores any; add one line to the tests' list of cases. All else is found
+    by automatic differentiation, and a term overrides what it knows better: what its force reads, its linearisation,
+    a bound on its stiffness, the displacements that it does not resist, its form in other units. Of a term's own
+    contacts the library learns by `compressions`.
+
+    - `force(t, u, v, mass)` has the structure of `u`, or is a dict of those fields that the term acts on.
+    - `energy(t, u)`: from equilibrium, an array over bonds, sites or whatever it sums over, lanes last.
+    """
 
     @abc.abstractmethod
     def force(self, t, u, v, mass):
         """Force on the sites at time t."""
 
     def energy(self, t, u):
-        """Potential energy, one value per bond or site, from equilibrium."""
+        """Potential energy, one value per bond or site, from equilibrium; `None` for a term that stores none."""
         return None
+
+    def site_energy(self, lattice, t, u):
+        """Potential energy shared out to sites, of the structure of `u` (or of some of its fields).
+
+        By default an array over the sites stays as it is, and another one is shared out as the squares of its
+        derivatives weigh the sites; dense, and refused for a large lattice.
+        """
+        energy = self.energy(t, u)
+        if energy is None or not isinstance(u, dict) and energy.shape == u.shape:
+            return energy
+        size = sum(x.size for x in jax.tree.leaves(u))
+        if size > DENSE:
+            refuse("lattice", f"at most {DENSE} displacements where {type(self).__name__} has no `site_energy`",
+                   f"{size}", "Write its `site_energy`.")
+        lanes, own = len(lattice.lanes), energy.ndim - len(lattice.lanes)
+        # lanes do not mix, so the derivatives of their sum are those of each
+        slopes = jax.jacrev(lambda u: self.energy(t, u).sum(tuple(range(own, own + lanes))))(u)
+        weights = jax.tree.map(lambda x: x * x + jnp.finfo(x.dtype).tiny, slopes)
+        whole = sum(w.sum(tuple(range(own, w.ndim - lanes))) for w in jax.tree.leaves(weights))
+        share = energy / whole
+        return jax.tree.map(lambda w: jnp.sum(share.reshape(share.shape[:own] + (1,) * (w.ndim - lanes - own)
+                                                            + share.shape[own:]) * w, tuple(range(own))), weights)
 
     def preload_force(self, u):
         """Force of the preloads on the sites at rest, or `None`; `u` gives the shapes."""
         return None
 
-    def site_energy(self, t, u):
-        """Potential energy with each bond's shared between its ends; half of a wall's bond stays with the wall."""
+    def compressions(self, t, u) -> tuple[Compression, ...]:
+        """What the term's laws act on."""
+        return ()
+
+    def at(self, t):
+        """The term as it stands at time t, where its parameters change in time."""
+        return self
+
+    def undriven(self):
+        """The term with what moves it from outside held still."""
+        return self
+
+    def scaled(self, factor):
+        """The term with its force times a factor: a number, or an array over its bonds where it has bonds."""
+        return Multiplied(self, factor)
+
+    def check(self, name, lattice):
+        """Refuse a lattice that has no place for the term."""
+
+    def per_vector(self, axes):
+        """The term for displacements that are vectors: parameters over `axes` axes of sites with one axis more."""
+        return self
+
+    def linearised(self, lattice, t, u, v):
+        """The term's tangent about a state, as a term of one more trailing lane; `None` where it has none."""
+        reads = self.dependence(lattice)
+        return Tangent(self, t, u, v, lattice.mass) if reads.displacement or reads.velocity else None
+
+    def exact_damping(self):
+        """(field, rate) where the term is linear damping of sites, which a splitting solver takes exactly, or `None`.
+        """
         return None
+
+    def next_neighbours(self):
+        """(law, boundary) of bonds from each site of a chain to the next, which have a fast kernel, or `None`."""
+        return None
+
+    def walls(self):
+        """The ends of a chain that the term ties to a wall: of "left" and "right"."""
+        return ()
+
+    def without_walls(self, lattice, field=None):
+        """(the term between free ends, law at the left wall, law at the right wall), or `None` where there are none."""
+        return None
+
+    def span(self):
+        """Sites along each axis that the term couples; () for single sites, `None` where that is not known."""
+        return None
+
+    def dependence(self, lattice) -> Dependence:
+        """What the force reads, traced."""
+        return traced(self, lattice)[1]
+
+    def stiffness_changes(self, lattice):
+        """Whether dF/du at rest depends on time."""
+        def slope(term, t, u, w, v, mass):
+            return jax.jvp(lambda u: term.force(t, u, v, mass), (u,), (w,))[1]
+
+        u = lattice.template()
+        return _used(slope, (self, _time(lattice), u, u, u, lattice.mass))[1]
+
+    def resistance(self, lattice, moves):
+        """How the force answers uniform displacements: columns (n, k), one for each of `moves`, zero for a free one.
+
+        By default dF/du at random displacements of all sizes, each relative to the answer to a random displacement.
+        """
+        if not self.dependence(lattice).displacement:
+            return np.zeros((0, len(moves)))
+        term, mass = jax.tree.map(_stand_in, (self, lattice.mass))
+        return np.asarray(_answers(term, mass, lattice.template(), moves)).reshape(-1, len(moves))
+
+    def stiffness(self, lattice, reach, factor=1.0):
+        """A bound on the stiffness at what the motion may reach, times a factor.
+
+        A function that takes w > 0 on the sites to |K| w, with |K| no less than |dF/du| entry by entry; or a number,
+        no less than the eigenvalues of M^{-1/2} dF/du M^{-1/2}. By default the latter, estimated at rest and at
+        displacements of the energy that `reach` allows: of single sites, of neighbours in antiphase, of a step, of all.
+        """
+        if not self.dependence(lattice).displacement:
+            return jnp.zeros((), lattice.dtype)
+        return jnp.max(jnp.abs(factor)) * largest_eigenvalue(self, lattice, reach)
+
+    def excitation(self, lattice, ts) -> Excitation:
+        """What drives the lattice from outside during the times `ts`."""
+        zero = jnp.zeros((), lattice.dtype)
+        if not self.dependence(lattice).time:
+            return Excitation(zero, zero, zero)
+        rest = lattice.zeros()
+
+        def largest(t):
+            force = jax.tree.leaves(self.force(t, rest, rest, lattice.mass))
+            return jnp.max(jnp.stack([jnp.max(jnp.abs(f)) for f in force]))
+
+        return Excitation(jnp.max(jax.vmap(largest)(ts)), zero, zero)
+
+    def energy_times(self, lattice, ts):
+        """The times at which the energy of the initial state is looked at: all where the stiffness changes."""
+        return ts if self.dependence(lattice).time else ts[:1]
+
+    def _wrapped(self, units):
+        return InOtherUnits(self, units)
 
 
 def get(u, field):
@@ -44,3 +220,154 @@ def get(u, field):
 def put(x, field):
     """A force on a field, or on all sites."""
     return x if field is None else {field: x}
+
+
+def wider(tree):
+    """Arrays with a trailing axis for tangents; single numbers as they are."""
+    return jax.tree.map(lambda x: x[..., None] if jnp.ndim(x) else x, tree)
+
+
+class Tangent(Term):
+    """The derivative of any term, lane by lane."""
+
+    term: Term
+    t: jax.Array
+    u: object
+    v: object
+    mass: object
+
+    def force(self, t, u, v, mass):
+        def push(u, v):
+            return self.term.force(self.t, u, v, self.mass)
+
+        return jax.vmap(lambda *du: jax.jvp(push, (self.u, self.v), du)[1], in_axes=-1, out_axes=-1)(u, v)
+
+
+class Multiplied(Term):
+    """A term with its force and energy times a factor."""
+
+    dimensions = {"term": PART, "factor": (0, 0, 0)}
+    term: Term
+    factor: jax.Array
+
+    def force(self, t, u, v, mass):
+        return jax.tree.map(lambda f: self.factor * f, self.term.force(t, u, v, mass))
+
+    def energy(self, t, u):
+        energy = self.term.energy(t, u)
+        return None if energy is None else self.factor * energy
+
+    def span(self):
+        return self.term.span()
+
+
+class InOtherUnits(Term):
+    """A term with all that it reads and gives counted in other units."""
+
+    term: Term
+    units: object
+
+    def force(self, t, u, v, mass):
+        force = self.term.force(t * self.units.time, *self.units.state_to_si((u, v)), _times(mass, self.units.mass))
+        return _times(force, 1 / self.units.force)
+
+    def energy(self, t, u):
+        energy = self.term.energy(t * self.units.time, _times(u, self.units.length))
+        return None if energy is None else energy / self.units.energy
+
+    def compressions(self, t, u):
+        found = self.term.compressions(t * self.units.time, _times(u, self.units.length))
+        return tuple(c._replace(law=c.law.in_units(self.units), compression=c.compression / self.units.length)
+                     for c in found)
+
+    def span(self):
+        return self.term.span()
+
+
+def _times(tree, factor):
+    return jax.tree.map(lambda x: x * factor, tree)
+
+
+# ------------------------------------------------------------------------------------------- what a force reads
+
+
+def traced(term, lattice):
+    """(shapes of the force, `Dependence`) of a term on a lattice, found once for each structure."""
+    return _used_by_force((term, _time(lattice), lattice.template(), lattice.mass))
+
+
+def _time(lattice):
+    return jax.ShapeDtypeStruct((), lattice.dtype)
+
+
+def _used_by_force(arguments):
+    leaves, structure = jax.tree.flatten(arguments)
+    key = tuple(_abstract(x) for x in leaves)
+    try:
+        return _traced_force(structure, key)
+    except TypeError as error:
+        if "unhashable" not in str(error):
+            raise
+        return _traced_force.__wrapped__(structure, key)
+
+
+@lru_cache(maxsize=1024)
+def _traced_force(structure, leaves):
+    term, t, u, mass = jax.tree.unflatten(structure, leaves)
+
+    def force(term, t, u, v, mass):
+        return term.force(t, u, v, mass)
+
+    shapes, time, displacement, velocity = _used(force, (term, t, u, u, mass), (1, 2, 3))
+    stores = _shapes(lambda term, t, u: term.energy(t, u), (term, t, u)) is not None
+    return shapes, Dependence(time, displacement, velocity, stores)
+
+
+def _used(function, arguments, places=(1,)):
+    """(shapes of the result, whether the result depends on each of the arguments at some places)."""
+    arguments = jax.tree.map(_abstract, arguments)
+    dynamic, static = eqx.partition(arguments, lambda x: isinstance(x, jax.ShapeDtypeStruct))
+    closed, shapes = jax.make_jaxpr(
+        lambda dynamic: function(*eqx.combine(dynamic, static)), return_shape=True)(dynamic)
+    _, used = dce_jaxpr(closed.jaxpr, [True] * len(closed.out_avals))
+    used = jax.tree.unflatten(jax.tree.structure(dynamic), used)
+    return shapes, *(any(jax.tree.leaves(used[place])) for place in places)
+
+
+def _shapes(function, arguments):
+    dynamic, static = eqx.partition(arguments, lambda x: isinstance(x, jax.ShapeDtypeStruct))
+    return jax.eval_shape(lambda dynamic: function(*eqx.combine(dynamic, static)), dynamic)
+
+
+def _abstract(x):
+    if isinstance(x, (jax.Array, np.ndarray, np.generic, jax.ShapeDtypeStruct)):
+        return jax.ShapeDtypeStruct(x.shape, x.dtype)
+    return x
+
+
+# ------------------------------------------------------------------------------ which displacements a force resists
+
+
+def _stand_in(x):
+    """The value, or ones in its place where it is traced."""
+    x = jax.lax.stop_gradient(x) if isinstance(x, jax.core.Tracer) else x
+    return np.ones(x.shape, x.dtype) if isinstance(x, jax.core.Tracer) else x
+
+
+def _answers(term, mass, template, moves):
+    random = np.random.default_rng(0)
+    where, other = (jax.tree.map(lambda s: random.normal(size=s.shape).astype(s.dtype), template) for _ in range(2))
+    zeros = jax.tree.map(np.zeros_like, where)
+
+    def answers(scale):
+        def push(u):
+            return raveled(term.force(jnp.zeros(()), u, zeros, mass), zeros)
+
+        slope = jax.linearize(push, jax.tree.map(lambda x: scale.astype(x.dtype) * x, where))[1]
+        size = jnp.max(jnp.abs(slope(other)))
+        columns = jnp.stack([slope(move) for move in moves], -1) / jnp.where(size > 0, size, 1)
+        good = jnp.isfinite(size) & jnp.all(jnp.isfinite(columns))
+        return jnp.where(good & (jnp.abs(columns) > RESISTS), columns, 0)
+
+    with jax.ensure_compile_time_eval():
+        return jax.jit(jax.vmap(answers))(SCALES)

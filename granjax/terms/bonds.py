@@ -1,34 +1,50 @@
-"""Forces between sites: bonds, and bonds whose stiffness changes in time."""
+"""Forces between sites: bonds, and terms whose stiffness changes in time."""
 
 from collections.abc import Callable
-from typing import ClassVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from ..checks import refuse
-from ..laws import Law, Scaled, checked_law
-from ..strains import StrainMap
-from .base import Term
-from .sites import OnSite
+from ..laws import Law, Linear, Scaled, checked_law
+from ..strains import Shift, StrainMap, checked_map
+from ..units import PART, Signal
+from .base import Compression, Term
 from .waveforms import checked_waveform
 
 
-class Bond(Term):
+class Joined(Term):
+    """A term that joins sites by a strain map."""
+
+    strain_map: eqx.AbstractVar[StrainMap]
+
+    def resistance(self, lattice, moves):
+        with jax.ensure_compile_time_eval():
+            strains = [np.asarray(jax.jit(self.strain_map.strain)(move)) for move in moves]
+        return np.stack([strain.ravel() for strain in strains], -1)
+
+    def span(self):
+        return self.strain_map.span()
+
+    def walls(self):
+        return self.strain_map.walls()
+
+
+class Bond(Joined):
     """Bonds of one kind: a strain map and a law. Force on the sites: -(de/du)^T law.force(e).
 
     **Arguments:** `strain_map`, such as `Shift(1, "fixed")`; `law`, such as `Hertz()`.
     **Raises** ValueError where these are no strain map or no law.
     """
 
+    dimensions = {"strain_map": PART, "law": PART}
     strain_map: StrainMap
     law: Law
 
     def __init__(self, strain_map, law):
-        if not isinstance(strain_map, StrainMap):
-            refuse("strain_map", "a strain map, such as Shift(1, 'fixed')", repr(strain_map))
-        self.strain_map, self.law = strain_map, checked_law(law)
+        self.strain_map, self.law = checked_map(strain_map), checked_law(law)
 
     def force(self, t, u, v, mass):
         return self.strain_map.push(u, self.law)
@@ -40,32 +56,75 @@ class Bond(Term):
         e, transpose = jax.vjp(self.strain_map.strain, jax.tree.map(jnp.zeros_like, u))
         return jax.tree.map(jnp.negative, transpose(jnp.broadcast_to(self.law.preload, e.shape).astype(e.dtype))[0])
 
-    def site_energy(self, t, u):
-        return self.strain_map.split(self.energy(t, u), u)
+    def site_energy(self, lattice, t, u):
+        bonds = self.energy(t, u)
+        # what of each bond arrives at a site: 1, or 1/2 where the other end is a wall
+        sites, back = jax.vjp(lambda b: self.strain_map.split(b, u), bonds)
+        (arrives,) = back(jax.tree.map(jnp.ones_like, sites))
+        return self.strain_map.split(bonds / arrives, u)
+
+    def compressions(self, t, u):
+        return (Compression(self.law, self.strain_map.strain(u)),)
+
+    def scaled(self, factor):
+        return eqx.tree_at(lambda term: term.law, self, Scaled(self.law, factor))
+
+    def linearised(self, lattice, t, u, v):
+        if not self.strain_map.linear:
+            return super().linearised(lattice, t, u, v)
+        return eqx.tree_at(lambda term: term.law, self, spring(self.law, self.strain_map.strain(u)))
+
+    def next_neighbours(self):
+        boundary = self.strain_map.next_neighbours()
+        return None if boundary is None else (self.law, boundary)
+
+    def without_walls(self, lattice, field=None):
+        fields = None if field is None else (field, field)
+        if self.strain_map != Shift(1, "fixed", fields):
+            return None
+        axes = 1 + len(lattice.lanes)
+
+        def over(choose):
+            """`choose` applied to every parameter that has an axis over the bonds."""
+            return jax.tree.map(lambda x: choose(x) if jnp.ndim(x) == axes else x, self.law)
+
+        inner = Bond(Shift(1, "free", fields), over(lambda x: x if x.shape[0] == 1 else x[1:-1]))
+        return inner, over(lambda x: x[0]), over(lambda x: x[-1])
+
+    def stiffness(self, lattice, reach, factor=1.0):
+        k = factor * reach.stiffest(self.law, 0) + self.strain_map.turning(self.law)
+        return self.strain_map.bound(lattice, k)
+
+
+def spring(law, e):
+    """The linear spring of a law's stiffness at compressions e, one lane wider."""
+    # not by the constructor, whose checks cost time at every step that is not compiled
+    return eqx.tree_at(lambda spring: spring.stiffness, Linear(), law.slope(e)[..., None])
 
 
 class Modulated(Term):
-    """A bond or on-site term whose stiffness changes in time: F -> g(t) F.
+    """A term whose force changes in time: F -> g(t) F.
 
     The factor multiplies the force measured from equilibrium, so that u = 0 stays an equilibrium.
 
-    **Arguments:** `term`: a `Bond` or `OnSite`; `modulation`: g(t), a function or Module such as
-    `Harmonic(0.1, omega, mean=1.0)`; it may return an array over the bonds (a travelling modulation).
-    **Raises** ValueError for another term, or a modulation that cannot be called.
+    **Arguments:** `term`: any term that stores energy or dissipates it: a `Bond`, an `OnSite`, a `Wall`, a `Dashpot`,
+    one of your own; `modulation`: g(t), a function or Module such as `Harmonic(0.1, omega, mean=1.0)`; it may return
+    an array over the bonds (a travelling modulation).
+    **Raises** ValueError for no term, or a modulation that cannot be called.
     """
 
-    conserves: ClassVar[bool] = False
-    term: Bond | OnSite
+    dimensions = {"term": PART, "modulation": Signal((0, 0, 0))}
+    term: Term
     modulation: Callable
 
     def __init__(self, term, modulation):
-        if not isinstance(term, (Bond, OnSite)):
-            refuse("term", "a Bond or an OnSite", repr(term))
+        if not isinstance(term, Term):
+            refuse("term", "a term, such as a Bond", repr(term))
         self.term, self.modulation = term, checked_waveform("modulation", modulation)
 
     def at(self, t):
         """The term with the stiffness it has at time t."""
-        return eqx.tree_at(lambda term: term.law, self.term, Scaled(self.term.law, self.modulation(t)))
+        return self.term.scaled(self.modulation(t))
 
     def force(self, t, u, v, mass):
         return self.at(t).force(t, u, v, mass)
@@ -76,5 +135,36 @@ class Modulated(Term):
     def preload_force(self, u):
         return self.term.preload_force(u)
 
-    def site_energy(self, t, u):
-        return self.at(t).site_energy(t, u)
+    def site_energy(self, lattice, t, u):
+        return self.at(t).site_energy(lattice, t, u)
+
+    def compressions(self, t, u):
+        return self.at(t).compressions(t, u)
+
+    def linearised(self, lattice, t, u, v):
+        return self.at(t).linearised(lattice, t, u, v)
+
+    def undriven(self):
+        return Modulated(self.term.undriven(), self.modulation)
+
+    def check(self, name, lattice):
+        self.term.check(name, lattice)
+
+    def per_vector(self, axes):
+        return eqx.tree_at(lambda t: t.term, self, self.term.per_vector(axes))
+
+    def resistance(self, lattice, moves):
+        return self.term.resistance(lattice, moves)
+
+    def span(self):
+        return self.term.span()
+
+    def walls(self):
+        return self.term.walls()
+
+    def stiffness(self, lattice, reach, factor=1.0):
+        largest = jnp.max(jnp.abs(jax.vmap(self.modulation)(reach.ts)), axis=0)
+        return self.term.stiffness(lattice, reach, factor * largest)
+
+    def excitation(self, lattice, ts):
+        return self.term.excitation(lattice, ts)

@@ -1,15 +1,17 @@
 """Forces that read velocities: damping, dashpots, viscoelastic contacts, drag."""
 
-from typing import ClassVar
-
+import equinox as eqx
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ..checks import non_negative, positive, refuse
+from ..checks import non_negative, positive
 from ..laws import plus_power
-from ..strains import StrainMap
-from .base import Term
+from ..strains import StrainMap, checked_map
+from ..units import PART
+from .base import Term, wider
+from .bonds import Joined
+from .sites import one_a_vector
 
 
 class Damping(Term):
@@ -20,8 +22,7 @@ class Damping(Term):
     in scaled units. **Raises** ValueError for gamma < 0.
     """
 
-    conserves: ClassVar[bool] = False
-    reads_velocity: ClassVar[bool] = True
+    dimensions = {"rate": (0, 0, -1)}
     rate: jax.Array
     field: str | None = eqx.field(static=True)
 
@@ -33,8 +34,32 @@ class Damping(Term):
             return jax.tree.map(lambda v, m: -self.rate * m * v, v, mass)
         return {self.field: -self.rate * mass[self.field] * v[self.field]}
 
+    def exact_damping(self):
+        return self.field, self.rate
 
-class Dashpot(Term):
+    def linearised(self, lattice, t, u, v):
+        return wider(self)
+
+    def per_vector(self, axes):
+        return one_a_vector(self, axes)
+
+    def scaled(self, factor):
+        return eqx.tree_at(lambda term: term.rate, self, factor * self.rate)
+
+
+class _Viscous(Joined):
+    """Bonds whose force reads the rate of strain, in proportion to a coefficient."""
+
+    coefficient: eqx.AbstractVar[jax.Array]
+
+    def scaled(self, factor):
+        return eqx.tree_at(lambda term: term.coefficient, self, factor * self.coefficient)
+
+    def stiffness(self, lattice, reach, factor=1.0):
+        return jnp.zeros((), lattice.dtype)
+
+
+class Dashpot(_Viscous):
     """Dashpots between sites: force -(de/du)^T c de/dt, on the velocity difference of the ends.
 
     **Arguments:** `strain_map`: which sites are joined; `coefficient`: c >= 0 [N s/m], scalar or one per bond.
@@ -42,21 +67,23 @@ class Dashpot(Term):
     **Raises** ValueError for c < 0.
     """
 
-    conserves: ClassVar[bool] = False
-    reads_velocity: ClassVar[bool] = True
+    dimensions = {"strain_map": PART, "coefficient": (1, -1, 1)}
     strain_map: StrainMap
     coefficient: jax.Array
 
     def __init__(self, strain_map, coefficient):
-        self.strain_map = _checked_map(strain_map)
+        self.strain_map = checked_map(strain_map)
         self.coefficient = non_negative("coefficient", coefficient)
 
     def force(self, t, u, v, mass):
-        rate, pull = jax.linearize(self.strain_map.strain, u)[1], jax.vjp(self.strain_map.strain, u)[1]
-        return jax.tree.map(jnp.negative, pull(self.coefficient * rate(v))[0])
+        pull = self.strain_map.pull(u, self.coefficient * self.strain_map.rate(u, v))
+        return jax.tree.map(jnp.negative, pull)
+
+    def linearised(self, lattice, t, u, v):
+        return wider(self) if self.strain_map.linear else super().linearised(lattice, t, u, v)
 
 
-class ViscousContact(Term):
+class ViscousContact(_Viscous):
     r"""Viscoelastic contacts: force -(de/du)^T c [d0 + e]_+^q de/dt.
 
     **Arguments:** `strain_map`; `coefficient`: c >= 0, scalar or one per bond; `exponent`: q > 0, 1/2 for
@@ -64,23 +91,23 @@ class ViscousContact(Term):
     Splitting solvers refuse it, as they do a dashpot. Source: Kuwabara, Kono, Jpn. J. Appl. Phys. 26, 1230 (1987).
     """
 
-    conserves: ClassVar[bool] = False
-    reads_velocity: ClassVar[bool] = True
+    dimensions = {
+        "strain_map": PART, "coefficient": lambda term: (1, -1 - term.exponent, 1), "overlap": (0, 1, 0),
+    }
     strain_map: StrainMap
     coefficient: jax.Array
     overlap: jax.Array
     exponent: float = eqx.field(static=True)
 
     def __init__(self, strain_map, coefficient, exponent=0.5, overlap=0.0):
-        self.strain_map = _checked_map(strain_map)
+        self.strain_map = checked_map(strain_map)
         self.coefficient, self.overlap = non_negative("coefficient", coefficient), non_negative("overlap", overlap)
         self.exponent = float(positive("exponent", exponent))
 
     def force(self, t, u, v, mass):
-        e, rate = jax.jvp(self.strain_map.strain, (u,), (v,))
-        pull = jax.vjp(self.strain_map.strain, u)[1]
-        push = self.coefficient * plus_power(self.overlap + e, self.exponent) * rate
-        return jax.tree.map(jnp.negative, pull(push)[0])
+        open_or_not = plus_power(self.overlap + self.strain_map.strain(u), self.exponent)
+        pull = self.strain_map.pull(u, self.coefficient * open_or_not * self.strain_map.rate(u, v))
+        return jax.tree.map(jnp.negative, pull)
 
 
 class Drag(Term):
@@ -90,8 +117,7 @@ class Drag(Term):
     solvers refuse it.
     """
 
-    conserves: ClassVar[bool] = False
-    reads_velocity: ClassVar[bool] = True
+    dimensions = {"coefficient": (1, -2, 2)}
     coefficient: jax.Array
 
     def __init__(self, coefficient):
@@ -99,9 +125,3 @@ class Drag(Term):
 
     def force(self, t, u, v, mass):
         return jax.tree.map(lambda v: -self.coefficient * v * jnp.abs(v), v)
-
-
-def _checked_map(strain_map):
-    if not isinstance(strain_map, StrainMap):
-        refuse("strain_map", "a strain map, such as Shift(1, 'fixed')", repr(strain_map))
-    return strain_map

@@ -1,13 +1,17 @@
 """Forces on single sites: on-site laws and drives."""
 
 from collections.abc import Callable
-from typing import ClassVar
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
+import numpy as np
 
-from ..laws import Law, checked_law
-from .base import Term, get, put
+from ..checks import refuse
+from ..laws import Law, Scaled, checked_law
+from ..units import PART, Signal
+from .base import Compression, Excitation, Term, get, put
+from .bonds import spring
 from .waveforms import checked_waveform
 
 
@@ -18,6 +22,7 @@ class OnSite(Term):
     holds several. **Raises** ValueError where `law` is no law.
     """
 
+    dimensions = {"law": PART}
     law: Law
     field: str | None = eqx.field(static=True)
 
@@ -30,8 +35,33 @@ class OnSite(Term):
     def energy(self, t, u):
         return self.law.energy(get(u, self.field))
 
-    def site_energy(self, t, u):
+    def site_energy(self, lattice, t, u):
         return put(self.energy(t, u), self.field)
+
+    def compressions(self, t, u):
+        return (Compression(self.law, get(u, self.field), "site"),)
+
+    def scaled(self, factor):
+        return eqx.tree_at(lambda term: term.law, self, Scaled(self.law, factor))
+
+    def per_vector(self, axes):
+        return one_a_vector(self, axes)
+
+    def linearised(self, lattice, t, u, v):
+        return eqx.tree_at(lambda term: term.law, self, spring(self.law, get(u, self.field)))
+
+    def resistance(self, lattice, moves):
+        return np.stack([np.concatenate([np.ravel(x) for x in jax.tree.leaves(get(move, self.field))])
+                         for move in moves], -1)
+
+    def span(self):
+        return ()
+
+    def stiffness(self, lattice, reach, factor=1.0):
+        k = factor * reach.stiffest(self.law, 0)
+        if lattice.dimension is not None and jnp.ndim(k) > lattice.axes:
+            k = jnp.max(k, axis=lattice.axes)
+        return lambda w: put(k * get(w, self.field), self.field)
 
 
 class Drive(Term):
@@ -42,7 +72,7 @@ class Drive(Term):
     **Raises** ValueError where `waveform` cannot be called.
     """
 
-    conserves: ClassVar[bool] = False
+    dimensions = {"waveform": Signal((1, 0, 0))}
     waveform: Callable
     site: tuple = eqx.field(static=True)
     field: str | None = eqx.field(static=True)
@@ -55,3 +85,24 @@ class Drive(Term):
     def force(self, t, u, v, mass):
         x = get(u, self.field)
         return put(jnp.zeros_like(x).at[self.site].set(self.waveform(t)), self.field)
+
+    def check(self, name, lattice):
+        sites = lattice.sites
+        sites = sites.get(self.field, ()) if isinstance(sites, dict) else sites
+        whole_numbers = all(isinstance(i, (int, np.integer)) and not isinstance(i, bool) for i in self.site)
+        if not whole_numbers or len(self.site) != len(sites) or any(not -n <= i < n for i, n in zip(self.site, sites)):
+            refuse(name, f"a site of a lattice of {sites}", f"site {self.site}")
+        if lattice.dimension is not None and jax.eval_shape(self.waveform, jnp.zeros(())).shape != (lattice.dimension,):
+            refuse(name, f"a waveform that gives a vector of {lattice.dimension}", "one of another shape")
+
+    def excitation(self, lattice, ts):
+        zero = jnp.zeros((), lattice.dtype)
+        return Excitation(jnp.max(jnp.abs(jax.vmap(self.waveform)(ts))), zero, zero)
+
+    def span(self):
+        return ()
+
+
+def one_a_vector(term, axes):
+    """A term of the sites with one parameter a site made one a vector, by a trailing axis."""
+    return jax.tree.map(lambda x: x[..., None] if jnp.ndim(x) == axes else x, term)

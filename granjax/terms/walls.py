@@ -3,11 +3,15 @@
 from collections.abc import Callable
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
+import numpy as np
 
-from ..checks import one_of
-from ..laws import Law, Yielding, checked_law
-from .base import Term, get, put
+from ..checks import one_of, refuse
+from ..laws import Law, Scaled, Yielding, checked_law
+from ..units import PART, Signal
+from .base import Compression, Excitation, Term, get, put
+from .bonds import spring
 from .waveforms import checked_waveform
 
 
@@ -24,6 +28,7 @@ class Wall(Term):
     **Raises** ValueError for another side, a motion that cannot be called, support <= 0.
     """
 
+    dimensions = {"law": PART, "motion": Signal((0, 1, 0))}
     law: Law
     motion: Callable | None
     side: str = eqx.field(static=True)
@@ -35,9 +40,10 @@ class Wall(Term):
         self.motion = None if motion is None else checked_waveform("motion", motion)
         self.field = field
 
-    @property
-    def conserves(self):
-        return self.motion is None
+    def check(self, name, lattice):
+        if lattice.axes != 1 or lattice.dimension is not None:
+            refuse(name, "a chain with scalar displacements", f"a lattice of shape {lattice.shape}",
+                   "Hold ends by bonds.")
 
     def compression(self, t, u):
         """Compression of the contact with the wall; one value (and lanes)."""
@@ -52,13 +58,54 @@ class Wall(Term):
         return self._push(self.law.preload, u)
 
     def _push(self, force, u):
-        x = jnp.zeros_like(get(u, self.field))
-        x = x.at[0].set(force) if self.side == "left" else x.at[-1].set(-force)
-        return put(x, self.field)
+        return self._put(force if self.side == "left" else -force, u)
 
     def energy(self, t, u):
         return self.law.energy(self.compression(t, u))[None]
 
-    def site_energy(self, t, u):
+    def site_energy(self, lattice, t, u):
+        return self._put(self.energy(t, u)[0], u)
+
+    def _put(self, value, u):
         x = jnp.zeros_like(get(u, self.field))
-        return put(x.at[0 if self.side == "left" else -1].set(self.energy(t, u)[0]), self.field)
+        return put(x.at[0 if self.side == "left" else -1].set(value), self.field)
+
+    def compressions(self, t, u):
+        return (Compression(self.law, jnp.asarray(self.compression(t, u))[None], "wall"),)
+
+    def undriven(self):
+        return self._still(self.law)
+
+    def _still(self, law):
+        return eqx.tree_at(lambda x: (x.law, x.motion), self, (law, None), is_leaf=lambda x: x is None)
+
+    def scaled(self, factor):
+        return eqx.tree_at(lambda term: term.law, self, Scaled(self.law, factor))
+
+    def linearised(self, lattice, t, u, v):
+        return self._still(spring(self.law, self.compression(t, u)))
+
+    def resistance(self, lattice, moves):
+        end = 0 if self.side == "left" else -1
+        return np.stack([np.ravel(get(move, self.field)[end]) for move in moves], -1)
+
+    def walls(self):
+        return (self.side,)
+
+    def span(self):
+        return ()
+
+    def stiffness(self, lattice, reach, factor=1.0):
+        k = factor * reach.stiffest(self.law, 0)
+        k = k[0] if jnp.ndim(k) > len(lattice.lanes) else k
+        return lambda w: self._put(k * get(w, self.field)[0 if self.side == "left" else -1], w)
+
+    def excitation(self, lattice, ts):
+        zero = jnp.zeros((), lattice.dtype)
+        if self.motion is None:
+            return Excitation(zero, zero, zero)
+        w, speed = jax.vmap(lambda t: jax.jvp(self.motion, (t,), (jnp.ones_like(t),)))(ts)
+        return Excitation(zero, jnp.max(jnp.abs(w)), jnp.max(jnp.abs(speed)))
+
+    def energy_times(self, lattice, ts):
+        return ts[:1]

@@ -1,0 +1,13 @@
+"""Strain maps: from displacements to the compression of every bond, and back by the transpose.
+
+Compression is positive: the bond between a tail and a head site has e = u_tail - u_head. A map is a sum of sites of a
+field, each at an offset and with a weight; `Shift` is the normal form, `Stencil` the general one, `Pairs` a list of
+bonds on any graph, `Stretch` a distance in the plane or in space. A map of one's own needs `strain` alone.
+"""
+
+from .base import BOUNDARIES, LinearMap, StrainMap, checked_map
+from .pairs import WALL, Pairs
+from .stencil import Shift, Stencil
+from .stretch import Stretch
+
+__all__ = ["BOUNDARIES", "LinearMap", "Pairs", "Shift", "Stencil", "StrainMap", "Stretch", "WALL", "checked_map"]

@@ -1,0 +1,248 @@
+"""What every strain map is, and what follows where it is linear."""
+
+import abc
+from typing import ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..checks import refuse
+from ..laws import Law
+from ..units import Dimensional
+
+# what power iteration from a random start may lack
+POWER_STEPS, MARGIN = 40, 1.1
+BOUNDARIES = ("fixed", "free", "periodic")
+DENSE_LIMIT = 4000
+
+
+class StrainMap(Dimensional):
+    """A map from displacements to one compression per bond; `axes` leading axes count the bonds, lanes follow.
+
+    Write `strain`; everything else follows from it by automatic differentiation, and is overridden where a map can do
+    better. `linear`: the strain is linear in the displacements.
+    """
+
+    linear: ClassVar[bool] = False
+
+    @property
+    def axes(self):
+        """Number of leading axes of the array over bonds."""
+        return 1
+
+    @abc.abstractmethod
+    def strain(self, u):
+        """Compression of every bond, measured from equilibrium."""
+
+    def rate(self, u, v):
+        """de/dt of every bond."""
+        return jax.jvp(self.strain, (u,), (v,))[1]
+
+    def pull(self, u, f):
+        """(de/du)^T f: an array over the bonds taken to the sites."""
+        return jax.vjp(self.strain, u)[1](f)[0]
+
+    def load(self, u, law: Law):
+        """What the bonds take from the sites: (de/du)^T F(e), the preload counted only where e(u) is not linear.
+
+        The force on the sites is minus this.
+        """
+        e, transpose = jax.vjp(self.strain, u)
+        (now,) = transpose(jnp.broadcast_to(law.preload + law.force(e), e.shape))
+        _, transpose = jax.vjp(self.strain, jax.tree.map(jnp.zeros_like, u))
+        (rest,) = transpose(jnp.broadcast_to(law.preload, e.shape).astype(e.dtype))
+        return jax.tree.map(jnp.subtract, now, rest)
+
+    def push(self, u, law: Law):
+        """Force on the sites, -load."""
+        return jax.tree.map(jnp.negative, self.load(u, law))
+
+    def energy(self, u, law: Law):
+        """Energy of every bond, measured from equilibrium: energy(e) + F0 (e - its linear part)."""
+        e = self.strain(u)
+        _, linear = jax.jvp(self.strain, (jax.tree.map(jnp.zeros_like, u),), (u,))
+        return law.energy(e) + law.preload * (e - linear)
+
+    def split(self, bonds, u):
+        """A quantity of the bonds shared out to their sites as |de/du| at rest weighs these; dense, bonds x sites."""
+        weights = self._dense(u)
+        whole = sum(w.sum(tuple(range(bonds.ndim, w.ndim))) for w in jax.tree.leaves(weights))
+        return jax.tree.map(lambda w: jnp.tensordot(bonds / whole, w, bonds.ndim), weights)
+
+    def bound(self, lattice, k):
+        """A bound on B^T k B for stiffnesses k >= 0 of the bonds, with B = de/du at rest.
+
+        A function that takes w > 0, one number a site, to |B|^T k |B| w; or a number, no less than the eigenvalues of
+        M^{-1/2} B^T k B M^{-1/2}, estimated where a dense B would be too large.
+        """
+        rest = lattice.zeros()
+        if sum(x.size for x in jax.tree.leaves(rest)) > DENSE_LIMIT:
+            return spectral_radius(lambda w: self.pull(rest, k * self.rate(rest, w)), lattice)
+        B = self._dense(rest)
+        if lattice.dimension is not None:
+            B = jnp.sum(B, axis=self.axes + lattice.axes)
+
+        def product(w):
+            _, transpose = jax.vjp(lambda w: _contract(B, w), w)
+            return transpose(k * _contract(B, w))[0]
+
+        return product
+
+    def turning(self, law: Law):
+        """Transverse stiffness that the preload of a bond that turns adds."""
+        return 0.0
+
+    def span(self):
+        """Sites along each axis between the ends of a bond, the longest; `None` where that is not known."""
+        return None
+
+    def next_neighbours(self):
+        """The boundary of a map from each site of one plain array to the next, e = u_n - u_{n+1}; else `None`."""
+        return None
+
+    def _wrapped(self, units):
+        return InOtherUnits(self, units.length)
+
+    def walls(self):
+        """At which ends of a chain bonds lead to a rigid wall: of "left" and "right"."""
+        return ()
+
+
+def _contract(B, w):
+    return sum(jnp.tensordot(b, x, axes=x.ndim) for b, x in zip(jax.tree.leaves(B), jax.tree.leaves(w)))
+
+
+class InOtherUnits(StrainMap):
+    """A map with displacements and compressions counted in another unit of length."""
+
+    strain_map: StrainMap
+    length: jax.Array
+
+    @property
+    def axes(self):
+        return self.strain_map.axes
+
+    def strain(self, u):
+        return self.strain_map.strain(jax.tree.map(lambda x: self.length * x, u)) / self.length
+
+
+def spectral_radius(product, lattice):
+    """Largest |eigenvalue| of M^{-1/2} K M^{-1/2}, by power iteration, for a linear map product(w) = K w."""
+    root = jax.tree.map(jnp.sqrt, lattice.mass)
+    w = jax.tree.map(lambda s: np.random.default_rng(0).normal(size=s.shape).astype(s.dtype), lattice.template())
+
+    def power(_, state):
+        w, _ = state
+        pulled = product(jax.tree.map(jnp.divide, w, root))
+        pulled = {name: pulled.get(name, jnp.zeros_like(x)) for name, x in w.items()} if isinstance(w, dict) else pulled
+        w = jax.tree.map(jnp.divide, pulled, root)
+        size = jnp.sqrt(sum(jnp.sum(x * x) for x in jax.tree.leaves(w)))
+        return jax.tree.map(lambda x: x / jnp.where(size > 0, size, 1), w), size
+
+    norm = np.sqrt(sum(np.sum(x * x) for x in jax.tree.leaves(w)))
+    start = jax.tree.map(lambda x: jnp.asarray(x / norm.astype(x.dtype)), w), jnp.zeros((), lattice.dtype)
+    return MARGIN * jax.lax.fori_loop(0, POWER_STEPS, power, start)[1]
+
+
+class LinearMap(StrainMap):
+    """A map that is a sum of selected sites, each with a weight, and its transpose."""
+
+    linear: ClassVar[bool] = True
+
+    @abc.abstractmethod
+    def gather(self, f):
+        """Transpose of `strain`: an array over bonds to the sites (a dict of the fields that it touches)."""
+
+    @abc.abstractmethod
+    def reach(self, w):
+        """|de/du| w: the sum, with positive weights, over the ends of every bond."""
+
+    @abc.abstractmethod
+    def reach_back(self, f):
+        """Transpose of `reach`."""
+
+    def rate(self, u, v):
+        return self.strain(v)
+
+    def pull(self, u, f):
+        return self.gather(f)
+
+    def load(self, u, law):
+        return self.gather(law.force(self.strain(u)))
+
+    def energy(self, u, law):
+        return law.energy(self.strain(u))
+
+    def bound(self, lattice, k):
+        return lambda w: self.reach_back(k * self.reach(w))
+
+
+class TwoEnds(LinearMap):
+    """e = tail - head, by two selections of sites and their transposes."""
+
+    fields: eqx.AbstractVar[tuple[str, str] | None]
+
+    @abc.abstractmethod
+    def _select(self, x, end):
+        """The sites of one array at the tails (end 0) or heads (end 1) of all bonds; zero at a wall."""
+
+    @abc.abstractmethod
+    def _return(self, f, end):
+        """Transpose of `_select`."""
+
+    def _ends(self, u):
+        if self.fields is None:
+            return self._select(u, 0), self._select(u, 1)
+        tail, head = self.fields
+        return self._select(u[tail], 0), self._select(u[head], 1)
+
+    def _gather(self, f, combine, alone=lambda x: x):
+        at_tail, at_head = self._return(f, 0), self._return(f, 1)
+        if self.fields is None:
+            return combine(at_tail, at_head)
+        tail, head = self.fields
+        if tail == head:
+            return {tail: combine(at_tail, at_head)}
+        return {tail: alone(at_tail), head: combine(jnp.zeros_like(at_head), at_head)}
+
+    def strain(self, u):
+        tail, head = self._ends(u)
+        return tail - head
+
+    def gather(self, f):
+        return self._gather(f, jnp.subtract)
+
+    def reach(self, w):
+        tail, head = self._ends(w)
+        return tail + head
+
+    def reach_back(self, f):
+        return self._gather(f, jnp.add)
+
+    def push(self, u, law):
+        # head less tail, instead of minus (tail less head): one operation less
+        return self._gather(law.force(self.strain(u)), lambda tail, head: head - tail, jnp.negative)
+
+    def split(self, bonds, u):
+        return jax.tree.map(lambda s: s / 2, self.reach_back(bonds))
+
+
+def checked_map(strain_map):
+    """The strain map itself; anything else is refused."""
+    if not isinstance(strain_map, StrainMap):
+        refuse("strain_map", "a strain map, such as Shift(1, 'fixed')", repr(strain_map))
+    return strain_map
+
+
+def checked_fields(fields):
+    """`None`, or the pair of names of tail and head."""
+    if fields is None:
+        return None
+    if isinstance(fields, str):
+        return fields, fields
+    named = isinstance(fields, (tuple, list)) and all(isinstance(f, str) for f in fields)
+    if not named or len(fields) != 2:
+        refuse("fields", "a name, or the names of tail and head", repr(fields), 'Write fields=("bead", "resonator").')
+    return tuple(fields)

@@ -1,0 +1,78 @@
+"""Bonds listed one by one, on any graph."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from ..checks import refuse, whole
+from .base import TwoEnds, checked_fields
+
+WALL = -1
+
+
+class Pairs(TwoEnds):
+    """Bonds listed one by one, on any graph: e_b = u[tail_b] - u[head_b]. The escape hatch.
+
+    **Arguments:** `tail`, `head`: site indices along the first axis, one of each per bond; -1 is a rigid wall.
+    `sites`: number of sites, where the last ones have no bond (a pair for two fields). `fields`: as in `Shift`.
+
+    **Shapes:** `u` (N,) to `e` (bonds,). **Raises** ValueError for indices that are no whole numbers, lists of
+    different length, an index outside the lattice, or a bond from a site to itself.
+    """
+
+    dimensions = {}
+    tail: tuple[int, ...] = eqx.field(static=True)
+    head: tuple[int, ...] = eqx.field(static=True)
+    sites: tuple[int, int] = eqx.field(static=True)
+    fields: tuple[str, str] | None = eqx.field(static=True)
+
+    def __init__(self, tail, head, *, sites=None, fields=None):
+        self.fields = checked_fields(fields)
+        self.tail, self.head = _indices("tail", tail), _indices("head", head)
+        if len(self.tail) != len(self.head):
+            refuse("head", f"{len(self.tail)} indices, as many as tails", f"{len(self.head)}")
+        within = self.fields is None or self.fields[0] == self.fields[1]
+        if within and any(t == h for t, h in zip(self.tail, self.head)):
+            refuse("head", "another site than the tail", "the same", "A site has no bond to itself.")
+        least = max(self.tail) + 1, max(self.head) + 1
+        if within:
+            least = (max(least),) * 2
+        given = least if sites is None else tuple(sites) if isinstance(sites, (tuple, list)) else (sites,) * 2
+        given = tuple(whole("sites", g) for g in given)
+        if len(given) != 2 or any(g < n for g, n in zip(given, least)):
+            refuse("sites", f"at least {max(least)}, the largest index and one", repr(sites))
+        self.sites = given
+
+    def _select(self, x, end):
+        index = np.array((self.tail, self.head)[end])
+        sites = self.sites[end]
+        if x.shape[0] != sites:
+            refuse("sites", f"{x.shape[0]}, the lattice's number of sites", f"{sites}", "Give Pairs(..., sites=...).")
+        chosen = x[np.where(index == WALL, 0, index)]
+        if (index == WALL).any():
+            there = (index != WALL).astype(x.dtype).reshape((-1,) + (1,) * (x.ndim - 1))
+            chosen = chosen * there
+        return chosen
+
+    def _return(self, f, end):
+        index = np.array((self.tail, self.head)[end])
+        sites = self.sites[end]
+        # a wall's share goes to one site too many, which is then cut off
+        spread = jnp.zeros((sites + 1,) + f.shape[1:], f.dtype)
+        return spread.at[np.where(index == WALL, sites, index)].add(f)[:sites]
+
+    def span(self):
+        return (max((abs(t - h) for t, h in zip(self.tail, self.head) if WALL not in (t, h)), default=0),)
+
+    def walls(self):
+        return ("left", "right") if WALL in self.tail + self.head else ()
+
+
+def _indices(name, x):
+    try:
+        x = np.asarray(x)
+    except ValueError:
+        refuse(name, "a list of site indices (-1 for a wall)", repr(x))
+    if x.ndim != 1 or x.size == 0 or x.dtype.kind not in "iu" or x.min() < WALL:
+        refuse(name, "a list of site indices (-1 for a wall)", np.array2string(x, threshold=6))
+    return tuple(int(i) for i in x)

@@ -1,0 +1,199 @@
+"""The normal form of a strain map: sites of fields at fixed offsets, each with a weight, as slices."""
+
+import abc
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..checks import one_of, parameter, refuse
+from .base import BOUNDARIES, LinearMap, TwoEnds, checked_fields
+
+
+class _Grid(LinearMap):
+    """Slices of a lattice with axes; every axis has a boundary, and a least and a largest offset of a bond."""
+
+    boundary: eqx.AbstractVar[tuple[str, ...]]
+
+    @abc.abstractmethod
+    def _reaches(self):
+        """The least and the largest offset, for every axis."""
+
+    @property
+    def axes(self):
+        """Number of leading axes of the lattice that the bonds keep."""
+        return len(self.boundary)
+
+    def _cut_out(self, x, offset):
+        """The sites at one offset of all bonds; zero at a wall."""
+        for axis, (k, (low, high), boundary) in enumerate(zip(offset, self._reaches(), self.boundary)):
+            x = _select(x, axis, k, low, high, boundary)
+        return x
+
+    def _put_back(self, f, offset):
+        """Transpose of `_cut_out`."""
+        for axis, (k, (low, high), boundary) in enumerate(zip(offset, self._reaches(), self.boundary)):
+            f = _return(f, axis, k, low, high, boundary)
+        return f
+
+    def span(self):
+        return tuple(high - low for low, high in self._reaches())
+
+    def walls(self):
+        fixed = any(b == "fixed" and high > low for b, (low, high) in zip(self.boundary, self._reaches()))
+        return ("left", "right") if fixed else ()
+
+
+def _select(x, axis, k, low, high, boundary):
+    if boundary == "periodic":
+        return x if k == 0 else jnp.roll(x, -k, axis)
+    before, after = k - low, high - k
+    if boundary == "fixed":
+        return _pad(x, axis, after, before)
+    return jax.lax.slice_in_dim(x, before, x.shape[axis] - after, axis=axis) if before or after else x
+
+
+def _return(f, axis, k, low, high, boundary):
+    if boundary == "periodic":
+        return f if k == 0 else jnp.roll(f, k, axis)
+    before, after = k - low, high - k
+    if boundary == "fixed":
+        return jax.lax.slice_in_dim(f, after, f.shape[axis] - before, axis=axis) if before or after else f
+    return _pad(f, axis, before, after)
+
+
+def _pad(x, axis, low, high):
+    if not low and not high:
+        return x
+    widths = [(0, 0)] * x.ndim
+    widths[axis] = (low, high)
+    return jnp.pad(x, widths)
+
+
+def _offsets(offset):
+    offsets = tuple(offset) if isinstance(offset, (tuple, list)) else (offset,)
+    if not offsets or any(isinstance(k, bool) or not isinstance(k, (int, np.integer)) for k in offsets):
+        refuse("offset", "a whole number, or one per axis", repr(offset))
+    return tuple(int(k) for k in offsets)
+
+
+def _boundaries(boundary, axes):
+    boundaries = tuple(boundary) if isinstance(boundary, (tuple, list)) else (boundary,) * axes
+    if len(boundaries) != axes:
+        refuse("boundary", f"{axes} names, one per axis", repr(boundary))
+    return tuple(one_of("boundary", b, BOUNDARIES) for b in boundaries)
+
+
+class Shift(_Grid, TwoEnds):
+    r"""Bonds between each site and the site `offset` further on: e_n = u_n - u_{n+offset}. The normal form.
+
+    **Arguments:**
+
+    - `offset`: a whole number, or a tuple of them, one per axis of the lattice; 0 only between two fields.
+    - `boundary`: `"fixed"` (rigid walls; N + |offset| bonds), `"free"` (N - |offset|) or `"periodic"` (N); a tuple
+      for one per axis.
+    - `fields`: name of the field, or the pair (tail, head), where a cell holds several; `None` for a plain array.
+
+    **Shapes:** `u` (N,) to `e` (N + 1,), (N - 1,) or (N,) for offset 1; trailing axes (vectors, lanes) pass through.
+    **Raises** ValueError for an unknown boundary, an offset that is no whole number, or 0 within one field.
+    """
+
+    dimensions = {}
+    offset: tuple[int, ...] = eqx.field(static=True)
+    boundary: tuple[str, ...] = eqx.field(static=True)
+    fields: tuple[str, str] | None = eqx.field(static=True)
+
+    def __init__(self, offset=1, boundary="fixed", fields=None):
+        self.offset = _offsets(offset)
+        self.boundary = _boundaries(boundary, len(self.offset))
+        self.fields = checked_fields(fields)
+        if not any(self.offset) and (self.fields is None or self.fields[0] == self.fields[1]):
+            refuse("offset", "a step that is not zero within one field", repr(offset), "A site has no bond to itself.")
+
+    def _reaches(self):
+        return [(min(k, 0), max(k, 0)) for k in self.offset]
+
+    def _select(self, x, end):
+        return self._cut_out(x, self.offset if end else (0,) * len(self.offset))
+
+    def _return(self, f, end):
+        return self._put_back(f, self.offset if end else (0,) * len(self.offset))
+
+    def next_neighbours(self):
+        plain = self.offset == (1,) and self.fields is None
+        return self.boundary[0] if plain else None
+
+
+class Stencil(_Grid):
+    r"""Bonds that read several sites and fields: e_n = sum over parts of weight * u_field[n + offset].
+
+    `Shift` is the special case of the weights 1 and -1. Others: shear with rotation
+    u_n - u_{n+1} + R (theta_n + theta_{n+1}); the bend u_{n-1} - 2 u_n + u_{n+1} of three sites, with a law of its own.
+
+    **Arguments:**
+
+    - `parts`: triples (field, offset, weight); `field`: a name, or `None` for a plain array; `offset`: a whole number,
+      or one per axis; `weight`: a number or an array over the bonds, which can be swept and differentiated. Fields
+      are displacements: a rotation enters as a length (R theta), or the scene keeps its own units.
+    - `boundary`: as in `Shift`: `"fixed"` has every bond that touches a site, with resting sites beyond the ends,
+      `"free"` those that lie within the lattice, `"periodic"` one a site.
+
+    **Shapes:** for largest and least offset k_max, k_min: `u` (N,) to `e` (N + k_max - k_min,), (N - (k_max - k_min),)
+    or (N,). **Raises** ValueError for parts that are no such triples, offsets of unlike length, or no part.
+    """
+
+    dimensions = {"weights": (0, 0, 0)}
+    weights: tuple[jax.Array, ...]
+    fields: tuple[str | None, ...] = eqx.field(static=True)
+    offsets: tuple[tuple[int, ...], ...] = eqx.field(static=True)
+    boundary: tuple[str, ...] = eqx.field(static=True)
+
+    def __init__(self, parts, boundary="fixed"):
+        parts = tuple(parts) if isinstance(parts, (tuple, list)) else ()
+        if not parts or any(not isinstance(p, (tuple, list)) or len(p) != 3 for p in parts):
+            refuse("parts", "triples (field, offset, weight)", repr(parts), 'Write [("u", 0, 1.0), ("u", 1, -1.0)].')
+        self.fields = tuple(field for field, _, _ in parts)
+        if any(not isinstance(f, str) and f is not None for f in self.fields) or len({f is None for f in self.fields}) > 1:
+            refuse("parts", "names of fields, or None in every part", repr(self.fields))
+        self.offsets = tuple(_offsets(offset) for _, offset, _ in parts)
+        if len({len(offset) for offset in self.offsets}) > 1:
+            refuse("parts", "offsets of one length, a number per axis", repr(self.offsets))
+        self.weights = tuple(parameter("weight", weight) for _, _, weight in parts)
+        self.boundary = _boundaries(boundary, len(self.offsets[0]))
+
+    def _reaches(self):
+        return [(min(along), max(along)) for along in zip(*self.offsets)]
+
+    def _sum(self, u, change):
+        parts = [
+            change(weight) * self._cut_out(u if field is None else u[field], offset)
+            for field, offset, weight in zip(self.fields, self.offsets, self.weights)
+        ]
+        return sum(parts[1:], parts[0])
+
+    def _spread(self, f, change):
+        total = {}
+        for field, offset, weight in zip(self.fields, self.offsets, self.weights):
+            part = self._put_back(change(weight) * f, offset)
+            total[field] = total[field] + part if field in total else part
+        return total[None] if None in total else total
+
+    def strain(self, u):
+        return self._sum(u, lambda x: x)
+
+    def gather(self, f):
+        return self._spread(f, lambda x: x)
+
+    def push(self, u, law):
+        return self._spread(law.force(self.strain(u)), jnp.negative)
+
+    def reach(self, w):
+        return self._sum(w, jnp.abs)
+
+    def reach_back(self, f):
+        return self._spread(f, jnp.abs)
+
+    def split(self, bonds, u):
+        whole = sum(jnp.abs(weight) for weight in self.weights)
+        return self.reach_back(bonds / whole)

@@ -1,0 +1,135 @@
+"""What a motion may reach at its energy, and the stiffness there."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+
+from ..strains.base import spectral_radius
+
+SAMPLES = 33
+# a contact of exponent below 1 is infinitely stiff where it opens; the bound keeps this far from there
+CLOSED_FRACTION = 0.05
+
+
+class Reach(eqx.Module):
+    """What a motion may reach.
+
+    **Fields:** `energy`: of one bond or site [J], shape of the lanes. `force`, `displacement`: what a drive pushes with
+    and a wall moves by. `ts`: times at which changing parameters are looked at. `u`: displacements at the start.
+    """
+
+    energy: jax.Array
+    force: jax.Array
+    displacement: jax.Array
+    ts: jax.Array
+    u: object
+
+    def stiffest(self, law, index):
+        """Largest |F'(x)| over the compressions x within reach, per bond; `index` counts the term's compressions."""
+        return steepest(law, *self._ends(law))
+
+    def opens(self, law):
+        """Whether some contact of the law may open."""
+        overlaps = [law.overlap(x) for x in self._ends(law)]
+        return jnp.any(jnp.stack([jnp.min(s) <= 0 for s in overlaps if s is not None] or [jnp.zeros((), bool)]))
+
+    def _ends(self, law):
+        like = jax.eval_shape(lambda e: law.force(e) + 0 * self.energy, jnp.zeros_like(self.energy))
+        zero = jnp.zeros(like.shape, like.dtype)
+
+        def reachable(x):
+            within = (law.energy(x) <= self.energy) & (self.energy > 0)
+            return within | (jnp.abs(law.force(x)) <= self.force) & (self.force > 0) | (jnp.abs(x) <= self.displacement)
+
+        return furthest(reachable, zero, -1.0), furthest(reachable, zero, 1.0)
+
+
+class Reached(eqx.Module):
+    """The least and the largest compressions, `low` and `high`, of every law of a term that a run has seen."""
+
+    low: tuple
+    high: tuple
+    ts: jax.Array
+    u: object
+    energy: jax.Array
+
+    def stiffest(self, law, index):
+        """Largest |F'(x)| over the compressions that were reached, per bond."""
+        return steepest(law, jnp.minimum(self.low[index], 0), jnp.maximum(self.high[index], 0))
+
+
+def steepest(law, low, high):
+    """Largest |F'(x)| for low <= 0 <= high, elementwise; for a law that softens, where it is well closed."""
+    fractions = jnp.linspace(0.0, 1.0, SAMPLES, dtype=low.dtype)
+
+    def largest(end):
+        x = fractions.reshape((-1,) + (1,) * end.ndim) * end
+        k = jnp.abs(law.slope(x))
+        if law.softens:
+            k = jnp.where(law.overlap(x) > CLOSED_FRACTION * law.overlap(jnp.zeros_like(end)), k, 0)
+        return jnp.max(jnp.where(jnp.isfinite(k), k, 0), axis=0)
+
+    return jnp.maximum(largest(low), largest(high))
+
+
+def furthest(reachable, zero, sign):
+    """Largest |x| of one sign within reach: doubling, then bisection."""
+    def double(_, state):
+        x, going = state
+        going = going & reachable(sign * 2 * x)
+        return jnp.where(going, 2 * x, x), going
+
+    start = zero + jnp.asarray(2.0**-60, zero.dtype)
+    x, _ = jax.lax.fori_loop(0, 100, double, (start, reachable(sign * start)))
+
+    def bisect(_, interval):
+        low, high = interval
+        middle = (low + high) / 2
+        inside = reachable(sign * middle)
+        return jnp.where(inside, middle, low), jnp.where(inside, high, middle)
+
+    low, _ = jax.lax.fori_loop(0, 40, bisect, (x, 2 * x))
+    return sign * jnp.where(reachable(sign * start), low, 0)
+
+
+def largest_eigenvalue(term, lattice, reach):
+    """Largest |eigenvalue| of M^{-1/2} dF/du M^{-1/2} of one term over displacements of the energy within reach."""
+    flat, unravel = ravel_pytree(lattice.zeros())
+    t, energy, zeros = reach.ts[0], jnp.max(reach.energy), lattice.zeros()
+
+    def stored(x):
+        return sum(jnp.sum(e) for e in jax.tree.leaves(term.energy(t, unravel(x))))
+
+    def within(direction):
+        size = furthest(lambda a: (stored(a * direction) <= energy) & (energy > 0), jnp.zeros((), flat.dtype), 1.0)
+        # a displacement that costs nothing is not sampled at infinity
+        return jnp.where(stored(2 * size * direction) > energy, size, 0) * direction
+
+    def eigenvalue(x):
+        _, slope = jax.linearize(lambda u: term.force(t, u, zeros, lattice.mass), unravel(x))
+        return spectral_radius(slope, lattice)
+
+    tried = [jnp.zeros_like(flat), ravel_pytree(reach.u)[0]]
+    if term.dependence(lattice).energy:
+        tried += list(jax.vmap(within)(_directions(flat)))
+    found = jax.lax.map(eigenvalue, jnp.stack(tried).astype(flat.dtype))
+    return jnp.max(jnp.where(jnp.isfinite(found), found, 0))
+
+
+def _directions(flat):
+    """Single displacements, neighbours in antiphase, a step and all together, of both signs."""
+    size = flat.size
+    places = sorted({0, size // 4, size // 2, size - 1})
+    rows = [np.eye(1, size, i)[0] for i in places]
+    rows += [rows[i] - np.eye(1, size, (place + 1) % size)[0] for i, place in enumerate(places)]
+    rows += [np.where(np.arange(size) < size // 2, 1.0, 0.0), (-1.0) ** np.arange(size), np.ones(size)]
+    return jnp.asarray(np.concatenate([rows, np.negative(rows)]), flat.dtype)
+
+
+def raveled(force, zeros):
+    """A force as one array, with zeros for the fields that it does not touch."""
+    if isinstance(zeros, dict):
+        force = {name: force.get(name, zero) for name, zero in zeros.items()}
+    return ravel_pytree(jax.tree.map(lambda f, u: jnp.broadcast_to(f, u.shape), force, zeros))[0]

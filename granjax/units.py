@@ -1,0 +1,115 @@
+"""Units of mass, length and time, and kinds that can be written in other ones."""
+
+import abc
+import dataclasses
+from typing import ClassVar
+
+import equinox as eqx
+import jax
+
+from .checks import positive
+
+
+class Units(eqx.Module):
+    """Sizes of the units in SI: a scaled number times its unit is the SI number, `run.ts * units.time` in seconds.
+
+    **Arguments:** `mass` [kg], `length` [m], `time` [s], above zero. The others follow from them: `velocity`,
+    `acceleration`, `force`, `energy`, `omega`. **Raises** ValueError for a unit that is not above zero.
+    """
+
+    mass: jax.Array
+    length: jax.Array
+    time: jax.Array
+
+    def __init__(self, mass=1.0, length=1.0, time=1.0):
+        self.mass, self.length, self.time = positive("mass", mass), positive("length", length), positive("time", time)
+
+    @property
+    def velocity(self):
+        """Unit of velocity [m/s]."""
+        return self.length / self.time
+
+    @property
+    def acceleration(self):
+        """Unit of acceleration [m/s^2]."""
+        return self.length / self.time / self.time
+
+    @property
+    def force(self):
+        """Unit of force [N]."""
+        return self.mass * self.acceleration
+
+    @property
+    def energy(self):
+        """Unit of energy [J]."""
+        return self.force * self.length
+
+    @property
+    def omega(self):
+        """Unit of angular frequency, and of a damping rate [1/s]."""
+        return 1 / self.time
+
+    def state_to_si(self, state):
+        """A scaled `State` in metres and metres per second."""
+        return self._convert(state, self.length, self.velocity)
+
+    def state_from_si(self, state):
+        """A `State` in metres and metres per second in these units."""
+        return self._convert(state, 1 / self.length, 1 / self.velocity)
+
+    def _convert(self, state, length, velocity):
+        u, v = state
+        return State(jax.tree.map(lambda x: x * length, u), jax.tree.map(lambda x: x * velocity, v))
+
+
+PART = "a law, strain map or term with parameters of its own, or a tuple of such"
+
+
+class Signal(tuple):
+    """Powers of force, length and time of the values of a function of time."""
+
+
+class Dimensional(eqx.Module):
+    """A kind that can be written in other units.
+
+    `dimensions`, written in a class itself, names for each field that is not static the powers (force, length, time)
+    of its unit: a tuple, a function of the instance that gives one, a `Signal` for a function of time, or `PART`. A
+    class that does not say so is wrapped: its arguments are turned into its own units and its result back.
+    """
+
+    dimensions: ClassVar[dict | None] = None
+
+    def in_units(self, units: Units):
+        """The same with arguments and results counted in `units`."""
+        dimensions = vars(type(self)).get("dimensions")
+        if dimensions is None:
+            return self._wrapped(units)
+        fields = [field.name for field in dataclasses.fields(self) if not field.metadata.get("static", False)]
+        names = [name for name in fields if getattr(self, name) is not None]
+        if not names:
+            return self
+        counted = [_counted(getattr(self, name), dimensions[name], self, units) for name in names]
+        return eqx.tree_at(lambda x: [getattr(x, name) for name in names], self, counted)
+
+    @abc.abstractmethod
+    def _wrapped(self, units):
+        """A stand-in that turns arguments into SI and the result back."""
+
+
+def _counted(value, powers, owner, units):
+    if powers is PART:
+        return tuple(v.in_units(units) for v in value) if isinstance(value, tuple) else value.in_units(units)
+    if isinstance(powers, Signal):
+        return InUnits(value, units.time, units.of(*powers))
+    return jax.tree.map(lambda x: x / units.of(*(powers(owner) if callable(powers) else powers)), value)
+
+
+class InUnits(eqx.Module):
+    """A function of time in other units: f(time t)/size."""
+
+    function: object
+    time: jax.Array
+    size: jax.Array
+
+    def __call__(self, t):
+        return self.function(t * self.time) / self.size
