@@ -59,7 +59,8 @@ class Units(eqx.Module):
 
     def _convert(self, state, length, velocity):
         u, v = state
-        return State(jax.tree.map(lambda x: x * length, u), jax.tree.map(lambda x: x * velocity, v))
+        scaled = jax.tree.map(lambda x: x * length, u), jax.tree.map(lambda x: x * velocity, v)
+        return type(state)(*scaled) if hasattr(state, "_fields") else scaled
 
 
 PART = "a law, strain map or term with parameters of its own, or a tuple of such"

@@ -94,7 +94,7 @@ BAD = (
     ("wall motion", lambda: gx.Wall(HERTZ, "left", motion=1.0), "motion"),
     ("wall support", lambda: gx.Wall(HERTZ, support=-1.0), "support"),
     ("wall law", lambda: gx.Wall(1.0), "law"),
-    ("modulated", lambda: gx.Modulated(gx.Damping(0.1), lambda t: 1.0), "term"),
+    ("modulated", lambda: gx.Modulated(HERTZ, lambda t: 1.0), "term"),
     ("modulation", lambda: gx.Modulated(BOND, 1.1), "modulation"),
     ("no term", lambda: chain(BOND, HERTZ), "terms[1]"),
     ("terms a number", lambda: gx.Lattice(np.ones(6), 3), "terms"),

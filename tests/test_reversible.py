@@ -18,7 +18,7 @@ CENTRAL = {1: 3 / 4, 2: -3 / 20, 3: 1 / 60}
 
 
 def splits(lattice):
-    return all(isinstance(term, gx.Damping) for term in lattice.terms if term.reads_velocity)
+    return all(isinstance(term, gx.Damping) for term in lattice.terms if term.dependence(lattice).velocity)
 
 
 def seen(run):

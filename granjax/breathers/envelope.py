@@ -11,8 +11,6 @@ from ..lattice import State
 from ..laws import taylor
 from ..linear import bands
 from ..linear.cell import unit_cell
-from ..strains import Shift
-from ..terms import Bond
 from ..theory import nls
 
 # relative distance in omega below which a frequency is an edge's
@@ -39,20 +37,19 @@ class Edge(NamedTuple):
 
 def cell_of(lattice):
     """(mass, K2, K3, K4) of the unit cell of a chain of next neighbours, (P,) each, or `None` where it is none."""
-    if len(lattice.terms) != 1 or not isinstance(lattice.terms[0], Bond) or lattice.fields or lattice.axes != 1:
+    found = lattice.terms[0].next_neighbours() if len(lattice.terms) == 1 else None
+    if found is None or lattice.fields or lattice.axes != 1 or lattice.dimension:
         return None
-    bond = lattice.terms[0]
-    if lattice.dimension or not isinstance(bond.strain_map, Shift) or bond.strain_map.offset != (1,):
-        return None
+    law, boundary = found
     try:
         (size,) = unit_cell(lattice).cell
     except ValueError:
         return None
-    coefficients = taylor(bond.law)
+    coefficients = taylor(law)
     if not np.all(np.asarray(coefficients.K2) > 0):
         return None
     (sites,) = lattice.sites
-    left = 1 if bond.strain_map.boundary[0] == "fixed" else 0
+    left = 1 if boundary == "fixed" else 0
     mass = np.broadcast_to(np.asarray(lattice.mass), (sites,))[:size]
     parts = [np.asarray(x) if np.ndim(x) == 0 else np.asarray(x)[left : left + size] for x in coefficients]
     return mass, *(np.broadcast_to(x, (size,)) for x in parts)
@@ -122,7 +119,7 @@ def dark_guess(lattice, omega, centre=None):
     tops = [(b, float(w), float(k)) for b, (w, k) in enumerate(zip(found.upper, np.ravel(found.upper_k)))]
     branch, _, k = min(tops, key=lambda top: abs(top[1] - omega))
     k = _at_symmetry(k)
-    constraint = "force" if lattice.terms[0].strain_map.boundary[0] == "free" else "length"
+    constraint = "force" if lattice.terms[0].next_neighbours()[1] == "free" else "length"
     coefficients = nls.coefficients(*cell, k, branch, constraint)
     if constraint == "length":
         coefficients = _held(coefficients, omega, lattice.sites[0] / len(coefficients.mode))

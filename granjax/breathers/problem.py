@@ -40,9 +40,9 @@ def checked_lattice(lattice):
     if lattice.lanes:
         remedy = "Use jax.vmap(function, in_axes=-1)(lattice) for gx.breathers.breather with a guess."
         refuse("lattice", "one lattice", f"a batch with lanes {lattice.lanes}", remedy)
-    timeless = all(term.conserves and not term.reads_velocity for term in lattice.terms)
+    timeless = lattice.conserves
     if not timeless:
-        names = ", ".join(type(t).__name__ for t in lattice.terms if not t.conserves or t.reads_velocity)
+        names = ", ".join(type(t).__name__ for t in lattice.terms if not t.dependence(lattice).conserves)
         remedy = "Orbits of damped or driven chains: gx.forced.forced_orbit."
         refuse("lattice", "forces that depend on positions alone", names, remedy)
     return lattice

@@ -1,13 +1,10 @@
 """A chain between walls that move."""
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
 
 from ..checks import one_of, parameter, refuse
 from ..lattice import Lattice
-from ..strains import Shift
-from ..terms import Bond, Damping, Harmonic, Wall
+from ..terms import Damping, Harmonic, Wall
 
 SIDES = ("left", "right")
 
@@ -37,23 +34,24 @@ def driven_chain(lattice, amplitude, omega, *, ends=SIDES, damping=None, phase=0
     phases = _checked_phases(phase, ends)
     if not isinstance(lattice, Lattice) or lattice.axes != 1 or lattice.dimension is not None:
         refuse("lattice", "a chain with scalar displacements", _name(lattice))
-    terms, law = [], None
+    terms, laws = [], None
     for i, term in enumerate(lattice.terms):
-        if law is None and _is_end_bond(term, field):
-            terms.append(Bond(Shift(1, "free", term.strain_map.fields), _inner(term.law, lattice)))
-            law = term.law
-        elif _reaches_wall(term):
+        parted = term.without_walls(lattice, field) if laws is None else None
+        if parted is not None:
+            inner, *laws = parted
+            terms.append(inner)
+        elif term.walls():
             refuse("lattice", "one Bond(Shift(1, 'fixed'), law) to the walls and no other term that reaches them",
                    f"terms[{i}] ({type(term).__name__})", "Build such a scene from Wall terms.")
         else:
             terms.append(term)
-    if law is None:
+    if laws is None:
         refuse("lattice", "a Bond(Shift(1, 'fixed'), law), which leads to walls", "none", "Use boundary='fixed'.")
     if damping is not None:
         terms.append(Damping(damping))
-    for side, end in (("left", 0), ("right", -1)):
+    for side, law in zip(SIDES, laws):
         motion = Harmonic(amplitude, omega, phases[ends.index(side)]) if side in ends else None
-        terms.append(Wall(_pick(law, lattice, end), side, motion, field=field))
+        terms.append(Wall(law, side, motion, field=field))
     return eqx.tree_at(lambda c: c.terms, lattice, tuple(terms))
 
 
@@ -75,32 +73,3 @@ def _checked_phases(phase, ends):
     if len(phase) != len(ends):
         refuse("phase", f"a number, or {len(ends)}, one for each of {ends}", repr(phase))
     return tuple(parameter("phase", p) for p in phase)
-
-
-def _is_end_bond(term, field):
-    strain_map = getattr(term, "strain_map", None)
-    fields = None if field is None else (field, field)
-    return (isinstance(term, Bond) and isinstance(strain_map, Shift) and strain_map.offset == (1,)
-            and strain_map.boundary == ("fixed",) and strain_map.fields == fields)
-
-
-def _reaches_wall(term):
-    strain_map = getattr(getattr(term, "term", term), "strain_map", None)
-    strain_map = getattr(strain_map, "pairs", strain_map)
-    fixed = "fixed" in getattr(strain_map, "boundary", ()) and any(strain_map.offset)
-    ends = (*getattr(strain_map, "tail", ()), *getattr(strain_map, "head", ()))
-    return isinstance(term, Wall) or fixed or -1 in ends
-
-
-def _inner(law, lattice):
-    return _over_bonds(law, lattice, lambda x: x if x.shape[0] == 1 else x[1:-1])
-
-
-def _pick(law, lattice, end):
-    return _over_bonds(law, lattice, lambda x: x[end])
-
-
-def _over_bonds(law, lattice, choose):
-    """`choose` applied to every parameter that has an axis over the bonds."""
-    axes = 1 + len(lattice.lanes)
-    return jax.tree.map(lambda x: choose(x) if jnp.ndim(x) == axes else x, law)

@@ -11,7 +11,6 @@ from ..flow import Flow
 from ..flow.stepping import columns, matrix
 from ..lattice import State
 from ..solvers import SRKN11b
-from ..terms import Drive, Modulated, Wall
 from .settle import steps_per_period
 
 
@@ -106,8 +105,7 @@ def _verdict(lattice, exponents, uncertainty):
         return "not finite", "The state ceased to be finite: take more steps per period."
     largest, doubt = exponents[0], uncertainty[0]
     value = f"the largest exponent is {largest:.3g} +- {doubt:.1g}"
-    forced = any(isinstance(t, (Drive, Modulated)) or isinstance(t, Wall) and t.motion is not None
-                 for t in lattice.terms)
+    forced = lattice.reads_time
     if largest > doubt:
         return "chaotic", f"Chaotic: {value}."
     if largest < -doubt:

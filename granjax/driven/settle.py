@@ -9,10 +9,9 @@ from jax.flatten_util import ravel_pytree
 from ..checks import positive, whole
 from ..flow import Flow
 from ..lattice import State
-from ..measures import contact_force
+from ..measures import contacts
 from ..orbits import default_steps, history
 from ..solvers import SRKN11b
-from ..terms import Bond, Wall
 
 # h omega of the default step, with omega the highest linear frequency
 STEP_FRACTION = 0.4
@@ -145,8 +144,7 @@ def follow(flow, lattice, state, period, periods, tolerance):
 
 def forces(lattice, y, t):
     """Contact forces F0 + F(e) of all bonds in the order of the terms, then of all walls."""
-    contacts = [term for term in lattice.terms if isinstance(getattr(term, "term", term), (Bond, Wall))]
-    each = [contact_force(lattice, y, t, bond=i).ravel() for i in range(len(contacts))]
+    each = [contact.force.ravel() for contact in contacts(lattice, y, t)]
     return jnp.concatenate(each) if each else jnp.zeros(0, lattice.dtype)
 
 

@@ -7,7 +7,7 @@ sign left in it, and for every positive w
     omega_max^2 <= max_i (M^-1 |K| w)_i / w_i                                   (Collatz, Wielandt),
 
 exact for chains of next neighbours once w is the leading vector; a few power steps bring it close. Terms that know no
-such matrix add their largest eigenvalue. The neighbourhood is a rule of thumb: what a run reached is looked at after it.
+such matrix add their largest eigenvalue. The neighbourhood is a rule of thumb: a run is looked at when it has ended.
 """
 
 import math
@@ -31,10 +31,10 @@ def frequency_bound(lattice, state, t0, t1, neighbourhood=NEIGHBOURHOOD):
     """Bound on the angular frequencies that linearisation finds at what the scene's energy can reach.
 
     The energy that may gather in a bond is the largest that a neighbourhood, so many bonds' lengths wide, holds at the
-    start (the whole lattice's, where a term says nothing of how far it couples). A drive adds what a quasi-static push to
-    twice its largest value would store; a moving wall the energy of the heaviest site at twice its largest speed, or
+    start (the whole lattice's, where a term says nothing of how far it couples). A drive adds what a quasi-static push
+    to twice its largest value would store; a moving wall the energy of the heaviest site at twice its largest speed, or
     its displacement shared by all sites, whichever is more. A modulation counts with its largest value and with the
-    energy that it gives the initial state.
+    energy that it gives the initial state. Where contacts may open all over the lattice a third is added.
 
     **Returns:** omega_max, one number for all lanes; zero for a lattice without any stiffness at its energy.
     """

@@ -111,7 +111,7 @@ class Orbit(eqx.Module):
     def energy_input(self):
         """Energy that the drive gives in a period, which is what damping takes: -int sum v . F_damping dt [J]."""
         run, lattice = self.run(), self.lattice
-        lossy = [term for term in lattice.terms if term.reads_velocity]
+        lossy = [term for term in lattice.terms if term.dependence(lattice).velocity]
 
         def power(t, u, v):
             force = lattice.sum_forces(t, u, v, lossy)
@@ -166,7 +166,7 @@ def orbit(lattice, guess, period, *, symmetry=Symmetry(), t0=0.0, steps=None, se
     flow = flow_over(lattice, period, steps, solver, segments)
     t0 = jnp.asarray(t0, lattice.dtype)
     free = not forced(lattice)
-    if free and not all(term.conserves for term in lattice.terms):
+    if free and not lattice.conserves:
         remedy = "A damped lattice without forcing comes to rest."
         refuse("lattice", "forcing, or neither forcing nor damping", "damping alone", remedy)
     shooting, x = prepared(lattice, period, guess, flow, t0, segments, jnp.asarray(transient), symmetry, free)

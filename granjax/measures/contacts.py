@@ -4,14 +4,18 @@ from ..checks import refuse, whole
 from .states_of import displacements
 
 
-def contacts(lattice, t, u):
-    """What the laws of all contacts act on: bonds in the order of the terms, then walls in theirs."""
+def contacts(lattice, y, t=0.0):
+    """The contacts at a state: `Compression`s, bonds in the order of the terms, then walls in theirs.
+
+    Each has its `law`, `compression` [m], total `force` [N] and `overlap` [m].
+    """
+    u = displacements(lattice, y)
     found = [c for term in lattice.terms for c in term.compressions(t, u)]
     return [c for c in found if c.place == "bond"] + [c for c in found if c.place == "wall"]
 
 
 def _contact(lattice, y, t, bond):
-    found = contacts(lattice, t, displacements(lattice, y))
+    found = contacts(lattice, y, t)
     bond = whole("bond", bond)
     if bond >= len(found):
         names = ", ".join(f"{i}: {type(c.law).__name__} ({c.place})" for i, c in enumerate(found)) or "none"

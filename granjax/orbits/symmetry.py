@@ -23,18 +23,15 @@ def shifts(lattice):
 
 def _uniform(lattice):
     """The displacement of one component of one field, for each."""
-    shapes = lattice.template()
-    names = list(shapes) if isinstance(shapes, dict) else [None]
+    zeros = jax.tree.map(lambda s: np.zeros(s.shape), lattice.template())
     moves = []
     for i in range(lattice.dimension or 1):
-        for name in names:
-            def one(field, shape):
-                x = np.zeros(shape)
-                if field == name:
-                    x[(..., i) + (slice(None),) * len(lattice.lanes) if lattice.dimension else ...] = 1
-                return x
-
-            moves.append({k: one(k, s.shape) for k, s in shapes.items()} if names != [None] else one(None, shapes.shape))
+        # the vector axis lies before the lanes
+        place = (..., i) + (slice(None),) * len(lattice.lanes) if lattice.dimension else ...
+        for name in zeros if isinstance(zeros, dict) else (None,):
+            move = jax.tree.map(np.copy, zeros)
+            (move if name is None else move[name])[place] = 1
+            moves.append(move)
     return moves
 
 

@@ -81,7 +81,7 @@ class StrainMap(Dimensional):
         if sum(x.size for x in jax.tree.leaves(rest)) > DENSE_LIMIT:
             return spectral_radius(lambda w: self.pull(rest, k * self.rate(rest, w)), lattice)
         B = self._dense(rest)
-        if lattice.dimension is not None:
+        if lattice.dimension is not None:  # one number a site for all of its components
             B = jnp.sum(B, axis=self.axes + lattice.axes)
 
         def product(w):
@@ -89,6 +89,10 @@ class StrainMap(Dimensional):
             return transpose(k * _contract(B, w))[0]
 
         return product
+
+    def _dense(self, u):
+        """|de/du| at rest."""
+        return jax.tree.map(jnp.abs, jax.jacobian(self.strain)(jax.tree.map(jnp.zeros_like, u)))
 
     def turning(self, law: Law):
         """Transverse stiffness that the preload of a bond that turns adds."""

@@ -1,7 +1,6 @@
 """Forces that read velocities: damping, dashpots, viscoelastic contacts, drag."""
 
 import equinox as eqx
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 
