@@ -49,6 +49,10 @@ class Units(eqx.Module):
         """Unit of angular frequency, and of a damping rate [1/s]."""
         return 1 / self.time
 
+    def of(self, force, length, time):
+        """The unit of a quantity of these powers of force, length and time."""
+        return self.force**force * self.length**length * self.time**time
+
     def state_to_si(self, state):
         """A scaled `State` in metres and metres per second."""
         return self._convert(state, self.length, self.velocity)

@@ -377,8 +377,6 @@ def loaded():
     (lambda: scenes.scaled(loaded(), -1.0), "velocity: expected numbers above zero"),
     (lambda: scenes.scaled(loaded(), 1.0, units=scenes.Units()), "units: expected Units"),
     (lambda: scenes.scaled(3), "lattice: expected a Lattice"),
-    (lambda: scenes.scaled(gx.Lattice(1.0, loaded().terms + (gx.Drive(jnp.cos),), sites=3)),
-     "lattice: expected terms whose parameters have known dimensions, got a Drive"),
     (lambda: scenes.Units(mass=0.0), "mass: expected numbers above zero"),
 ])
 def test_bad_input_gets_a_sentence(call, words):

@@ -3,7 +3,6 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.flatten_util import ravel_pytree
 
 NOT_RESISTED = 1e-9
 
@@ -17,7 +16,7 @@ def shifts(lattice):
     """
     moves = _uniform(lattice)
     answers = np.concatenate([np.zeros((1, len(moves)))] + [term.resistance(lattice, moves) for term in lattice.terms])
-    columns = np.stack([ravel_pytree(jax.tree.map(np.asarray, move))[0] for move in moves], -1)
+    columns = np.stack([np.concatenate([np.ravel(x) for x in jax.tree.leaves(move)]) for move in moves], -1)
     return jnp.asarray(columns @ _null_space(answers), lattice.dtype)
 
 

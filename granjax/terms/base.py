@@ -177,7 +177,7 @@ class Term(Dimensional):
         """
         if not self.dependence(lattice).displacement:
             return np.zeros((0, len(moves)))
-        term, mass = jax.tree.map(_stand_in, (self, lattice.mass))
+        term, mass = jax.tree.map(stand_in, (self, lattice.mass))
         return np.asarray(_answers(term, mass, lattice.template(), moves)).reshape(-1, len(moves))
 
     def stiffness(self, lattice, reach, factor=1.0):
@@ -348,7 +348,7 @@ def _abstract(x):
 # ------------------------------------------------------------------------------ which displacements a force resists
 
 
-def _stand_in(x):
+def stand_in(x):
     """The value, or ones in its place where it is traced."""
     x = jax.lax.stop_gradient(x) if isinstance(x, jax.core.Tracer) else x
     return np.ones(x.shape, x.dtype) if isinstance(x, jax.core.Tracer) else x

@@ -11,7 +11,7 @@ from ..checks import refuse
 from ..laws import Law, Linear, Scaled, checked_law
 from ..strains import Shift, StrainMap, checked_map
 from ..units import PART, Signal
-from .base import Compression, Term
+from .base import Compression, Term, stand_in
 from .waveforms import checked_waveform
 
 
@@ -21,9 +21,10 @@ class Joined(Term):
     strain_map: eqx.AbstractVar[StrainMap]
 
     def resistance(self, lattice, moves):
+        strain_map = jax.tree.map(stand_in, self.strain_map)
         with jax.ensure_compile_time_eval():
-            strains = [np.asarray(jax.jit(self.strain_map.strain)(move)) for move in moves]
-        return np.stack([strain.ravel() for strain in strains], -1)
+            strain = jax.jit(lambda move: strain_map.strain(move))
+            return np.stack([np.ravel(strain(move)) for move in moves], -1)
 
     def span(self):
         return self.strain_map.span()
