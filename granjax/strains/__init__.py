@@ -5,7 +5,7 @@ field, each at an offset and with a weight; `Shift` is the normal form, `Stencil
 bonds on any graph, `Stretch` a distance in the plane or in space. A map of one's own needs `strain` alone.
 """
 
-from .base import BOUNDARIES, LinearMap, StrainMap, checked_map
+from .maps import BOUNDARIES, LinearMap, StrainMap, checked_map
 from .pairs import WALL, Pairs
 from .stencil import Shift, Stencil
 from .stretch import Stretch

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import refuse, whole
-from .base import TwoEnds, checked_fields
+from .maps import TwoEnds, checked_fields
 
 WALL = -1
 

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import one_of, parameter, refuse
-from .base import BOUNDARIES, LinearMap, TwoEnds, checked_fields
+from .maps import BOUNDARIES, LinearMap, TwoEnds, checked_fields
 
 
 class _Grid(LinearMap):

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 
 from ..checks import parameter, positive, refuse
 from ..units import PART
-from .base import StrainMap, TwoEnds
+from .maps import StrainMap, TwoEnds
 
 
 class Stretch(StrainMap):

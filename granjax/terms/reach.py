@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from ..strains.base import spectral_radius
+from ..strains.maps import spectral_radius
 
 SAMPLES = 33
 # a contact of exponent below 1 is infinitely stiff where it opens; the bound keeps this far from there

@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import refuse
-from ..laws import Law
 from ..units import Dimensional
 
 # what power iteration from a random start may lack
@@ -44,7 +43,7 @@ class StrainMap(Dimensional):
         """(de/du)^T f: an array over the bonds taken to the sites."""
         return jax.vjp(self.strain, u)[1](f)[0]
 
-    def load(self, u, law: Law):
+    def load(self, u, law):
         """What the bonds take from the sites: (de/du)^T F(e), the preload counted only where e(u) is not linear.
 
         The force on the sites is minus this.
@@ -55,11 +54,11 @@ class StrainMap(Dimensional):
         (rest,) = transpose(jnp.broadcast_to(law.preload, e.shape).astype(e.dtype))
         return jax.tree.map(jnp.subtract, now, rest)
 
-    def push(self, u, law: Law):
+    def push(self, u, law):
         """Force on the sites, -load."""
         return jax.tree.map(jnp.negative, self.load(u, law))
 
-    def energy(self, u, law: Law):
+    def energy(self, u, law):
         """Energy of every bond, measured from equilibrium: energy(e) + F0 (e - its linear part)."""
         e = self.strain(u)
         _, linear = jax.jvp(self.strain, (jax.tree.map(jnp.zeros_like, u),), (u,))
@@ -94,7 +93,7 @@ class StrainMap(Dimensional):
         """|de/du| at rest."""
         return jax.tree.map(jnp.abs, jax.jacobian(self.strain)(jax.tree.map(jnp.zeros_like, u)))
 
-    def turning(self, law: Law):
+    def turning(self, law):
         """Transverse stiffness that the preload of a bond that turns adds."""
         return 0.0
 
