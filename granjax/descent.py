@@ -1,10 +1,14 @@
 """Descent along gradients by an optax optimiser: one compiled loop that evaluates once a round."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jaxtyping import Float
+
+from .types import AnyArray, Scalar
 
 CONVERGED, STALLED, SPENT, NOT_FINITE, NO_GRADIENT, NO_START = range(6)
 # length of a step in the free coordinates where no curvature is known
@@ -14,31 +18,33 @@ DECREASE, SHORTEST = 1e-4, 1e-8
 
 
 class Descent(NamedTuple):
-    """Where a descent ended: the best point `x` and its value `least`; `values` and `norms` (steps + 1,) of the points
-    that were accepted, NaN after the last one; `start`: the gradient at the start; `steps`; `code`: 0 converged, 1
-    stalled, 2 steps spent, 3 not finite on the way, 4 gradient zero at the start, 5 not finite at the start.
+    """Where a descent ended: the best point `x` and its value `least`; `values` and `norms` (max_steps + 1,) of the
+    points that were accepted, NaN after the last one; `start`: the gradient at the start; `steps`; `code`: 0 converged,
+    1 stalled, 2 steps spent, 3 not finite on the way, 4 gradient zero at the start, 5 not finite at the start.
     """
 
-    x: jax.Array
-    least: jax.Array
-    values: jax.Array
-    norms: jax.Array
-    start: jax.Array
-    steps: jax.Array
-    code: jax.Array
+    x: Float[AnyArray, " P"]
+    least: Float[AnyArray, ""]
+    values: Float[AnyArray, " points"]
+    norms: Float[AnyArray, " points"]
+    start: Float[AnyArray, " P"]
+    steps: AnyArray
+    code: AnyArray
 
 
 class _Place(eqx.Module):
     """A point that was accepted, and the step that leads on from it."""
 
-    x: jax.Array
-    value: jax.Array
-    gradient: jax.Array
-    step: jax.Array
+    x: Float[AnyArray, " P"]
+    value: Scalar
+    gradient: Float[AnyArray, " P"]
+    step: Float[AnyArray, " P"]
     state: object
 
 
-def descend(cost, both, size, optimiser, steps, tolerance):
+def descend(
+    cost: Callable, both: Callable, size: int, optimiser: object, max_steps: int, tolerance: Scalar,
+) -> Descent:
     """Steps of an optimiser from x = 0 (size,) until one of the reasons to end.
 
     One evaluation a round, of the start, of a step, or of a part of a step that went too far: an objective that takes
@@ -83,13 +89,13 @@ def descend(cost, both, size, optimiser, steps, tolerance):
         part = jnp.where(accepted, 1.0, shorter)
         code = jnp.select(
             [first & ~finite, first & (norm == 0), accepted & ~finite,
-             accepted & (norm <= tolerance * largest) & ~first, part < SHORTEST, accepted & (i >= steps)],
+             accepted & (norm <= tolerance * largest) & ~first, part < SHORTEST, accepted & (i >= max_steps)],
             [NO_START, NO_GRADIENT, NOT_FINITE, CONVERGED, STALLED, SPENT], -1)
         onward = leave(place, x, value, gradient)
         place = jax.tree.map(lambda new, old: jnp.where(accepted, new, old), onward, place)
         return place, part, tried + 1, i + accepted, best, largest, start, code, values, norms
 
-    none = jnp.full(steps + 1, jnp.nan)
+    none = jnp.full(max_steps + 1, jnp.nan)
     place = _Place(zero, jnp.inf, zero, zero, optimiser.init(zero))
     carry = (place, 1.0, 0, 0, (jnp.inf, zero), 0.0, zero, -1, none, none)
     carry = jax.tree.map(jnp.asarray, carry)

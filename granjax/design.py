@@ -1,42 +1,52 @@
 """`design`: parameters that make a scalar of a simulation, of modes or of bands as small or as large as it gets."""
 
+from collections.abc import Callable, Iterator
+from typing import ClassVar
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
-from .checks import concrete, one_of, parameter, positive, refuse, whole, within
+from .checks import one_of, parameter, positive, refuse, whole, within
 from .descent import CONVERGED, NO_GRADIENT, NO_START, NOT_FINITE, SPENT, STALLED, descend
-from .parameters import Coordinates
+from .parameters import Bounds, Coordinates
+from .results import Held, Result
+from .types import AnyArray, Count, Numbers, Parameter, Scalar
 
 MODES = ("forward", "reverse")
 # parameters up to which a simulation's forward mode is done first, its time to compile included
 FEW = 20
 
 
-class Design(eqx.Module):
+class Design(Result):
     """What `design` returns: the best point that it met. It prints itself.
 
     **Fields:** `parameters`: dict. `value`, `start_value`: the objective there and at the start. `history`,
-    `gradient_norm` (steps + 1,): the objective and the largest entry of its gradient in the free coordinates at every
-    point, the start first, NaN after the last one. `start_gradient` (P,): in the order of `names`. `steps`: how many
-    were made. `every`: best value of each start (S,), NaN for one without a gradient. `code`: 0 converged, 1 stalled,
-    2 steps spent, 3 not finite on the way, 4 gradient zero at the start, 5 not finite at the start.
+    `gradient_norm` (max_steps + 1,): the objective and the largest entry of its gradient in the free coordinates at
+    every point, the start first, NaN after the last one. `start_gradient` (P,): in the order of `names`. `steps`: how
+    many were made. `every`: best value of each start (S,), NaN for one without a gradient. `code`: 0 converged, 1
+    stalled, 2 steps spent, 3 not finite on the way, 4 gradient zero at the start, 5 not finite at the start.
     """
 
-    parameters: dict
-    value: jax.Array
-    start_value: jax.Array
-    history: jax.Array
-    gradient_norm: jax.Array
-    start_gradient: jax.Array
-    steps: jax.Array
-    every: jax.Array
-    code: jax.Array
+    held: ClassVar[dict[str, Held]] = {
+        "history": Held("point"), "gradient_norm": Held("point"), "start_gradient": Held("parameter"),
+        "every": Held("start"), "names": Held("parameter", "", "parameter"),
+    }
+    parameters: dict[str, Numbers]
+    value: Float[AnyArray, "*starts"]
+    start_value: Float[AnyArray, "*starts"]
+    history: Float[AnyArray, "*starts points"]
+    gradient_norm: Float[AnyArray, "*starts points"]
+    start_gradient: Float[AnyArray, "*starts P"]
+    steps: AnyArray
+    every: Numbers
+    code: AnyArray
     names: tuple[str, ...] = eqx.field(static=True)
 
     @property
-    def outcome(self):
+    def outcome(self) -> str:
         """What became of it, in a sentence or two."""
         code, slopes = int(self.code), np.asarray(self.start_gradient)
         if code == NO_GRADIENT:
@@ -59,18 +69,17 @@ class Design(eqx.Module):
         still = _listed(self.names, slopes == 0)
         return sentence + (f" At the start it does not feel {still}." if still else "")
 
-    def __repr__(self):
-        if concrete(self.code) is None:
-            return "Design(traced)"
-        rows = [f"{name:<15}{np.array2string(np.asarray(x), precision=6, threshold=8)}"
-                for name, x in self.parameters.items()]
-        return "\n".join([*rows, f"{'outcome':<15}{self.outcome}"])
-
-    __str__ = __repr__
+    def _rows(self) -> Iterator[tuple[str, str]]:
+        for name, x in self.parameters.items():
+            yield name, np.array2string(np.asarray(x), precision=6, threshold=8)
+        yield "outcome", self.outcome
 
 
-def design(objective, start, *, bounds=None, maximise=False, optimiser=None, steps=200, tolerance=1e-6,
-           mode=None, starts=None, seed=0, throw=True):
+def design(
+    objective: Callable, start: dict[str, Parameter], *, bounds: Bounds = None, maximise: bool = False,
+    optimiser: object = None, max_steps: Count = 200, tolerance: Scalar = 1e-6, mode: str | None = None,
+    starts: Count | list | tuple | None = None, seed: Count = 0, throw: bool = True,
+) -> Design:
     r"""Parameters that minimise (maximise) an objective, by its gradient.
 
     The optimiser moves the free coordinates of `granjax.parameters.Coordinates`: changes of order one, bounds never
@@ -85,8 +94,8 @@ def design(objective, start, *, bounds=None, maximise=False, optimiser=None, ste
     - `maximise`: the largest value rather than the least.
     - `optimiser`: any of optax; `None` takes `optax.lbfgs` with steps that are shortened until the objective falls.
       That descends steadily on smooth objectives; where there are kinks or noise try
-      `optax.adam(optax.cosine_decay_schedule(0.1, steps))`.
-    - `steps`: the most steps. `tolerance`: ends where every entry of the gradient is below `tolerance` times the
+      `optax.adam(optax.cosine_decay_schedule(0.1, max_steps))`.
+    - `max_steps`: the most steps. `tolerance`: ends where every entry of the gradient is below `tolerance` times the
       start's largest one.
     - `mode`: `"forward"` costs some 2.4 runs of a simulation a parameter, keeps no steps (with
       `adjoint=diffrax.ForwardMode()`) and compiles three times faster than `"reverse"`, which costs six to eight runs
@@ -101,13 +110,13 @@ def design(objective, start, *, bounds=None, maximise=False, optimiser=None, ste
     """
     coordinates = Coordinates(start, bounds)
     mode = one_of("mode", mode or MODES[coordinates.size > FEW], MODES)
-    steps = whole("steps", steps, 1)
+    max_steps = whole("max_steps", max_steps, 1)
     tolerance = positive("tolerance", tolerance)
     if not callable(objective):
         refuse("objective", "a function of the dict of parameters", repr(objective))
     every = [coordinates, *_others(coordinates, bounds, starts, seed)]
     stacked = jax.tree.map(lambda *x: jnp.stack(x), *every)
-    found = _solve(objective, stacked, optimiser, steps, tolerance, bool(maximise), mode)
+    found = _solve(objective, stacked, optimiser, max_steps, tolerance, bool(maximise), mode)
     every = jnp.where(found.code < NO_GRADIENT, found.value, jnp.nan)
     ranked = np.nan_to_num(np.asarray(-every if maximise else every), nan=np.inf)
     found = jax.tree.map(lambda x: x[int(np.argmin(ranked))], found)
@@ -117,7 +126,7 @@ def design(objective, start, *, bounds=None, maximise=False, optimiser=None, ste
     return found
 
 
-def smooth_peak(values, power=40, axis=None):
+def smooth_peak(values: Parameter, power: Scalar = 40, axis: int | tuple[int, ...] | None = None) -> Numbers:
     r"""Smooth largest value of positive quantities, such as forces: the p-norm (mean [v]_+^p)^{1/p}.
 
     Between the mean and the largest value. Where two peaks change places the largest has a kink, which this rounds
@@ -175,10 +184,10 @@ def _with_gradient(objective, coordinates, maximise, mode):
 
 
 @eqx.filter_jit
-def _solve(objective, stacked, optimiser, steps, tolerance, maximise, mode):
+def _solve(objective, stacked, optimiser, max_steps, tolerance, maximise, mode):
     def one(coordinates):
         cost, both = _with_gradient(objective, coordinates, maximise, mode)
-        found = descend(cost, both, coordinates.size, optimiser, steps, tolerance)
+        found = descend(cost, both, coordinates.size, optimiser, max_steps, tolerance)
         sign = -1.0 if maximise else 1.0
         return Design(coordinates.parameters(found.x), sign * found.least, sign * found.values[0], sign * found.values,
                       found.norms, found.start, found.steps, found.least, found.code, tuple(coordinates.names))

@@ -1,11 +1,18 @@
 """Named parameters within bounds, as one vector of free numbers: what fitting and design move."""
 
+from typing import TypeAlias
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from .checks import concrete, one_of, parameter, refuse, show
+from .types import AnyArray, Numbers, Parameter
+
+Bounds: TypeAlias = dict[str, tuple | list | None] | None
+"""From name to (low, high), numbers or arrays, `None` for no bound; names that are left out are free."""
 
 # part of the way to a bound that is left where a parameter counts as being there
 NEAR = 1e-4
@@ -24,13 +31,13 @@ class Coordinates(eqx.Module):
     **Raises** ValueError for an empty dict, a bound of no parameter, or a start that is not inside of its bounds.
     """
 
-    start: dict
-    low: dict
-    high: dict
-    scale: dict
+    start: dict[str, Numbers]
+    low: dict[str, Numbers | None]
+    high: dict[str, Numbers | None]
+    scale: dict[str, Numbers]
     order: tuple[str, ...] = eqx.field(static=True)
 
-    def __init__(self, start, bounds=None):
+    def __init__(self, start: dict[str, Parameter], bounds: Bounds = None):
         if not isinstance(start, dict) or not start or not all(isinstance(name, str) for name in start):
             refuse("start", 'a dict from names to numbers, such as {"stiffness": 1.0}', repr(start))
         bounds = {} if bounds is None else bounds
@@ -46,7 +53,7 @@ class Coordinates(eqx.Module):
         self.scale = {name: _scale(value) for name, value in self.start.items()}
 
     @property
-    def names(self):
+    def names(self) -> list[str]:
         """A name for every free number, in the order of the start: "damping", "stiffness[0]", "stiffness[1]", ..."""
         names = []
         for name in self.order:
@@ -58,11 +65,11 @@ class Coordinates(eqx.Module):
         return names
 
     @property
-    def size(self):
+    def size(self) -> int:
         """P, how many free numbers there are."""
         return sum(value.size for value in self.start.values())
 
-    def parameters(self, x):
+    def parameters(self, x: Float[AnyArray, " P"]) -> dict[str, Numbers]:
         """The dict of parameters at x (P,)."""
         found = self._parameters(x)
         return {name: found[name] for name in self.order}
@@ -81,7 +88,7 @@ class Coordinates(eqx.Module):
             return high - (high - start) * jnp.exp(-x)
         return low + (high - low) * jax.nn.sigmoid(x + jnp.log((start - low) / (high - start)))
 
-    def at_bounds(self, parameters):
+    def at_bounds(self, parameters: dict[str, Parameter]) -> list[str]:
         """Names of the parameters with an entry that touches a bound, as nearly as floating numbers do."""
         found = []
         for name in self.order:
@@ -91,19 +98,19 @@ class Coordinates(eqx.Module):
                     found.append(name)
         return found
 
-    def flat(self, parameters):
+    def flat(self, parameters: dict[str, Parameter]) -> Float[AnyArray, " P"]:
         """A dict of parameters as one vector (P,), in the order of `names`."""
         parts = [jnp.broadcast_to(parameters[name], self.start[name].shape).ravel() for name in self.order]
         return jnp.concatenate(parts)
 
-    def unflat(self, vector):
+    def unflat(self, vector: Float[AnyArray, " P"]) -> dict[str, Numbers]:
         """The inverse of `flat`: a vector (P,) as a dict of the parameters' shapes."""
         ends = np.cumsum([self.start[name].size for name in self.order])[:-1]
         shapes = [self.start[name].shape for name in self.order]
         return {name: part.reshape(shape) for name, part, shape in zip(self.order, jnp.split(vector, ends), shapes)}
 
     @eqx.filter_jit
-    def slopes(self, x):
+    def slopes(self, x: Float[AnyArray, " P"]) -> Float[AnyArray, " P"]:
         """d theta/d x at x, (P,): every parameter has a coordinate of its own."""
         return jax.jvp(lambda x: self.flat(self.parameters(x)), (x,), (jnp.ones_like(x),))[1]
 

@@ -127,7 +127,7 @@ def test_what_is_not_finite_is_said():
 
 
 def test_steps_that_are_spent_and_a_kink():
-    found = design(bowl, {"x": 10.0}, optimiser=optax.sgd(1e-4), steps=5)
+    found = design(bowl, {"x": 10.0}, optimiser=optax.sgd(1e-4), max_steps=5)
     assert found.code == SPENT and found.steps == 5 and "5 steps are spent" in found.outcome
     kink = design(lambda p: jnp.abs(p["x"] - 1) + p["x"] / 2, {"x": 3.0})
     assert kink.code == STALLED and kink.parameters["x"] == pytest.approx(1, abs=1e-5)
@@ -174,8 +174,8 @@ def test_refusals():
         design(bowl, {"x": 1.0}, bounds={"x": (0, 1)})
     with pytest.raises(ValueError, match=r"starts\[0\]: expected a dict"):
         design(bowl, {"x": 1.0}, starts=[{"y": 1.0}])
-    with pytest.raises(ValueError, match="steps: expected a whole number"):
-        design(bowl, {"x": 1.0}, steps=0)
+    with pytest.raises(ValueError, match="max_steps: expected a whole number"):
+        design(bowl, {"x": 1.0}, max_steps=0)
 
 
 @pytest.mark.slow

@@ -305,7 +305,7 @@ def test_a_network_finds_stiffness_and_damping_from_three_sensors():
     v = _noisy(np.asarray(run.vs)[:, SENSORS], 0.01)
     found = physics_informed(
         _small, {"stiffness": 1.4, "damping": 0.2}, run.ts, v, sites=SENSORS, state=state,
-        bounds={"stiffness": (0.0, None), "damping": (0.0, None)}, steps=2000, refine=600,
+        bounds={"stiffness": (0.0, None), "damping": (0.0, None)}, max_steps=2000, refine=600,
     )
     np.testing.assert_allclose(found.parameters["stiffness"], 1.0, rtol=2e-3)
     np.testing.assert_allclose(found.parameters["damping"], 0.08, rtol=2e-2)

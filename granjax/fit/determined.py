@@ -1,14 +1,18 @@
 """What the data determine and what they do not: directions in the space of parameters, in words."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from ..laws import Hertz, PowerLaw, taylor
 from ..terms import Bond
+from ..types import AnyArray, Numbers
+from .problem import Problem
 
 # a relative deviation from which on a combination counts as not determined
 LOOSE = 0.3
@@ -29,7 +33,7 @@ class Direction(NamedTuple):
     weights: np.ndarray
     deviation: float
 
-    def words(self, names):
+    def words(self, names: Sequence[str]) -> str:
         """The combination as a product of powers of its parameters."""
         largest = np.abs(self.weights).max()
         parts = [(w / largest, name) for w, name in zip(self.weights, names) if abs(w) > 0.05 * largest]
@@ -39,7 +43,9 @@ class Direction(NamedTuple):
         return " ".join(name if abs(w - 1) < 0.005 else f"{name}^{w:.2f}" for w, name in shown)
 
 
-def directions(jacobian, sizes, noise=1.0):
+def directions(
+    jacobian: Float[AnyArray, "n P"], sizes: Float[AnyArray, " P"], noise: float = 1.0,
+) -> list[Direction]:
     """Principal directions of the data's knowledge, the least known first.
 
     **Arguments:** `jacobian` (n, P): of the residuals with respect to the parameters; `sizes` (P,): what a relative
@@ -53,7 +59,7 @@ def directions(jacobian, sizes, noise=1.0):
         return [Direction(vector, float(noise / size)) for vector, size in zip(vh[::-1], s[::-1])]
 
 
-def covariance(found, sizes):
+def covariance(found: Sequence[Direction], sizes: Float[AnyArray, " P"]) -> Float[np.ndarray, "P P"]:
     """Covariance of the parameters (P, P) from their directions; infinite along what the data do not see."""
     total = np.zeros((len(sizes), len(sizes)))
     blind = np.zeros(len(sizes), bool)
@@ -66,7 +72,7 @@ def covariance(found, sizes):
     return total * np.outer(sizes, sizes)
 
 
-def sentences(found, names, quantities):
+def sentences(found: Sequence[Direction], names: Sequence[str], quantities: list[tuple]) -> tuple[str, ...]:
     """What is not determined, named by its parameters, and what is known instead; empty where all is well."""
     loose = [direction for direction in found if not direction.deviation <= LOOSE]
     if not loose:
@@ -91,7 +97,9 @@ def sentences(found, names, quantities):
     return tuple(said)
 
 
-def quantities(problem, parameters, flat, sizes):
+def quantities(
+    problem: Problem, parameters: dict[str, Numbers], flat: Float[AnyArray, " P"], sizes: Float[AnyArray, " P"],
+) -> list[tuple[str, Float[np.ndarray, " P"]]]:
     """(name, gradient (P,) of its logarithm in relative parameters) of each bond's linear stiffness."""
     terms, found = problem.lattice(parameters).terms, []
     bonds = tuple(i for i, term in enumerate(terms) if isinstance(term, Bond))

@@ -1,16 +1,23 @@
 """`fit`: parameters of a scene from measured traces."""
 
+from collections.abc import Sequence
+
 import diffrax
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from diffrax import AbstractSolver
 
 from ..checks import one_of, positive, refuse, whole
 from ..flow import Reversible
+from ..parameters import Bounds
 from ..tuning import one_thread
+from ..types import Count, Parameter, Scalar, Scene
+from .fitted import Fit
 from .judge import judged, looked_at, way_back
-from .problem import prepared
+from .problem import Problem, Start, prepared
 from .solve import gradient_descent, least_squares
+from .traces import Traces
 from .windows import cut
 
 METHODS = ("least squares", "gradient")
@@ -21,8 +28,12 @@ TOO_LONG = 1.3
 
 
 @one_thread
-def fit(scene, start, traces, *, state, bounds=None, t0=0.0, step=None, solver=None, windows=1, method="least squares",
-        optimiser=None, starts=1, spread=0.2, seed=0, max_steps=100, tolerance=1e-8, throw=None):
+def fit(
+    scene: Scene, start: dict[str, Parameter], traces: Traces | Sequence[Traces], *, state: Start,
+    bounds: Bounds = None, t0: Scalar = 0.0, step: Scalar | None = None, solver: AbstractSolver | None = None,
+    windows: Count = 1, method: str = "least squares", optimiser: object = None, starts: Count = 1,
+    spread: Scalar = 0.2, seed: Count = 0, max_steps: Count = 100, tolerance: Scalar = 1e-8, throw: bool | None = None,
+) -> Fit:
     r"""Parameters of a scene that minimise the sum over samples of ((signal - data)/sigma)^2.
 
     Levenberg and Marquardt's method with derivatives in forward mode, or descent along gradients (optax) in reverse
@@ -94,7 +105,7 @@ def _minimised(problem, x0, method, optimiser, tolerance, max_steps):
     return found, type(adjoint).__name__
 
 
-def reverse_mode(problem):
+def reverse_mode(problem: Problem) -> tuple[diffrax.AbstractAdjoint, int | None]:
     """The adjoint that serves a problem in reverse mode, and the most steps that it keeps checkpoints for."""
     if not problem.moving and way_back(problem, problem.coordinates.start) < RETURNS:
         return Reversible(), None

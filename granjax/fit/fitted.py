@@ -1,16 +1,24 @@
 """What a fit returns."""
 
+from collections.abc import Iterator
+
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
+from ..lattice import Lattice
+from ..results import Held, Result
+from ..types import AnyArray, Count, Numbers
+from .determined import Direction
+from .problem import Problem
 from .solve import BLIND, CONVERGED, NOT_FINITE, SPENT
+from .traces import Traces
 
-WHITE = 0.01
+UNITS = {"velocity": "m/s", "displacement": "m", "force": "N"}
 
 
-class Fit(eqx.Module):
+class Fit(Result):
     r"""Parameters that bring a scene closest to its traces. It prints itself.
 
     - `parameters`: dict, as the start. `names`: one for every number of it, in the order of `covariance` (P, P), that
@@ -26,57 +34,57 @@ class Fit(eqx.Module):
       derivatives were taken with. `starts`: chi_square that every start reached.
     """
 
-    parameters: dict
-    covariance: jax.Array
-    names: tuple = eqx.field(static=True)
-    signals: tuple
-    residuals: tuple
+    parameters: dict[str, Numbers]
+    covariance: Float[AnyArray, "P P"]
+    names: tuple[str, ...] = eqx.field(static=True)
+    signals: tuple[Float[AnyArray, "_ _"], ...]
+    residuals: tuple[Float[AnyArray, "_ _"], ...]
     samples: int = eqx.field(static=True)
     noise: float = eqx.field(static=True)
-    undetermined: tuple = eqx.field(static=True)
-    directions: tuple
-    sizes: jax.Array
-    remarks: tuple = eqx.field(static=True)
+    undetermined: tuple[str, ...] = eqx.field(static=True)
+    directions: tuple[Direction, ...]
+    sizes: Float[AnyArray, " P"]
+    remarks: tuple[str, ...] = eqx.field(static=True)
     steps: int = eqx.field(static=True)
     code: int = eqx.field(static=True)
     step: float = eqx.field(static=True)
     step_error: float = eqx.field(static=True)
     return_error: float = eqx.field(static=True)
     adjoint: str = eqx.field(static=True)
-    starts: tuple = eqx.field(static=True)
-    traces: tuple
-    problem: object
+    starts: tuple[float, ...] = eqx.field(static=True)
+    traces: tuple[Traces, ...]
+    problem: Problem
 
     @property
-    def lattice(self):
+    def lattice(self) -> Lattice:
         """The fitted lattice."""
         return self.problem.lattice(self.parameters)
 
     @property
-    def chi_square(self):
+    def chi_square(self) -> float:
         """Sum of the squares of the residuals, about `samples` - P where the scene and sigma are right."""
         return float(sum((np.asarray(r) ** 2).sum() for r in self.residuals))
 
     @property
-    def reduced_chi_square(self):
+    def reduced_chi_square(self) -> float:
         """chi_square over samples less parameters, about 1."""
         return self.chi_square / max(self.samples - len(self.names), 1)
 
     @property
-    def deviations(self):
+    def deviations(self) -> dict[str, np.ndarray]:
         """Standard deviation of every parameter, a dict of the same shapes."""
         flat = np.sqrt(np.diag(np.asarray(self.covariance)))
         return {name: np.asarray(x) for name, x in self.problem.coordinates.unflat(jnp.asarray(flat)).items()}
 
     @property
-    def correlations(self):
+    def correlations(self) -> Float[np.ndarray, "P P"]:
         """Correlation matrix (P, P); NaN for a parameter that the data do not see."""
         covariance = np.asarray(self.covariance)
         size = np.sqrt(np.diag(covariance))
         with np.errstate(invalid="ignore"):
             return covariance / np.outer(size, size)
 
-    def whiteness(self, lags=None):
+    def whiteness(self, lags: Count | None = None) -> list[Float[np.ndarray, " _"]]:
         """Probability that residuals as correlated as these are white noise, per sensor (a list of (S,)).
 
         Ljung and Box's test: n(n+2) sum_k r_k^2/(n-k) against chi^2 of `lags` degrees of freedom (min(20, T/5)).
@@ -85,12 +93,12 @@ class Fit(eqx.Module):
         return [np.array([_ljung_box(column, lags) for column in np.asarray(r).T]) for r in self.residuals]
 
     @property
-    def converged(self):
+    def converged(self) -> bool:
         """Whether the minimiser converged."""
         return self.code == CONVERGED
 
     @property
-    def outcome(self):
+    def outcome(self) -> str:
         """What became of it, in sentences: convergence, agreement with the noise, what is not determined."""
         how = {
             CONVERGED: f"Converged in {self.steps} steps", SPENT: f"Not converged after {self.steps} steps",
@@ -103,16 +111,35 @@ class Fit(eqx.Module):
             said.append(f"{near} of {len(self.starts)} starts reached it.")
         return " ".join([*said, *self.remarks, *self.undetermined])
 
-    def __repr__(self):
-        rows = []
-        flat = self.problem.coordinates.flat(self.parameters)
-        for name, value, variance in zip(self.names, np.asarray(flat), np.diag(np.asarray(self.covariance))):
-            rows.append(f"{name:<15}{value:.8g} +- {np.sqrt(variance):.2g}")
-        rows += [f"{'adjoint':<15}{self.adjoint}, return error {self.return_error:.1e}",
-                 f"{'step':<15}{self.step:.4g}, error {self.step_error:.1e} sigma", f"{'outcome':<15}{self.outcome}"]
-        return "\n".join(rows)
+    def _rows(self) -> Iterator[tuple[str, str]]:
+        flat = np.concatenate([np.ravel(self.parameters[name]) for name in self.problem.coordinates.order])
+        for name, value, variance in zip(self.names, flat, np.diag(np.asarray(self.covariance))):
+            yield name, f"{value:.8g} +- {np.sqrt(variance):.2g}"
+        yield "adjoint", f"{self.adjoint}, return error {self.return_error:.1e}"
+        yield "step", f"{self.step:.4g}, error {self.step_error:.1e} sigma"
+        yield "outcome", self.outcome
 
-    __str__ = __repr__
+    @property
+    def held(self) -> dict[str, Held]:
+        """Axes and units of what a file keeps, every trace with a clock and sensors of its own."""
+        held = {"names": Held("parameter", "", "parameter"), "covariance": Held("parameter parameter_"),
+                "chi_square_of_starts": Held("start", "1")}
+        for k, trace in enumerate(self.traces):
+            both = f"time_{k} sensor_{k}"
+            held |= {f"time_{k}": Held(f"time_{k}", "s"), f"sensor_{k}": Held(f"sensor_{k}"),
+                     f"residual_{k}": Held(both, "1")}
+            held |= {f"{name}_{k}": Held(both, UNITS[trace.kind]) for name in ("data", "signal")}
+        return held
+
+    def _fields(self) -> Iterator[tuple[str, object]]:
+        for name in ("parameters", "deviations", "names", "covariance", "chi_square", "samples", "noise", "steps",
+                     "step", "step_error", "return_error", "adjoint"):
+            yield name, getattr(self, name)
+        yield "chi_square_of_starts", self.starts
+        for k, (trace, signal, residual) in enumerate(zip(self.traces, self.signals, self.residuals)):
+            kept = {"time": trace.times, "sensor": trace.sensors, "data": trace.data, "signal": signal,
+                    "residual": residual}
+            yield from ((f"{name}_{k}", x) for name, x in kept.items())
 
 
 def _ljung_box(x, lags):

@@ -4,14 +4,18 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from ..flow import return_error
 from ..measures import overlap
 from ..solvers import AbstractSplitting
 from ..terms import Bond
+from ..types import AnyArray, Numbers
 from .determined import covariance, directions, quantities, sentences
 from .fitted import Fit
+from .problem import Problem
 from .solve import BLIND, CONVERGED, NOT_FINITE, SPENT, Found, directions_left, evaluated, linearised
+from .windows import Windows
 
 NOTICEABLE = 0.1
 # a minimiser that has spent its steps has converged if chi^2 could fall by less: a hundredth of a deviation
@@ -19,7 +23,7 @@ ARRIVED = 1e-4
 EXACT = 1e-30
 
 
-def looked_at(problem, x):
+def looked_at(problem: Problem | Windows, x: Float[AnyArray, " n"]) -> Fit | None:
     """A failed `Fit` where the start x has no finite residuals or no derivatives, else `None`."""
     value, jacobian = evaluated(problem, x)
     jacobian = jacobian[:, : problem.plain.coordinates.size]
@@ -30,7 +34,9 @@ def looked_at(problem, x):
     return judged(problem, Found(x, 0.5 * np.sum(value**2), 0, code), ())
 
 
-def judged(problem, found, starts, adjoint="forward mode"):
+def judged(
+    problem: Problem | Windows, found: Found, starts: tuple[float, ...], adjoint: str = "forward mode",
+) -> Fit:
     """The `Fit` at what a minimiser found."""
     plain, x = problem.plain, jnp.asarray(found.x, problem.dtype)
     coordinates = plain.coordinates
@@ -91,7 +97,7 @@ def _own(jacobian, count):
     return own - basis @ (basis.T @ own)
 
 
-def way_back(problem, parameters):
+def way_back(problem: Problem, parameters: dict[str, Numbers]) -> float:
     """The return error of the run of some parameters; infinite where its solver's steps are not symmetric."""
     if not isinstance(problem.solver, AbstractSplitting):
         return np.inf

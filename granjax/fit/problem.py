@@ -1,27 +1,34 @@
 """The scene beside its traces: signals and residuals as functions of the parameters."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import TypeAlias
 
 import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from ..checks import one_of, positive, refuse
-from ..flow import frequency_bound, simulate
+from ..flow import Run, frequency_bound, simulate
 from ..flow.dispatch import facts
 from ..flow.inputs import checked_state
 from ..flow.method import STEP_FRACTION
 from ..lattice import Lattice, State
 from ..measures import contact_force
-from ..parameters import Coordinates
+from ..parameters import Bounds, Coordinates
 from ..solvers import SRKN11b
 from ..terms import Dashpot
+from ..types import AnyArray, Numbers, Parameter, Scalar, Scene
 from .traces import Traces, checked_shape, checked_traces, number
 
 # room behind the last sample for an offset that is fitted, in record lengths
 ROOM = 0.1
+Start: TypeAlias = State | tuple | list | Callable[..., State | tuple | list]
+"""A state at t0, or a function (parameters, lattice) that returns one."""
+Signals: TypeAlias = tuple[Float[AnyArray, "_ _"], ...]
+"""One (T, S) per trace."""
 
 
 class Problem(eqx.Module):
@@ -35,48 +42,52 @@ class Problem(eqx.Module):
     given_state: State | None
     coordinates: Coordinates
     traces: tuple[Traces, ...]
-    t0: jax.Array
-    t1: jax.Array
-    step: jax.Array
+    t0: Float[AnyArray, ""]
+    t1: Float[AnyArray, ""]
+    step: Float[AnyArray, ""]
     solver: diffrax.AbstractSolver
 
     @property
-    def dtype(self):
+    def dtype(self) -> jnp.dtype:
         """The floating type of the lattice."""
         return self.step.dtype
 
     @property
-    def plain(self):
+    def plain(self) -> "Problem":
         """Itself: a record in one piece."""
         return self
 
     @property
-    def moving(self):
+    def moving(self) -> bool:
         """Whether the time of some trace is fitted."""
         return any(isinstance(trace.offset, str) for trace in self.traces)
 
-    def lattice(self, parameters):
+    def lattice(self, parameters: dict[str, Numbers]) -> Lattice:
         """The lattice of some parameters."""
         return self.scene(parameters)
 
-    def state(self, parameters, lattice):
+    def state(self, parameters: dict[str, Numbers], lattice: Lattice) -> State:
         """The state at t0."""
         if self.make_state is None:
             return self.given_state
         return as_state(self.make_state(parameters, lattice), lattice.dtype)
 
-    def with_step(self, step):
+    def with_step(self, step: Scalar) -> "Problem":
         """The same at another time step."""
         return eqx.tree_at(lambda p: p.step, self, jnp.asarray(step, self.dtype))
 
-    def run(self, parameters, times=None, adjoint=diffrax.ForwardMode(), max_steps=None, state=None):
+    def run(
+        self, parameters: dict[str, Numbers], times: Float[AnyArray, " T"] | None = None,
+        adjoint: diffrax.AbstractAdjoint = diffrax.ForwardMode(), max_steps: int | None = None,
+        state: State | None = None,
+    ) -> Run:
         """The run of some parameters, saved at rising times; from their own state or another."""
         lattice = self.lattice(parameters)
         state = self.state(parameters, lattice) if state is None else state
         return simulate(lattice, state, self.t1, t0=self.t0, solver=self.solver, step=self.step, save_at=times,
                         adjoint=adjoint, max_steps=max_steps, throw=False)
 
-    def signals(self, parameters, **keywords):
+    def signals(self, parameters: dict[str, Numbers], **keywords) -> tuple[Signals, State]:
         """What every trace would show without noise, a tuple of (T, S), and the state at t1."""
         times = [trace.times + number(trace.offset, parameters) for trace in self.traces]
         joined = jnp.concatenate(times)
@@ -93,11 +104,13 @@ class Problem(eqx.Module):
             signals.append(gain * _read(trace, lattice, u, v, joined[part]))
         return tuple(signals), run.final
 
-    def residuals(self, x, **keywords):
+    def residuals(self, x: Float[AnyArray, " P"], **keywords) -> Float[AnyArray, " n"]:
         """(signal - data)/sigma of every sample at free coordinates x, one vector; zero where a sample is missing."""
         return misfits(self.traces, self.signals(self.coordinates.parameters(x), **keywords)[0])
 
-    def linearise(self, x):
+    def linearise(
+        self, x: Float[AnyArray, " P"],
+    ) -> tuple[Float[AnyArray, " n"], Float[AnyArray, "n P"], Signals]:
         """(residuals, their Jacobian, signals) at x."""
         def both(x):
             signals, _ = self.signals(self.coordinates.parameters(x))
@@ -107,17 +120,17 @@ class Problem(eqx.Module):
         matrix, (value, signals) = jax.jacfwd(both, has_aux=True)(x)
         return value, matrix, signals
 
-    def times(self, parameters):
+    def times(self, parameters: dict[str, Numbers]) -> Float[np.ndarray, " n"]:
         """The times of all samples in the scene's clock, at some parameters."""
         return np.concatenate([np.asarray(trace.times) + np.asarray(number(trace.offset, parameters))
                                for trace in self.traces])
 
-    def end(self, parameters):
+    def end(self, parameters: dict[str, Numbers]) -> Float[AnyArray, ""]:
         """Where a run has to end: at the last sample, with room behind it where its time is fitted."""
         times = self.times(parameters)
         return jnp.asarray(times.max() + ROOM * np.ptp(times) * self.moving, self.dtype)
 
-    def wanted_step(self, parameters):
+    def wanted_step(self, parameters: dict[str, Numbers]) -> float:
         """The step that some parameters ask for; ValueError where no time scale sets one."""
         lattice = self.lattice(parameters)
         omega = frequency_bound(lattice, checked_state(lattice, self.state(parameters, lattice)), self.t0, self.t1)
@@ -130,7 +143,10 @@ class Problem(eqx.Module):
         return min([STEP_FRACTION / float(omega), *(lightest / c for c in rates if c > 0)])
 
 
-def prepared(scene, start, traces, *, state, bounds=None, t0=0.0, step=None, solver=None):
+def prepared(
+    scene: Scene, start: dict[str, Parameter], traces: Traces | Sequence[Traces], *, state: Start,
+    bounds: Bounds = None, t0: Scalar = 0.0, step: Scalar | None = None, solver: diffrax.AbstractSolver | None = None,
+) -> Problem:
     """The checked `Problem` of a fit, with a step for the start. **Arguments**, **Raises:** as in `fit`."""
     coordinates = Coordinates(start, bounds)
     parameters = coordinates.start
@@ -155,17 +171,17 @@ def prepared(scene, start, traces, *, state, bounds=None, t0=0.0, step=None, sol
     return problem.with_step(problem.wanted_step(parameters) if step is None else float(positive("step", step)))
 
 
-def as_state(state, dtype):
+def as_state(state: State | tuple | list, dtype: object) -> State:
     """A pair of arrays, lists or dicts of them as a `State` of a floating type."""
     return jax.tree.map(lambda x: jnp.asarray(x, dtype), State(*state), is_leaf=lambda x: isinstance(x, list))
 
 
-def misfit(trace, signal):
+def misfit(trace: Traces, signal: Float[AnyArray, "T S"]) -> Float[AnyArray, "T S"]:
     """(signal - data)/sigma of one trace (T, S), zero where a sample is missing."""
     return jnp.where(trace.weights > 0, (signal - trace.data) * trace.weights, 0.0)
 
 
-def misfits(traces, signals):
+def misfits(traces: tuple[Traces, ...], signals: Signals) -> Float[AnyArray, " n"]:
     """Those of several traces, one vector."""
     return jnp.concatenate([misfit(*both).ravel() for both in zip(traces, signals)])
 

@@ -2,13 +2,16 @@
 
 from typing import NamedTuple
 
+import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from .. import descent
-from .problem import misfit
+from ..types import AnyArray, Scalar
+from .problem import Problem, Signals, misfit
 
 CONVERGED, SPENT, NOT_FINITE, BLIND = range(4)
 # the codes of a descent: converged, stalled, spent, not finite on the way, no gradient, no start
@@ -22,26 +25,30 @@ NEGLIGIBLE = 1e-6
 class Found(NamedTuple):
     """Where a minimiser ended: free coordinates, half the sum of squares, steps, code."""
 
-    x: np.ndarray
-    cost: float
-    steps: int
-    code: int
+    x: Float[AnyArray, " n"]
+    cost: Scalar
+    steps: Scalar
+    code: Scalar
 
 
 @eqx.filter_jit
-def linearised(problem, x):
+def linearised(
+    problem: Problem | eqx.Module, x: Float[AnyArray, " n"],
+) -> tuple[Float[AnyArray, " m"], Float[AnyArray, "m n"], Signals, Signals]:
     """(residuals, their Jacobian, signals, misfits per trace) at x: the one program of a fit by least squares."""
     value, matrix, signals = problem.linearise(x)
     return value, matrix, signals, tuple(misfit(*both) for both in zip(problem.traces, signals))
 
 
-def evaluated(problem, x):
+def evaluated(
+    problem: Problem | eqx.Module, x: Float[AnyArray, " n"],
+) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, "m n"]]:
     """(residuals, Jacobian) at x in double precision."""
     value, jacobian, *_ = linearised(problem, jnp.asarray(x, problem.dtype))
     return np.asarray(value, float), np.asarray(jacobian, float)
 
 
-def directions_left(value, jacobian):
+def directions_left(value: Float[np.ndarray, " m"], jacobian: Float[np.ndarray, "m n"]) -> tuple:
     """(s, V^T, b, left) of a Jacobian U S V^T: b = U^T value, left = what |value|^2 could still fall by."""
     n = jacobian.shape[1]
     triangle = np.linalg.qr(np.column_stack([jacobian, value]), mode="r")[:n]
@@ -51,7 +58,9 @@ def directions_left(value, jacobian):
 
 
 @np.errstate(over="ignore", invalid="ignore")
-def least_squares(problem, x, tolerance, max_steps):
+def least_squares(
+    problem: Problem | eqx.Module, x: Float[AnyArray, " n"], tolerance: Scalar, max_steps: int,
+) -> Found:
     """Levenberg and Marquardt from x (n,), damped as by Nielsen: IMM-REP-1999-05, Technical University of Denmark.
 
     It ends where a step, or what could be gained by the undamped one, is relatively below the tolerance.
@@ -81,7 +90,10 @@ def least_squares(problem, x, tolerance, max_steps):
 
 
 @eqx.filter_jit
-def gradient_descent(problem, x, optimiser, tolerance, max_steps, adjoint, most):
+def gradient_descent(
+    problem: Problem, x: Float[AnyArray, " n"], optimiser: object, tolerance: Scalar, max_steps: int,
+    adjoint: diffrax.AbstractAdjoint, most: int | None,
+) -> Found:
     """Descent on half of the mean square from x (n,), with derivatives in reverse mode through at most `most` steps."""
     samples = sum(trace.data.size for trace in problem.traces)
     cost = lambda z: jnp.sum(problem.residuals(x + z, adjoint=adjoint, max_steps=most) ** 2) / (2 * samples)

@@ -1,11 +1,14 @@
 """Measured traces: what was recorded, where, how well."""
 
+from collections.abc import Sequence
+
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from ..checks import concrete, parameter, positive, refuse, show, whole
+from ..types import AnyArray, Count, Counts, Numbers, Parameter, Scalar
 
 KINDS = ("velocity", "displacement", "force")
 
@@ -29,19 +32,24 @@ class Traces(eqx.Module):
     **Raises** ValueError for times that do not rise, data of another shape, no sensor, sigma <= 0.
     """
 
-    times: jax.Array
-    data: jax.Array
-    sigma: jax.Array | None
-    gain: jax.Array | str
-    offset: jax.Array | str
+    times: Float[AnyArray, " T"]
+    data: Float[AnyArray, "T S"]
+    sigma: Numbers | None
+    gain: Numbers | str
+    offset: Numbers | str
     kind: str = eqx.field(static=True)
-    places: tuple = eqx.field(static=True)
+    places: tuple[tuple[int, ...], ...] = eqx.field(static=True)
     bond: int = eqx.field(static=True)
     field: str | None = eqx.field(static=True)
     component: int | None = eqx.field(static=True)
 
-    def __init__(self, times, *, velocity=None, displacement=None, force=None, sites=None, contacts=None, bond=0,
-                 sigma=None, gain=1.0, offset=0.0, field=None, component=None):
+    def __init__(
+        self, times: Parameter, *, velocity: Parameter | None = None, displacement: Parameter | None = None,
+        force: Parameter | None = None, sites: Count | Sequence | Counts | None = None,
+        contacts: Count | Sequence | Counts | None = None, bond: Count = 0, sigma: Parameter | None = None,
+        gain: Parameter | str = 1.0, offset: Scalar | str = 0.0, field: str | None = None,
+        component: Count | None = None,
+    ):
         given = {k: x for k, x in zip(KINDS, (velocity, displacement, force)) if x is not None}
         if len(given) != 1:
             refuse("data", "one of velocity=, displacement=, force=", f"{sorted(given) or 'none'}",
@@ -72,39 +80,31 @@ class Traces(eqx.Module):
         self.component = None if component is None else whole("component", component)
 
     @property
-    def sensors(self):
+    def sensors(self) -> list[str]:
         """A name for every column: "velocity of site 2", "force of contact 0"."""
         what = "contact" if self.kind == "force" else "site"
         return [f"{self.kind} of {what} {p[0] if len(p) == 1 else p}" for p in self.places]
 
     @property
-    def weights(self):
+    def weights(self) -> Float[AnyArray, "T S"]:
         """1/sigma where there is a number, 0 where there is none (T, S)."""
         known = jnp.isfinite(self.data)
         return jnp.where(known, 1 / (self.size if self.sigma is None else self.sigma), 0.0)
 
     @property
-    def size(self):
+    def size(self) -> Float[AnyArray, ""]:
         """Root mean square of the data, the unit of residuals while the noise is not known."""
         known = jnp.isfinite(self.data)
         square = jnp.sum(jnp.where(known, self.data, 0) ** 2) / jnp.maximum(jnp.sum(known), 1)
         return jnp.where(square > 0, jnp.sqrt(square), 1.0)
 
-    def window(self, start, stop):
-        """The traces between two samples."""
-        sigma = self.sigma
-        if sigma is not None and sigma.ndim == 2 and sigma.shape[0] > 1:
-            sigma = sigma[start:stop]
-        parts = (self.times[start:stop], self.data[start:stop], sigma)
-        return eqx.tree_at(lambda t: (t.times, t.data, t.sigma), self, parts, is_leaf=lambda x: x is None)
 
-
-def number(x, parameters):
+def number(x: Numbers | str, parameters: dict[str, Numbers]) -> Numbers:
     """A gain or an offset: a number, or the parameter that it names."""
     return parameters[x] if isinstance(x, str) else x
 
 
-def checked_shape(name, x, *others):
+def checked_shape(name: str, x: Numbers, *others: tuple[int, ...]) -> Numbers:
     """An array that is a number or has one of some shapes."""
     if jnp.shape(x) not in ((), *others):
         shown = "".join(f", or shape {shape}" for shape in others)
@@ -122,7 +122,7 @@ def _places(name, where):
     return tuple(tuple(int(i) for i in place) for place in places)
 
 
-def checked_traces(traces):
+def checked_traces(traces: Traces | Sequence[Traces]) -> tuple[Traces, ...]:
     """A tuple of `Traces`."""
     traces = (traces,) if isinstance(traces, Traces) else tuple(traces) if isinstance(traces, (list, tuple)) else traces
     if not isinstance(traces, tuple) or not traces or not all(isinstance(t, Traces) for t in traces):

@@ -8,10 +8,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
+from jaxtyping import Float, Integer
 
 from ..checks import refuse
 from ..lattice import State
-from .problem import Problem, misfits
+from ..types import AnyArray, Scalar
+from .problem import Problem, Signals, misfits
 from .traces import Traces, number
 
 # how much better than the noise neighbouring windows have to meet, in deviations
@@ -28,34 +30,34 @@ class Windows(eqx.Module):
     """
 
     problem: Problem
-    starts: jax.Array
-    scale: jax.Array
-    meeting: jax.Array
-    edges: jax.Array
-    parts: tuple[Traces, ...]
-    kept: jax.Array
+    starts: Float[AnyArray, "K1 n"]
+    scale: Float[AnyArray, " n"]
+    meeting: Float[AnyArray, " n"]
+    edges: Float[AnyArray, " K"]
+    parts: tuple
+    kept: Integer[AnyArray, " m"]
     unravel: Callable = eqx.field(static=True)
 
     @property
-    def plain(self):
+    def plain(self) -> Problem:
         """The problem in one piece."""
         return self.problem
 
     @property
-    def traces(self):
+    def traces(self) -> tuple[Traces, ...]:
         """Those of the whole record."""
         return self.problem.traces
 
     @property
-    def dtype(self):
+    def dtype(self) -> jnp.dtype:
         """The floating type of the lattice."""
         return self.problem.dtype
 
-    def with_step(self, step):
+    def with_step(self, step: Scalar) -> "Windows":
         """The same at another time step."""
         return eqx.tree_at(lambda w: w.problem, self, self.problem.with_step(step))
 
-    def remark(self, residuals):
+    def remark(self, residuals: Float[AnyArray, " n"]) -> str:
         """How well the windows meet, from the residuals, whose last ones these are."""
         jumps = MEETING * np.abs(residuals[-self.starts.size :]).max()
         return f"{len(self.starts) + 1} windows, which meet to {jumps:.2g} sigma."
@@ -84,13 +86,15 @@ class Windows(eqx.Module):
 
         return jax.vmap(one)(starts, parts, self.edges[:-1], self.edges[1:])
 
-    def residuals(self, x):
+    def residuals(self, x: Float[AnyArray, " P"]) -> Float[AnyArray, " m"]:
         """All residuals, one vector: of the data, then where windows meet."""
         own, starts = self._cut(x)
         residuals, ends, _ = self._every(own, starts, self._window)
         return jnp.concatenate([residuals.ravel(), ((ends[:-1] - starts[1:]) / self.meeting).ravel()])
 
-    def linearise(self, x):
+    def linearise(
+        self, x: Float[AnyArray, " P"],
+    ) -> tuple[Float[AnyArray, " m"], Float[AnyArray, "m P"], Signals]:
         """(residuals, their Jacobian, signals): every window's tangents side by side, put together as blocks."""
         def window(own, start, *rest):
             def both(own, start):
@@ -122,7 +126,7 @@ class Windows(eqx.Module):
         return tuple(s.reshape(-1, s.shape[-1])[self.kept] for s in signals)
 
 
-def cut(problem, count):
+def cut(problem: Problem, count: int) -> Windows:
     """A problem in `count` windows of equally many samples.
 
     Their starts are guessed by running the start's scene from window to window, with what the sensors of velocity and

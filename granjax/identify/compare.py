@@ -1,17 +1,24 @@
 """Models of one experiment beside each other: which of them the traces speak for, and whether any describes them."""
 
+from collections.abc import Sequence
+from typing import ClassVar
+
 import equinox as eqx
 import numpy as np
+from jaxtyping import Float, Integer
 
 from ..checks import positive, refuse
-from ..fit import Fit, fit
+from ..fit import Fit, Traces, fit
+from ..fit.problem import Start
 from ..fit.traces import checked_traces
+from ..results import Held, Result
+from ..types import Scalar
 
 # probability of chi^2 below which even the best model does not describe the data
 IMPLAUSIBLE = 0.01
 
 
-class Comparison(eqx.Module):
+class Comparison(Result):
     r"""What `compare` returns, models in rising order of BIC. It prints itself.
 
     - `names` (M,); `fits`: dict from name to `Fit`. `parameters`, `chi_square` (M,): how many numbers each moved, and
@@ -22,38 +29,41 @@ class Comparison(eqx.Module):
       was given.
     """
 
+    held: ClassVar[dict[str, Held]] = {
+        name: Held("model") for name in ("parameters", "chi_square", "aic", "bic")
+    } | {"names": Held("model", "", "model")}
     names: tuple[str, ...] = eqx.field(static=True)
     fits: dict[str, Fit]
-    parameters: np.ndarray
-    chi_square: np.ndarray
-    aic: np.ndarray
-    bic: np.ndarray
+    parameters: Integer[np.ndarray, " M"]
+    chi_square: Float[np.ndarray, " M"]
+    aic: Float[np.ndarray, " M"]
+    bic: Float[np.ndarray, " M"]
     level: float
     probability: float
 
     @property
-    def best(self):
+    def best(self) -> str:
         """The name of the model with the least BIC."""
         return self.names[0]
 
     @property
-    def margin(self):
+    def margin(self) -> float:
         """The next BIC less the least one; infinite for a model that is alone."""
         return float(self.bic[1] - self.bic[0]) if len(self.names) > 1 else np.inf
 
     @property
-    def decided(self):
+    def decided(self) -> bool:
         """Whether the best model is so by more than `level`, and its fit converged."""
         return bool(self.margin > self.level and self.fits[self.best].converged)
 
     @property
-    def weights(self):
+    def weights(self) -> Float[np.ndarray, " M"]:
         """Akaike weights (M,), which sum to one."""
         weights = np.exp(-(self.aic - np.min(self.aic)) / 2)
         return weights / weights.sum()
 
     @property
-    def outcome(self):
+    def outcome(self) -> str:
         """What became of it, in sentences."""
         said = []
         if len(self.names) > 1:
@@ -67,17 +77,18 @@ class Comparison(eqx.Module):
         said += [f"{name!r}: {self.fits[name].outcome}" for name in failed]
         return " ".join(said)
 
-    def __repr__(self):
+    def __repr__(self) -> str:
         width = max(map(len, self.names)) + 2
         rows = [f"{'model':<{width}}{'P':>4}{'chi^2':>12}{'AIC':>12}{'BIC':>12}{'weight':>9}"]
         columns = zip(self.names, self.parameters, self.chi_square, self.aic, self.bic, self.weights)
         rows += [f"{name:<{width}}{P:>4}{c:>12.6g}{a:>12.6g}{b:>12.6g}{w:>9.3f}" for name, P, c, a, b, w in columns]
         return "\n".join([*rows, self.outcome])
 
-    __str__ = __repr__
 
-
-def compare(models, traces, *, state, level=10.0, options=None, **common):
+def compare(
+    models: dict[str, tuple | list], traces: Traces | Sequence[Traces], *, state: Start, level: Scalar = 10.0,
+    options: dict[str, dict] | None = None, **common,
+) -> Comparison:
     r"""Models fitted to the same traces, and ranked: which one they speak for.
 
     AIC = chi^2 + 2 P,   BIC = chi^2 + P log n

@@ -1,13 +1,19 @@
 """Dynamic mode decomposition: frequencies and decay rates of a lattice from snapshots, without a model."""
 
+from typing import ClassVar
+
 import equinox as eqx
 import jax
 import numpy as np
+from jaxtyping import Complex, Float, Inexact
 
 from ..checks import parameter, positive, refuse, show, whole
+from ..flow import Run
+from ..results import Held, Result
+from ..types import AnyArray, Count, Parameter, Scalar
 
 
-class DynamicModes(eqx.Module):
+class DynamicModes(Result):
     """What `dmd` returns: y(t) = sum_k b_k phi_k exp(omega_k t), by falling |b_k| |phi_k|.
 
     - `omega` (r,): log(lambda)/dt, complex [1/s]: the real part is the growth (negative: decay), the imaginary one the
@@ -18,24 +24,30 @@ class DynamicModes(eqx.Module):
       snapshots. `outcome`: a sentence.
     """
 
-    omega: np.ndarray
-    eigenvalues: np.ndarray
-    modes: np.ndarray
-    amplitudes: np.ndarray
-    singular_values: np.ndarray
+    held: ClassVar[dict[str, Held]] = {
+        "omega": Held("mode", "1/s"), "eigenvalues": Held("mode", "1"), "modes": Held("sensor mode", "", "shapes"),
+        "amplitudes": Held("mode"), "singular_values": Held("singular"), "real": Held(None),
+    }
+    omega: Complex[np.ndarray, " r"]
+    eigenvalues: Inexact[np.ndarray, " r"]
+    modes: Inexact[np.ndarray, "n r"]
+    amplitudes: Inexact[np.ndarray, " r"]
+    singular_values: Float[np.ndarray, " _"]
     residual: float
     misfit: float
     rank: int = eqx.field(static=True)
     real: bool = eqx.field(static=True)
     outcome: str = eqx.field(static=True)
 
-    def reconstruction(self, t):
+    def reconstruction(self, t: Parameter) -> Inexact[np.ndarray, "*T n"]:
         """y at times t (T,) after the first snapshot: (T, n); real where the snapshots were."""
         y = np.exp(np.multiply.outer(np.asarray(t), self.omega)) * self.amplitudes @ self.modes.T
         return y.real if self.real else y
 
 
-def dmd(snapshots, dt, rank=None, *, delays=1):
+def dmd(
+    snapshots: Inexact[AnyArray, "T n"], dt: Scalar, rank: Count | str | None = None, *, delays: Count = 1,
+) -> DynamicModes:
     r"""Exact dynamic mode decomposition of evenly spaced snapshots.
 
     The linear map A of least squares from every snapshot to the next, A = X' X^+, on the r leading singular vectors
@@ -94,7 +106,7 @@ def dmd(snapshots, dt, rank=None, *, delays=1):
     )
 
 
-def snapshots(run, velocities=True):
+def snapshots(run: Run, velocities: bool = True) -> Float[np.ndarray, "T n"]:
     """Displacements and, behind them, velocities of a run's frames as one array (T, n), fields one after the other.
 
     **Arguments:** `run`: a `Run` with even times; `velocities=False` leaves the displacements alone.
@@ -130,7 +142,7 @@ def _rank(rank, s, shape):
     return r
 
 
-def hard_threshold(shape):
+def hard_threshold(shape: tuple[Scalar, Scalar]) -> float:
     r"""Optimal hard threshold over the median singular value, of a matrix of some shape with unknown white noise.
 
     lambda(beta)/sqrt(median of the Marchenko-Pastur law), beta = rows over columns (or inverse) in (0, 1],

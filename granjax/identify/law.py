@@ -1,17 +1,25 @@
 """A force law from traces: the law that a scene must have to move as it was measured to."""
 
 import dataclasses
+from collections.abc import Callable, Iterator, Sequence
+from typing import ClassVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from ..checks import parameter, positive, refuse, whole
-from ..fit import Fit, fit, prepared
+from ..fit import Fit, Traces, fit, prepared
+from ..fit.problem import Start
 from ..fit.traces import checked_traces
+from ..lattice import Lattice
 from ..laws import Law, Linear
+from ..parameters import Bounds
+from ..results import Held, Result
 from ..terms import Modulated, OnSite, Wall
+from ..types import Count, Parameter, Scalar
 from .families import LawScene, law_scene, starting_law
 
 # room around the strains of the linear run that a family is made for
@@ -22,7 +30,7 @@ FRAMES = 4
 BACK = 1e-3
 
 
-class ForceLaw(eqx.Module):
+class ForceLaw(Result):
     """What `law` returns.
 
     - `law`: the identified `Law`; `fit`: the `Fit`, with the numbers of the law and other parameters; `scene`: the
@@ -31,12 +39,16 @@ class ForceLaw(eqx.Module):
       nothing is claimed.
     """
 
+    held: ClassVar[dict[str, Held]] = {
+        "strain": Held("strain", "m"), "strain_range": Held("end", "m"),
+        **{name: Held("strain", "N") for name in ("force", "low", "high")},
+    }
     law: Law
     fit: Fit
     strain_range: tuple[float, float]
     scene: LawScene = eqx.field(static=True)
 
-    def force(self, e):
+    def force(self, e: Parameter) -> tuple[Float[np.ndarray, "*shape"], Float[np.ndarray, "*shape"]]:
         """(force, standard deviation) at strains e [N], by the delta method; NaN outside of `strain_range`."""
         e = np.asarray(parameter("e", e))
         with np.errstate(invalid="ignore"):
@@ -46,15 +58,19 @@ class ForceLaw(eqx.Module):
         deviation = _along(self.fit, np.asarray(gradients))
         return np.where(inside, force, np.nan), np.where(inside, deviation, np.nan)
 
-    def band(self, points=201, deviations=2.0):
+    def band(self, points: Count = 201, deviations: Scalar = 2.0) -> tuple[Float[np.ndarray, " points"], ...]:
         """(strain, force, low, high), each (points,), over the strain range: the force and deviations to each side."""
         deviations = float(positive("deviations", deviations))
         e = np.linspace(*self.strain_range, whole("points", points, 2))
         force, deviation = self.force(e)
         return e, force, force - deviations * deviation, force + deviations * deviation
 
+    def _fields(self) -> Iterator[tuple[str, object]]:
+        yield from super()._fields()
+        yield from zip(("strain", "force", "low", "high"), self.band())
+
     @property
-    def outcome(self):
+    def outcome(self) -> str:
         """What became of it, in sentences."""
         low, high = self.strain_range
         _, force, bottom, top = self.band(deviations=1.0)
@@ -65,8 +81,11 @@ class ForceLaw(eqx.Module):
         return f"The force from e = {low:.3g} to {high:.3g} is known {known} (one standard deviation). {said}"
 
 
-def law(scene, family, traces, *, state, stiffness=None, reach=None, others=None, hold=(), bounds=None, stages=4,
-        **options):
+def law(
+    scene: Callable[..., Lattice], family: str | Law, traces: Traces | Sequence[Traces], *, state: Start,
+    stiffness: Scalar | None = None, reach: Sequence | None = None, others: dict[str, Parameter] | None = None,
+    hold: Sequence[str] = (), bounds: Bounds = None, stages: Count = 4, **options,
+) -> ForceLaw:
     r"""The force law of contacts, from traces of some sensors.
 
     `granjax.fit` over the numbers of a law: those of a formula, or of a law of free shape where no formula is known.

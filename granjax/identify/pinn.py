@@ -8,16 +8,20 @@ state is known or has few unknowns; the network is for short records whose initi
 
 import math
 import time
+from typing import ClassVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
+from jaxtyping import Float
 
 from ..checks import non_negative, parameter, positive, refuse, whole
 from ..flow.stiffness import linear_frequency
-from ..parameters import Coordinates
+from ..parameters import Bounds, Coordinates
+from ..results import Held, Result
+from ..types import AnyArray, Count, Numbers, Parameter, Scalar, Scene, Times
 
 
 class Motion(eqx.Module):
@@ -27,15 +31,15 @@ class Motion(eqx.Module):
     """
 
     net: eqx.nn.MLP
-    frequencies: jax.Array
-    span: jax.Array
-    scale: jax.Array
+    frequencies: Float[AnyArray, " count"]
+    span: Float[AnyArray, ""]
+    scale: Float[AnyArray, ""]
 
-    def __call__(self, t):
+    def __call__(self, t: Float[AnyArray, ""]) -> Float[AnyArray, " N"]:
         phase = self.frequencies * t
         return self.scale * self.net(jnp.concatenate([t[None] / self.span, jnp.sin(phase), jnp.cos(phase)]))
 
-    def state(self, t):
+    def state(self, t: Scalar) -> tuple[Float[AnyArray, " N"], Float[AnyArray, " N"], Float[AnyArray, " N"]]:
         """Displacements, velocities and accelerations at one time."""
         t = jnp.asarray(t, self.span.dtype)
         one = jnp.ones_like(t)
@@ -43,17 +47,18 @@ class Motion(eqx.Module):
         return self(t), *jax.jvp(velocity, (t,), (one,))
 
 
-class PhysicsInformed(eqx.Module):
+class PhysicsInformed(Result):
     """What `physics_informed` returns.
 
-    - `parameters`: dict of what was found; `motion`: `Motion`. `loss` (steps + refine,): of every step.
+    - `parameters`: dict of what was found; `motion`: `Motion`. `loss` (max_steps + refine,): of every step.
     - `misfit`: rms of the data less the motion, over the rms of the data; `residual`: rms of a - F/m at the
       collocation points, over the rms of a. `seconds`: of the training, compilation included. `outcome`: a sentence.
     """
 
-    parameters: dict
+    held: ClassVar[dict[str, Held]] = {"loss": Held("step", "1"), "seconds": Held(unit="s")}
+    parameters: dict[str, Numbers]
     motion: Motion
-    loss: np.ndarray
+    loss: Float[np.ndarray, " steps"]
     misfit: float
     residual: float
     seconds: float
@@ -61,9 +66,11 @@ class PhysicsInformed(eqx.Module):
 
 
 def physics_informed(
-    scene, start, times, velocity, *, sites=None, state=None, bounds=None, weight=1.0, points=None, width=48, depth=2,
-    steps=4000, refine=1000, rate=3e-3, seed=0,
-):
+    scene: Scene, start: dict[str, Parameter], times: Times, velocity: Float[AnyArray, "T sensors"], *,
+    sites: Parameter | None = None, state: tuple | None = None, bounds: Bounds = None, weight: Scalar = 1.0,
+    points: Count | None = None, width: Count = 48, depth: Count = 2, max_steps: Count = 4000, refine: Count = 1000,
+    rate: Scalar = 3e-3, seed: Count = 0,
+) -> PhysicsInformed:
     r"""Parameters of a chain by a physics-informed network.
 
     A network u(t) (N,) and the parameters theta minimise together
@@ -81,7 +88,7 @@ def physics_informed(
     - `times` (T,), `velocity` (T, sensors) [m/s]: even or not, from t >= 0 on; `sites`: of the sensors, `None` all.
     - `state`: the `State` at t = 0 where it is known, of the chain's shape; with few sensors it is needed.
     - `weight`: of the physics; `points`: number of collocation points, `None` for 16 a shortest period; `width`,
-      `depth`: of the network; `steps`, `rate`: of Adam; `refine`: steps of L-BFGS; `seed`: of the first weights.
+      `depth`: of the network; `max_steps`, `rate`: of Adam; `refine`: steps of L-BFGS; `seed`: of the first weights.
 
     **Returns:** `PhysicsInformed`. **Raises** ValueError for shapes that do not fit, no velocity at all, bounds that
     do not hold the start, or a lattice without linear frequency (a sonic vacuum).
@@ -91,7 +98,7 @@ def physics_informed(
     coordinates = Coordinates(start, bounds)
     times, velocity, sites = _checked(lattice, times, velocity, sites)
     weight, rate = non_negative("weight", weight), float(positive("rate", rate))
-    steps, refine = whole("steps", steps, 0), whole("refine", refine, 0)
+    max_steps, refine = whole("max_steps", max_steps, 0), whole("refine", refine, 0)
     began = time.perf_counter()
     omega, span = float(linear_frequency(lattice)), float(times[-1])
     if not omega > 0:
@@ -112,8 +119,8 @@ def physics_informed(
         now = eqx.tree_at(lambda m: m.net, motion, net)
         seen = jax.vmap(lambda t: now.state(t)[1])(times)[:, sites]
         u, v, a = jax.vmap(now.state)(collocation)
-        chain = scene(coordinates.parameters(x))
-        residual = a - jax.vmap(chain.acceleration)(collocation, u, v)
+        lattice = scene(coordinates.parameters(x))
+        residual = a - jax.vmap(lattice.acceleration)(collocation, u, v)
         u0, v0 = (0.0, 0.0) if state is None else (now.state(0.0)[i] - state[i] for i in range(2))
         first = jnp.mean(omega**2 * u0**2 + v0**2)
         return jnp.mean((seen - velocity) ** 2) / size, jnp.mean(residual**2), jnp.mean(a**2), first / size
@@ -122,7 +129,7 @@ def physics_informed(
         data, physics, _, first = parts(model)
         return data + weight * physics / (omega**2 * size) + first
 
-    model, history = _trained(loss, (net, jnp.zeros(coordinates.size)), steps, refine, rate)
+    model, history = _trained(loss, (net, jnp.zeros(coordinates.size)), max_steps, refine, rate)
     data, physics, accelerations, _ = map(float, eqx.filter_jit(parts)(model))
     found = jax.tree.map(np.asarray, coordinates.parameters(model[1]))
     misfit, residual = math.sqrt(data), math.sqrt(physics / accelerations)
@@ -152,13 +159,14 @@ def _checked(lattice, times, velocity, sites):
     return times, velocity, sites
 
 
-def _trained(loss, model, steps, refine, rate):
+def _trained(loss, model, max_steps, refine, rate):
     """The model after Adam and L-BFGS, and the loss at every step."""
     free, fixed = eqx.partition(model, eqx.is_inexact_array)
     value = lambda free: loss(eqx.combine(free, fixed))
     histories = []
     for optimiser, count, search in (
-        (optax.adam(optax.cosine_decay_schedule(rate, max(steps, 1))), steps, False), (optax.lbfgs(), refine, True),
+        (optax.adam(optax.cosine_decay_schedule(rate, max(max_steps, 1))), max_steps, False),
+        (optax.lbfgs(), refine, True),
     ):
         if not count:
             continue

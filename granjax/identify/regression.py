@@ -1,16 +1,21 @@
 """Sparse regression of the forces of a lattice on a library of terms."""
 
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
 import numpy as np
+from jaxtyping import Float
 from scipy.interpolate import UnivariateSpline
 
 from ..checks import non_negative, parameter, positive, refuse, whole
 from ..lattice import Lattice
 from ..laws import Polynomial, PowerLaw, Scaled
-from ..terms import Bond, Damping, Dashpot, Drag, OnSite, ViscousContact
+from ..results import Held, Result
+from ..strains import StrainMap
+from ..terms import Bond, Damping, Dashpot, Drag, OnSite, Term, ViscousContact
+from ..types import Count, Displacements, Parameter, Scalar, Times
 
 # condition of the scaled columns from which on coefficients are said to stand for each other
 ALIKE = 1e6
@@ -24,7 +29,7 @@ class Coefficient(NamedTuple):
     share: float
 
 
-class Regression(eqx.Module):
+class Regression(Result):
     """What `regression` returns.
 
     - `coefficients`: dict from the names of the terms that were kept to `Coefficient(value, error, share)`;
@@ -35,9 +40,12 @@ class Regression(eqx.Module):
       a coefficient has a sign that its term refuses, which `outcome`, a sentence, names.
     """
 
-    coefficients: dict
-    dropped: tuple
-    covariance: np.ndarray
+    held: ClassVar[dict[str, Held]] = {
+        "covariance": Held("term term_"), "dropped": Held("dropped"), "noise": Held(unit="m/s^2"),
+    }
+    coefficients: dict[str, Coefficient]
+    dropped: tuple[str, ...]
+    covariance: Float[np.ndarray, "kept kept"]
     r_squared: float
     noise: float
     condition: float
@@ -45,7 +53,10 @@ class Regression(eqx.Module):
     outcome: str = eqx.field(static=True)
 
 
-def library(strain_map, *, powers=(1, 2, 3), contacts=(1.5,), overlap=0.0, on_site=(1, 3), dissipation=None):
+def library(
+    strain_map: StrainMap, *, powers: Sequence = (1, 2, 3), contacts: Sequence = (1.5,), overlap: Scalar = 0.0,
+    on_site: Sequence = (1, 3), dissipation: Sequence[str] | None = None,
+) -> dict[str, Callable]:
     r"""Candidate terms of a lattice, as a dict from names to functions of their coefficient.
 
     Bonds K e^p ("e", "e^2", "e^3") and contacts A ([d0 + e]_+^p - d0^p) ("[e]_+^1.5"); on-site forces -k u^p
@@ -98,8 +109,10 @@ def _monomial(argument, p):
 
 
 def regression(
-    mass, candidates, ts, us, vs, accelerations=None, *, noise=0.0, known=(), threshold=0.02, ridge=0.0, max_steps=20,
-):
+    mass: Parameter | dict[str, Parameter], candidates: dict[str, Callable], ts: Times, us: Displacements,
+    vs: Displacements, accelerations: Displacements | None = None, *, noise: Scalar = 0.0,
+    known: Term | Sequence[Term] = (), threshold: Scalar = 0.02, ridge: Scalar = 0.0, max_steps: Count = 20,
+) -> Regression:
     r"""Coefficients of the equation of motion from motion seen at every site: a = sum_j c_j f_j(t, u, v)/m.
 
     Sequentially thresholded least squares (SINDy): columns f_j/m are scaled to unit length; those whose share of the

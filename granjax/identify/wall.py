@@ -1,23 +1,28 @@
 """Elastic modulus of a wall, from a wave that a granular chain sends against it: the actuator-sensor for bone."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import ClassVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from ..checks import one_of, positive, refuse, whole, within
-from ..fit import Fit, fit, linearised, prepared
+from ..fit import Fit, Traces, fit, linearised, prepared
+from ..fit.problem import Start
 from ..lattice import Lattice
 from ..laws import Hertz
 from ..materials import Material, hertz_coefficient
+from ..results import Held, Result
 from ..terms import Wall
+from ..types import Count, Numbers, Parameter, Scalar
 
 NAME = "modulus"
 
 
-class WallModulus(eqx.Module):
+class WallModulus(Result):
     """What `wall_modulus` returns.
 
     - `modulus`, `deviation`: Young's modulus E of the wall and its standard deviation [Pa], at the given Poisson ratio.
@@ -28,18 +33,23 @@ class WallModulus(eqx.Module):
     - `fit`: the `Fit`, with other parameters that were fitted; `outcome`.
     """
 
+    held: ClassVar[dict[str, Held]] = {
+        "modulus": Held(unit="Pa"), "deviation": Held(unit="Pa"), "plane_modulus": Held(unit="Pa"),
+        "reduced_modulus": Held(unit="Pa"), "stiffness": Held(unit="N/m^{3/2}"), "relative": Held("quantity", "1"),
+        "scanned": Held("scanned", "Pa"), "chi_square": Held("scanned", "1"),
+    }
     modulus: float
     deviation: float
     plane_modulus: float
     reduced_modulus: float
     stiffness: float
-    relative: np.ndarray
-    scanned: np.ndarray
-    chi_square: np.ndarray
+    relative: Float[np.ndarray, "3"]
+    scanned: Float[np.ndarray, " n"]
+    chi_square: Float[np.ndarray, " n"]
     fit: Fit
 
     @property
-    def outcome(self):
+    def outcome(self) -> str:
         """What became of it, in sentences."""
         said = f"E = {self.modulus:.4g} +- {self.deviation:.2g} Pa."
         if _least(self.chi_square) in (0, len(self.scanned) - 1):
@@ -50,19 +60,19 @@ class WallModulus(eqx.Module):
 class WallScene(eqx.Module):
     """A lattice with a wall at its end as a function of a dict of parameters: equal ones compile once."""
 
-    free: Lattice | Callable
+    free: object
     material: str | Material
-    radius: float | jax.Array
-    poisson: float
-    precompression: float
+    radius: Scalar
+    poisson: Scalar
+    precompression: Scalar
     side: str = eqx.field(static=True)
     others: tuple[str, ...] = eqx.field(static=True)
 
-    def stiffness(self, modulus):
+    def stiffness(self, modulus: Scalar) -> Numbers:
         """A of the contact with the wall."""
         return hertz_coefficient(self.material, self.radius, Material("wall", modulus, self.poisson, 1.0), jnp.inf)
 
-    def __call__(self, parameters):
+    def __call__(self, parameters: dict[str, Numbers]) -> Lattice:
         free = self.free({name: parameters[name] for name in self.others}) if callable(self.free) else self.free
         if not isinstance(free, Lattice):
             refuse("lattice", "a Lattice, or a function that returns one", repr(free))
@@ -72,8 +82,12 @@ class WallScene(eqx.Module):
         return Lattice(free.mass, (*free.terms, wall), sites=free.sites, dimension=free.dimension)
 
 
-def wall_modulus(lattice, traces, *, state, material, radius, start, poisson=0.3, precompression=0.0, side="right",
-                 others=None, factor=10.0, scan=13, **options):
+def wall_modulus(
+    lattice: Lattice | Callable[..., Lattice], traces: Traces | Sequence[Traces], *, state: Start,
+    material: str | Material, radius: Scalar, start: Scalar, poisson: Scalar = 0.3, precompression: Scalar = 0.0,
+    side: str = "right", others: dict[str, Parameter] | None = None, factor: Scalar = 10.0, scan: Count = 13,
+    **options,
+) -> WallModulus:
     r"""Young's modulus of the wall at the end of a chain, from one trace of the wave that it reflects.
 
     The last bead, a sphere of radius R, touches the wall, a half-space: F = A d^{3/2}, A = (4/3) E* sqrt(R),
