@@ -71,6 +71,8 @@ def test_where_the_data_do_not_decide_and_where_no_model_describes_them():
     assert found.probability < 0.01 and f"Even '{found.best}' does not describe the data" in found.outcome
     unknown = compare(MODELS, traces(both, 0, known=False), state=STATE)
     assert np.isnan(unknown.probability) and "Even" not in unknown.outcome and unknown.best == found.best
+    kept = found.to_xarray()
+    assert kept.model.values.tolist() == list(found.names) and kept.bic.dims == ("model",)
     # AIC and BIC by hand
     n = TIMES.size * len(SENSORS)
     for name, chi_square, aic, bic in zip(found.names, found.chi_square, found.aic, found.bic):

@@ -91,6 +91,8 @@ def test_any_optimiser_of_optax():
     for optimiser in (optax.adam(optax.cosine_decay_schedule(0.1, 200)), optax.lbfgs()):
         found = design(bowl, {"x": 1.0}, optimiser=optimiser, tolerance=1e-12)
         assert found.parameters["x"] == pytest.approx(1.5, abs=1e-4)
+        kept = found.to_xarray()
+        assert kept.history.dims == ("point",) and kept.attrs["parameters_x"] == found.parameters["x"]
         assert found.history[0] == 0.25 and found.history.shape == found.gradient_norm.shape == (201,)
 
 

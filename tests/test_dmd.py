@@ -53,6 +53,7 @@ def test_edge_states_of_the_ssh_chain(edge, modes):
 def test_all_modes_and_the_reconstruction(every, modes):
     found = dmd(every, DT)
     assert found.rank == 40
+    assert found.to_xarray().shapes_real.dims == ("sensor", "mode") and "of their norm" in repr(found)
     np.testing.assert_allclose(positive(found.omega), modes.omega, rtol=0, atol=1e-10)
     t = DT * np.arange(FRAMES)
     np.testing.assert_allclose(found.reconstruction(t), every, rtol=0, atol=1e-9)

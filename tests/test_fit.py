@@ -72,7 +72,7 @@ def test_each_parameter_is_within_two_deviations_in_most_of_many_draws(velocitie
     assert all(88 <= count <= 99 for count in inside.values()), inside
 
 
-def test_a_fit_of_noisy_traces(velocities):
+def test_a_fit_of_noisy_traces(velocities, tmp_path):
     fit = gx.fit(scene, START, traced(velocities, 1), state=struck)
     assert tuple(START) == fit.names == tuple(fit.parameters)
     errors = np.array([float(fit.parameters[name]) - TRUTH[name] for name in fit.names])
@@ -86,6 +86,10 @@ def test_a_fit_of_noisy_traces(velocities):
     assert fit.step_error < 1e-3 and fit.return_error < 1e-10
     assert "Converged" in fit.outcome and fit.lattice.sites == (N,)
     assert np.abs(np.asarray(fit.signals[0]) - velocities).max() < 0.01 * np.abs(velocities).max()
+    kept = fit.load(fit.save(tmp_path / "fit.nc"))
+    assert kept.parameter.values.tolist() == list(START) and kept.attrs["outcome"] == fit.outcome
+    assert kept.signal_0.dims == kept.data_0.dims == ("time_0", "sensor_0") and kept.data_0.attrs["units"] == "m/s"
+    assert kept.attrs["deviations_damping"] == fit.deviations["damping"] and "stiffness" in repr(fit).splitlines()[0]
 
 
 @pytest.mark.slow

@@ -198,6 +198,7 @@ def test_hertz_and_damping_under_one_percent_of_noise(hertz):
         errors = [c.error for c in found.coefficients.values()]
         np.testing.assert_allclose(errors, np.sqrt(np.diag(found.covariance)), rtol=1e-12)
         assert errors[0] < 4e-4 and errors[1] < 4e-4
+        assert found.to_xarray().attrs["coefficients_v_value"] == found.coefficients["v"].value
         np.testing.assert_allclose(found.noise, 0.01 * np.sqrt(np.mean(a**2)), rtol=0.05)
 
 

@@ -67,6 +67,7 @@ def test_noise_and_an_unknown_velocity_of_impact():
     np.testing.assert_allclose(found.deviation / found.modulus, 3.1e-3, rtol=0.05)
     assert abs(found.modulus - 3.3e9) < 3 * found.deviation
     assert abs(float(found.fit.parameters["velocity"]) - SPEED) < 3 * float(found.fit.deviations["velocity"])
+    assert "f64" not in repr(found) and found.to_xarray().chi_square.dims == ("scanned",)
     assert 0.8 < found.fit.reduced_chi_square < 1.2
     assert found.outcome.startswith(f"E = {found.modulus:.4g} +- ")
 

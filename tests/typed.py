@@ -20,8 +20,8 @@ jaxtyped = jaxtyping.jaxtyped
 # modules and folders whose annotations are not checked yet, and not asked for by test_vocabulary: only to shrink
 UNTYPED = (
     "breathers", "canonical", "cli", "continuation", "driven", "floquet",
-    "flow.dispatch", "flow.integrate", "flow.method", "flow.stiffness", "forced", "identify.families", "lattice", "laws",
-    "linear.cell", "linear.stiffness", "measures.contacts", "measures.energies", "newton", "orbits",
+    "flow.dispatch", "flow.integrate", "flow.method", "flow.stiffness", "forced", "identify.families", "lattice",
+    "laws", "linear.cell", "linear.stiffness", "measures.contacts", "measures.energies", "newton", "orbits",
     "plots", "scenes.units", "split_system", "strains", "studies", "terms", "theory", "travelling", "tuning",
     "work_precision",
 )

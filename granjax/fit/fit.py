@@ -105,7 +105,7 @@ def _minimised(problem, x0, method, optimiser, tolerance, max_steps):
     return found, type(adjoint).__name__
 
 
-def reverse_mode(problem: Problem) -> tuple[diffrax.AbstractAdjoint, int | None]:
+def reverse_mode(problem: Problem) -> tuple[diffrax.AbstractAdjoint | Reversible, int | None]:
     """The adjoint that serves a problem in reverse mode, and the most steps that it keeps checkpoints for."""
     if not problem.moving and way_back(problem, problem.coordinates.start) < RETURNS:
         return Reversible(), None

@@ -78,7 +78,7 @@ class Problem(eqx.Module):
 
     def run(
         self, parameters: dict[str, Numbers], times: Float[AnyArray, " T"] | None = None,
-        adjoint: diffrax.AbstractAdjoint = diffrax.ForwardMode(), max_steps: int | None = None,
+        adjoint: eqx.Module = diffrax.ForwardMode(), max_steps: int | None = None,
         state: State | None = None,
     ) -> Run:
         """The run of some parameters, saved at rising times; from their own state or another."""

@@ -2,7 +2,6 @@
 
 from typing import NamedTuple
 
-import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -92,7 +91,7 @@ def least_squares(
 @eqx.filter_jit
 def gradient_descent(
     problem: Problem, x: Float[AnyArray, " n"], optimiser: object, tolerance: Scalar, max_steps: int,
-    adjoint: diffrax.AbstractAdjoint, most: int | None,
+    adjoint: eqx.Module, most: int | None,
 ) -> Found:
     """Descent on half of the mean square from x (n,), with derivatives in reverse mode through at most `most` steps."""
     samples = sum(trace.data.size for trace in problem.traces)
