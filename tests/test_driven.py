@@ -6,7 +6,6 @@ from cases import MASS_IN_MASS
 
 import granjax as gx
 from granjax import driven
-from granjax.driven.sweep import Jump
 
 RNG = np.random.default_rng(5)
 
@@ -171,7 +170,7 @@ def test_jumps_and_hysteresis_of_a_duffing_oscillator():
     (up,), (down,) = found.up.jumps, found.down.jumps
     lower, upper = folds(0.01, 0.02, 0.4)
     # 1.02601 and 1.03516 with one harmonic; found 1.02605 and 1.03527
-    assert isinstance(up, Jump) and up.value == pytest.approx(upper, rel=2e-4) and up.before > 3 * up.after
+    assert isinstance(up, driven.Jump) and up.value == pytest.approx(upper, rel=2e-4) and up.before > 3 * up.after
     assert down.value == pytest.approx(lower, rel=2e-4) and down.before < down.after / 1.7
     assert found.hysteresis == [(down.value, up.value)]
     assert (found.up.multiple == 1).all() and found.up.velocity.shape == (17, 2)
@@ -183,9 +182,9 @@ def test_a_period_doubling_is_located_from_either_side():
     make = lambda force: duffing(force, **DOUBLE_WELL)
     found = driven.sweep(make, [0.24, 0.27, 0.282], lambda force: 2 * jnp.pi / 1.2, state=WELL, steps=48)
     (up,), (down,) = found.up.bifurcations, found.down.bifurcations
-    assert (up.before, up.after) == (1, 2) and (down.before, down.after) == (2, 1)
+    assert (up.before, up.behind) == (1, 2) and (down.before, down.behind) == (2, 1)
     # Newton's method puts a multiplier at -1 at 0.2655818; found within the accuracy, 1e-3
-    assert up.value == pytest.approx(0.2655818, rel=1e-3) and down.value == pytest.approx(0.2655818, rel=1e-3)
+    assert up.p == pytest.approx(0.2655818, rel=1e-3) and down.p == pytest.approx(0.2655818, rel=1e-3)
     assert found.up.jumps == found.down.jumps == () and found.hysteresis == []
 
 

@@ -143,7 +143,7 @@ def dimers():
 
 
 def nearest(branch, amplitude):
-    return branch.breather(int(np.argmin(np.abs(branch.amplitude - amplitude))))
+    return branch.orbit(int(np.argmin(np.abs(branch.amplitude - amplitude))))
 
 
 def unpaired(fl, product=1.0):

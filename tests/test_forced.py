@@ -77,10 +77,10 @@ def test_an_orbit_has_the_harmonics_of_harmonic_balance():
 def test_stability_changes_at_the_folds_alone(hump):
     first, second = (b.after for b in hump.bifurcations)
     expected = np.where((np.arange(len(hump.p)) > first) & (np.arange(len(hump.p)) <= second), "unstable", "stable")
-    assert (hump.verdicts == expected).all()
+    assert (hump.verdict == expected).all()
     rho = np.array([b.multiplier for b in hump.bifurcations])
     np.testing.assert_allclose(rho, 1, rtol=0, atol=1e-7)
-    assert hump.errors.max() < 1e-7
+    assert hump.error.max() < 1e-7
     # rho rho' = exp(-gamma T): all of them multiply to exp(-2 gamma T)
     np.testing.assert_allclose(np.prod(hump.multipliers, 1), np.exp(-2 * DAMPING * hump.periods), rtol=1e-10)
 
@@ -239,7 +239,7 @@ def test_parametric_resonance_sets_in_where_scipy_says(kind, damping):
     assert first.p == pytest.approx(threshold(omega, damping), rel=1e-6)
     np.testing.assert_allclose(branch.response, 0, atol=1e-12)
     i = first.after
-    assert (branch.verdicts[: i + 1] == "stable").all() and branch.verdicts[i + 1] == "unstable"
+    assert (branch.verdict[: i + 1] == "stable").all() and branch.verdict[i + 1] == "unstable"
 
 
 class OneWall(eqx.Module):

@@ -13,9 +13,9 @@ FLOORS = (
     {"terms", "continuation"},
     {"lattice"},
     {"flow", "scenes"},
+    {"linear", "measures", "states"},
     {"orbits"},
-    {"floquet", "linear", "measures", "states"},
-    {"breathers", "canonical", "driven", "forced", "travelling", "shocks"},
+    {"breathers", "canonical", "driven", "floquet", "forced", "travelling", "shocks"},
     {"sweep", "fit", "design", "work_precision"},
     {"identify", "studies"},
 )

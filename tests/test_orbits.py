@@ -6,9 +6,8 @@ from scipy.special import ellipe, ellipj, ellipk
 
 import granjax as gx
 from granjax.continuation import continuation
-from granjax.forced import orbit
 from granjax.newton import newton
-from granjax.orbits import Mirror, Shooting, Sign, Translation, shifts
+from granjax.orbits import Mirror, Shooting, Sign, Translation, orbit, shifts
 
 N = 5
 RNG = np.random.default_rng(4)

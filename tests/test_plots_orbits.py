@@ -240,7 +240,7 @@ def test_arrays_will_do_and_one_way_is_enough(ax, sweep):
 
 def test_orbits_lie_behind_with_unstable_parts_dashed(ax, sweep):
     orbits = SimpleNamespace(p=np.array([1.0, 2.4, 1.6, 4.0]), response=np.array([1.0, 3.0, 4.0, 6.0]),
-                             verdicts=np.array(["stable", "unstable", "undecided", "stable"]))
+                             verdict=np.array(["stable", "unstable", "undecided", "stable"]))
     plots.hysteresis(sweep, ax, orbits=orbits, scale=10.0)
     dashes = [(line.get_linestyle(), line.get_label()) for line in ax.lines[:4]]
     assert [dash for dash, _ in dashes] == ["-", "--", ":", "-"]

@@ -1,10 +1,15 @@
-"""Time-periodic orbits as roots: shooting residuals, symmetries, the steps of a period."""
+"""Time-periodic orbits, y(t0 + T) = S y(t0): found by Newton's method, followed, judged; and where motions settle.
 
-from .problems import Mirror, Shooting, Sign, Symmetry, Translation, checked_symmetry, free_moves
-from .steps import default_steps, flow_over, history
+`gx.breathers`, `gx.forced`, `gx.floquet` and `gx.driven` are faces of this room.
+"""
+
+from .branch import Bifurcation, Branch
+from .orbit import Orbit, orbit
+from .problems import Mirror, Shooting, Sign, Symmetry, Translation
+from .steps import default_steps, history
 from .symmetry import shifts
 
 __all__ = [
-    "Mirror", "Shooting", "Sign", "Symmetry", "Translation", "checked_symmetry", "default_steps", "flow_over",
-    "free_moves", "history", "shifts",
+    "Bifurcation", "Branch", "Mirror", "Orbit", "Shooting", "Sign", "Symmetry", "Translation", "default_steps",
+    "history", "orbit", "shifts",
 ]

@@ -1,5 +1,7 @@
 """Time-periodic orbits as roots of one residual, y(t0 + T) = S y(t0), with a symmetry S of the lattice."""
 
+from collections.abc import Callable
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -8,7 +10,7 @@ from jax.flatten_util import ravel_pytree
 
 from ..checks import refuse, whole
 from ..flow import Flow
-from ..lattice import State, spread_mass, vector_field
+from ..lattice import Lattice, State, spread_mass, vector_field
 from .symmetry import shifts
 
 
@@ -249,3 +251,43 @@ class Shooting(eqx.Module):
 def _unit(x):
     size = jnp.sqrt(jnp.sum(x**2))
     return x / jnp.where(size > 0, size, 1)
+
+
+class Family(eqx.Module):
+    """The orbits of a lattice over one parameter, p = start + q span, as a problem F(x, q) = 0.
+
+    `make(p)`: the lattice, or one lattice for all. `period`: T, a number or a function of p. With one lattice that no
+    time drives, the derivative in q is that in the period.
+    """
+
+    shooting: Shooting
+    make: Callable | Lattice
+    period: Callable | float | jax.Array
+    start: float | jax.Array = 0.0
+    span: float | jax.Array = 1.0
+
+    def scene(self, q):
+        """(lattice, period) at q."""
+        p = self.start + q * self.span
+        return self.make if isinstance(self.make, Lattice) else self.make(p), period_at(self.period, p)
+
+    def residual(self, x, q, args=None):
+        """Gaps between the segments at q."""
+        return self.shooting.residual(x, self.scene(q))
+
+    def linearise(self, x, q, args=None):
+        """The residual, its derivative in x, and where it costs nothing that in q."""
+        gaps, in_x, in_period = self.shooting.slopes(x, self.scene(q))
+        if not isinstance(self.make, Lattice):
+            return gaps, in_x
+        return gaps, in_x, in_period * jax.jvp(lambda q: self.scene(q)[1], (q,), (jnp.ones_like(q),))[1]
+
+
+def period_at(period, p):
+    """The period at a value of the parameter: a number, or a function of it."""
+    return period(p) if callable(period) else period
+
+
+def over_omega(omega):
+    """T = 2 pi/omega."""
+    return 2 * jnp.pi / omega

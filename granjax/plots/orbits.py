@@ -67,7 +67,7 @@ def breather(breather, fl=None, axes=None, *, mode=None):
 
     **Arguments:**
 
-    - `breather`: a `Breather` of a chain with scalar displacements, or anything with `state` (u, v), and `floquet()`
+    - `breather`: an `Orbit` of a chain with scalar displacements, or anything with `state` (u, v), and `floquet()`
       unless `fl` is given. `fl`: its `Floquet`.
     - `axes`: four Axes in any shape, for (a) to (d); by default those of a new figure.
     - `mode`: index of the multiplier whose eigenvector is shown; by default the largest unstable one. A stable orbit
@@ -198,7 +198,7 @@ def hysteresis(sweep, ax=None, *, orbits=None, x_label="parameter", y_label="res
     **Arguments:**
 
     - `sweep`: a `gx.driven.Sweep`, or arrays (values, up, down), (P,) each, values ascending; `down` may be `None`.
-    - `orbits`: a `ForcedBranch`, or anything with `p`, `response` and `verdicts` (P,), drawn behind, unstable parts
+    - `orbits`: a `Branch`, or anything with `p`, `response` and `verdict` (P,), drawn behind, unstable parts
       dashed. `x_label`, `y_label`: of the axes. `scale`: what responses are multiplied with, such as 1e3 for mm/s.
 
     **Returns:** the Axes. **Raises** ValueError for shapes that do not fit, or values that do not ascend.
@@ -209,7 +209,7 @@ def hysteresis(sweep, ax=None, *, orbits=None, x_label="parameter", y_label="res
         ax.axvspan(low, high, color=FAINT, alpha=0.2, lw=0, zorder=0)
     if orbits is not None:
         p, response = numbers("orbits.p", orbits.p, 1), numbers("orbits.response", orbits.response, 1)
-        _line(ax, p, scale * response, orbits.verdicts, _ORBITS)
+        _line(ax, p, scale * response, orbits.verdict, _ORBITS)
     ax.plot(values, scale * up, ">-", color=COLOURS[0], ms=5, lw=1.2, mec="white", mew=0.3, label="up")
     if down is not None:
         ax.plot(values, scale * down, "<--", color=COLOURS[1], ms=5, lw=1.2, mec="white", mew=0.3, label="down")

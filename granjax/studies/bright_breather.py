@@ -11,11 +11,11 @@ from jaxtyping import Float, Integer
 
 from ..checks import positive, whole
 from ..driven import driven_chain
-from ..driven.settle import steps_per_period
 from ..flow import Flow
 from ..lattice import Lattice, State
 from ..linear import bands
 from ..measures import site_energy
+from ..orbits.attractors import steps_per_period
 from ..results import Held, Result
 from ..scenes import beads
 from ..solvers import SRKN11b

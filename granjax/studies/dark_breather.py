@@ -8,10 +8,10 @@ from jaxtyping import Float
 
 from ..checks import whole
 from ..driven import Attractor, driven_chain, settle
-from ..driven.settle import largest
 from ..lattice import Lattice, State
 from ..linear import normal_modes
 from ..materials import Material, hertz_coefficient
+from ..orbits.attractors import largest
 from ..results import Held, Result
 from ..scenes import monomer
 from ..types import Count, Parameter, Scalar

@@ -22,7 +22,7 @@ DIMER = gx.scenes.dimer(N, ratio=0.5, precompression=1.0, boundary="free")
 def breather():
     """Below the highest mode by two per cent, by its family, which has an amplitude at every point."""
     top = float(gx.linear.normal_modes(DIMER).omega[-1])
-    return gx.breathers.family(DIMER, until=0.98 * top, stability=False).breather(-1)
+    return gx.breathers.family(DIMER, until=0.98 * top, stability=False).orbit(-1)
 
 
 @pytest.mark.slow
@@ -71,7 +71,7 @@ def test_natural_continuation_ends_at_a_fold():
     np.testing.assert_allclose(branch.folds, [1.11614, 1.07613], rtol=0, atol=1e-5)
     assert branch.p[-1] == 1.4 and np.abs(np.diff(branch.response)).max() < 0.1
     middle = (branch.p > branch.folds[1]) & (branch.p < branch.folds[0])
-    assert set(branch.verdicts[middle]) == {"stable", "unstable"}
+    assert set(branch.verdict[middle]) == {"stable", "unstable"}
 
 
 # multipliers through an adaptive mesh -------------------------------------------------------------------------------

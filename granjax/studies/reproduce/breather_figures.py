@@ -36,7 +36,7 @@ def dark(beads: Count, frequency: Scalar) -> xr.Dataset:
     found, odd, size, envelope = [], [], [], []
     for ratio in (frequency, *(1 - d for d in DETUNINGS)):
         found.append(breather(lattice, ratio * edge, "dark"))
-        u = np.asarray(found[-1].run(3).us)
+        u = np.asarray(found[-1].run(2).us)
         y = u[:, :-1] - u[:, 1:]
         odd.append((y[0] - y[1]) / 2)
         size.append(abs(odd[-1][beads // 4]))

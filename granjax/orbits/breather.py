@@ -1,4 +1,4 @@
-"""One breather at a given frequency."""
+"""One breather at a given frequency, and whether its lattice's waves let it be."""
 
 import equinox as eqx
 import jax
@@ -8,24 +8,24 @@ import numpy as np
 from ..checks import one_of, positive, refuse
 from ..flow import Flow
 from ..lattice import State
+from ..linear import bands, normal_modes
 from ..newton import newton
-from ..orbits import Shooting
 from ..solvers import KahanLi8
 from ..tuning import one_thread
-from .branch import Breather
-from .envelope import bright_guess, cell_of, dark_guess, edge_of, edges_beside, refuse_bright, supports_bright
-from .family import family
-from .problem import TOLERANCE, ByFrequency, checked_lattice, half_steps
-from .problem import energy as energy_of
-from .resonances import refuse_resonance
+from .families import TOLERANCE, checked_lattice, family, half_steps
+from .guesses import bright_guess, cell_of, dark_guess, edge_of, edges_beside, refuse_bright, supports_bright
+from .orbit import Orbit, checked_orbit
+from .problems import Family, Shooting, over_omega
 
+# relative distance to a frequency of the finite lattice that is a resonance by itself
+MEETS = 1e-9
+# neighbouring extended modes this much closer than the spectrum's width belong to one band
+SPACING = 8
 GUESSES = ("bright", "dark")
 # share of the sites over which a state must spread (as a participation) to count as a background
 FILLS = 0.4
 # of the distance from the edge, where the envelope is a better guess
 NEARER = (0.5, 0.2, 0.1)
-# of the guess's size, below which an orbit is none; and its code, beside those of `newton`
-AT_REST, FELL = 1e-6, 4
 
 
 @one_thread
@@ -49,7 +49,7 @@ def breather(lattice, omega, guess=None, *, energy=None, centre=None, steps=None
     With a `State` and `steps` it works inside `jit` and `vmap`, and its state and energy are differentiable in every
     parameter of the lattice and in omega, by the implicit function theorem.
 
-    **Returns:** `Breather`; `throw=False` returns the best iterate. **Raises** ValueError for a frequency that has no
+    **Returns:** `Orbit`; `throw=False` returns the best iterate. **Raises** ValueError for a frequency that has no
     such breather, with the reason; RuntimeError where Newton's method does not converge.
     """
     if isinstance(guess, str):
@@ -71,7 +71,7 @@ def breather(lattice, omega, guess=None, *, energy=None, centre=None, steps=None
         found = family(lattice, float(omega), stability=False, points=400, steps=steps, solver=solver)
         if "reached" not in found.outcome:
             raise RuntimeError(f"The family did not reach omega = {float(omega):.6g}: {found.outcome}")
-        guess = found.breather(-1).state
+        guess = found.orbit(-1).state
     count = half_steps(lattice, 2 * np.pi / omega, steps)
     half = Shooting.half(lattice, Flow(count if traced else jnp.asarray(count), solver or KahanLi8()))
     if isinstance(guess, str):
@@ -80,11 +80,10 @@ def breather(lattice, omega, guess=None, *, energy=None, centre=None, steps=None
         return _solve(lattice, half, State(*guess), omega, tolerance, max_steps, throw)
     if not traced:  # a step of its own to omega: the guess's energy may be far off
         guess = _solve(lattice, half, State(*guess), omega, tolerance, max_steps, throw).state
-    problem, x = AtEnergy(ByFrequency(half)), jnp.append(half.guess(State(*guess)), omega)
+    problem, x = AtEnergy(half), jnp.append(half.guess(State(*guess)), omega)
     root = newton(problem.residual, x, (lattice, jnp.asarray(energy, float)), tolerance=tolerance,
                   max_steps=max_steps, linearise=problem.linearise, throw=throw)
-    state = half.state(root.x[:-1])
-    return Breather(state, root.x[-1], energy_of(lattice, state), root.residual, lattice, root.code, root.outcome)
+    return _orbit(half, lattice, State(*guess), root, root.x[:-1], 2 * jnp.pi / root.x[-1], throw)
 
 
 def _from_envelope(lattice, half, omega, kind, centre, tolerance):
@@ -100,45 +99,42 @@ def _from_envelope(lattice, half, omega, kind, centre, tolerance):
         found = _solve(lattice, half, make(lattice, near, centre), near, tolerance, 30, False)
         if found.converged:
             branch = family(lattice, omega, guess=found, stability=False, points=400, steps=2 * int(half.flow.steps))
-            return branch.breather(-1).state
+            return branch.orbit(-1).state
     return guess
 
 
 def _solve(lattice, half, guess, omega, tolerance, max_steps, throw):
-    x = half.guess(guess)
-    root = newton(half.residual, x, (lattice, 2 * jnp.pi / omega), tolerance=tolerance,
-                  max_steps=max_steps, linearise=half.linearise, throw=throw)
-    state, code, outcome = half.state(root.x), root.code, root.outcome
-    if not any(isinstance(x, jax.core.Tracer) for x in (x, root.x)) and _fell(x, root):
-        code, outcome = FELL, f"The guess fell to rest, where every frequency is a period's: {root.outcome}"
-        if throw is None or throw:
-            raise RuntimeError(outcome)
-    return Breather(state, omega, energy_of(lattice, state), root.residual, lattice, code, outcome)
+    period = 2 * jnp.pi / omega
+    root = newton(half.residual, half.guess(guess), (lattice, period), tolerance=tolerance, max_steps=max_steps,
+                  linearise=half.linearise, throw=throw)
+    return _orbit(half, lattice, guess, root, root.x, period, throw)
 
 
-def _fell(guess, root):
-    """Whether Newton's method has found the equilibrium in place of an orbit."""
-    return bool(root.converged) and float(jnp.abs(root.x).max()) <= AT_REST * float(jnp.abs(guess).max())
+def _orbit(half, lattice, guess, root, x, period, throw):
+    flow = Flow(2 * half.flow.steps, half.flow.solver)
+    orbit = Orbit(half.state(x), period, lattice, root, flow, jnp.zeros((), lattice.dtype))
+    return checked_orbit(orbit, half.state(half.guess(guess)), throw)
 
 
 class AtEnergy(eqx.Module):
     """F(x, omega; lattice, energy) = 0: half a period from rest to rest, and the energy's relative error."""
 
-    orbits: ByFrequency
+    half: Shooting
 
     def _excess(self, x, scene):
         lattice, energy = scene
-        state = self.orbits.half.state(x)
+        state = self.half.state(x)
         return lattice.energy(0.0, state.u, state.v) / energy - 1
 
     def residual(self, z, scene):
         """The half period's gaps at the frequency that is the last unknown, and the energy's."""
-        return jnp.append(self.orbits.residual(z[:-1], z[-1], scene[0]), self._excess(z[:-1], scene))
+        gaps = Family(self.half, scene[0], over_omega).residual(z[:-1], z[-1])
+        return jnp.append(gaps, self._excess(z[:-1], scene))
 
     def linearise(self, z, scene):
         """The residual and its derivative."""
         x = z[:-1]
-        gaps, in_x, in_omega = self.orbits.linearise(x, z[-1], scene[0])
+        gaps, in_x, in_omega = Family(self.half, scene[0], over_omega).linearise(x, z[-1])
         excess, gradient = jax.value_and_grad(self._excess)(x, scene)
         return jnp.append(gaps, excess), jnp.block([[in_x, in_omega[:, None]], [gradient, jnp.zeros(1, x.dtype)]])
 
@@ -159,3 +155,53 @@ def _spread(guess):
     u = np.concatenate([np.ravel(x) for x in jax.tree.leaves(guess[0])])
     weight = (u - u.mean()) ** 2
     return weight.sum() ** 2 / max((weight**2).sum() * len(u), np.finfo(float).tiny)
+
+
+def bands_of(lattice):
+    """Intervals of omega that waves fill, (bands, 2), and the discrete spectrum.
+
+    Of the unit cell where there is one; else of the extended modes of the finite lattice: runs of neighbours closer
+    than 8 mean spacings, of modes that spread over a fifth of the sites.
+    """
+    modes = normal_modes(lattice)
+    omega = np.asarray(modes.omega)
+    try:
+        found = bands(lattice)
+        return np.stack([np.asarray(found.lower), np.asarray(found.upper)], -1), omega
+    except ValueError:
+        pass
+    shapes = np.concatenate([np.asarray(x).reshape(-1, len(omega)) for x in jax.tree.leaves(modes.modes)]) ** 2
+    participation = shapes.sum(0) ** 2 / (shapes**2).sum(0)
+    extended = np.sort(omega[participation > len(omega) / 5])
+    if not len(extended):
+        return np.zeros((0, 2)), omega
+    apart = np.flatnonzero(np.diff(extended) > SPACING * (extended[-1] - extended[0]) / len(extended))
+    return np.array([[run[0], run[-1]] for run in np.split(extended, apart + 1)]), omega
+
+
+def resonant_harmonic(lattice, omega, first=1):
+    """The least n >= first with n omega in a band, with that band and the nearest frequency of the finite lattice.
+
+    `None` where no harmonic meets a wave.
+    """
+    intervals, discrete = bands_of(lattice)
+    top = max(intervals.max(initial=0.0), discrete.max())
+    for n in range(first, int(top / omega) + 1):
+        nearest = discrete[np.argmin(np.abs(discrete - n * omega))]
+        inside = [(low, high) for low, high in intervals if low * (1 + MEETS) < n * omega < high * (1 - MEETS)]
+        if inside or abs(nearest - n * omega) < MEETS * nearest:
+            return n, inside[0] if inside else (nearest, nearest), float(nearest)
+    return None
+
+
+def refuse_resonance(lattice, omega, dark):
+    """Refuse a frequency one of whose harmonics (of a dark breather from the second on) is a wave of the chain."""
+    found = resonant_harmonic(lattice, omega, 2 if dark else 1)
+    if found is None:
+        return
+    n, (low, high), nearest = found
+    refuse(
+        "omega", f"a frequency whose harmonics lie in gaps, for a {'dark' if dark else 'bright'} breather",
+        f"{omega:.6g}", f"n = {n}: {n} omega = {n * omega:.6g} lies in the band {low:.6g} ... {high:.6g}, where waves "
+        f"carry energy away; the finite lattice's nearest frequency is {nearest:.6g}. check=False tries all the same.",
+    )

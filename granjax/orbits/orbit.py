@@ -9,13 +9,14 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 
 from ..checks import positive, refuse, whole
-from ..floquet import floquet
 from ..flow import Flow
 from ..lattice import Lattice, State, vector_field
 from ..newton import CONVERGED, Root, newton
-from ..orbits import Shooting, Symmetry, checked_symmetry, flow_over, history
 from ..solvers import SRKN14a
 from ..tuning import one_thread
+from .floquet import floquet
+from .problems import Shooting, Symmetry, checked_symmetry
+from .steps import flow_over, history
 
 FRAMES = 32
 # of the guess's size, below which an orbit is none; and its code, beside those of `newton`
@@ -165,7 +166,7 @@ def orbit(lattice, guess, period, *, symmetry=Symmetry(), t0=0.0, steps=None, se
     checked_symmetry(lattice, symmetry, guess, t0, period)
     flow = flow_over(lattice, period, steps, solver, segments)
     t0 = jnp.asarray(t0, lattice.dtype)
-    free = not forced(lattice)
+    free = not lattice.reads_time
     if free and not lattice.conserves:
         remedy = "A damped lattice without forcing comes to rest."
         refuse("lattice", "forcing, or neither forcing nor damping", "damping alone", remedy)
@@ -185,13 +186,6 @@ def forced_orbit(lattice, period, guess=None, **keywords):
     if guess is None and isinstance(lattice, Lattice) and not lattice.lanes:
         guess = State(lattice.zeros(), lattice.zeros())
     return orbit(lattice, guess, period, **keywords)
-
-
-def forced(lattice):
-    """Whether a force depends on time, as its traced program says."""
-    u, v = lattice.template(), lattice.template()
-    program = jax.make_jaxpr(lambda t, y: vector_field(t, y, lattice))(0.0, State(u, v)).jaxpr
-    return any(program.invars[0] is x for equation in program.eqns for x in equation.invars)
 
 
 def checked_orbit(orbit, guess, throw):

@@ -10,8 +10,8 @@ from ..checks import positive, whole
 from ..flow import Flow
 from ..lattice import State
 from ..measures import contacts
-from ..orbits import default_steps, history
 from ..solvers import SRKN11b
+from .steps import default_steps, history
 
 # h omega of the default step, with omega the highest linear frequency
 STEP_FRACTION = 0.4

@@ -11,7 +11,7 @@ from ..flow import Flow
 from ..flow.stepping import columns, matrix
 from ..lattice import State
 from ..solvers import SRKN11b
-from .settle import steps_per_period
+from .attractors import steps_per_period
 
 
 class Lyapunov(eqx.Module):

@@ -12,9 +12,10 @@ from ..checks import concrete, parameter, positive, refuse, whole
 from ..flow import Flow
 from ..lattice import State
 from ..measures import rms_velocity
-from ..orbits import history
 from ..solvers import SRKN11b
-from .settle import follow, steps_per_period
+from .attractors import follow, steps_per_period
+from .branch import Bifurcation
+from .steps import history
 
 # periods over which a response is taken: a multiple of those after which a motion may repeat
 WATCHED = 12
@@ -28,14 +29,6 @@ class Jump(NamedTuple):
     value: float
     before: float
     after: float
-
-
-class Bifurcation(NamedTuple):
-    """A change at `value` of the periods after which the motion repeats, `before` and `after`; 0 where it does not."""
-
-    value: float
-    before: int
-    after: int
 
 
 class Way(eqx.Module):
@@ -138,7 +131,7 @@ def _way(attractor, values, state, jump, accuracy, direction):
     floor = SMALLEST * max(abs(_number(x)) for x in found)
     steps = list(zip(values[::direction][:-1], found[:-1], values[::direction][1:], found[1:]))
     jumps = [_jump(attractor, step, accuracy, jump, floor) for step in steps]
-    changes = [_bifurcation(attractor, step, accuracy) for step in steps]
+    changes = [_bifurcation(attractor, step, accuracy, i) for i, step in enumerate(steps)]
     stacked = jax.tree.map(lambda *x: np.stack(x), *found[::direction])
     return Way(**stacked, jumps=tuple(filter(None, jumps)), bifurcations=tuple(filter(None, changes)))
 
@@ -178,12 +171,12 @@ def _jump(attractor, step, accuracy, share, floor):
     return Jump(value, _number(a), _number(b))
 
 
-def _bifurcation(attractor, step, accuracy):
+def _bifurcation(attractor, step, accuracy, i):
     _, a, _, b = step
     if a["multiple"] == b["multiple"]:
         return None
     value, _, _ = _halved(attractor, step, accuracy, lambda a, c, b: a["multiple"] == c["multiple"])
-    return Bifurcation(value, int(a["multiple"]), int(b["multiple"]))
+    return Bifurcation("repetition", value, i, None, None, int(a["multiple"]), int(b["multiple"]))
 
 
 def _hysteresis(values, up, down, share):

@@ -1,67 +1,29 @@
 """Branches of forced orbits over a parameter, with their stability and bifurcations."""
 
-from collections.abc import Callable
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.optimize import brentq
 
 from ..checks import parameter, positive, refuse
 from ..continuation import continuation
-from ..floquet import decide, spectrum, structure
 from ..flow import Flow
 from ..lattice import State
 from ..measures import rms_velocity
-from ..orbits import flow_over, history
 from ..solvers import SRKN14a
 from ..tuning import one_thread
-from .events import BRANCH_POINT, FOLD, Between, Bifurcation, critical, kind_of
-from .family import Family, period_at
-from .orbit import FRAMES, checked_guess, forced_orbit, prepared
+from .branch import BRANCH_POINT, DOUBLING, FOLD, TORUS, Bifurcation, Branch, verdicts_of
+from .orbit import FRAMES, checked_guess, prepared
+from .problems import Family, period_at
+from .spectrum import spectrum
+from .steps import flow_over, history
+from .structure import structure
 
 # of dp along the first tangent, so that a branch that begins near a fold does not count as endlessly steep
 LEAST_SLOPE = 1e-2
-
-
-class ForcedBranch(eqx.Module):
-    """Orbits along a parameter; what `forced_branch` returns.
-
-    - `p` (P,), `periods` (P,), `states` at t0: a `State` of (P, N). `response` (P,): the chosen number.
-    - `multipliers` (P, 2n), the largest modulus first, and the error of each, `errors` (P, 2n), from a flow of half as
-      many steps. `verdicts` (P,): "stable", "unstable" or "undecided".
-    - `bifurcations`: a tuple of `Bifurcation` in the order of the branch. `outcome`: why the branch ended.
-    """
-
-    p: np.ndarray
-    periods: np.ndarray
-    states: State
-    response: np.ndarray
-    multipliers: np.ndarray
-    errors: np.ndarray
-    verdicts: np.ndarray
-    bifurcations: tuple[Bifurcation, ...]
-    outcome: str = eqx.field(static=True)
-    make: Callable
-    t0: float
-    steps: int
-    segments: int
-
-    @property
-    def folds(self):
-        """Values of the parameter at the folds."""
-        return np.array([b.p for b in self.bifurcations if b.kind == FOLD])
-
-    @property
-    def stable(self):
-        """Which points are stable, (P,)."""
-        return self.verdicts == "stable"
-
-    def orbit(self, i):
-        """The `Orbit` at point i."""
-        state = jax.tree.map(lambda x: x[i], self.states)
-        return forced_orbit(self.make(jnp.asarray(self.p[i])), self.periods[i], state, t0=self.t0, steps=self.steps,
-                            segments=self.segments)
+# fractions of the way between two points: how near a bifurcation is found, and how far another one lies at least
+LOCATED, APART = 1e-10, 1e-7
 
 
 @one_thread
@@ -91,7 +53,7 @@ def forced_branch(
     - `points`: the most points. `response(lattice, u, v, t)`: a number from one period u, v (F, N), t (F,); by
       default the root mean square of all velocities.
 
-    **Returns:** `ForcedBranch`. **Raises** ValueError for `until` equal to `start`, and as `forced_orbit`;
+    **Returns:** `Branch`. **Raises** ValueError for `until` equal to `start`, and as `forced_orbit`;
     RuntimeError where the first orbit does not converge.
     Source: Doedel, Keller, Kernevez, Int. J. Bifurcation Chaos 1, 493 and 745 (1991); Kuznetsov, Elements of Applied
     Bifurcation Theory.
@@ -120,35 +82,35 @@ def forced_branch(
         longest_arclength=longest_arclength or 5 * arclength, points=points, **settings)
     z = np.column_stack([curve.x, curve.p])
     looked = [_examined(family, flow, point, response) for point in z]
-    spectra = [spectrum(np.asarray(fine), np.asarray(coarse)) for _, _, _, fine, coarse in looked]
-    expected = structure(lattice).expected
-    verdicts = np.array([decide(rho, error, expected, False)[0] for rho, _, error in spectra])
-    states, periods, responses = (jax.tree.map(lambda *x: np.stack(x), *part) for part in list(zip(*looked))[:3])
-    multipliers, errors = np.stack([s[0] for s in spectra]), np.stack([s[2] for s in spectra])
+    maps = [[np.asarray(x) for x in found[-2:]] for found in looked]
+    spectra = [spectrum(*pair)[::2] for pair in maps]
+    multipliers, errors, verdicts = verdicts_of(spectra, structure(lattice).expected, False)
+    states, periods, energies, responses = (
+        jax.tree.map(lambda *x: np.stack(x), *part) for part in list(zip(*looked))[:4])
 
     def look(point):
-        return np.linalg.eigvals(np.asarray(_examined(family, flow, point, response)[3]))
+        return np.linalg.eigvals(np.asarray(_examined(family, flow, point, response)[4]))
 
     found = _bifurcations(family, look, z, curve.special, multipliers, settings)
     p = start + curve.p * (until - start)
     # continuation knows the share of the way alone
     outcome = f"p reached {p[-1]:.6g}." if curve.outcome.startswith("p reached") else curve.outcome
-    return ForcedBranch(
-        p, periods, State(*states), responses, multipliers, errors, verdicts, found, outcome, make, float(t0),
-        int(flow.steps), segments,
-    )
+    return Branch(
+        p, periods, states, energies, responses, multipliers, errors,
+        np.array([np.abs(fine - coarse).max() for fine, coarse in maps]), verdicts, found, outcome, flow, float(t0),
+        family, curve)
 
 
 @eqx.filter_jit
 def _examined(family, flow, z, response):
-    """State, period, response and two monodromy matrices of an orbit, the finer flow's first."""
+    """State, period, energy, response and two monodromy matrices of an orbit, the finer flow's first."""
     (lattice, period), state = family.scene(z[-1]), family.shooting.state(z[:-1])
     t0 = family.shooting.t0
     _, ts, ys = history(flow, lattice, state, t0, period, FRAMES)
     number = response(lattice, ys.u, ys.v, ts)
     counts = jnp.stack([flow.steps, flow.steps // 2])
     fine, coarse = jax.lax.map(lambda n: Flow(n, flow.solver).derivative(state, t0, t0 + period, lattice)[1], counts)
-    return state, jnp.asarray(period), number, fine, coarse
+    return state, jnp.asarray(period), lattice.energy(t0, *state), number, fine, coarse
 
 
 def _bifurcations(family, look, z, folds, multipliers, settings):
@@ -157,7 +119,7 @@ def _bifurcations(family, look, z, folds, multipliers, settings):
 
     def add(kind, i, point, rho):
         p = float(family.start + point[-1] * family.span)
-        event = Bifurcation(kind, p, critical(rho), State(*family.shooting.state(point[:-1])), i)
+        event = Bifurcation(kind, p, int(i), State(*family.shooting.state(point[:-1])), critical(rho))
         found.append((i, np.linalg.norm(point - z[i]), event))
 
     for fold in folds:
@@ -174,3 +136,53 @@ def _bifurcations(family, look, z, folds, multipliers, settings):
             else:
                 add(kind, i, point, rho)
     return tuple(event for *_, event in sorted(found, key=lambda entry: entry[:2]))
+
+
+class Between:
+    """The branch between two of its points, z = (x, q), over a fraction s of the chord that joins them.
+
+    `at_ends`: multipliers there. `look(z)`: multipliers of the orbit z. `settings`: tolerance and derivative, as
+    continuation takes them.
+    """
+
+    def __init__(self, family, look, ends, at_ends, settings):
+        self.family, self.look, self.ends, self.settings = family, look, ends, settings
+        self.known = {0.0: (ends[0], at_ends[0]), 1.0: (ends[1], at_ends[1])}
+
+    def at(self, s):
+        """(z, multipliers) of the orbit in the plane across the chord at s."""
+        if s not in self.known:
+            low, chord = self.ends[0], self.ends[1] - self.ends[0]
+            curve = continuation(self.family.residual, low[:-1], low[-1], direction=chord,
+                                 arclength=s * np.linalg.norm(chord), points=1, **self.settings)
+            z = np.append(curve.x[0], curve.p[0])
+            self.known[s] = z, self.look(z)
+        return self.known[s]
+
+    def crossings(self):
+        """Fractions at which a modulus passes 1, in order: as many as the number of unstable multipliers changes by."""
+        counts = [np.count_nonzero(np.abs(self.at(s)[1]) > 1) for s in (0.0, 1.0)]
+        found = []
+        for k in range(min(counts), max(counts)):
+            # the k-th modulus in order of size is continuous, whatever the multipliers do
+            excess = lambda s: float(np.sort(np.abs(self.at(s)[1]))[::-1][k] - 1)
+            try:
+                s = brentq(excess, 0.0, 1.0, xtol=LOCATED, rtol=LOCATED)
+            except RuntimeError:  # Newton failed on the way: as near as it came
+                s = min(self.known, key=lambda s: abs(excess(s)))
+            if not found or min(abs(s - other) for other in found) > APART:
+                found.append(s)
+        return sorted(found)
+
+
+def kind_of(multiplier, near=1e-5):
+    """The kind of a bifurcation with this multiplier on the unit circle; one at +1 is a branch point."""
+    if abs(multiplier.imag) > near:
+        return TORUS
+    return BRANCH_POINT if multiplier.real > 0 else DOUBLING
+
+
+def critical(multipliers):
+    """The multiplier nearest to the unit circle, of a pair the one above the real axis."""
+    rho = multipliers[np.argmin(np.abs(np.abs(multipliers) - 1))]
+    return complex(rho.real, abs(rho.imag))

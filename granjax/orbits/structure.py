@@ -6,7 +6,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 
 from ..lattice import spread_mass
-from ..orbits import shifts
+from .symmetry import shifts
 
 
 class Structure(NamedTuple):

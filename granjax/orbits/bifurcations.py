@@ -1,34 +1,20 @@
 """Where a family of breathers changes: its stability, its energy's extrema."""
 
-from typing import NamedTuple
-
 import jax.numpy as jnp
 import numpy as np
 
 from ..checks import one_of
 from ..continuation import Bordered, tangent_at
+from ..lattice import State
 from ..newton import newton
 from ..tuning import one_thread
-from .problem import TOLERANCE, energy_slope, spectrum_of
+from .branch import Bifurcation
+from .families import TOLERANCE, energy_slope, spectra_of
 
 KINDS = ("real pair at +1", "period doubling", "Krein collision", "extremum of energy")
 HALVINGS = 40
 # distance from +1 within which half-traces are taken together, and what their error is at least
 NEAR, LEAST_ERROR = 1e-4, 1e-12
-
-
-class Bifurcation(NamedTuple):
-    """`kind`, one of `KINDS`; `omega`; index of the breather `after` which it lies; `u` there.
-
-    `before`, `behind`: what the kind counts on the two sides (real pairs beyond +1, beyond -1, complex quadruples).
-    """
-
-    kind: str
-    omega: float
-    after: int
-    u: np.ndarray
-    before: int
-    behind: int
 
 
 @one_thread
@@ -55,8 +41,8 @@ def bifurcations(branch, kinds=KINDS, *, accuracy=1e-9):
             if counts[0] == counts[1]:
                 continue
             point = _locate(branch, i, kind, ends, accuracy)
-            u = np.asarray(branch.problem.half.state(jnp.asarray(point.z[:-1])).u)
-            found.append(Bifurcation(kind, float(point.z[-1]), i, u, *counts))
+            state = branch._family.shooting.state(jnp.asarray(point.z[:-1]))
+            found.append(Bifurcation(kind, float(point.z[-1]), i, State(*state), None, *counts))
     return found
 
 
@@ -70,15 +56,13 @@ class _Point:
     @property
     def spectrum(self):
         if self._spectrum is None:
-            b = self.branch
-            self._spectrum = spectrum_of(b.problem, b.lattice, self.z[:-1], self.z[-1])
+            self._spectrum = next(spectra_of(self.branch._family, self.z[None, :-1], self.z[-1:]))
         return self._spectrum
 
     def count(self, kind):
         """How many of a kind; the energy's slope along the branch, 0 or 1."""
         if kind == "extremum of energy":
-            b, here = self.branch, jnp.asarray(self.z)
-            return int(energy_slope(b.problem, b.lattice, here[:-1], jnp.asarray(self.tangent)) > 0)
+            return int(energy_slope(self.branch._family, jnp.asarray(self.z), jnp.asarray(self.tangent)) > 0)
         traces, symmetries = self.spectrum.half_traces, self.spectrum.expected // 2
         # mu that nearly meet split like a square root of the error, their sum does not: near 1 the sum decides
         error = max(self.spectrum.step_error, LEAST_ERROR)
@@ -97,24 +81,24 @@ class _Point:
 
 def _at(branch, i, s):
     """The solution at the length s along the i-th tangent; `None` is the next breather itself."""
-    b = branch
-    ends = [np.append(b.unknowns[j], b.omega[j]) for j in (i, i + 1)]
+    curve = branch._curve
+    ends = [np.append(curve.x[j], curve.p[j]) for j in (i, i + 1)]
     if s is None:
-        return _Point(b, ends[1], b.tangents[i + 1])
-    along = b.tangents[i]
+        return _Point(branch, ends[1], curve.tangents[i + 1])
+    along = curve.tangents[i]
     if s == 0:
-        return _Point(b, ends[0], along)
+        return _Point(branch, ends[0], along)
     whole = (ends[1] - ends[0]) @ along
     guess = ends[0] + s / whole * (ends[1] - ends[0])
-    curve = Bordered(b.problem.residual, b.problem.linearise)
-    arguments = b.lattice, jnp.asarray(along), jnp.asarray(ends[0] + s * along)
-    root = newton(curve.residual, jnp.asarray(guess), arguments, tolerance=TOLERANCE, linearise=curve.linearise,
+    bordered = Bordered(branch._family.residual, branch._family.linearise)
+    arguments = None, jnp.asarray(along), jnp.asarray(ends[0] + s * along)
+    root = newton(bordered.residual, jnp.asarray(guess), arguments, tolerance=TOLERANCE, linearise=bordered.linearise,
                   throw=False)
-    return _Point(b, np.asarray(root.x), tangent_at(np.asarray(root.jacobian)[:-1], along)[0])
+    return _Point(branch, np.asarray(root.x), tangent_at(np.asarray(root.jacobian)[:-1], along)[0])
 
 
 def _locate(branch, i, kind, ends, accuracy):
-    along = branch.tangents[i]
+    along = branch._curve.tangents[i]
     low, high = 0.0, float((ends[1].z - ends[0].z) @ along)
     behind = ends[1].count(kind)
     point = ends[0]

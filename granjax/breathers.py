@@ -1,0 +1,12 @@
+"""Breathers: time-periodic, localised orbits of conservative lattices, their families and their stability."""
+
+from .orbits import Bifurcation, Branch, Orbit, guesses
+from .orbits.bifurcations import bifurcations
+from .orbits.breather import bands_of, breather, resonant_harmonic
+from .orbits.families import family
+from .orbits.guesses import bright_guess, dark_guess
+
+__all__ = [
+    "Bifurcation", "Branch", "Orbit", "bands_of", "bifurcations", "breather", "bright_guess", "dark_guess", "family",
+    "guesses", "resonant_harmonic",
+]

@@ -1,0 +1,144 @@
+"""A branch of periodic orbits over a parameter, and the bifurcations on it."""
+
+from typing import ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..checks import refuse
+from ..continuation import Curve
+from ..flow import Flow
+from ..lattice import State
+from ..newton import Root
+from ..results import Held, Result
+from .floquet import decide
+from .orbit import Orbit
+from .problems import Family
+
+FOLD, BRANCH_POINT, DOUBLING, TORUS = "fold", "branch point", "period doubling", "Neimark-Sacker"
+
+
+class Bifurcation(Result):
+    """A change along a parameter.
+
+    - `kind`: "fold" (dp = 0), "branch point" (another branch crosses, as where a symmetry breaks), "period doubling"
+      (a multiplier -1), "Neimark-Sacker" (a complex pair on the unit circle); of conservative families also "real pair
+      at +1", "Krein collision" and "extremum of energy"; of a sweep "repetition".
+    - `p`: value of the parameter. `after`: index of the point before it. `state`: of the orbit there, at t0.
+    - `multiplier`: on the unit circle, of a pair the one above the real axis; as far as its modulus is from 1, so far
+      was it located. `before`, `behind`: what the kind counts on the two sides: real pairs beyond +1 or -1, complex
+      quadruples; of a sweep the periods after which the motion repeats, 0 where it does not.
+    """
+
+    kind: str = eqx.field(static=True)
+    p: float
+    after: int
+    state: State | None = None
+    multiplier: complex | None = None
+    before: int | None = None
+    behind: int | None = None
+
+    @property
+    def outcome(self):
+        """Where what happens, a sentence."""
+        counts = "" if self.before is None else f", {self.before} before and {self.behind} behind"
+        return f"{self.kind.capitalize()} at p = {self.p:.9g}{counts}."
+
+
+class Branch(Result):
+    r"""Orbits along a parameter, P of them, in the order in which they were found, by `family` or `forced_branch`.
+
+    **Fields:** `p` (P,): the parameter, of a family of breathers their frequency. `periods` (P,). `states` at t0, a
+    `State` of (P, N). `energy` (P,) at t0. `response` (P,): the chosen number, of a forced branch. `multipliers`
+    (P, 2n), the largest modulus first, and `error` of each. `step_error` (P,): change of the tangent map when the steps
+    are doubled. `verdict`: P words "stable", "unstable", "undecided", or "" where they were not computed.
+    `bifurcations`: a tuple of `Bifurcation` in the order of the branch. `outcome`: why it ended. `flow`, `t0`.
+    """
+
+    held: ClassVar[dict] = {
+        "p": Held("point"), "periods": Held("point", "s", "period"), "states": Held("point site", "", "state"),
+        "energy": Held("point", "J"), "response": Held("point"),
+        "multipliers": Held("point multiplier", "1", "multiplier"),
+        "error": Held("point multiplier", "1"), "step_error": Held("point", "1"), "verdict": Held("point"),
+    }
+    p: np.ndarray
+    periods: np.ndarray
+    states: State
+    energy: np.ndarray
+    response: np.ndarray | None
+    multipliers: np.ndarray
+    error: np.ndarray
+    step_error: np.ndarray
+    verdict: np.ndarray
+    bifurcations: tuple[Bifurcation, ...]
+    outcome: str = eqx.field(static=True)
+    flow: Flow
+    t0: float
+    _family: Family
+    _curve: Curve
+
+    def __len__(self):
+        return len(self.p)
+
+    @property
+    def omega(self):
+        """Angular frequencies 2 pi/T, (P,)."""
+        return self.p if self._family.shooting.reversible else 2 * np.pi / self.periods
+
+    @property
+    def u(self):
+        """Displacements at t0, (P, N): of a breather at its turning point."""
+        return self.states.u
+
+    @property
+    def amplitude(self):
+        """max |u| at t0, (P,)."""
+        return np.max([np.abs(x).reshape(len(self), -1).max(1) for x in jax.tree.leaves(self.u)], axis=0)
+
+    @property
+    def folds(self):
+        """Values of the parameter where the branch turns back."""
+        return np.array([b.p for b in self.bifurcations if b.kind == FOLD])
+
+    @property
+    def branch_points(self):
+        """Values of the parameter where another branch crosses."""
+        return np.array([b.p for b in self.bifurcations if b.kind == BRANCH_POINT])
+
+    @property
+    def stable(self):
+        """Which points are stable, (P,)."""
+        return self.verdict == "stable"
+
+    def orbit(self, i):
+        """The `Orbit` at point i; -1 is the last."""
+        if not -len(self) <= i < len(self):
+            refuse("i", f"an index of {len(self)} orbits", repr(i))
+        x, q = jnp.asarray(self._curve.x[i]), jnp.asarray(self._curve.p[i])
+        lattice, _ = self._family.scene(q)
+        residual = _residual(self._family, x, q)
+        none = jnp.zeros((), int)
+        root = Root(x, jnp.full((x.size,) * 2, jnp.nan), residual, residual, none, none, residual)
+        state = jax.tree.map(lambda y: jnp.asarray(y[i]), self.states)
+        return Orbit(state, jnp.asarray(self.periods[i]), lattice, root, self.flow, jnp.asarray(self.t0),
+                     self._family.shooting.symmetry)
+
+
+@eqx.filter_jit
+def _residual(family, x, q):
+    return jnp.max(jnp.abs(family.residual(x, q)))
+
+
+def verdicts_of(spectra, expected, conserves):
+    """(multipliers, error, verdict) of several orbits from pairs of multipliers and errors."""
+    words = [decide(rho, error, expected, conserves)[0] for rho, error in spectra]
+    return np.stack([rho for rho, _ in spectra]), np.stack([error for _, error in spectra]), np.array(words)
+
+
+def special_of(family, curve):
+    """The folds and branch points that continuation has met, as `Bifurcation`s."""
+    return [
+        Bifurcation(s.kind, float(family.start + s.p * family.span), s.after,
+                    State(*family.shooting.state(jnp.asarray(s.x)))) for s in curve.special]
