@@ -1,9 +1,15 @@
 """Newton's method for a square system, with outcomes as values and derivatives by the implicit function theorem."""
 
+from collections.abc import Callable
+from typing import ClassVar
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+
+from .results import Held, Result
+from .types import Count, Counts, Flags, Numbers, Parameter, Pytree, Scalar
 
 CONVERGED, STALLED, SPENT, NOT_FINITE = range(4)
 LEAST_FRACTION = 2.0**-8
@@ -11,28 +17,29 @@ LEAST_FRACTION = 2.0**-8
 FLAT = 1e-6
 
 
-class Root(eqx.Module):
+class Root(Result):
     """Where Newton's method ended: its best iterate, whatever came of it.
 
     **Fields:** `x`: the iterate (n,). `jacobian`: dF/dx there (n, n). `residual`: max |F(x)|. `first`: that of the
     guess. `iterations`: Jacobians evaluated. `code`: 0 converged, 1 stalled, 2 steps spent, 3 not finite.
     """
 
-    x: jax.Array
-    jacobian: jax.Array
-    residual: jax.Array
-    first: jax.Array
-    iterations: jax.Array
-    code: jax.Array
-    tolerance: jax.Array
+    held: ClassVar[dict[str, Held]] = {"x": Held("unknown"), "jacobian": Held("equation unknown")}
+    x: Numbers
+    jacobian: Numbers
+    residual: Numbers
+    first: Numbers
+    iterations: Counts
+    code: Counts
+    tolerance: Numbers
 
     @property
-    def converged(self):
+    def converged(self) -> Flags:
         """Whether the residual came below the tolerance."""
         return self.code == CONVERGED
 
     @property
-    def outcome(self):
+    def outcome(self) -> str:
         """What became of it, a sentence (of the worst where there are several)."""
         if _traced((self.code, self.iterations, self.first, self.residual, self.tolerance)):
             return "traced"
@@ -51,7 +58,8 @@ class Root(eqx.Module):
         return f"Newton did not converge: {went}, {wanted}; {why}."
 
 
-def newton(residual, guess, args=None, *, tolerance=1e-10, max_steps=20, linearise=None, throw=None):
+def newton(residual: Callable, guess: Parameter, args: Pytree = None, *, tolerance: Scalar = 1e-10,
+           max_steps: Count = 20, linearise: Callable | None = None, throw: bool | None = None) -> Root:
     r"""A root of F(x, args) = 0 by Newton's method with halved steps.
 
     x <- x - lambda J^{-1} F with lambda = 1, 1/2, ... until max |F| falls. Where the full step fails, J^{-1} is that of

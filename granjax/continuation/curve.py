@@ -1,8 +1,12 @@
 """What continuation returns: a branch and the special points on it."""
 
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
+import equinox as eqx
 import numpy as np
+from jaxtyping import Float
+
+from ..results import Held, Result
 
 
 class Special(NamedTuple):
@@ -12,31 +16,34 @@ class Special(NamedTuple):
     """
 
     kind: str
-    x: np.ndarray
+    x: Float[np.ndarray, " n"]
     p: float
     after: int
-    directions: np.ndarray
+    directions: Float[np.ndarray, "branches n_and_p"]
 
 
-class Curve(NamedTuple):
+class Curve(Result):
     """A branch: `x` (P, n), `p` (P,), unit tangents (P, n + 1), what was found on it, and why it ended.
 
     `newton`: Jacobians taken in all. `outcome`: a sentence.
     """
 
-    x: np.ndarray
-    p: np.ndarray
-    tangents: np.ndarray
+    held: ClassVar[dict[str, Held]] = {
+        "x": Held("point unknown"), "p": Held("point"), "tangents": Held("point tangent"),
+    }
+    x: Float[np.ndarray, "P n"]
+    p: Float[np.ndarray, " P"]
+    tangents: Float[np.ndarray, "P n_and_p"]
     special: tuple[Special, ...]
     newton: int
-    outcome: str
+    outcome: str = eqx.field(static=True)
 
     @property
-    def folds(self):
+    def folds(self) -> Float[np.ndarray, " F"]:
         """Values of the parameter at the folds."""
         return np.array([s.p for s in self.special if s.kind == "fold"])
 
     @property
-    def branch_points(self):
+    def branch_points(self) -> Float[np.ndarray, " B"]:
         """Values of the parameter where another branch crosses."""
         return np.array([s.p for s in self.special if s.kind == "branch point"])

@@ -1,13 +1,16 @@
 """Points between two points of a branch: folds, branch points, given values of the parameter."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from .curve import Special
+from .system import Point, System
 
 MOST_TRIALS = 40
 
 
-def bound_met(system, here, there, bounds):
+def bound_met(system: System, here: Point, there: Point, bounds: tuple | np.ndarray) -> tuple:
     """The bound that p meets first between two points, and a point of the branch near it."""
     if bounds:
         # p may turn back on the way: up to the fold and from there on it is monotone
@@ -20,13 +23,13 @@ def bound_met(system, here, there, bounds):
     return None, None
 
 
-def located(system, kind, here, there, after):
+def located(system: System, kind: str, here: Point, there: Point, after: int) -> Special:
     """A fold or branch point between two points, and the tangents there."""
     best = zero(system, here, there, lambda point: point.test(kind))
     return Special(kind, best.x, best.p, after, directions(system, kind, best, here.tangent))
 
 
-def zero(system, here, there, test):
+def zero(system: System, here: Point, there: Point, test: Callable) -> Point:
     """Where a function of the point changes its sign, by the method of Illinois on the length along the tangent."""
     low, high = 0.0, (there.z - here.z) @ here.tangent
     f_low, f_high = test(here), test(there)
@@ -47,7 +50,7 @@ def zero(system, here, there, test):
     return best
 
 
-def directions(system, kind, point, before):
+def directions(system: System, kind: str, point: Point, before: np.ndarray) -> np.ndarray:
     """Tangents of the branches that meet at a special point, the one nearest to `before` first."""
     if kind == "fold":
         return point.tangent[None]

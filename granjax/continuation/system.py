@@ -7,8 +7,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from ..newton import CONVERGED, newton
+from ..types import Numbers, Parameter, Pytree, Scalar
 
 MOST_NEWTON = 10
 
@@ -17,25 +19,25 @@ class Point(NamedTuple):
     """A corrected point: derivatives (n, n + 1), tangent, sign of det of the two, which changes where branches cross.
     """
 
-    z: np.ndarray
-    jacobian: np.ndarray
-    tangent: np.ndarray
+    z: Float[np.ndarray, " n_and_p"]
+    jacobian: Float[np.ndarray, "n n_and_p"]
+    tangent: Float[np.ndarray, " n_and_p"]
     sign: float
     iterations: int
 
     @property
-    def x(self):
+    def x(self) -> np.ndarray:
         return self.z[:-1]
 
     @property
-    def p(self):
+    def p(self) -> float:
         return float(self.z[-1])
 
-    def test(self, kind):
+    def test(self, kind: str) -> float:
         return self.tangent[-1] if kind == "fold" else self.sign
 
-    def crosses(self, other, kind):
-        return self.test(kind) * other.test(kind) < 0
+    def crosses(self, other: "Point", kind: str) -> bool:
+        return bool(self.test(kind) * other.test(kind) < 0)
 
 
 class Bordered(eqx.Module):
@@ -44,16 +46,16 @@ class Bordered(eqx.Module):
     function: Callable
     slopes: Callable | None
 
-    def residual(self, z, args):
+    def residual(self, z: Numbers, args: Pytree) -> Numbers:
         inner, border, predicted = args
         return jnp.append(self.function(z[:-1], z[-1], inner), border @ (z - predicted))
 
-    def linearise(self, z, args):
+    def linearise(self, z: Numbers, args: Pytree) -> tuple:
         inner, border, predicted = args
         f, jacobian = self.jacobian(z, inner)
         return jnp.append(f, border @ (z - predicted)), jnp.vstack([jacobian, border])
 
-    def jacobian(self, z, inner):
+    def jacobian(self, z: Numbers, inner: Pytree) -> tuple:
         """F and (dF/dx, dF/dp), (n, n + 1)."""
         x, p = z[:-1], z[-1]
         if self.slopes is None:
@@ -66,7 +68,7 @@ class Bordered(eqx.Module):
         return f, jnp.column_stack([in_x, *in_p])
 
 
-def tangent_at(jacobian, border):
+def tangent_at(jacobian: np.ndarray, border: np.ndarray) -> tuple:
     """The unit tangent of derivatives (n, n + 1) with border . tangent > 0, and slogdet of the two together."""
     square = np.vstack([jacobian, border])
     try:
@@ -94,7 +96,7 @@ class System:
         self.augmented, self.args, self.tolerance = Bordered(residual, linearise), args, tolerance
         self.scale = None
 
-    def first(self, x0, p0, direction, arclength):
+    def first(self, x0: np.ndarray, p0: float, direction: Parameter, arclength: Scalar) -> Point:
         z = np.append(x0, p0)
         if np.ndim(direction):
             tangent = np.asarray(direction, float) / np.linalg.norm(direction)
@@ -108,21 +110,21 @@ class System:
             raise RuntimeError(f"The first point: {root.outcome}")
         return self._point(root, direction * only_p)
 
-    def correct(self, predicted, border, before):
+    def correct(self, predicted: np.ndarray, border: np.ndarray, before: np.ndarray) -> tuple:
         """A `Point` in the plane across `border`, or `None` and why not."""
         root = self._newton(predicted, border, predicted, MOST_NEWTON)
         if not _converged(root):
             return None, root.outcome.rstrip(".")
         return self._point(root, before), ""
 
-    def at(self, z, p, before):
+    def at(self, z: np.ndarray, p: Scalar, before: np.ndarray) -> Point | None:
         """The point with this p, or `None`."""
         only_p = np.append(np.zeros(len(z) - 1), 1.0)
         guess = np.append(z[:-1] + before[:-1] * np.clip((p - z[-1]) / (before[-1] or 1), -1, 1), p)
         root = self._newton(guess, only_p, guess, MOST_NEWTON)
         return self._point(root, before) if _converged(root) else None
 
-    def second(self, z, v, w):
+    def second(self, z: np.ndarray, v: np.ndarray, w: np.ndarray) -> np.ndarray:
         """D^2 F [v, w]."""
         return np.asarray(_second(self.augmented.function, jnp.asarray(z), jnp.asarray(v), jnp.asarray(w), self.args))
 

@@ -1,8 +1,11 @@
 """The walk along a branch."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from ..checks import one_of, refuse
+from ..types import Count, Parameter, Pytree, Scalar
 from .curve import Curve
 from .locate import bound_met, located
 from .system import System
@@ -12,10 +15,12 @@ LEAST_COSINE = 0.9
 
 
 def continuation(
-    residual, x0, p0, *, args=None, until=None, direction=1.0, arclength=0.01, least_arclength=None,
-    longest_arclength=None, points=200, tolerance=1e-10, linearise=None, veto=None, stop=None,
-    find=("fold", "branch point"),
-):
+    residual: Callable, x0: Parameter, p0: Scalar, *, args: Pytree = None, until: Parameter | None = None,
+    direction: Parameter = 1.0, arclength: Scalar = 0.01, least_arclength: Scalar | None = None,
+    longest_arclength: Scalar | None = None, points: Count = 200, tolerance: Scalar = 1e-10,
+    linearise: Callable | None = None, veto: Callable | None = None, stop: Callable | None = None,
+    find: tuple[str, ...] = ("fold", "branch point"),
+) -> Curve:
     r"""Follow F(x, p) = 0 from (x0, p0) by pseudo-arclength.
 
     Each point is predicted along the tangent, at a distance s in the plain norm of (x, p), and corrected by Newton's

@@ -1,16 +1,22 @@
 """Periodically forced chains, period by period, until what is seen once a period repeats."""
 
+from typing import ClassVar
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from diffrax import AbstractSolver
 from jax.flatten_util import ravel_pytree
+from jaxtyping import Float
 
 from ..checks import positive, whole
 from ..flow import Flow
-from ..lattice import State
+from ..lattice import Lattice, State
 from ..measures import contacts
+from ..results import Held, Result
 from ..solvers import SRKN11b
+from ..types import Count, Displacements, Numbers, Scalar, StateLike, Times
 from .steps import default_steps, history
 
 # h omega of the default step, with omega the highest linear frequency
@@ -25,7 +31,7 @@ DISTURBANCE = 1e2
 KEPT = 16
 
 
-class Attractor(eqx.Module):
+class Attractor(Result):
     """Where a forced chain has settled; what `settle` returns.
 
     - `state`: at phase 0, that is t = 0 modulo the period; `period`: T of the forcing; `periods`: how many were run.
@@ -39,27 +45,35 @@ class Attractor(eqx.Module):
     - `outcome`: what became of the motion, a sentence.
     """
 
+    held: ClassVar[dict[str, Held]] = {
+        "state": Held("site"), "period": Held(unit="s"), "changes": Held("run", "1"), "ts": Held("time", "s", "time"),
+        "us": Held("time site", "m", "u"), "vs": Held("time site", "m/s", "v"), "amplitude": Held("site", "m/s"),
+        "peak_force": Held("contact", "N"), "energy": Held(unit="J"),
+    }
     state: State
     period: float
     periods: int
     multiple: int
     change: float
-    changes: np.ndarray
-    ts: jax.Array
-    us: object
-    vs: object
-    amplitude: object
-    peak_force: jax.Array
-    energy: jax.Array
+    changes: Float[np.ndarray, " periods"]
+    ts: Times
+    us: Displacements
+    vs: Displacements
+    amplitude: Displacements
+    peak_force: Numbers
+    energy: Numbers
     outcome: str = eqx.field(static=True)
 
     @property
-    def settled(self):
+    def settled(self) -> bool:
         """Whether the motion repeats."""
         return self.multiple > 0
 
 
-def settle(lattice, state, period, *, periods=4000, tolerance=1e-8, steps=None, solver=SRKN11b()):
+def settle(
+    lattice: Lattice, state: StateLike, period: Scalar, *, periods: Count = 4000, tolerance: Scalar = 1e-8,
+    steps: Count | None = None, solver: AbstractSolver = SRKN11b(),
+) -> Attractor:
     r"""Run a periodically forced lattice until it repeats once a period, or after 2, 3 or 4 periods.
 
     Two states are compared in displacements times 2 pi/T and velocities, by the largest difference over the largest
@@ -94,12 +108,14 @@ def settle(lattice, state, period, *, periods=4000, tolerance=1e-8, steps=None, 
     )
 
 
-def steps_per_period(lattice, period):
+def steps_per_period(lattice: Lattice, period: Scalar) -> Scalar:
     """Steps in a period such that h omega_max <= 0.4, with omega_max the highest linear frequency."""
     return default_steps(lattice, period, fineness=STEP_FRACTION)
 
 
-def follow(flow, lattice, state, period, periods, tolerance):
+def follow(
+    flow: Flow, lattice: Lattice, state: StateLike, period: Scalar, periods: Count, tolerance: Scalar,
+) -> tuple:
     """From phase 0 on until a state repeats, twice: (state, periods used, multiple or 0, changes (periods, 4)).
 
     For use inside of `jax.jit`; `periods` is a Python integer.
@@ -142,13 +158,13 @@ def follow(flow, lattice, state, period, periods, tolerance):
     return y, used, multiple, changes
 
 
-def forces(lattice, y, t):
+def forces(lattice: Lattice, y: StateLike, t: Scalar) -> Numbers:
     """Contact forces F0 + F(e) of all bonds in the order of the terms, then of all walls."""
     each = [contact.force.ravel() for contact in contacts(lattice, y, t)]
     return jnp.concatenate(each) if each else jnp.zeros(0, lattice.dtype)
 
 
-def largest(x):
+def largest(x: Numbers) -> Numbers:
     """Largest value over the first axis, equal steps of whole periods: top of the parabola through its neighbours."""
     i = jnp.argmax(x, 0, keepdims=True)
     a, b, c = (jnp.take_along_axis(x, (i + k) % len(x), 0)[0] for k in (-1, 0, 1))

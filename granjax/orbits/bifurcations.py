@@ -8,8 +8,9 @@ from ..continuation import Bordered, tangent_at
 from ..lattice import State
 from ..newton import newton
 from ..tuning import one_thread
-from .branch import Bifurcation
-from .families import TOLERANCE, energy_slope, spectra_of
+from ..types import Scalar
+from .branch import Bifurcation, Branch
+from .families import TOLERANCE, Spectrum, energy_slope, spectra_of
 
 KINDS = ("real pair at +1", "period doubling", "Krein collision", "extremum of energy")
 HALVINGS = 40
@@ -18,7 +19,7 @@ NEAR, LEAST_ERROR = 1e-4, 1e-12
 
 
 @one_thread
-def bifurcations(branch, kinds=KINDS, *, accuracy=1e-9):
+def bifurcations(branch: Branch, kinds: tuple[str, ...] = KINDS, *, accuracy: Scalar = 1e-9) -> list[Bifurcation]:
     r"""Bifurcations along a family, each located between two neighbouring breathers.
 
     With mu = (rho + 1/rho)/2: a pair leaves the circle at +1 where mu crosses 1, at -1 (period doubling) where it
@@ -54,12 +55,12 @@ class _Point:
         self._spectrum = None
 
     @property
-    def spectrum(self):
+    def spectrum(self) -> Spectrum:
         if self._spectrum is None:
             self._spectrum = next(spectra_of(self.branch._family, self.z[None, :-1], self.z[-1:]))
         return self._spectrum
 
-    def count(self, kind):
+    def count(self, kind: str) -> int:
         """How many of a kind; the energy's slope along the branch, 0 or 1."""
         if kind == "extremum of energy":
             return int(energy_slope(self.branch._family, jnp.asarray(self.z), jnp.asarray(self.tangent)) > 0)

@@ -6,6 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Bool, Float, Inexact, Shaped
 
 from ..checks import refuse
 from ..continuation import Curve
@@ -13,6 +14,7 @@ from ..flow import Flow
 from ..lattice import State
 from ..newton import Root
 from ..results import Held, Result
+from ..types import Count, Displacements
 from .floquet import decide
 from .orbit import Orbit
 from .problems import Family
@@ -32,6 +34,7 @@ class Bifurcation(Result):
       quadruples; of a sweep the periods after which the motion repeats, 0 where it does not.
     """
 
+    held: ClassVar[dict[str, Held]] = {"state": Held("site")}
     kind: str = eqx.field(static=True)
     p: float
     after: int
@@ -41,7 +44,7 @@ class Bifurcation(Result):
     behind: int | None = None
 
     @property
-    def outcome(self):
+    def outcome(self) -> str:
         """Where what happens, a sentence."""
         counts = "" if self.before is None else f", {self.before} before and {self.behind} behind"
         return f"{self.kind.capitalize()} at p = {self.p:.9g}{counts}."
@@ -57,21 +60,21 @@ class Branch(Result):
     `bifurcations`: a tuple of `Bifurcation` in the order of the branch. `outcome`: why it ended. `flow`, `t0`.
     """
 
-    held: ClassVar[dict] = {
+    held: ClassVar[dict[str, Held]] = {
         "p": Held("point"), "periods": Held("point", "s", "period"), "states": Held("point site", "", "state"),
         "energy": Held("point", "J"), "response": Held("point"),
         "multipliers": Held("point multiplier", "1", "multiplier"),
         "error": Held("point multiplier", "1"), "step_error": Held("point", "1"), "verdict": Held("point"),
     }
-    p: np.ndarray
-    periods: np.ndarray
+    p: Float[np.ndarray, " P"]
+    periods: Float[np.ndarray, " P"]
     states: State
-    energy: np.ndarray
-    response: np.ndarray | None
-    multipliers: np.ndarray
-    error: np.ndarray
-    step_error: np.ndarray
-    verdict: np.ndarray
+    energy: Float[np.ndarray, " P"]
+    response: Float[np.ndarray, " P"] | None
+    multipliers: Inexact[np.ndarray, "P 2n"]
+    error: Float[np.ndarray, "P 2n"]
+    step_error: Float[np.ndarray, " P"]
+    verdict: Shaped[np.ndarray, " P"]
     bifurcations: tuple[Bifurcation, ...]
     outcome: str = eqx.field(static=True)
     flow: Flow
@@ -79,40 +82,40 @@ class Branch(Result):
     _family: Family
     _curve: Curve
 
-    def __len__(self):
+    def __len__(self) -> int:
         return len(self.p)
 
     @property
-    def omega(self):
+    def omega(self) -> Float[np.ndarray, " P"]:
         """Angular frequencies 2 pi/T, (P,)."""
         return self.p if self._family.shooting.reversible else 2 * np.pi / self.periods
 
     @property
-    def u(self):
+    def u(self) -> Displacements:
         """Displacements at t0, (P, N): of a breather at its turning point."""
         return self.states.u
 
     @property
-    def amplitude(self):
+    def amplitude(self) -> Float[np.ndarray, " P"]:
         """max |u| at t0, (P,)."""
         return np.max([np.abs(x).reshape(len(self), -1).max(1) for x in jax.tree.leaves(self.u)], axis=0)
 
     @property
-    def folds(self):
+    def folds(self) -> Float[np.ndarray, " F"]:
         """Values of the parameter where the branch turns back."""
         return np.array([b.p for b in self.bifurcations if b.kind == FOLD])
 
     @property
-    def branch_points(self):
+    def branch_points(self) -> Float[np.ndarray, " B"]:
         """Values of the parameter where another branch crosses."""
         return np.array([b.p for b in self.bifurcations if b.kind == BRANCH_POINT])
 
     @property
-    def stable(self):
+    def stable(self) -> Bool[np.ndarray, " P"]:
         """Which points are stable, (P,)."""
         return self.verdict == "stable"
 
-    def orbit(self, i):
+    def orbit(self, i: Count) -> Orbit:
         """The `Orbit` at point i; -1 is the last."""
         if not -len(self) <= i < len(self):
             refuse("i", f"an index of {len(self)} orbits", repr(i))
@@ -131,13 +134,13 @@ def _residual(family, x, q):
     return jnp.max(jnp.abs(family.residual(x, q)))
 
 
-def verdicts_of(spectra, expected, conserves):
+def verdicts_of(spectra: list, expected: int, conserves: bool) -> tuple:
     """(multipliers, error, verdict) of several orbits from pairs of multipliers and errors."""
     words = [decide(rho, error, expected, conserves)[0] for rho, error in spectra]
     return np.stack([rho for rho, _ in spectra]), np.stack([error for _, error in spectra]), np.array(words)
 
 
-def special_of(family, curve):
+def special_of(family: Family, curve: Curve) -> list[Bifurcation]:
     """The folds and branch points that continuation has met, as `Bifurcation`s."""
     return [
         Bifurcation(s.kind, float(family.start + s.p * family.span), s.after,

@@ -4,14 +4,17 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from diffrax import AbstractSolver
+from jaxtyping import Float
 
 from ..checks import one_of, positive, refuse
 from ..flow import Flow
-from ..lattice import State
+from ..lattice import Lattice, State
 from ..linear import bands, normal_modes
 from ..newton import newton
 from ..solvers import KahanLi8
 from ..tuning import one_thread
+from ..types import Count, Numbers, Scalar, StateLike
 from .families import TOLERANCE, checked_lattice, family, half_steps
 from .guesses import bright_guess, cell_of, dark_guess, edge_of, edges_beside, refuse_bright, supports_bright
 from .orbit import Orbit, checked_orbit
@@ -29,8 +32,11 @@ NEARER = (0.5, 0.2, 0.1)
 
 
 @one_thread
-def breather(lattice, omega, guess=None, *, energy=None, centre=None, steps=None, solver=None, tolerance=TOLERANCE,
-             max_steps=30, check=True, throw=None):
+def breather(
+    lattice: Lattice, omega: Scalar, guess: StateLike | str | None = None, *, energy: Scalar | None = None,
+    centre: Scalar | None = None, steps: Count | None = None, solver: AbstractSolver | None = None,
+    tolerance: Scalar = TOLERANCE, max_steps: Count = 30, check: bool = True, throw: bool | None = None,
+) -> Orbit:
     r"""A time-reversible breather of frequency omega: v(0) = 0, v(T/2) = 0, T = 2 pi/omega.
 
     **Arguments:**
@@ -126,12 +132,12 @@ class AtEnergy(eqx.Module):
         state = self.half.state(x)
         return lattice.energy(0.0, state.u, state.v) / energy - 1
 
-    def residual(self, z, scene):
+    def residual(self, z: Numbers, scene: tuple) -> Numbers:
         """The half period's gaps at the frequency that is the last unknown, and the energy's."""
         gaps = Family(self.half, scene[0], over_omega).residual(z[:-1], z[-1])
         return jnp.append(gaps, self._excess(z[:-1], scene))
 
-    def linearise(self, z, scene):
+    def linearise(self, z: Numbers, scene: tuple) -> tuple:
         """The residual and its derivative."""
         x = z[:-1]
         gaps, in_x, in_omega = Family(self.half, scene[0], over_omega).linearise(x, z[-1])
@@ -157,7 +163,7 @@ def _spread(guess):
     return weight.sum() ** 2 / max((weight**2).sum() * len(u), np.finfo(float).tiny)
 
 
-def bands_of(lattice):
+def bands_of(lattice: Lattice) -> tuple[Float[np.ndarray, "bands 2"], Float[np.ndarray, " modes"]]:
     """Intervals of omega that waves fill, (bands, 2), and the discrete spectrum.
 
     Of the unit cell where there is one; else of the extended modes of the finite lattice: runs of neighbours closer
@@ -179,7 +185,7 @@ def bands_of(lattice):
     return np.array([[run[0], run[-1]] for run in np.split(extended, apart + 1)]), omega
 
 
-def resonant_harmonic(lattice, omega, first=1):
+def resonant_harmonic(lattice: Lattice, omega: Scalar, first: Count = 1) -> tuple | None:
     """The least n >= first with n omega in a band, with that band and the nearest frequency of the finite lattice.
 
     `None` where no harmonic meets a wave.
@@ -194,7 +200,7 @@ def resonant_harmonic(lattice, omega, first=1):
     return None
 
 
-def refuse_resonance(lattice, omega, dark):
+def refuse_resonance(lattice: Lattice, omega: Scalar, dark: bool) -> None:
     """Refuse a frequency one of whose harmonics (of a dark breather from the second on) is a wave of the chain."""
     found = resonant_harmonic(lattice, omega, 2 if dark else 1)
     if found is None:

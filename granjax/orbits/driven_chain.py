@@ -1,15 +1,21 @@
 """A chain between walls that move."""
 
+from collections.abc import Sequence
+
 import equinox as eqx
 
 from ..checks import one_of, parameter, refuse
 from ..lattice import Lattice
 from ..terms import Damping, Harmonic, Wall
+from ..types import Parameter
 
 SIDES = ("left", "right")
 
 
-def driven_chain(lattice, amplitude, omega, *, ends=SIDES, damping=None, phase=0.0, field=None):
+def driven_chain(
+    lattice: Lattice, amplitude: Parameter, omega: Parameter, *, ends: str | Sequence[str] = SIDES,
+    damping: Parameter | None = None, phase: Parameter | tuple = 0.0, field: str | None = None,
+) -> Lattice:
     r"""A chain whose end walls shake: w(t) = a cos(omega t + phase), u_0 = w on the left, u_{N+1} = w on the right.
 
     m_n u_n'' = F_n(u_{n-1} - u_n) - F_{n+1}(u_n - u_{n+1}) - gamma m_n u_n'. The end bonds keep their law and become

@@ -1,10 +1,14 @@
 """Families of breathers by continuation from a linear mode or from a breather, and what is computed at each member."""
 
+from collections.abc import Callable, Iterator
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from diffrax import AbstractSolver
 from jax.flatten_util import ravel_pytree
+from jaxtyping import Complex, Float, Inexact
 
 from ..checks import refuse, whole
 from ..continuation import continuation
@@ -13,6 +17,7 @@ from ..lattice import Lattice, spread_mass
 from ..linear import normal_modes
 from ..solvers import KahanLi8
 from ..tuning import one_thread
+from ..types import Count, Numbers, Scalar
 from .branch import Branch, special_of, verdicts_of
 from .orbit import Orbit
 from .problems import Family, Shooting, over_omega
@@ -30,9 +35,12 @@ SLOW = 20
 
 
 @one_thread
-def family(lattice, until=None, *, guess=None, amplitude=None, mode=None, arclength=None, longest_arclength=None,
-           points=200, steps=None, solver=None, tolerance=TOLERANCE, stability=True,
-           veto=None, stop=None):
+def family(
+    lattice: Lattice, until: Scalar | None = None, *, guess: Orbit | None = None, amplitude: Scalar | None = None,
+    mode: Count | None = None, arclength: Scalar | None = None, longest_arclength: Scalar | None = None,
+    points: Count = 200, steps: Count | None = None, solver: AbstractSolver | None = None,
+    tolerance: Scalar = TOLERANCE, stability: bool = True, veto: Callable | None = None, stop: Callable | None = None,
+) -> Branch:
     r"""A family of time-reversible breathers, followed in (u, omega) with its stability.
 
     Without a `guess` it begins at a linear mode (a Lyapunov family): amplitude zero, the mode's frequency. The branch
@@ -179,7 +187,7 @@ def _branch(problem, curve, stability):
         problem, curve)
 
 
-def checked_lattice(lattice):
+def checked_lattice(lattice: Lattice) -> Lattice:
     """A lattice that has time-reversible, isolated families: single, conservative, autonomous."""
     if not isinstance(lattice, Lattice):
         refuse("lattice", "a Lattice", f"a {type(lattice).__name__}")
@@ -193,7 +201,7 @@ def checked_lattice(lattice):
     return lattice
 
 
-def half_steps(lattice, period, steps=None):
+def half_steps(lattice: Lattice, period: Scalar, steps: Count | None = None) -> Count:
     """Steps of half a period, from those of a whole one or by default."""
     steps = default_steps(lattice, period, 2, doubled=True) if steps is None else whole("steps", steps, 2)
     if steps % 2:
@@ -201,7 +209,7 @@ def half_steps(lattice, period, steps=None):
     return steps // 2
 
 
-def over_frequency(lattice, steps, solver=None):
+def over_frequency(lattice: Lattice, steps: Count, solver: AbstractSolver | None = None) -> Family:
     """The breathers of a lattice over omega; the steps of half a period may change without compiling anew."""
     return Family(Shooting.half(lattice, Flow(jnp.asarray(steps, int), solver or KahanLi8())), lattice, over_omega)
 
@@ -214,7 +222,7 @@ def _states(problem, xs):
 
 
 @eqx.filter_jit
-def energy_slope(problem, z, tangent):
+def energy_slope(problem: Family, z: Numbers, tangent: Numbers) -> Numbers:
     """dE/ds along a tangent (x, omega) of a branch."""
     total = lambda x: (lambda y: problem.make.energy(0.0, y.u, y.v))(problem.shooting.state(x))
     return jax.jvp(total, (z[:-1],), (tangent[:-1],))[1]
@@ -237,14 +245,14 @@ def _half_maps(problem, x, omega):
 class Spectrum(eqx.Module):
     """Half-traces (n,), multipliers (2n,) and their errors, the error of a step, the symmetries' multipliers."""
 
-    half_traces: np.ndarray
-    multipliers: np.ndarray
-    error: np.ndarray
+    half_traces: Inexact[np.ndarray, " n"]
+    multipliers: Complex[np.ndarray, " 2n"]
+    error: Float[np.ndarray, " 2n"]
     step_error: float
     expected: int
 
 
-def spectra_of(problem, xs, omegas):
+def spectra_of(problem: Family, xs: np.ndarray, omegas: np.ndarray) -> Iterator[Spectrum]:
     """The `Spectrum` of each of several orbits, from half a period with the problem's steps and with twice as many.
 
     While one is decomposed the next one's maps are on their way.

@@ -1,16 +1,22 @@
 """Floquet theory: the monodromy matrix of a periodic orbit, its multipliers with errors, and what follows from them."""
 
+from typing import ClassVar
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from diffrax import AbstractSolver
 from jax.flatten_util import ravel_pytree
+from jaxtyping import Complex, Float, Inexact, Integer
 from scipy.sparse.linalg import ArpackError, ArpackNoConvergence, LinearOperator, eigs
 
 from ..checks import refuse, whole
 from ..flow import Flow, linear_frequency
 from ..lattice import Lattice, vector_field
+from ..results import Held, Result
 from ..solvers import KahanLi8
+from ..types import Count, Pytree, Scalar, StateLike
 from .problems import Symmetry, free_moves
 from .spectrum import product_spectrum, spectrum
 from .steps import default_steps
@@ -26,7 +32,7 @@ TOLERANCE = 1e-9
 BASIS, RESTARTS = 60, 30
 
 
-class Floquet(eqx.Module):
+class Floquet(Result):
     r"""Stability of a T-periodic orbit: a perturbation obeys V(t + T) = M V(t).
 
     **Fields:**
@@ -42,43 +48,51 @@ class Floquet(eqx.Module):
     - `period`, `steps`, `state`, `rate` (of uniform damping: multipliers pair as rho rho' = exp(-gamma T)).
     """
 
-    monodromy: np.ndarray
-    multipliers: np.ndarray
-    vectors: np.ndarray
-    error: np.ndarray
-    krein: np.ndarray
+    held: ClassVar[dict[str, Held]] = {
+        "monodromy": Held("row column"), "multipliers": Held("multiplier", "1", "multiplier"),
+        "vectors": Held("row multiplier", "", "vector"), "error": Held("multiplier", "1"),
+        "krein": Held("multiplier", "1"), "period": Held(unit="s"), "rate": Held(unit="1/s"),
+    }
+    monodromy: Float[np.ndarray, "2n 2n"]
+    multipliers: Inexact[np.ndarray, " 2n"]
+    vectors: Inexact[np.ndarray, "2n 2n"]
+    error: Float[np.ndarray, " 2n"]
+    krein: Float[np.ndarray, " 2n"]
     defect: float
     step_error: float
     expected: int
-    verdict: str
-    outcome: str
+    verdict: str = eqx.field(static=True)
+    outcome: str = eqx.field(static=True)
     period: float
     steps: int
     rate: float | None
-    state: object
+    state: Pytree
 
     @property
-    def exponents(self):
+    def exponents(self) -> Complex[np.ndarray, " 2n"]:
         """log(rho)/T; a positive real part is a growth rate."""
         return np.log(self.multipliers.astype(complex)) / self.period
 
     @property
-    def displacements(self):
+    def displacements(self) -> Inexact[np.ndarray, "n 2n"]:
         """u-parts of the eigenvectors, (n, 2n)."""
         return self.vectors[: len(self.vectors) // 2]
 
     @property
-    def velocities(self):
+    def velocities(self) -> Inexact[np.ndarray, "n 2n"]:
         """v-parts of the eigenvectors, (n, 2n)."""
         return self.vectors[len(self.vectors) // 2 :]
 
     @property
-    def unstable(self):
+    def unstable(self) -> Integer[np.ndarray, " U"]:
         """Indices of the multipliers that lie outside the unit circle by more than their error."""
         return np.flatnonzero(np.abs(self.multipliers) - 1 > self.error)
 
 
-def decide(multipliers, error, expected, conserves, resolution=RESOLUTION):
+def decide(
+    multipliers: Inexact[np.ndarray, " 2n"], error: Float[np.ndarray, " 2n"], expected: int, conserves: bool,
+    resolution: Scalar = RESOLUTION,
+) -> tuple[str, str]:
     """(verdict, sentence) from multipliers and their errors.
 
     The `expected` ones nearest to +1 are left out. Unstable: one lies outside the circle by more than its error.
@@ -113,8 +127,11 @@ def _derivative(flow, y, t0, t1, args):
     return flow.derivative(y, t0, t1, args)
 
 
-def floquet(lattice, state, period, *, t0=0.0, steps=None, solver=None, segments=1, tolerance=TOLERANCE, args=None,
-            symmetry=Symmetry(), expected=None, resolution=RESOLUTION):
+def floquet(
+    lattice: Lattice | Flow, state: Pytree, period: Scalar, *, t0: Scalar = 0.0, steps: Count | None = None,
+    solver: AbstractSolver | None = None, segments: Count = 1, tolerance: Scalar = TOLERANCE, args: Pytree = None,
+    symmetry: Symmetry = Symmetry(), expected: Count | None = None, resolution: Scalar = RESOLUTION,
+) -> Floquet:
     r"""Monodromy matrix, multipliers and stability of a periodic orbit.
 
     M = d y(t0 + T)/d y(t0) by tangents through a fixed-step flow, with two step sizes whose difference is the error.
@@ -216,7 +233,7 @@ def _product(factors):
     return total
 
 
-def multipliers(flow, state, t0, period, args):
+def multipliers(flow: Flow, state: Pytree, t0: Scalar, period: Scalar, args: Pytree) -> Complex[jax.Array, " 2n"]:
     """Floquet multipliers alone, a pure function: (2n,) complex, for `jax.jacfwd`, `vmap` and `jit`.
 
     **Arguments:** `flow`: a `Flow` over one period; `state`: the orbit at `t0`; `args`: of its field, such as the
@@ -233,7 +250,10 @@ def _push(flow, y, t0, period, args, direction):
     return ravel_pytree(flow.tangents(y, tangent, t0, t0 + period, args)[1])[0]
 
 
-def leading(lattice, state, period, count=6, *, t0=0.0, steps=None, solver=None, tolerance=1e-9):
+def leading(
+    lattice: Lattice, state: StateLike, period: Scalar, count: Count = 6, *, t0: Scalar = 0.0,
+    steps: Count | None = None, solver: AbstractSolver | None = None, tolerance: Scalar = 1e-9,
+) -> tuple[Complex[np.ndarray, " count"], Complex[np.ndarray, "2n count"]]:
     """The multipliers of largest modulus by Arnoldi's method over products M x, one tangent a period each.
 
     For more than about 1000 beads, where the matrix itself costs n^2. Ask for no more than stand out: of many on the

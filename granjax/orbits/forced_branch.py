@@ -1,9 +1,12 @@
 """Branches of forced orbits over a parameter, with their stability and bifurcations."""
 
+from collections.abc import Callable
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from diffrax import AbstractSolver
 from scipy.optimize import brentq
 
 from ..checks import parameter, positive, refuse
@@ -13,6 +16,7 @@ from ..lattice import State
 from ..measures import rms_velocity
 from ..solvers import SRKN14a
 from ..tuning import one_thread
+from ..types import Count, Scalar, StateLike
 from .branch import BRANCH_POINT, DOUBLING, FOLD, TORUS, Bifurcation, Branch, verdicts_of
 from .orbit import FRAMES, checked_guess, prepared
 from .problems import Family, period_at
@@ -28,10 +32,11 @@ LOCATED, APART = 1e-10, 1e-7
 
 @one_thread
 def forced_branch(
-    make, start, until, *, period, guess=None, transient=0, t0=0.0, steps=None, segments=1, solver=SRKN14a(),
-    tolerance=1e-10, arclength=0.02, longest_arclength=None, points=400,
-    response=rms_velocity,
-):
+    make: Callable, start: Scalar, until: Scalar, *, period: Callable | Scalar, guess: StateLike | None = None,
+    transient: Count = 0, t0: Scalar = 0.0, steps: Count | None = None, segments: Count = 1,
+    solver: AbstractSolver = SRKN14a(), tolerance: Scalar = 1e-10, arclength: Scalar = 0.02,
+    longest_arclength: Scalar | None = None, points: Count = 400, response: Callable = rms_velocity,
+) -> Branch:
     r"""Follow the periodic orbits of a forced lattice over a parameter, through folds, stable or not.
 
     Pseudo-arclength continuation of y(t0 + T; p) = y(t0). Stability at every point by the multipliers of the same
@@ -149,7 +154,7 @@ class Between:
         self.family, self.look, self.ends, self.settings = family, look, ends, settings
         self.known = {0.0: (ends[0], at_ends[0]), 1.0: (ends[1], at_ends[1])}
 
-    def at(self, s):
+    def at(self, s: float) -> tuple:
         """(z, multipliers) of the orbit in the plane across the chord at s."""
         if s not in self.known:
             low, chord = self.ends[0], self.ends[1] - self.ends[0]
@@ -159,7 +164,7 @@ class Between:
             self.known[s] = z, self.look(z)
         return self.known[s]
 
-    def crossings(self):
+    def crossings(self) -> list[float]:
         """Fractions at which a modulus passes 1, in order: as many as the number of unstable multipliers changes by."""
         counts = [np.count_nonzero(np.abs(self.at(s)[1]) > 1) for s in (0.0, 1.0)]
         found = []
@@ -175,14 +180,14 @@ class Between:
         return sorted(found)
 
 
-def kind_of(multiplier, near=1e-5):
+def kind_of(multiplier: complex, near: float = 1e-5) -> str:
     """The kind of a bifurcation with this multiplier on the unit circle; one at +1 is a branch point."""
     if abs(multiplier.imag) > near:
         return TORUS
     return BRANCH_POINT if multiplier.real > 0 else DOUBLING
 
 
-def critical(multipliers):
+def critical(multipliers: np.ndarray) -> complex:
     """The multiplier nearest to the unit circle, of a pair the one above the real axis."""
     rho = multipliers[np.argmin(np.abs(np.abs(multipliers) - 1))]
     return complex(rho.real, abs(rho.imag))

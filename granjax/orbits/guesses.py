@@ -1,5 +1,6 @@
 """Where Newton's method may start: the envelope's bright and dark breathers, sites that oscillate alone."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -10,13 +11,14 @@ from scipy.optimize import brentq
 
 from ..checks import refuse
 from ..flow import Flow
-from ..lattice import State
+from ..lattice import Lattice, State
 from ..laws import taylor
 from ..linear import bands
 from ..linear.cell import unit_cell
 from ..newton import newton
 from ..solvers import KahanLi8
 from ..theory import nls
+from ..types import Count, Scalar
 from .families import checked_lattice
 from .symmetry import shifts
 
@@ -43,7 +45,7 @@ class Edge(NamedTuple):
     coefficients: nls.Coefficients
 
 
-def cell_of(lattice):
+def cell_of(lattice: Lattice) -> tuple | None:
     """(mass, K2, K3, K4) of the unit cell of a chain of next neighbours, (P,) each, or `None` where it is none."""
     found = lattice.terms[0].next_neighbours() if len(lattice.terms) == 1 else None
     if found is None or lattice.fields or lattice.axes != 1 or lattice.dimension:
@@ -63,7 +65,7 @@ def cell_of(lattice):
     return mass, *(np.broadcast_to(x, (size,)) for x in parts)
 
 
-def edges_beside(lattice, omega):
+def edges_beside(lattice: Lattice, omega: Scalar) -> list[Edge]:
     """The edges of the gap that holds omega, as `Edge`s; none inside a band or where there is no unit cell."""
     cell = cell_of(lattice)
     if cell is None:
@@ -85,13 +87,13 @@ def _at_symmetry(k):
     return near if abs(k - near) < SAME_K else float(k)
 
 
-def supports_bright(edge):
+def supports_bright(edge: Edge) -> bool:
     """Whether a bright breather leaves this edge into the gap: focusing, and its frequency shifts that way."""
     c = edge.coefficients
     return bool(c.focusing) and (float(c.nu3_force) > 0) == edge.above
 
 
-def edge_of(lattice, omega, kind):
+def edge_of(lattice: Lattice, omega: Scalar, kind: str) -> Scalar:
     """Frequency of the edge from which the bright or dark breathers at omega come."""
     if kind == "dark":
         upper = np.asarray(bands(lattice).upper)
@@ -100,7 +102,7 @@ def edge_of(lattice, omega, kind):
     return min(found, key=lambda edge: abs(edge - omega)) if found else omega
 
 
-def bright_guess(lattice, omega, centre=None):
+def bright_guess(lattice: Lattice, omega: Scalar, centre: Scalar | None = None) -> State:
     """The envelope's bright breather of a chain at a frequency in a gap, `State` at rest.
 
     **Raises** ValueError where no edge of that gap has one.
@@ -114,7 +116,7 @@ def bright_guess(lattice, omega, centre=None):
     return _state(lattice, nls.bright_profile, edge.coefficients, omega, centre)
 
 
-def dark_guess(lattice, omega, centre=None):
+def dark_guess(lattice: Lattice, omega: Scalar, centre: Scalar | None = None) -> State:
     """The envelope's dark breather below the highest edge of a band, `State` at rest, N bonds wide.
 
     Ends at constant force (free) or at fixed length (walls, a ring) as the chain has them. **Raises** ValueError where
@@ -157,7 +159,7 @@ def _state(lattice, profile, coefficients, omega, centre):
     return State(u, jnp.zeros_like(u))
 
 
-def refuse_bright(lattice, omega):
+def refuse_bright(lattice: Lattice, omega: Scalar) -> None:
     """Say why a chain has no bright breather at a frequency."""
     edges = edges_beside(lattice, omega)
     said = []
@@ -172,7 +174,10 @@ def refuse_bright(lattice, omega):
     refuse("omega", "a frequency at which bright breathers exist", f"{omega:.6g}", remedy + ".")
 
 
-def single_site(lattice, omega, sites, *, amplitudes=None, least=1e-3):
+def single_site(
+    lattice: Lattice, omega: Scalar, sites: Count | Sequence, *, amplitudes: Sequence | None = None,
+    least: Scalar = 1e-3,
+) -> State:
     r"""The breather of the anticontinuous limit: the named sites oscillate at omega, all others stand still.
 
     For weakly coupled sites with an on-site potential, and for light beads between heavy ones (mass ratio -> 0), where
@@ -269,6 +274,6 @@ def _amplitude(lattice, omega, site, sign, least):
            "It lies on the wrong side of the site's linear frequency: amplitude shifts it the other way.")
 
 
-def at_rest(state):
+def at_rest(state: State) -> State:
     """A simulated state with its velocities dropped, as `breather` would; near a turning point it is a fair guess."""
     return State(state.u, jax.tree.map(jnp.zeros_like, state.v))

@@ -1,20 +1,26 @@
 """Lyapunov exponents of a lattice, forced or free, by renormalised tangents."""
 
+from typing import ClassVar
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from diffrax import AbstractSolver
 from jax.flatten_util import ravel_pytree
+from jaxtyping import Float
 
 from ..checks import positive, refuse, whole
 from ..flow import Flow
 from ..flow.stepping import columns, matrix
-from ..lattice import State
+from ..lattice import Lattice, State
+from ..results import Held, Result
 from ..solvers import SRKN11b
+from ..types import Count, Scalar, StateLike
 from .attractors import steps_per_period
 
 
-class Lyapunov(eqx.Module):
+class Lyapunov(Result):
     """What `lyapunov` returns.
 
     - `exponents` (k,): from the largest down [1/time]. `uncertainty` (k,): the standard error of the mean over the
@@ -23,21 +29,28 @@ class Lyapunov(eqx.Module):
     - `verdict`: "chaotic", "periodic", "quasi-periodic", "regular", "at rest" or "not finite"; `outcome` says why.
     """
 
-    exponents: np.ndarray
-    uncertainty: np.ndarray
-    rates: np.ndarray
+    held: ClassVar[dict[str, Held]] = {
+        "exponents": Held("exponent", "1/s"), "uncertainty": Held("exponent", "1/s"),
+        "rates": Held("run exponent", "1/s"), "state": Held("site"),
+    }
+    exponents: Float[np.ndarray, " k"]
+    uncertainty: Float[np.ndarray, " k"]
+    rates: Float[np.ndarray, "P k"]
     state: State
     verdict: str = eqx.field(static=True)
     outcome: str = eqx.field(static=True)
 
     @property
-    def chaotic(self):
+    def chaotic(self) -> bool:
         """Whether the largest exponent exceeds its uncertainty."""
         return bool(self.exponents[0] > self.uncertainty[0])
 
 
-def lyapunov(lattice, state, period, *, periods=1000, transient=100, number=1, windows=10, steps=None,
-             solver=SRKN11b(), seed=0):
+def lyapunov(
+    lattice: Lattice, state: StateLike, period: Scalar, *, periods: Count = 1000, transient: Count = 100,
+    number: Count = 1, windows: Count = 10, steps: Count | None = None, solver: AbstractSolver = SRKN11b(),
+    seed: Count = 0,
+) -> Lyapunov:
     r"""The k largest Lyapunov exponents: mean growth of tangents that are made orthonormal again every period.
 
     With Q_0 random and Phi_i the derivative of the flow over period i: Phi_i Q_i = Q_{i+1} R_i,

@@ -1,20 +1,24 @@
 """A periodic orbit, y(t0 + T) = S y(t0), and how to ask for one."""
 
 import math
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from diffrax import AbstractSolver
 from jax.flatten_util import ravel_pytree
 
 from ..checks import positive, refuse, whole
 from ..flow import Flow
 from ..lattice import Lattice, State, vector_field
 from ..newton import CONVERGED, Root, newton
+from ..results import Held, Result
 from ..solvers import SRKN14a
 from ..tuning import one_thread
-from .floquet import floquet
+from ..types import Count, Counts, Displacements, Flags, Number, Numbers, Scalar, StateLike, Times
+from .floquet import Floquet, floquet
 from .problems import Shooting, Symmetry, checked_symmetry
 from .steps import flow_over, history
 
@@ -23,44 +27,53 @@ FRAMES = 32
 AT_REST, FELL = 1e-6, 4
 
 
-class OrbitRun(eqx.Module):
+class OrbitRun(Result):
     """One period of an orbit at equal distances, without its end: `ts` (F,), `us` and `vs` (F, N).
 
     Means over these frames are integrals over the period to the accuracy of a Fourier series.
     """
 
-    ts: jax.Array
-    us: object
-    vs: object
+    held: ClassVar[dict[str, Held]] = {
+        "ts": Held("time", "s", "time"), "us": Held("time site", "m", "u"), "vs": Held("time site", "m/s", "v"),
+    }
+    ts: Times
+    us: Displacements
+    vs: Displacements
+
+    @property
+    def outcome(self) -> str:
+        """What it is."""
+        return f"One period in {self.ts.shape[-1]} frames."
 
 
-class Orbit(eqx.Module):
+class Orbit(Result):
     """A periodic orbit of a lattice, driven or not: y(t0 + T) = S y(t0).
 
     **Fields:** `state`: at `t0`; a breather is at rest there. `period`: T. `lattice`. `root`: how Newton's method
     ended. `flow`: steps and solver over a period. `symmetry`: S; after T times its order the state itself returns.
     """
 
+    held: ClassVar[dict[str, Held]] = {"state": Held("site"), "period": Held(unit="s"), "t0": Held(unit="s")}
     state: State
-    period: jax.Array
+    period: Number
     lattice: Lattice
     root: Root
     flow: Flow
-    t0: jax.Array
+    t0: Number
     symmetry: Symmetry = Symmetry()
 
     @property
-    def omega(self):
+    def omega(self) -> Number:
         """2 pi/T."""
         return 2 * np.pi / self.period
 
     @property
-    def energy(self):
+    def energy(self) -> Number:
         """Energy at t0, from equilibrium."""
         return _energy(self.lattice, self.t0, self.state)
 
     @property
-    def residual(self):
+    def residual(self) -> Numbers:
         """What Newton's method left: max |v(T/2)| of a breather; of others max |y(t0 + T) - S y(t0)|.
 
         The latter relative to the orbit's size: displacements to the largest one, velocities to that times 2 pi/T.
@@ -68,12 +81,12 @@ class Orbit(eqx.Module):
         return self.root.residual
 
     @property
-    def converged(self):
+    def converged(self) -> Flags:
         """Whether the residual came below the tolerance, and not at rest."""
         return self.root.converged
 
     @property
-    def outcome(self):
+    def outcome(self) -> str:
         """What became of Newton's method, a sentence."""
         code = self.root.code
         if isinstance(code, jax.core.Tracer) or not np.any(np.asarray(code) == FELL):
@@ -81,12 +94,12 @@ class Orbit(eqx.Module):
         went = eqx.tree_at(lambda r: r.code, self.root, np.where(np.asarray(code) == FELL, CONVERGED, code)).outcome
         return f"The guess fell to rest, where every time is a period: {went}"
 
-    def run(self, frames=FRAMES):
+    def run(self, frames: Count = FRAMES) -> OrbitRun:
         """The orbit in time, `OrbitRun`."""
         _, ts, ys = _history(self.flow, self.lattice, self.state, self.t0, self.period, whole("frames", frames, 2))
         return OrbitRun(ts, ys.u, ys.v)
 
-    def harmonics(self, count=1, frames=FRAMES):
+    def harmonics(self, count: Count = 1, frames: Count = FRAMES) -> Displacements:
         r"""Complex Fourier amplitudes c_k of every displacement, u = Re sum_k c_k exp(2 pi i k t/T), k = 0 ... count.
 
         **Returns:** (count + 1, N), or a dict of such. Wants count < frames/2.
@@ -99,17 +112,17 @@ class Orbit(eqx.Module):
         return jax.tree.map(lambda u: jnp.tensordot(weights, u, 1), run.us)
 
     @property
-    def amplitude(self):
+    def amplitude(self) -> Displacements:
         """Amplitude of every site at the frequency 2 pi/T, |c_1|, (N,)."""
         return jax.tree.map(lambda c: jnp.abs(c[1]), self.harmonics())
 
     @property
-    def rms_velocity(self):
+    def rms_velocity(self) -> Displacements:
         """Root mean square velocity of every site over a period, (N,)."""
         return jax.tree.map(lambda v: jnp.sqrt(jnp.mean(v * v, 0)), self.run().vs)
 
     @property
-    def energy_input(self):
+    def energy_input(self) -> Number:
         """Energy that the drive gives in a period, which is what damping takes: -int sum v . F_damping dt [J]."""
         run, lattice = self.run(), self.lattice
         lossy = [term for term in lattice.terms if term.dependence(lattice).velocity]
@@ -120,15 +133,18 @@ class Orbit(eqx.Module):
 
         return self.period * jnp.mean(jax.vmap(power)(run.ts, run.us, run.vs))
 
-    def floquet(self, **keywords):
+    def floquet(self, **keywords: Any) -> Floquet:
         """Multipliers of S^-1 y(t0 + T) and stability, from `granjax.floquet.floquet` with its keywords."""
         keywords = {"symmetry": self.symmetry} | keywords
         return floquet(self.lattice, self.state, float(self.period), t0=float(self.t0), **keywords)
 
 
 @one_thread
-def orbit(lattice, guess, period, *, symmetry=Symmetry(), t0=0.0, steps=None, segments=1, transient=0,
-          solver=SRKN14a(), tolerance=1e-10, max_steps=20, throw=None):
+def orbit(
+    lattice: Lattice, guess: StateLike, period: Scalar, *, symmetry: Symmetry = Symmetry(), t0: Scalar = 0.0,
+    steps: Count | None = None, segments: Count = 1, transient: Count = 0, solver: AbstractSolver = SRKN14a(),
+    tolerance: Scalar = 1e-10, max_steps: Count = 20, throw: bool | None = None,
+) -> Orbit:
     r"""An orbit of a lattice that returns after a time, up to a symmetry: y(t0 + T) = S y(t0), by Newton's method.
 
     Under T-periodic forcing the root is isolated, since the drive sets the phase. Without forcing and damping the
@@ -177,7 +193,7 @@ def orbit(lattice, guess, period, *, symmetry=Symmetry(), t0=0.0, steps=None, se
     return checked_orbit(Orbit(state, period, lattice, root, flow, t0, symmetry), guess if free else None, throw)
 
 
-def forced_orbit(lattice, period, guess=None, **keywords):
+def forced_orbit(lattice: Lattice, period: Scalar, guess: StateLike | None = None, **keywords: Any) -> Orbit:
     """A T-periodic orbit of a lattice under T-periodic forcing, y(t0 + T) = y(t0): `gx.orbits.orbit`.
 
     `guess`: a `State` at t0; `None` is rest, from where Newton's first iterate is the linear response, as far as one
@@ -188,7 +204,7 @@ def forced_orbit(lattice, period, guess=None, **keywords):
     return orbit(lattice, guess, period, **keywords)
 
 
-def checked_orbit(orbit, guess, throw):
+def checked_orbit(orbit: Orbit, guess: State | None, throw: bool | None) -> Orbit:
     """The orbit, marked where a guess that moves has led to rest."""
     if guess is None:
         return orbit
@@ -201,7 +217,7 @@ def checked_orbit(orbit, guess, throw):
     return orbit
 
 
-def checked_guess(lattice, guess):
+def checked_guess(lattice: Lattice, guess: StateLike) -> State:
     """The guess as a `State` of the lattice's type."""
     u, v = guess
     wanted = [x.shape for x in jax.tree.leaves(lattice.template())]
@@ -213,7 +229,10 @@ def checked_guess(lattice, guess):
 
 
 @eqx.filter_jit
-def prepared(lattice, period, guess, flow, t0, segments, transient, symmetry=Symmetry(), free=False):
+def prepared(
+    lattice: Lattice, period: Scalar, guess: State, flow: Flow, t0: Scalar, segments: int, transient: Counts,
+    symmetry: Symmetry = Symmetry(), free: bool = False,
+) -> tuple[Shooting, Numbers]:
     """The problem and the unknowns of the guess, neither of which is differentiated.
 
     The unknowns have the norm of the relative amplitude, whatever the units of the lattice: the unit is the size of the

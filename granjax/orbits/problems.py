@@ -7,10 +7,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
+from jaxtyping import Float
 
 from ..checks import refuse, whole
 from ..flow import Flow
 from ..lattice import Lattice, State, spread_mass, vector_field
+from ..types import AnyArray, Count, Numbers, Pytree, Scalar, StateLike
 from .symmetry import shifts
 
 
@@ -28,20 +30,20 @@ class Symmetry(eqx.Module):
     sign: int = eqx.field(static=True, default=1)
 
     @property
-    def trivial(self):
+    def trivial(self) -> bool:
         """Whether it is the identity."""
         return self == Symmetry()
 
-    def matrix(self, like):
+    def matrix(self, like: StateLike) -> Float[np.ndarray, "2n 2n"]:
         """S over the raveled state, (2n, 2n); S^-1 is its transpose."""
         flat, unravel = ravel_pytree(like)
         return np.asarray(jax.vmap(lambda x: ravel_pytree(self(unravel(x)))[0], 1, 1)(jnp.eye(flat.size)))
 
-    def __matmul__(self, other):
+    def __matmul__(self, other: "Symmetry") -> "Symmetry":
         turned = -other.cells if self.mirror else other.cells
         return Symmetry(self.cells + turned, self.mirror != other.mirror, self.sign * other.sign)
 
-    def __call__(self, y):
+    def __call__(self, y: Pytree) -> Pytree:
         """S of displacements, or of a state."""
         def one(x):
             x = -x[::-1] if self.mirror else x
@@ -50,22 +52,22 @@ class Symmetry(eqx.Module):
         return y if self.trivial else jax.tree.map(one, y)
 
 
-def Translation(cells=1):
+def Translation(cells: Count = 1) -> Symmetry:
     """The wave reappears `cells` further on after a period: a rotating wave of a ring, or one that travels."""
     return Symmetry(cells=whole("cells", cells, -(2**31)))
 
 
-def Mirror():
+def Mirror() -> Symmetry:
     """The motion is its own mirror image half of its full period later."""
     return Symmetry(mirror=True)
 
 
-def Sign():
+def Sign() -> Symmetry:
     """The motion is its own negative half of its full period later, in lattices of odd forces."""
     return Symmetry(sign=-1)
 
 
-def checked_symmetry(lattice, symmetry, state, t0, period):
+def checked_symmetry(lattice: Lattice, symmetry: Symmetry, state: State, t0: Scalar, period: Scalar) -> Symmetry:
     """Refuse what is no symmetry of the lattice, as its forces at a state and its image say."""
     if not isinstance(symmetry, Symmetry):
         refuse("symmetry", "a Symmetry, such as Translation(1)", f"a {type(symmetry).__name__}")
@@ -86,7 +88,7 @@ def checked_symmetry(lattice, symmetry, state, t0, period):
     return symmetry
 
 
-def free_moves(lattice, symmetry):
+def free_moves(lattice: Lattice, symmetry: Symmetry) -> Numbers:
     """Uniform displacements that cost nothing and that S leaves alone, as columns (n, k)."""
     moves = shifts(lattice)
     return moves if symmetry.sign * (-1 if symmetry.mirror else 1) > 0 else moves[:, :0]
@@ -116,40 +118,42 @@ class Shooting(eqx.Module):
 
     flow: Flow
     like: State
-    scale: jax.Array
-    moves: jax.Array
+    scale: Float[AnyArray, " 2n"]
+    moves: Float[AnyArray, "n k"]
     reference: State | None = None
-    t0: float | jax.Array = 0.0
+    t0: Scalar = 0.0
     symmetry: Symmetry = Symmetry()
     segments: int = eqx.field(static=True, default=1)
     reversible: bool = eqx.field(static=True, default=False)
 
     @classmethod
-    def of(cls, lattice, flow, reference=None, t0=0.0, segments=1, *, scale=None, symmetry=Symmetry()):
+    def of(cls, lattice: Lattice, flow: Flow, reference: StateLike | None = None, t0: Scalar = 0.0,
+           segments: Count = 1, *, scale: Numbers | None = None, symmetry: Symmetry = Symmetry()) -> "Shooting":
         """Over whole periods; with a `reference` the free displacements are found."""
         like, moves = State(lattice.zeros(), lattice.zeros()), free_moves(lattice, symmetry)
         moves = moves[:, :0] if reference is None else moves
         scale = jnp.ones(2 * len(moves), moves.dtype) if scale is None else scale
+        reference = None if reference is None else State(*reference)
         return cls(flow, like, scale, moves, reference, t0, symmetry, segments)
 
     @classmethod
-    def half(cls, lattice, flow, segments=1):
+    def half(cls, lattice: Lattice, flow: Flow, segments: Count = 1) -> "Shooting":
         """Over half a period between two rests."""
         moves = shifts(lattice)
         like = State(lattice.zeros(), lattice.zeros())
         return cls(flow, like, jnp.ones(2 * len(moves), moves.dtype), moves, segments=segments, reversible=True)
 
     @property
-    def count(self):
+    def count(self) -> int:
         """Number of displacements, n."""
         return self.moves.shape[0]
 
     @property
-    def size(self):
+    def size(self) -> int:
         """Unknowns of the first state: 2n, or n of a reversible orbit."""
         return self.count if self.reversible else 2 * self.count
 
-    def guess(self, state, scene=None):
+    def guess(self, state: StateLike, scene: tuple | None = None) -> Numbers:
         """The unknowns of a state at t0: it is run through the period for the beginnings of later segments."""
         starts = [state]
         for i in range(self.segments - 1):
@@ -160,11 +164,11 @@ class Shooting(eqx.Module):
         idle = jnp.zeros(self.moves.shape[1] + (self.reference is not None), x.dtype)
         return jnp.concatenate([first, rest, idle])
 
-    def state(self, x):
+    def state(self, x: Numbers) -> State:
         """The state at t0 that the unknowns describe."""
         return State(*ravel_pytree(self.like)[1](self._parts(x)[0][0] * self.scale))
 
-    def residual(self, x, scene):
+    def residual(self, x: Numbers, scene: tuple) -> Numbers:
         """Gaps between the segments, then the conditions."""
         lattice, period = scene
         starts, idle = self._parts(x)
@@ -177,11 +181,11 @@ class Shooting(eqx.Module):
 
         return self._conditions(starts, idle, jax.lax.map(end, (starts, self._indices())), lattice)
 
-    def linearise(self, x, scene):
+    def linearise(self, x: Numbers, scene: tuple) -> tuple:
         """The residual and its derivative in the unknowns, from one pass with tangents."""
         return self.slopes(x, scene)[:2]
 
-    def slopes(self, x, scene):
+    def slopes(self, x: Numbers, scene: tuple) -> tuple:
         """The residual, its derivative in the unknowns, and that in the period of an autonomous lattice."""
         lattice, period = scene
         starts, _ = self._parts(x)
@@ -262,20 +266,20 @@ class Family(eqx.Module):
 
     shooting: Shooting
     make: Callable | Lattice
-    period: Callable | float | jax.Array
-    start: float | jax.Array = 0.0
-    span: float | jax.Array = 1.0
+    period: Callable | Scalar
+    start: Scalar = 0.0
+    span: Scalar = 1.0
 
-    def scene(self, q):
+    def scene(self, q: Scalar) -> tuple:
         """(lattice, period) at q."""
         p = self.start + q * self.span
         return self.make if isinstance(self.make, Lattice) else self.make(p), period_at(self.period, p)
 
-    def residual(self, x, q, args=None):
+    def residual(self, x: Numbers, q: Scalar, args: None = None) -> Numbers:
         """Gaps between the segments at q."""
         return self.shooting.residual(x, self.scene(q))
 
-    def linearise(self, x, q, args=None):
+    def linearise(self, x: Numbers, q: Scalar, args: None = None) -> tuple:
         """The residual, its derivative in x, and where it costs nothing that in q."""
         gaps, in_x, in_period = self.shooting.slopes(x, self.scene(q))
         if not isinstance(self.make, Lattice):
@@ -283,11 +287,11 @@ class Family(eqx.Module):
         return gaps, in_x, in_period * jax.jvp(lambda q: self.scene(q)[1], (q,), (jnp.ones_like(q),))[1]
 
 
-def period_at(period, p):
+def period_at(period: Callable | Scalar, p: Scalar) -> Scalar:
     """The period at a value of the parameter: a number, or a function of it."""
     return period(p) if callable(period) else period
 
 
-def over_omega(omega):
+def over_omega(omega: Scalar) -> Scalar:
     """T = 2 pi/omega."""
     return 2 * jnp.pi / omega

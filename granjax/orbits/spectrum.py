@@ -1,6 +1,7 @@
 """Eigenvalues of monodromy matrices, with errors; products that keep what is small."""
 
 import numpy as np
+from jaxtyping import Float, Inexact
 from scipy.linalg import eig
 from scipy.optimize import linear_sum_assignment
 
@@ -10,7 +11,9 @@ ROUNDING, SAFETY = 8, 2
 
 
 @one_thread
-def spectrum(fine, coarse=None):
+def spectrum(
+    fine: Float[np.ndarray, "n n"], coarse: Float[np.ndarray, "n n"] | None = None,
+) -> tuple[Inexact[np.ndarray, " n"], Inexact[np.ndarray, "n n"], Float[np.ndarray, " n"]]:
     """Eigenvalues (largest modulus first), unit right eigenvectors, and an error of each, of a matrix.
 
     The error is twice the bound |dM|/|y^H x| of the first-order effect of dM = fine - coarse (y, x left and right unit
@@ -35,7 +38,7 @@ def spectrum(fine, coarse=None):
 
 
 @one_thread
-def product_multipliers(factors):
+def product_multipliers(factors: list | Float[np.ndarray, "m n n"]) -> Inexact[np.ndarray, " n"]:
     """Eigenvalues of the product M_m ... M_1 from its factors, small ones kept beside large ones.
 
     The product itself loses every multiplier below eps times the largest. The cyclic matrix with the factors below its
@@ -50,7 +53,7 @@ def product_multipliers(factors):
     return np.array([(roots[copies] ** m).mean() for copies in _copies(roots, m)])
 
 
-def product_spectrum(fine, coarse):
+def product_spectrum(fine: list, coarse: list) -> tuple:
     """`spectrum` of the product M_m ... M_1 by way of its cyclic matrix: what it keeps, see `product_multipliers`."""
     roots, vectors, error = spectrum(_cyclic(fine), _cyclic(coarse))
     m, size = len(fine), len(fine[0])
@@ -82,7 +85,7 @@ def _copies(roots, m):
 
 
 @one_thread
-def reversible_multipliers(half, coarse=None):
+def reversible_multipliers(half: np.ndarray, coarse: np.ndarray | None = None) -> tuple:
     r"""Multipliers of a time-reversible orbit from the tangent map of half a period between rests, with errors.
 
     With half = [[A, B], [C, D]] over (u, p = m v) symplectic and the reversal R, M = R half^{-1} R half has

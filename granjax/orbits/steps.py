@@ -4,16 +4,20 @@ import math
 
 import jax
 import jax.numpy as jnp
+from diffrax import AbstractSolver
 
 from ..checks import concrete, refuse, whole
 from ..flow import Flow, linear_frequency
-from ..lattice import State
+from ..lattice import Lattice, State
+from ..types import Count, Scalar, StateLike, Times
 
 # h omega of a step, with omega the highest linear frequency, and the fewest steps of a period
 FINE, LEAST_STEPS = 0.3, 16
 
 
-def default_steps(lattice, period, multiple=1, *, fineness=FINE, doubled=False):
+def default_steps(
+    lattice: Lattice, period: Scalar, multiple: Count = 1, *, fineness: float = FINE, doubled: bool = False,
+) -> Scalar:
     """Steps of a period such that h omega_max <= fineness, with omega_max the highest linear frequency; at least 16.
 
     A multiple of `multiple`; a number, or an array where the lattice or the period is traced. **Raises** ValueError in
@@ -29,7 +33,9 @@ def default_steps(lattice, period, multiple=1, *, fineness=FINE, doubled=False):
     return multiple * max(math.ceil(known / fineness / multiple), least)
 
 
-def flow_over(lattice, period, steps, solver, multiple=1):
+def flow_over(
+    lattice: Lattice, period: Scalar, steps: Count | None, solver: AbstractSolver, multiple: Count = 1,
+) -> Flow:
     """The flow over a period; a given number of steps is static, the default one an array.
 
     `multiple`: segments that must divide them.
@@ -41,7 +47,9 @@ def flow_over(lattice, period, steps, solver, multiple=1):
     return Flow(int(steps), solver)
 
 
-def history(flow, lattice, state, t0, period, frames, periods=1):
+def history(
+    flow: Flow, lattice: Lattice, state: StateLike, t0: Scalar, period: Scalar, frames: Count, periods: Count = 1,
+) -> tuple[State, Times, State]:
     """`periods` periods from t0 on in `frames` equal parts each: (the state at the end, times, states).
 
     Times and states have a leading axis and leave the end out; `flow` has the steps of one period. Every period begins

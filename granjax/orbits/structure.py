@@ -4,8 +4,10 @@ from typing import NamedTuple
 
 import numpy as np
 from jax.flatten_util import ravel_pytree
+from jaxtyping import Float
 
-from ..lattice import spread_mass
+from ..lattice import Lattice, spread_mass
+from ..types import Scalar
 from .symmetry import shifts
 
 
@@ -25,7 +27,7 @@ class Structure(NamedTuple):
 NOTHING = Structure(None, None, 0, False)
 
 
-def structure(lattice):
+def structure(lattice: Lattice) -> Structure:
     """The `Structure` of a lattice.
 
     Expected at +1: for an orbit of an autonomous, conservative lattice two (phase and energy), and two more for every
@@ -50,13 +52,13 @@ def structure(lattice):
     return Structure(np.asarray(mass), rate, expected, autonomous)
 
 
-def form(mass):
+def form(mass: Float[np.ndarray, " n"]) -> Float[np.ndarray, "2n 2n"]:
     """The symplectic form of (u, v) with momenta m v, (2n, 2n)."""
     zero, m = np.zeros((len(mass),) * 2), np.diag(mass)
     return np.block([[zero, m], [-m, zero]])
 
 
-def defect(monodromy, mass, rate, period):
+def defect(monodromy: np.ndarray, mass: np.ndarray | None, rate: float | None, period: Scalar) -> float:
     """max |M^T J M - exp(-gamma T) J|/max |J|: rounding for a (conformally) symplectic map, whatever its time error."""
     if mass is None or rate is None:
         return float("nan")
@@ -64,7 +66,9 @@ def defect(monodromy, mass, rate, period):
     return float(np.abs(monodromy.T @ J @ monodromy - np.exp(-rate * period) * J).max() / np.abs(J).max())
 
 
-def krein(multipliers, vectors, mass, tolerance):
+def krein(
+    multipliers: np.ndarray, vectors: np.ndarray, mass: np.ndarray | None, tolerance: np.ndarray,
+) -> np.ndarray:
     """Signature of each multiplier on the unit circle: the sign of Im sum m conj(u) v; 0 off the circle or mixed.
 
     +1: the motion exp(i omega t) of a positive energy, with its conjugate at -1. Two of one sign pass through each

@@ -1,21 +1,28 @@
 """Response curves: the attractor followed up and down a parameter, with its jumps and its hysteresis."""
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from diffrax import AbstractSolver
+from jaxtyping import Float, Integer
 
 from ..checks import concrete, parameter, positive, refuse, whole
 from ..flow import Flow
 from ..lattice import State
 from ..measures import rms_velocity
+from ..results import Held, Result
 from ..solvers import SRKN11b
+from ..types import Count, Displacements, Parameter, Scalar, StateLike
 from .attractors import follow, steps_per_period
 from .branch import Bifurcation
+from .problems import period_at
 from .steps import history
+
+if TYPE_CHECKING:
+    import xarray  # half a second
 
 # periods over which a response is taken: a multiple of those after which a motion may repeat
 WATCHED = 12
@@ -31,7 +38,7 @@ class Jump(NamedTuple):
     after: float
 
 
-class Way(eqx.Module):
+class Way(Result):
     """One way of a sweep, in the order of `Sweep.values` whichever way it went.
 
     - `response` (P,): the chosen number. `velocity` (P, N): root mean square of each site's. `energy` (P,): mean.
@@ -39,31 +46,61 @@ class Way(eqx.Module):
     - `states`: at phase 0, (P, N). `jumps`, `bifurcations`: tuples of `Jump` and `Bifurcation`, as they were met.
     """
 
-    response: np.ndarray
-    velocity: np.ndarray
-    energy: np.ndarray
-    multiple: np.ndarray
-    periods: np.ndarray
+    held: ClassVar[dict[str, Held]] = {
+        "response": Held("value"), "velocity": Held("value site", "m/s"), "energy": Held("value", "J"),
+        "multiple": Held("value"), "periods": Held("value"), "states": Held("value site", "", "state"),
+    }
+    response: Float[np.ndarray, " P"]
+    velocity: Displacements
+    energy: Float[np.ndarray, " P"]
+    multiple: Integer[np.ndarray, " P"]
+    periods: Integer[np.ndarray, " P"]
     states: State
     jumps: tuple[Jump, ...]
     bifurcations: tuple[Bifurcation, ...]
 
+    @property
+    def outcome(self) -> str:
+        """What was met on the way."""
+        repeats = np.count_nonzero(self.multiple)
+        return (f"{len(self.jumps)} jumps, {len(self.bifurcations)} changes of the repetition; the motion repeats at "
+                f"{repeats} of {len(self.multiple)} values.")
 
-class Sweep(eqx.Module):
+
+class Sweep(Result):
     """What `sweep` returns: `values` (P,) ascending, the two ways `up` and `down`, and where they differ.
 
     `hysteresis`: a list of pairs (low, high), intervals of the parameter in which the way up and the way down have
     settled differently; their ends are jumps where there is one beside, else values of the sweep.
     """
 
-    values: np.ndarray
+    held: ClassVar[dict[str, Held]] = {"values": Held("value", "", "value")}
+    values: Float[np.ndarray, " P"]
     up: Way
     down: Way
     hysteresis: list
 
+    @property
+    def outcome(self) -> str:
+        """What was met, and where the ways differ."""
+        where = ", ".join(f"{low:.6g} ... {high:.6g}" for low, high in self.hysteresis) or "nowhere"
+        return f"Up: {self.up.outcome} Down: {self.down.outcome} They differ {where}."
 
-def sweep(make: Callable, values, period_of: Callable, *, state=None, response=rms_velocity, jump=0.2, accuracy=1e-3,
-          periods=2000, tolerance=1e-6, watch=WATCHED, steps=None, solver=SRKN11b(), down=True):
+    def to_xarray(self) -> "xarray.Dataset":
+        """Both ways over the values, as `up_response` and so on."""
+        data = super().to_xarray()
+        for name in ("up", "down"):
+            way = getattr(self, name).to_xarray()
+            data = data.merge(way.rename({x: f"{name}_{x}" for x in way.data_vars}), combine_attrs="override")
+        return data
+
+
+def sweep(
+    make: Callable, values: Parameter, period: Callable | Scalar, *, state: StateLike | None = None,
+    response: Callable = rms_velocity, jump: Scalar = 0.2, accuracy: Scalar = 1e-3, periods: Count = 2000,
+    tolerance: Scalar = 1e-6, watch: Count = WATCHED, steps: Count | None = None, solver: AbstractSolver = SRKN11b(),
+    down: bool = True,
+) -> Sweep:
     r"""Follow the attractor of a forced lattice while one parameter goes up its values, and then down again.
 
     Each value starts from the state that the one before left at phase 0, and runs until it repeats (`settle`) or has
@@ -76,7 +113,7 @@ def sweep(make: Callable, values, period_of: Callable, *, state=None, response=r
     **Arguments:**
 
     - `make(value)`: the lattice at a value of the parameter (a frequency, an amplitude, a preload); traced once, so
-      that all values share one compiled program. `period_of(value)`: T there, such as `lambda w: 2 * jnp.pi / w`.
+      that all values share one compiled program. `period`: T, a number or a function of it: `lambda w: 2 * jnp.pi / w`.
     - `values` (P,): ascending, P >= 2, as close as the attractor is to be followed. `state`: the first, at rest by
       default. `down`: the way back too, from where the way up ended.
     - `response(lattice, u, v, t)`: a number from one history u, v (S, N) over those periods, t (S,) from phase 0 on;
@@ -95,7 +132,7 @@ def sweep(make: Callable, values, period_of: Callable, *, state=None, response=r
     watch = whole("watch", watch, 1)
     first = make(jnp.asarray(values[0]))
     if steps is None:
-        steps = max(steps_per_period(make(jnp.asarray(w)), float(period_of(w))) for w in values[[0, -1]])
+        steps = max(steps_per_period(make(jnp.asarray(w)), float(period_at(period, w))) for w in values[[0, -1]])
     flow = Flow(whole("steps", steps, 1), solver)
     state = State(first.zeros(), first.zeros()) if state is None else State(*state)
     if concrete(jax.tree.leaves(state)[0]) is None:
@@ -103,9 +140,9 @@ def sweep(make: Callable, values, period_of: Callable, *, state=None, response=r
 
     @jax.jit
     def attractor(value, y):
-        lattice, period = make(value), period_of(value)
-        y, used, multiple, _ = follow(flow, lattice, y, period, periods, tolerance)
-        return _response(flow, lattice, y, period, response, watch, multiple, used)
+        lattice, T = make(value), period_at(period, value)
+        y, used, multiple, _ = follow(flow, lattice, y, T, periods, tolerance)
+        return _response(flow, lattice, y, T, response, watch, multiple, used)
 
     up = _way(attractor, values, state, jump, accuracy, 1)
     if not down:

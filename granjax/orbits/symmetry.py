@@ -7,7 +7,7 @@ import numpy as np
 NOT_RESISTED = 1e-9
 
 
-def shifts(lattice):
+def shifts(lattice: Lattice) -> Float[jax.Array, "n k"]:
     """Uniform displacements that cost nothing, as columns (n, k) over the raveled displacements.
 
     k = 1 for a chain with free ends or a ring, 0 with a wall or a site potential; in the plane one a free direction.
