@@ -71,8 +71,8 @@ class Branch(Result):
     states: State
     energy: Float[np.ndarray, " P"]
     response: Float[np.ndarray, " P"] | None
-    multipliers: Inexact[np.ndarray, "P 2n"]
-    error: Float[np.ndarray, "P 2n"]
+    multipliers: Inexact[np.ndarray, "P two_n"]
+    error: Float[np.ndarray, "P two_n"]
     step_error: Float[np.ndarray, " P"]
     verdict: Shaped[np.ndarray, " P"]
     bifurcations: tuple[Bifurcation, ...]

@@ -246,8 +246,8 @@ class Spectrum(eqx.Module):
     """Half-traces (n,), multipliers (2n,) and their errors, the error of a step, the symmetries' multipliers."""
 
     half_traces: Inexact[np.ndarray, " n"]
-    multipliers: Complex[np.ndarray, " 2n"]
-    error: Float[np.ndarray, " 2n"]
+    multipliers: Complex[np.ndarray, " two_n"]
+    error: Float[np.ndarray, " two_n"]
     step_error: float
     expected: int
 

@@ -53,11 +53,11 @@ class Floquet(Result):
         "vectors": Held("row multiplier", "", "vector"), "error": Held("multiplier", "1"),
         "krein": Held("multiplier", "1"), "period": Held(unit="s"), "rate": Held(unit="1/s"),
     }
-    monodromy: Float[np.ndarray, "2n 2n"]
-    multipliers: Inexact[np.ndarray, " 2n"]
-    vectors: Inexact[np.ndarray, "2n 2n"]
-    error: Float[np.ndarray, " 2n"]
-    krein: Float[np.ndarray, " 2n"]
+    monodromy: Float[np.ndarray, "two_n two_n"]
+    multipliers: Inexact[np.ndarray, " two_n"]
+    vectors: Inexact[np.ndarray, "two_n two_n"]
+    error: Float[np.ndarray, " two_n"]
+    krein: Float[np.ndarray, " two_n"]
     defect: float
     step_error: float
     expected: int
@@ -69,17 +69,17 @@ class Floquet(Result):
     state: Pytree
 
     @property
-    def exponents(self) -> Complex[np.ndarray, " 2n"]:
+    def exponents(self) -> Complex[np.ndarray, " two_n"]:
         """log(rho)/T; a positive real part is a growth rate."""
         return np.log(self.multipliers.astype(complex)) / self.period
 
     @property
-    def displacements(self) -> Inexact[np.ndarray, "n 2n"]:
+    def displacements(self) -> Inexact[np.ndarray, "n two_n"]:
         """u-parts of the eigenvectors, (n, 2n)."""
         return self.vectors[: len(self.vectors) // 2]
 
     @property
-    def velocities(self) -> Inexact[np.ndarray, "n 2n"]:
+    def velocities(self) -> Inexact[np.ndarray, "n two_n"]:
         """v-parts of the eigenvectors, (n, 2n)."""
         return self.vectors[len(self.vectors) // 2 :]
 
@@ -90,7 +90,7 @@ class Floquet(Result):
 
 
 def decide(
-    multipliers: Inexact[np.ndarray, " 2n"], error: Float[np.ndarray, " 2n"], expected: int, conserves: bool,
+    multipliers: Inexact[np.ndarray, " two_n"], error: Float[np.ndarray, " two_n"], expected: int, conserves: bool,
     resolution: Scalar = RESOLUTION,
 ) -> tuple[str, str]:
     """(verdict, sentence) from multipliers and their errors.
@@ -233,7 +233,7 @@ def _product(factors):
     return total
 
 
-def multipliers(flow: Flow, state: Pytree, t0: Scalar, period: Scalar, args: Pytree) -> Complex[jax.Array, " 2n"]:
+def multipliers(flow: Flow, state: Pytree, t0: Scalar, period: Scalar, args: Pytree) -> Complex[jax.Array, " two_n"]:
     """Floquet multipliers alone, a pure function: (2n,) complex, for `jax.jacfwd`, `vmap` and `jit`.
 
     **Arguments:** `flow`: a `Flow` over one period; `state`: the orbit at `t0`; `args`: of its field, such as the
@@ -253,7 +253,7 @@ def _push(flow, y, t0, period, args, direction):
 def leading(
     lattice: Lattice, state: StateLike, period: Scalar, count: Count = 6, *, t0: Scalar = 0.0,
     steps: Count | None = None, solver: AbstractSolver | None = None, tolerance: Scalar = 1e-9,
-) -> tuple[Complex[np.ndarray, " count"], Complex[np.ndarray, "2n count"]]:
+) -> tuple[Complex[np.ndarray, " count"], Complex[np.ndarray, "two_n count"]]:
     """The multipliers of largest modulus by Arnoldi's method over products M x, one tangent a period each.
 
     For more than about 1000 beads, where the matrix itself costs n^2. Ask for no more than stand out: of many on the

@@ -207,7 +207,7 @@ def single_site(
     return State(_together(lattice, omega, u, moving), jnp.zeros(lattice.shape))
 
 
-def _held(t, y, scene):
+def _others_held(t, y, scene):
     """The motion of the sites where `moving` is 1, the others held."""
     (u, v), (lattice, moving) = y, scene
     return v, moving * lattice.acceleration(t, u, jnp.zeros_like(u))
@@ -216,7 +216,7 @@ def _held(t, y, scene):
 @eqx.filter_jit
 def _path(lattice, moving, u, half):
     """(u, v) from rest at u to the half period, at equal distances, the beginning left out."""
-    flow, part = Flow(HALF_STEPS // PARTS, KahanLi8(), _held), half / PARTS
+    flow, part = Flow(HALF_STEPS // PARTS, KahanLi8(), _others_held), half / PARTS
 
     def go(y, i):
         y = flow(y, i * part, (i + 1) * part, (lattice, moving))

@@ -34,7 +34,7 @@ class Symmetry(eqx.Module):
         """Whether it is the identity."""
         return self == Symmetry()
 
-    def matrix(self, like: StateLike) -> Float[np.ndarray, "2n 2n"]:
+    def matrix(self, like: StateLike) -> Float[np.ndarray, "two_n two_n"]:
         """S over the raveled state, (2n, 2n); S^-1 is its transpose."""
         flat, unravel = ravel_pytree(like)
         return np.asarray(jax.vmap(lambda x: ravel_pytree(self(unravel(x)))[0], 1, 1)(jnp.eye(flat.size)))
@@ -118,7 +118,7 @@ class Shooting(eqx.Module):
 
     flow: Flow
     like: State
-    scale: Float[AnyArray, " 2n"]
+    scale: Float[AnyArray, " two_n"]
     moves: Float[AnyArray, "n k"]
     reference: State | None = None
     t0: Scalar = 0.0

@@ -52,7 +52,7 @@ def structure(lattice: Lattice) -> Structure:
     return Structure(np.asarray(mass), rate, expected, autonomous)
 
 
-def form(mass: Float[np.ndarray, " n"]) -> Float[np.ndarray, "2n 2n"]:
+def form(mass: Float[np.ndarray, " n"]) -> Float[np.ndarray, "two_n two_n"]:
     """The symplectic form of (u, v) with momenta m v, (2n, 2n)."""
     zero, m = np.zeros((len(mass),) * 2), np.diag(mass)
     return np.block([[zero, m], [-m, zero]])

@@ -3,6 +3,9 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
+
+from ..lattice import Lattice
 
 NOT_RESISTED = 1e-9
 
