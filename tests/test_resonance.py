@@ -147,13 +147,15 @@ def test_anti_resonance_of_a_shorter_chain():
     assert gx.resonance.anti_resonance(0.32, 0.37, contacts=(40, 120)) == pytest.approx(0.342846, abs=1e-5)
 
 
-@pytest.mark.slow
+@pytest.mark.parametrize("contacts", [
+    pytest.param((60, 160), marks=pytest.mark.slow), pytest.param((200, 600), marks=pytest.mark.study)
+], ids=["60 to 160", "200 to 600"])
 @pytest.mark.parametrize(
     "low, high, expected", [(0.3, 0.4, 0.342846), (0.12, 0.18, 0.154751), (0.08, 0.1, 0.090128)]
 )
-def test_anti_resonances(low, high, expected):
+def test_anti_resonances(low, high, expected, contacts):
     # literature: 0.3428, 0.1548, 0.0901
-    assert gx.resonance.anti_resonance(low, high) == pytest.approx(expected, abs=3e-6)
+    assert gx.resonance.anti_resonance(low, high, contacts=contacts) == pytest.approx(expected, abs=3e-6)
 
 
 @pytest.mark.slow
