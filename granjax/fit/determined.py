@@ -9,8 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..laws import Hertz, PowerLaw, taylor
-from ..terms import Bond
 from ..types import AnyArray, Numbers
 from .problem import Problem
 
@@ -101,23 +99,27 @@ def quantities(
     problem: Problem, parameters: dict[str, Numbers], flat: Float[AnyArray, " P"], sizes: Float[AnyArray, " P"],
 ) -> list[tuple[str, Float[np.ndarray, " P"]]]:
     """(name, gradient (P,) of its logarithm in relative parameters) of each bond's linear stiffness."""
-    terms, found = problem.lattice(parameters).terms, []
-    bonds = tuple(i for i, term in enumerate(terms) if isinstance(term, Bond))
-    for i, value, gradient in zip(bonds, *map(np.asarray, _stiffnesses(problem, bonds, jnp.asarray(flat)))):
-        term = terms[i]
+    laws, found = _bonds(problem.lattice(parameters), problem.t0), []
+    for (i, law), value, gradient in zip(laws, *map(np.asarray, _stiffnesses(problem, jnp.asarray(flat)))):
         if np.isfinite(value) and value > 0 and np.isfinite(gradient).all():
-            power = isinstance(term.law, (Hertz, PowerLaw))
-            name = f"the linear stiffness {'A p d0^(p-1)' if power else 'K2'} of terms[{i}] ({type(term.law).__name__})"
+            formula = "K2" if law.power is None else "A p d0^(p-1)"
+            name = f"the linear stiffness {formula} of terms[{i}] ({type(law).__name__})"
             found.append((name, gradient * sizes / value))
     return found
 
 
+def _bonds(lattice, t):
+    """(index of the term, law) of everything that acts between sites, as it stands at time t."""
+    return [(i, c.law) for i, term in enumerate(lattice.terms) for c in term.compressions(t, lattice.zeros())
+            if c.place == "bond"]
+
+
 @eqx.filter_jit
-def _stiffnesses(problem, bonds, flat):
-    """The mean linear stiffness of some terms (B,), and its derivatives with respect to the parameters (B, P)."""
+def _stiffnesses(problem, flat):
+    """The mean linear stiffness of all bonds (B,), and its derivatives with respect to the parameters (B, P)."""
     def every(flat):
-        terms = problem.lattice(problem.coordinates.unflat(flat)).terms
-        return jnp.stack([jnp.mean(jnp.abs(taylor(terms[i].law).K2)) for i in bonds])
+        laws = _bonds(problem.lattice(problem.coordinates.unflat(flat)), problem.t0)
+        return jnp.array([jnp.mean(jnp.abs(law.slope(jnp.zeros_like(flat[0])))) for _, law in laws])
 
     return every(flat), jax.jacfwd(every)(flat)
 

@@ -7,9 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..flow import return_error
-from ..measures import overlap
 from ..solvers import AbstractSplitting
-from ..terms import Bond
 from ..types import AnyArray, Numbers
 from .determined import covariance, directions, quantities, sentences
 from .fitted import Fit
@@ -116,16 +114,14 @@ def _silence(problem, parameters):
     lattice = problem.lattice(parameters)
     times = jnp.linspace(problem.t0, problem.t1, 129)
     run = problem.run(parameters, times)
+    overlaps = jax.vmap(lambda t, u: [[c.overlap for c in term.compressions(t, u)] for term in lattice.terms])
     said = []
-    bonds = [(i, term) for i, term in enumerate(lattice.terms) if isinstance(getattr(term, "term", term), Bond)]
-    for k, (i, term) in enumerate(bonds):
-        if getattr(term, "term", term).law.overlap(jnp.zeros(())) is None:
-            continue
-        gaps = jax.vmap(lambda t, u, v: overlap(lattice, (u, v), t, bond=k))(run.ts, run.us, run.vs)
-        never = np.flatnonzero(~np.any(np.asarray(gaps) > 0, axis=0))
-        if never.size:
-            shown = ", ".join(map(str, never[:6])) + (" ..." if never.size > 6 else "")
-            said.append(f"Contacts {shown} of terms[{i}] never close, and an open contact has no derivative.")
+    for i, contacts in enumerate(overlaps(run.ts, run.us)):
+        for gaps in contacts:
+            never = [] if gaps is None else np.flatnonzero(~np.any(np.asarray(gaps) > 0, axis=0))
+            if len(never):
+                shown = ", ".join(map(str, never[:6])) + (" ..." if len(never) > 6 else "")
+                said.append(f"Contacts {shown} of terms[{i}] never close, and an open contact has no derivative.")
     said.append("Start where the motion reaches the sensors.")
     return " ".join(said)
 

@@ -18,7 +18,6 @@ from ..lattice import Lattice
 from ..laws import Law, Linear
 from ..parameters import Bounds
 from ..results import Held, Result
-from ..terms import Modulated, OnSite, Wall
 from ..types import Count, Parameter, Scalar
 from .families import LawScene, law_scene, starting_law
 
@@ -182,21 +181,13 @@ def _visited(acting, problem, parameters):
 @eqx.filter_jit
 def _extremes(problem, parameters, times, acting):
     run, terms = problem.run(parameters, times), problem.lattice(parameters).terms
-    strains = [jax.vmap(lambda t, u, i=i: _strain(terms[i], t, u))(times, run.us) for i in acting]
-    return jnp.min(jnp.stack([jnp.min(e) for e in strains])), jnp.max(jnp.stack([jnp.max(e) for e in strains]))
+    strains = jax.vmap(lambda t, u: [c.compression for i in acting for c in terms[i].compressions(t, u)])(times, run.us)
+    strains = jnp.concatenate([e.ravel() for e in strains])
+    return jnp.min(strains), jnp.max(strains)
 
 
 def _holds(term, law):
     return any(part is law for part in jax.tree.leaves(term, is_leaf=lambda part: part is law))
-
-
-def _strain(term, t, u):
-    term = term.term if isinstance(term, Modulated) else term
-    if isinstance(term, Wall):
-        return term.compression(t, u)
-    if isinstance(term, OnSite):
-        return u if term.field is None else u[term.field]
-    return term.strain_map.strain(u)
 
 
 @eqx.filter_jit

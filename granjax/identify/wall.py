@@ -76,7 +76,7 @@ class WallScene(eqx.Module):
         free = self.free({name: parameters[name] for name in self.others}) if callable(self.free) else self.free
         if not isinstance(free, Lattice):
             refuse("lattice", "a Lattice, or a function that returns one", repr(free))
-        if any(_stands(term, self.side) for term in free.terms):
+        if any(self.side in term.walls() for term in free.terms):
             refuse("lattice", f"no contact with a wall at its {self.side} end", "one", 'Make it with boundary="free".')
         wall = Wall(Hertz(self.stiffness(parameters[NAME]), self.precompression), self.side)
         return Lattice(free.mass, (*free.terms, wall), sites=free.sites, dimension=free.dimension)
@@ -136,11 +136,6 @@ def wall_modulus(
     relative, share = deviation / modulus, float(slope) * modulus / float(A)
     return WallModulus(modulus, deviation, modulus / (1 - poisson**2), float(0.75 * A / np.sqrt(radius)), float(A),
                        relative * np.array([1.0, share, share]), ladder, chi_square, found)
-
-
-def _stands(term, side):
-    """Whether a term is a wall at that end."""
-    return "fixed" in getattr(getattr(term, "strain_map", None), "boundary", ()) or getattr(term, "side", None) == side
 
 
 def _least(chi_square):
