@@ -7,7 +7,7 @@ from typing import ClassVar
 import equinox as eqx
 import jax
 
-from .checks import positive
+from .checks import positive, refuse
 
 
 class Units(eqx.Module):
@@ -83,6 +83,13 @@ class Dimensional(eqx.Module):
     """
 
     dimensions: ClassVar[dict | None] = None
+
+    def __init_subclass__(cls, **keywords):
+        super().__init_subclass__(**keywords)
+        for name in vars(cls).get("__annotations__", {}):
+            if callable(getattr(super(cls, cls), name, None)):
+                refuse(f"{cls.__name__}.{name}", "a field of a name of its own", f"{name}, a method of every kind of it",
+                       "Call the field otherwise.")
 
     def in_units(self, units: Units):
         """The same with arguments and results counted in `units`."""

@@ -124,8 +124,9 @@ def _window(x, axis, width):
 
 
 def _bound(lattice, reaches, power_steps=POWER_STEPS):
-    found = [term.stiffness(lattice, reach) for term, reach in zip(lattice.terms, reaches)]
-    products, numbers = [x for x in found if callable(x)], [x for x in found if not callable(x)]
+    found = [term.stiffness_bound(lattice, reach) for term, reach in zip(lattice.terms, reaches)]
+    numbers = [x for x in found if isinstance(x, jax.Array)]
+    products = [x for x in found if not isinstance(x, jax.Array)]
     mass, site = lattice.mass, lattice.zeros()
     if lattice.dimension is not None:
         mass = jnp.squeeze(mass, lattice.axes) if mass.ndim > lattice.axes else mass

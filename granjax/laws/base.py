@@ -45,7 +45,7 @@ class Law(Dimensional):
         """Length that is positive while the contact is closed, or `None` where the law has no such limit."""
         return None
 
-    def slope(self, e):
+    def derivative(self, e):
         """Stiffness F'(e), elementwise."""
         e = jnp.asarray(e)
         return jax.jvp(self.force, (e,), (jnp.ones_like(e),))[1]
@@ -61,7 +61,7 @@ class Law(Dimensional):
         return False
 
     @property
-    def power(self):
+    def power_law(self):
         """(A, p) of a contact A [d0 + e]^p, or `None`."""
         return None
 

@@ -32,7 +32,7 @@ class _Contact(Law):
         return False
 
     @property
-    def power(self):
+    def power_law(self):
         return self.stiffness, self.exponent
 
     @property

@@ -82,7 +82,10 @@ def _solve(lattice):
     def column(w):
         return ravel_pytree(product_with(unravel(w)))[0]
 
-    K = jax.vmap(column)(unit) if flat.size <= AT_ONCE else jax.lax.map(column, unit, batch_size=AT_ONCE // 2)
+    if any(term.dependence(lattice).transforms for term in lattice.terms):
+        K = jax.lax.map(column, unit)
+    else:
+        K = jax.vmap(column)(unit) if flat.size <= AT_ONCE else jax.lax.map(column, unit, batch_size=AT_ONCE // 2)
     scale = jnp.abs(K).max()
     uneven = jnp.abs(K - K.T).max() / jnp.where(scale > 0, scale, 1)
     mass, _ = ravel_pytree(spread_mass(lattice))

@@ -18,7 +18,7 @@ def shifts(lattice: Lattice) -> Float[jax.Array, "n k"]:
     lattice has them too.
     """
     moves = _uniform(lattice)
-    answers = np.concatenate([np.zeros((1, len(moves)))] + [term.resistance(lattice, moves) for term in lattice.terms])
+    answers = np.concatenate([np.zeros((1, len(moves)))] + [term.resists(lattice, moves) for term in lattice.terms])
     columns = np.stack([np.concatenate([np.ravel(x) for x in jax.tree.leaves(move)]) for move in moves], -1)
     return jnp.asarray(columns @ _null_space(answers), lattice.dtype)
 

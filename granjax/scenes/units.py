@@ -51,11 +51,11 @@ def scaled(lattice, velocity=None, *, units=None):
 def _natural_units(lattice, velocity):
     u = lattice.zeros()
     laws = [c.law for term in lattice.terms for c in term.compressions(jnp.zeros(()), u) if c.place != "site"]
-    contacts = [part for law in laws for part in law.parts if part.power is not None]
+    contacts = [part for law in laws for part in law.parts if part.power_law is not None]
     if not contacts:
         refuse("lattice", "a Hertz or PowerLaw contact to scale with", "none", "Give units=Units(mass, length, time).")
     law = contacts[0]
-    A, p = (jnp.mean(x) for x in law.power)
+    A, p = (jnp.mean(x) for x in law.power_law)
     masses = jax.tree.leaves(lattice.mass)
     m = sum(jnp.mean(x) for x in masses) / len(masses)
     if velocity is not None:

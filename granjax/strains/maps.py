@@ -70,7 +70,7 @@ class StrainMap(Dimensional):
         whole = sum(w.sum(tuple(range(bonds.ndim, w.ndim))) for w in jax.tree.leaves(weights))
         return jax.tree.map(lambda w: jnp.tensordot(bonds / whole, w, bonds.ndim), weights)
 
-    def bound(self, lattice, k):
+    def stiffness_bound(self, lattice, k):
         """A bound on B^T k B for stiffnesses k >= 0 of the bonds, with B = de/du at rest.
 
         A function that takes w > 0, one number a site, to |B|^T k |B| w; or a number, no less than the eigenvalues of
@@ -178,7 +178,7 @@ class LinearMap(StrainMap):
     def energy(self, u, law):
         return law.energy(self.strain(u))
 
-    def bound(self, lattice, k):
+    def stiffness_bound(self, lattice, k):
         return lambda w: self.reach_back(k * self.reach(w))
 
 

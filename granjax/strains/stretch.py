@@ -71,8 +71,8 @@ class Stretch(StrainMap):
     def split(self, bonds, u):
         return self.pairs.split(bonds, u)
 
-    def bound(self, lattice, k):
-        return self.pairs.bound(lattice, k)
+    def stiffness_bound(self, lattice, k):
+        return self.pairs.stiffness_bound(lattice, k)
 
     def turning(self, law):
         return jnp.max(jnp.abs(law.preload)) / jnp.min(jnp.linalg.norm(self.vector, axis=-1))

@@ -8,6 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.extend.core import jaxprs_in_params
 from jax.interpreters.partial_eval import dce_jaxpr
 
 from ..checks import refuse
@@ -20,12 +21,16 @@ RESISTS, DENSE = 1e-9, 4000
 
 
 class Dependence(NamedTuple):
-    """What a force reads: `time`, `displacement`, `velocity`; and whether the term stores an `energy`."""
+    """What a force reads: `time`, `displacement`, `velocity`; and whether the term stores an `energy`.
 
-    time: bool
-    displacement: bool
-    velocity: bool
-    energy: bool
+    `transforms`: it holds an FFT, which XLA compiles for the CPU in some memory layouts only: no batches by `vmap`.
+    """
+
+    time: bool = False
+    displacement: bool = False
+    velocity: bool = False
+    energy: bool = False
+    transforms: bool = False
 
     @property
     def conserves(self):
@@ -135,7 +140,7 @@ class Term(Dimensional):
     def linearised(self, lattice, t, u, v):
         """The term's tangent about a state, as a term of one more trailing lane; `None` where it has none."""
         reads = self.dependence(lattice)
-        return Tangent(self, t, u, v, lattice.mass) if reads.displacement or reads.velocity else None
+        return Tangent(self, t, u, v, lattice.mass, reads) if reads.displacement or reads.velocity else None
 
     def exact_damping(self):
         """(field, rate) where the term is linear damping of sites, which a splitting solver takes exactly, or `None`.
@@ -168,9 +173,9 @@ class Term(Dimensional):
             return jax.jvp(lambda u: term.force(t, u, v, mass), (u,), (w,))[1]
 
         u = lattice.template()
-        return _used(slope, (self, _time(lattice), u, u, u, lattice.mass))[1]
+        return _used(slope, (self, _time(lattice), u, u, u, lattice.mass))[2]
 
-    def resistance(self, lattice, moves):
+    def resists(self, lattice, moves):
         """How the force answers uniform displacements: columns (n, k), one for each of `moves`, zero for a free one.
 
         By default dF/du at random displacements of all sizes, each relative to the answer to a random displacement.
@@ -180,7 +185,7 @@ class Term(Dimensional):
         term, mass = jax.tree.map(stand_in, (self, lattice.mass))
         return np.asarray(_answers(term, mass, lattice.template(), moves)).reshape(-1, len(moves))
 
-    def stiffness(self, lattice, reach, factor=1.0):
+    def stiffness_bound(self, lattice, reach, factor=1.0):
         """A bound on the stiffness at what the motion may reach, times a factor.
 
         A function that takes w > 0 on the sites to |K| w, with |K| no less than |dF/du| entry by entry; or a number,
@@ -235,12 +240,26 @@ class Tangent(Term):
     u: object
     v: object
     mass: object
+    reads: Dependence = eqx.field(static=True)
 
     def force(self, t, u, v, mass):
-        def push(u, v):
-            return self.term.force(self.t, u, v, self.mass)
+        _, slope = jax.linearize(lambda u, v: self.term.force(self.t, u, v, self.mass), self.u, self.v)
+        return each_tangent(slope, self.reads)(u, v)
 
-        return jax.vmap(lambda *du: jax.jvp(push, (self.u, self.v), du)[1], in_axes=-1, out_axes=-1)(u, v)
+    def dependence(self, lattice):
+        return self.reads._replace(time=False, energy=False)
+
+
+def each_tangent(function, reads, axis=-1):
+    """A linear function for many tangents along an axis: at once, or one by one where that cannot be compiled."""
+    if not reads.transforms:
+        return jax.vmap(function, in_axes=axis, out_axes=axis)
+
+    def one_by_one(*tangents):
+        first = jax.tree.map(lambda x: jnp.moveaxis(x, axis, 0), tangents)
+        return jax.tree.map(lambda x: jnp.moveaxis(x, 0, axis), jax.lax.map(lambda x: function(*x), first))
+
+    return one_by_one
 
 
 class Multiplied(Term):
@@ -259,6 +278,9 @@ class Multiplied(Term):
 
     def span(self):
         return self.term.span()
+
+    def dependence(self, lattice):
+        return self.term.dependence(lattice)
 
 
 class InOtherUnits(Term):
@@ -318,20 +340,26 @@ def _traced_force(structure, leaves):
     def force(term, t, u, v, mass):
         return term.force(t, u, v, mass)
 
-    shapes, time, displacement, velocity = _used(force, (term, t, u, u, mass), (1, 2, 3))
+    shapes, transforms, time, displacement, velocity = _used(force, (term, t, u, u, mass), (1, 2, 3))
     stores = _shapes(lambda term, t, u: term.energy(t, u), (term, t, u)) is not None
-    return shapes, Dependence(time, displacement, velocity, stores)
+    return shapes, Dependence(time, displacement, velocity, stores, transforms)
 
 
 def _used(function, arguments, places=(1,)):
-    """(shapes of the result, whether the result depends on each of the arguments at some places)."""
+    """(shapes of the result, whether an FFT is in it, whether it depends on each of the arguments at some places)."""
     arguments = jax.tree.map(_abstract, arguments)
     dynamic, static = eqx.partition(arguments, lambda x: isinstance(x, jax.ShapeDtypeStruct))
     closed, shapes = jax.make_jaxpr(
         lambda dynamic: function(*eqx.combine(dynamic, static)), return_shape=True)(dynamic)
     _, used = dce_jaxpr(closed.jaxpr, [True] * len(closed.out_avals))
     used = jax.tree.unflatten(jax.tree.structure(dynamic), used)
-    return shapes, *(any(jax.tree.leaves(used[place])) for place in places)
+    return shapes, _holds(closed.jaxpr, "fft"), *(any(jax.tree.leaves(used[place])) for place in places)
+
+
+def _holds(jaxpr, primitive):
+    """Whether a traced program holds an operation, in whatever it calls too."""
+    return any(eqn.primitive.name == primitive or any(_holds(inner, primitive) for inner in jaxprs_in_params(eqn.params))
+               for eqn in jaxpr.eqns)
 
 
 def _shapes(function, arguments):
@@ -370,4 +398,4 @@ def _answers(term, mass, template, moves):
         return jnp.where(good & (jnp.abs(columns) > RESISTS), columns, 0)
 
     with jax.ensure_compile_time_eval():
-        return jax.jit(jax.vmap(answers))(SCALES)
+        return jax.jit(lambda scales: jax.lax.map(answers, scales))(SCALES)

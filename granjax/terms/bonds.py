@@ -11,7 +11,7 @@ from ..checks import refuse
 from ..laws import Law, Linear, Scaled, checked_law
 from ..strains import Shift, StrainMap, checked_map
 from ..units import PART, Signal
-from .base import Compression, Term, stand_in
+from .base import Compression, Dependence, Term, stand_in
 from .waveforms import checked_waveform
 
 
@@ -20,7 +20,7 @@ class Joined(Term):
 
     strain_map: eqx.AbstractVar[StrainMap]
 
-    def resistance(self, lattice, moves):
+    def resists(self, lattice, moves):
         strain_map = jax.tree.map(stand_in, self.strain_map)
         with jax.ensure_compile_time_eval():
             strain = jax.jit(lambda move: strain_map.strain(move))
@@ -46,6 +46,9 @@ class Bond(Joined):
 
     def __init__(self, strain_map, law):
         self.strain_map, self.law = checked_map(strain_map), checked_law(law)
+
+    def dependence(self, lattice):
+        return Dependence(displacement=True, energy=True)
 
     def force(self, t, u, v, mass):
         return self.strain_map.push(u, self.law)
@@ -92,15 +95,15 @@ class Bond(Joined):
         inner = Bond(Shift(1, "free", fields), over(lambda x: x if x.shape[0] == 1 else x[1:-1]))
         return inner, over(lambda x: x[0]), over(lambda x: x[-1])
 
-    def stiffness(self, lattice, reach, factor=1.0):
+    def stiffness_bound(self, lattice, reach, factor=1.0):
         k = factor * reach.stiffest(self.law, 0) + self.strain_map.turning(self.law)
-        return self.strain_map.bound(lattice, k)
+        return self.strain_map.stiffness_bound(lattice, k)
 
 
 def spring(law, e):
     """The linear spring of a law's stiffness at compressions e, one lane wider."""
     # not by the constructor, whose checks cost time at every step that is not compiled
-    return eqx.tree_at(lambda spring: spring.stiffness, Linear(), law.slope(e)[..., None])
+    return eqx.tree_at(lambda spring: spring.stiffness, Linear(), law.derivative(e)[..., None])
 
 
 class Modulated(Term):
@@ -126,6 +129,9 @@ class Modulated(Term):
     def at(self, t):
         """The term with the stiffness it has at time t."""
         return self.term.scaled(self.modulation(t))
+
+    def dependence(self, lattice):
+        return self.term.dependence(lattice)._replace(time=True)
 
     def force(self, t, u, v, mass):
         return self.at(t).force(t, u, v, mass)
@@ -154,8 +160,8 @@ class Modulated(Term):
     def per_vector(self, axes):
         return eqx.tree_at(lambda t: t.term, self, self.term.per_vector(axes))
 
-    def resistance(self, lattice, moves):
-        return self.term.resistance(lattice, moves)
+    def resists(self, lattice, moves):
+        return self.term.resists(lattice, moves)
 
     def span(self):
         return self.term.span()
@@ -163,9 +169,9 @@ class Modulated(Term):
     def walls(self):
         return self.term.walls()
 
-    def stiffness(self, lattice, reach, factor=1.0):
+    def stiffness_bound(self, lattice, reach, factor=1.0):
         largest = jnp.max(jnp.abs(jax.vmap(self.modulation)(reach.ts)), axis=0)
-        return self.term.stiffness(lattice, reach, factor * largest)
+        return self.term.stiffness_bound(lattice, reach, factor * largest)
 
     def excitation(self, lattice, ts):
         return self.term.excitation(lattice, ts)

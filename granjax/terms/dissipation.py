@@ -8,7 +8,7 @@ from ..checks import non_negative, positive
 from ..laws import plus_power
 from ..strains import StrainMap, checked_map
 from ..units import PART
-from .base import Term, wider
+from .base import Dependence, Term, wider
 from .bonds import Joined
 from .sites import one_a_vector
 
@@ -33,6 +33,9 @@ class Damping(Term):
             return jax.tree.map(lambda v, m: -self.rate * m * v, v, mass)
         return {self.field: -self.rate * mass[self.field] * v[self.field]}
 
+    def dependence(self, lattice):
+        return Dependence(velocity=True)
+
     def exact_damping(self):
         return self.field, self.rate
 
@@ -51,10 +54,13 @@ class _Viscous(Joined):
 
     coefficient: eqx.AbstractVar[jax.Array]
 
+    def dependence(self, lattice):
+        return Dependence(displacement=True, velocity=True)
+
     def scaled(self, factor):
         return eqx.tree_at(lambda term: term.coefficient, self, factor * self.coefficient)
 
-    def stiffness(self, lattice, reach, factor=1.0):
+    def stiffness_bound(self, lattice, reach, factor=1.0):
         return jnp.zeros((), lattice.dtype)
 
 
@@ -121,6 +127,9 @@ class Drag(Term):
 
     def __init__(self, coefficient):
         self.coefficient = non_negative("coefficient", coefficient)
+
+    def dependence(self, lattice):
+        return Dependence(velocity=True)
 
     def force(self, t, u, v, mass):
         return jax.tree.map(lambda v: -self.coefficient * v * jnp.abs(v), v)

@@ -66,7 +66,7 @@ def steepest(law, low, high):
 
     def largest(end):
         x = fractions.reshape((-1,) + (1,) * end.ndim) * end
-        k = jnp.abs(law.slope(x))
+        k = jnp.abs(law.derivative(x))
         if law.softens:
             k = jnp.where(law.overlap(x) > CLOSED_FRACTION * law.overlap(jnp.zeros_like(end)), k, 0)
         return jnp.max(jnp.where(jnp.isfinite(k), k, 0), axis=0)
@@ -113,7 +113,7 @@ def largest_eigenvalue(term, lattice, reach):
 
     tried = [jnp.zeros_like(flat), ravel_pytree(reach.u)[0]]
     if term.dependence(lattice).energy:
-        tried += list(jax.vmap(within)(_directions(flat)))
+        tried += list(jax.lax.map(within, _directions(flat)))
     found = jax.lax.map(eigenvalue, jnp.stack(tried).astype(flat.dtype))
     return jnp.max(jnp.where(jnp.isfinite(found), found, 0))
 

@@ -10,7 +10,7 @@ import numpy as np
 from ..checks import refuse
 from ..laws import Law, Scaled, checked_law
 from ..units import PART, Signal
-from .base import Compression, Excitation, Term, get, put
+from .base import Compression, Dependence, Excitation, Term, get, put
 from .bonds import spring
 from .waveforms import checked_waveform
 
@@ -28,6 +28,9 @@ class OnSite(Term):
 
     def __init__(self, law, field=None):
         self.law, self.field = checked_law(law), field
+
+    def dependence(self, lattice):
+        return Dependence(displacement=True, energy=True)
 
     def force(self, t, u, v, mass):
         return put(-self.law.force(get(u, self.field)), self.field)
@@ -50,14 +53,14 @@ class OnSite(Term):
     def linearised(self, lattice, t, u, v):
         return eqx.tree_at(lambda term: term.law, self, spring(self.law, get(u, self.field)))
 
-    def resistance(self, lattice, moves):
+    def resists(self, lattice, moves):
         return np.stack([np.concatenate([np.ravel(x) for x in jax.tree.leaves(get(move, self.field))])
                          for move in moves], -1)
 
     def span(self):
         return ()
 
-    def stiffness(self, lattice, reach, factor=1.0):
+    def stiffness_bound(self, lattice, reach, factor=1.0):
         k = factor * reach.stiffest(self.law, 0)
         if lattice.dimension is not None and jnp.ndim(k) > lattice.axes:
             k = jnp.max(k, axis=lattice.axes)
@@ -81,6 +84,9 @@ class Drive(Term):
         self.waveform = checked_waveform("waveform", waveform)
         self.site = tuple(site) if isinstance(site, (tuple, list)) else (site,)
         self.field = field
+
+    def dependence(self, lattice):
+        return Dependence(time=True)
 
     def force(self, t, u, v, mass):
         x = get(u, self.field)

@@ -10,7 +10,7 @@ import numpy as np
 from ..checks import one_of, refuse
 from ..laws import Law, Scaled, Yielding, checked_law
 from ..units import PART, Signal
-from .base import Compression, Excitation, Term, get, put
+from .base import Compression, Dependence, Excitation, Term, get, put
 from .bonds import spring
 from .waveforms import checked_waveform
 
@@ -44,6 +44,9 @@ class Wall(Term):
         if lattice.axes != 1 or lattice.dimension is not None:
             refuse(name, "a chain with scalar displacements", f"a lattice of shape {lattice.shape}",
                    "Hold ends by bonds.")
+
+    def dependence(self, lattice):
+        return Dependence(time=self.motion is not None, displacement=True, energy=True)
 
     def compression(self, t, u):
         """Compression of the contact with the wall; one value (and lanes)."""
@@ -85,7 +88,7 @@ class Wall(Term):
     def linearised(self, lattice, t, u, v):
         return self._still(spring(self.law, self.compression(t, u)))
 
-    def resistance(self, lattice, moves):
+    def resists(self, lattice, moves):
         end = 0 if self.side == "left" else -1
         return np.stack([np.ravel(get(move, self.field)[end]) for move in moves], -1)
 
@@ -95,7 +98,7 @@ class Wall(Term):
     def span(self):
         return ()
 
-    def stiffness(self, lattice, reach, factor=1.0):
+    def stiffness_bound(self, lattice, reach, factor=1.0):
         k = factor * reach.stiffest(self.law, 0)
         k = k[0] if jnp.ndim(k) > len(lattice.lanes) else k
         return lambda w: self._put(k * get(w, self.field)[0 if self.side == "left" else -1], w)
