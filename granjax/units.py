@@ -88,8 +88,7 @@ class Dimensional(eqx.Module):
         super().__init_subclass__(**keywords)
         for name in vars(cls).get("__annotations__", {}):
             if callable(getattr(super(cls, cls), name, None)):
-                refuse(f"{cls.__name__}.{name}", "a field of a name of its own", f"{name}, a method of every kind of it",
-                       "Call the field otherwise.")
+                refuse(f"{cls.__name__}.{name}", "a field of a name of its own", "the name of a method of its kind")
 
     def in_units(self, units: Units):
         """The same with arguments and results counted in `units`."""

@@ -358,8 +358,8 @@ def _used(function, arguments, places=(1,)):
 
 def _holds(jaxpr, primitive):
     """Whether a traced program holds an operation, in whatever it calls too."""
-    return any(eqn.primitive.name == primitive or any(_holds(inner, primitive) for inner in jaxprs_in_params(eqn.params))
-               for eqn in jaxpr.eqns)
+    inner = [part for eqn in jaxpr.eqns for part in jaxprs_in_params(eqn.params)]
+    return any(eqn.primitive.name == primitive for eqn in jaxpr.eqns) or any(_holds(part, primitive) for part in inner)
 
 
 def _shapes(function, arguments):
