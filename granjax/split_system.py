@@ -1,12 +1,15 @@
 """What a splitting method sees, and all that it knows of the equation: a split system."""
 
 import abc
+from typing import Any
 
 import equinox as eqx
 import jax
 
+from .types import Displacements, Number, Pytree, StateLike, VectorField
 
-def pair(like, u, v):
+
+def pair(like: StateLike, u: Pytree, v: Pytree) -> StateLike:
     """(u, v) in the form of another state: a pair or a named tuple."""
     return type(like)(u, v) if hasattr(like, "_fields") else type(like)((u, v))
 
@@ -20,38 +23,44 @@ class Split(eqx.Module):
     """
 
     @abc.abstractmethod
-    def start(self, t, y):
+    def start(self, t: Number, y: StateLike) -> Pytree:
         """The acceleration at (t, u), without what the drift takes."""
 
-    def enter(self, y, cache):
+    def enter(self, y: StateLike, cache: Pytree) -> Pytree:
+        """The working form of a state and what `start` or `leave` gave."""
         u, v = y
         return u, v, cache
 
-    def leave(self, w, like):
+    def leave(self, w: Pytree, like: StateLike) -> tuple:
+        """The state, in the form of another one, and the force that opens the next step."""
         u, v, a = w
         return pair(like, u, v), a
 
-    def refresh(self, w, t):
+    def refresh(self, w: Pytree, t: Number) -> Pytree:
+        """The working form with the force at its place, at time t."""
         u, v, _ = w
         return u, v, self.start(t, (u, v))
 
-    def kick(self, w, bh):
+    def kick(self, w: Pytree, bh: Number) -> Pytree:
+        """The flow of the potential energy over a time bh: v += bh a."""
         u, v, a = w
         return u, jax.tree.map(lambda v, a: v + bh.astype(v.dtype) * a, v, a), a
 
-    def drift(self, w, ah):
+    def drift(self, w: Pytree, ah: Number) -> Pytree:
+        """The flow of the kinetic energy over a time ah: u += ah v."""
         u, v, a = w
         return jax.tree.map(lambda u, v: u + ah.astype(u.dtype) * v, u, v), v, a
 
-    def acceleration(self, y, cache):
+    def acceleration(self, y: StateLike, cache: Pytree) -> Displacements:
+        """The acceleration at a state, from what `leave` gave with it."""
         return cache
 
 
 class FieldSplit(Split):
     """The split system of a plain vector field f(t, (u, v), args) = (v, a(t, u)); a must not depend on v."""
 
-    field: object = eqx.field(static=True)
-    args: object
+    field: VectorField = eqx.field(static=True)
+    args: Any
 
     def start(self, t, y):
         return self.field(t, y, self.args)[1]

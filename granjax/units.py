@@ -2,12 +2,14 @@
 
 import abc
 import dataclasses
-from typing import ClassVar
+from collections.abc import Callable
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
 
 from .checks import positive, refuse
+from .types import Number, Parameter, StateLike
 
 
 class Units(eqx.Module):
@@ -21,43 +23,43 @@ class Units(eqx.Module):
     length: jax.Array
     time: jax.Array
 
-    def __init__(self, mass=1.0, length=1.0, time=1.0):
+    def __init__(self, mass: Parameter = 1.0, length: Parameter = 1.0, time: Parameter = 1.0):
         self.mass, self.length, self.time = positive("mass", mass), positive("length", length), positive("time", time)
 
     @property
-    def velocity(self):
+    def velocity(self) -> Number:
         """Unit of velocity [m/s]."""
         return self.length / self.time
 
     @property
-    def acceleration(self):
+    def acceleration(self) -> Number:
         """Unit of acceleration [m/s^2]."""
         return self.length / self.time / self.time
 
     @property
-    def force(self):
+    def force(self) -> Number:
         """Unit of force [N]."""
         return self.mass * self.acceleration
 
     @property
-    def energy(self):
+    def energy(self) -> Number:
         """Unit of energy [J]."""
         return self.force * self.length
 
     @property
-    def omega(self):
+    def omega(self) -> Number:
         """Unit of angular frequency, and of a damping rate [1/s]."""
         return 1 / self.time
 
-    def of(self, force, length, time):
+    def of(self, force: float, length: float, time: float) -> Number:
         """The unit of a quantity of these powers of force, length and time."""
         return self.force**force * self.length**length * self.time**time
 
-    def state_to_si(self, state):
+    def state_to_si(self, state: StateLike) -> StateLike:
         """A scaled `State` in metres and metres per second."""
         return self._convert(state, self.length, self.velocity)
 
-    def state_from_si(self, state):
+    def state_from_si(self, state: StateLike) -> StateLike:
         """A `State` in metres and metres per second in these units."""
         return self._convert(state, 1 / self.length, 1 / self.velocity)
 
@@ -90,7 +92,7 @@ class Dimensional(eqx.Module):
             if callable(getattr(super(cls, cls), name, None)):
                 refuse(f"{cls.__name__}.{name}", "a field of a name of its own", "the name of a method of its kind")
 
-    def in_units(self, units: Units):
+    def in_units(self, units: Units) -> Any:
         """The same with arguments and results counted in `units`."""
         dimensions = vars(type(self)).get("dimensions")
         if dimensions is None:
@@ -118,9 +120,9 @@ def _counted(value, powers, owner, units):
 class InUnits(eqx.Module):
     """A function of time in other units: f(time t)/size."""
 
-    function: object
+    function: Callable
     time: jax.Array
     size: jax.Array
 
-    def __call__(self, t):
+    def __call__(self, t: Number) -> Any:
         return self.function(t * self.time) / self.size

@@ -442,7 +442,7 @@ MODULATED = Lattice(np.ones(8), Modulated(Bond(Shift(1), Linear(1.0)), Function(
 DEFECT = springs(np.where(np.arange(12) == 0, 2.0, 1.0), 1.0, "periodic")
 
 REFUSALS = {
-    "no lattice": (lambda: linear.normal_modes(3.0), "chain: expected a Lattice"),
+    "no lattice": (lambda: linear.normal_modes(3.0), "lattice: expected a Lattice"),
     "disorder": (lambda: linear.dispersion(DISORDER, 1.0), "repeats along axis 0.*normal_modes"),
     "defect of a ring": (lambda: linear.bands(DEFECT), "repeats along axis 0"),
     "batch": (lambda: linear.bands(BATCH), "in_axes=-1"),

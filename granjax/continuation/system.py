@@ -16,8 +16,7 @@ MOST_NEWTON = 10
 
 
 class Point(NamedTuple):
-    """A corrected point: derivatives (n, n + 1), tangent, sign of det of the two, which changes where branches cross.
-    """
+    """A corrected point: derivatives (n, n + 1), tangent, sign of det of the two, which changes at branch points."""
 
     z: Float[np.ndarray, " n_and_p"]
     jacobian: Float[np.ndarray, "n n_and_p"]
@@ -47,10 +46,12 @@ class Bordered(eqx.Module):
     slopes: Callable | None
 
     def residual(self, z: Numbers, args: Pytree) -> Numbers:
+        """F and what is missing along the border."""
         inner, border, predicted = args
         return jnp.append(self.function(z[:-1], z[-1], inner), border @ (z - predicted))
 
     def linearise(self, z: Numbers, args: Pytree) -> tuple:
+        """The residual and its derivatives."""
         inner, border, predicted = args
         f, jacobian = self.jacobian(z, inner)
         return jnp.append(f, border @ (z - predicted)), jnp.vstack([jacobian, border])

@@ -1,12 +1,17 @@
 """Traces from files: comma-separated values and MATLAB's, as vibrometers and oscilloscopes write them."""
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 
 from ..checks import one_of, parameter, positive, refuse, show
+from ..types import Parameter, Scalar
 from .traces import KINDS, Traces
 
+# by index, by name, or both
+Column: TypeAlias = int | str | tuple[str, int]
 COMMENTS = ("#", "%", "//")
 DELIMITERS = ("\t", ";", ",", None)
 # samples before the trigger from which on their standard deviation is taken, and the share of them that counts:
@@ -14,8 +19,13 @@ DELIMITERS = ("\t", ";", ",", None)
 LEAST_NOISE, QUIET = 16, 0.9
 
 
-def read_csv(path, *, velocity=None, displacement=None, force=None, time=0, sampling=None, gain=1.0, trigger=None,
-             start=None, stop=None, sigma=None, baseline=False, delimiter=None, **where):
+def read_csv(
+    path: str | Path, *, velocity: Column | Sequence[Column] | None = None,
+    displacement: Column | Sequence[Column] | None = None, force: Column | Sequence[Column] | None = None,
+    time: Column = 0, sampling: Scalar | str | None = None, gain: Parameter | str = 1.0,
+    trigger: Scalar | tuple[Column, Scalar] | None = None, start: Scalar | None = None, stop: Scalar | None = None,
+    sigma: Parameter | None = None, baseline: bool = False, delimiter: str | None = None, **where: object,
+) -> Traces:
     r"""`Traces` from a text file of columns.
 
     Header lines, comments (#, %, //), the delimiter (tab, semicolon, comma, blanks) and a decimal comma are recognised:
@@ -57,8 +67,13 @@ def read_csv(path, *, velocity=None, displacement=None, force=None, time=0, samp
                    where)
 
 
-def read_mat(path, *, velocity=None, displacement=None, force=None, time=None, sampling=None, gain=1.0, trigger=None,
-             start=None, stop=None, sigma=None, baseline=False, **where):
+def read_mat(
+    path: str | Path, *, velocity: Column | Sequence[Column] | None = None,
+    displacement: Column | Sequence[Column] | None = None, force: Column | Sequence[Column] | None = None,
+    time: Column | None = None, sampling: Scalar | str | None = None, gain: Parameter | str = 1.0,
+    trigger: Scalar | tuple[Column, Scalar] | None = None, start: Scalar | None = None, stop: Scalar | None = None,
+    sigma: Parameter | None = None, baseline: bool = False, **where: object,
+) -> Traces:
     r"""`Traces` from a MATLAB file, up to version 7 (SciPy) or 7.3 (h5py).
 
     **Arguments:** as in `read_csv`, but a column is a variable by its name, "scan.velocity" for a field of a struct; or

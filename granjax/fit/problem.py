@@ -89,7 +89,7 @@ class Problem(eqx.Module):
         return simulate(lattice, state, self.t1, t0=self.t0, solver=self.solver, step=self.step, save_at=times,
                         adjoint=adjoint, max_steps=max_steps, throw=False)
 
-    def signals(self, parameters: dict[str, Numbers], **keywords) -> tuple[Signals, State]:
+    def signals(self, parameters: dict[str, Numbers], **keywords: object) -> tuple[Signals, State]:
         """What every trace would show without noise, a tuple of (T, S), and the state at t1."""
         times = [trace.times + number(trace.offset, parameters) for trace in self.traces]
         joined = jnp.concatenate(times)
@@ -106,7 +106,7 @@ class Problem(eqx.Module):
             signals.append(gain * _read(trace, lattice, u, v, joined[part]))
         return tuple(signals), run.final
 
-    def residuals(self, x: Float[AnyArray, " P"], **keywords) -> Float[AnyArray, " n"]:
+    def residuals(self, x: Float[AnyArray, " P"], **keywords: object) -> Float[AnyArray, " n"]:
         """(signal - data)/sigma of every sample at free coordinates x, one vector; zero where a sample is missing."""
         return misfits(self.traces, self.signals(self.coordinates.parameters(x), **keywords)[0])
 

@@ -1,16 +1,20 @@
 """What a call of `simulate` costs beside the run: compiled functions that are found quickly, and facts found once."""
 
 import weakref
+from collections.abc import Callable
 from functools import partial, wraps
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 
+from ..lattice import Lattice
+from ..types import Pytree
+
 _ARRAYS = (jax.Array, np.ndarray, np.generic)
 
 
-def compiled(function):
+def compiled(function: Callable) -> Callable:
     """`jax.jit` of a function of pytrees, in which everything but arrays is static.
 
     As `equinox.filter_jit`, for positional arguments alone, with less to do at each call.
@@ -55,7 +59,7 @@ class Facts(NamedTuple):
 _FACTS = {}
 
 
-def facts(lattice):
+def facts(lattice: Lattice) -> Facts:
     """The `Facts` of a lattice, kept as long as the lattice lives: its parameters never change."""
     key = id(lattice)
     owner, found = _FACTS.get(key, (None, None))
@@ -73,6 +77,6 @@ def _found(lattice):
     )
 
 
-def traced(tree):
+def traced(tree: Pytree) -> Any:
     """Whether some leaf is being traced."""
     return any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(tree))

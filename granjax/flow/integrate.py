@@ -5,8 +5,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ..lattice import vector_field
+from ..lattice import Lattice, vector_field
 from ..solvers import AbstractNystrom
+from ..types import Number, Scalar, StateLike, Times
 from .control import Scales, StepControl
 from .dispatch import compiled
 from .record import CLOSEST, EXTREMES, Extremes, Lowest, Recorded
@@ -16,8 +17,10 @@ from .stiffness import compressions, frequency_bound, reached_frequency
 
 @compiled
 def integrate(
-    lattice, state, t0, t1, dt, tolerance, save_ts, records, solver, adjoint, max_steps, every, progress, watch=False,
-):
+    lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, dt: Number | None, tolerance: Number | None,
+    save_ts: Times | None, records: dict, solver: diffrax.AbstractSolver, adjoint: diffrax.AbstractAdjoint,
+    max_steps: int | None, every: bool, progress: bool, watch: bool = False,
+) -> Run:
     """Integrate and reduce; everything checked, everything chosen. A `Run` without its names.
 
     `watch`: follow every compression, for the highest frequency that the run reaches.

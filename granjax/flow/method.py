@@ -1,16 +1,20 @@
 """Which solver and which step: the choice, and what is refused."""
 
+from typing import Any
+
 import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ..checks import concrete, refuse, show
-from ..lattice import acceleration_only, split_system
+from ..lattice import Lattice, acceleration_only, split_system
 from ..solvers import RKN86, AbstractNystrom, AbstractSplitting, SRKN11b
 from ..solvers.stability import refused_from
+from ..types import Scalar, StateLike
 from .dispatch import facts, traced
 from .inputs import checked_size
+from .run import Run
 from .stiffness import frequency_bound, linear_frequency, softens
 
 # h omega of the default step
@@ -26,7 +30,7 @@ MOST_STEPS = 1e8
 _FIXED, _ADAPTIVE, _GENERAL = SRKN11b(), RKN86(), diffrax.Dopri8()
 
 
-def checked_method(lattice, solver, step, tolerance):
+def checked_method(lattice: Lattice, solver: Any, step: Any, tolerance: Any) -> tuple:
     """Solver, step and tolerance that go together, chosen where they are not given."""
     if step is not None and tolerance is not None:
         refuse("tolerance", "a fixed step or a tolerance", "both", "Give one of them.")
@@ -69,7 +73,7 @@ def checked_method(lattice, solver, step, tolerance):
     return solver, step, None if tolerance is None else number(tolerance, dtype)
 
 
-def number(x, dtype):
+def number(x: Any, dtype: Any) -> Any:
     """One number as an array of a type: NumPy's where it is known, which is quickly made."""
     return x.astype(dtype) if isinstance(x, jax.Array) else dtype.type(x)
 
@@ -82,7 +86,10 @@ def _default_tolerance(dtype):
     return max(DEFAULT_TOLERANCE, _least_tolerance(dtype))
 
 
-def fixed_step(lattice, state, t0, t1, step, solver, frames, bound=None):
+def fixed_step(
+    lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, step: Scalar | None,
+    solver: diffrax.AbstractSolver | type, frames: int, bound: Any = None,
+) -> tuple:
     """The step, the number of steps where it is known, what was chosen, and a remark.
 
     `bound`: the highest frequency, where a run has shown it; by default that of the scene's energy.
@@ -112,7 +119,7 @@ def fixed_step(lattice, state, t0, t1, step, solver, frames, bound=None):
     return (t1 - t0) / (count * frames), steps, choice, remark
 
 
-def passed(solver, run):
+def passed(solver: diffrax.AbstractSolver | type, run: Run) -> Any:
     """The highest frequency that a run at the default step has reached, where it passed the bound; else `None`."""
     omega = np.asarray(run.stats["omega"]).item()
     limit = refused_from(solver)
@@ -147,7 +154,10 @@ def _bound(lattice, state, t0, t1):
     return bound
 
 
-def suspicion(lattice, state, t0, t1, step, solver):
+def suspicion(
+    lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, step: Scalar | None,
+    solver: diffrax.AbstractSolver | type,
+) -> str:
     """A remark on a run that has lost much energy; empty where its step explains nothing."""
     limit = refused_from(solver)
     if limit is None or step is None:

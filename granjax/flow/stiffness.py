@@ -11,11 +11,14 @@ such matrix add their largest eigenvalue. The neighbourhood is a rule of thumb: 
 """
 
 import math
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 
+from ..lattice import Lattice
 from ..terms import Reach, Reached
+from ..types import Displacements, Number, Scalar, StateLike
 from .dispatch import compiled
 
 POWER_STEPS = 40
@@ -27,7 +30,9 @@ OPENING = 4 / 3
 
 
 @compiled
-def frequency_bound(lattice, state, t0, t1, neighbourhood=NEIGHBOURHOOD):
+def frequency_bound(
+    lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, neighbourhood: Any = NEIGHBOURHOOD,
+) -> Number:
     """Bound on the angular frequencies that linearisation finds at what the scene's energy can reach.
 
     The energy that may gather in a bond is the largest that a neighbourhood, so many bonds' lengths wide, holds at the
@@ -56,7 +61,7 @@ def frequency_bound(lattice, state, t0, t1, neighbourhood=NEIGHBOURHOOD):
 
 
 @compiled
-def linear_frequency(lattice, power_steps=POWER_STEPS):
+def linear_frequency(lattice: Lattice, power_steps: int = POWER_STEPS) -> Number:
     """The same bound for infinitesimal motion about equilibrium: zero in a sonic vacuum.
 
     `power_steps`: how close; none gives a bound all the same.
@@ -66,12 +71,12 @@ def linear_frequency(lattice, power_steps=POWER_STEPS):
     return _bound(lattice, [reach] * len(lattice.terms), power_steps)
 
 
-def compressions(lattice, t, u):
+def compressions(lattice: Lattice, t: Number, u: Displacements) -> tuple:
     """The compressions of every term's laws: a tuple of arrays for each term."""
     return tuple(tuple(c.compression for c in term.compressions(t, u)) for term in lattice.terms)
 
 
-def reached_frequency(lattice, low, high, t0, t1, u):
+def reached_frequency(lattice: Lattice, low: Any, high: Any, t0: Scalar, t1: Scalar, u: Displacements) -> Number:
     """The bound at the least and largest `compressions` that a run has seen."""
     ts = (t0 + (t1 - t0) * jnp.linspace(0.0, 1.0, SAMPLES)).astype(lattice.dtype)
     energy = jnp.zeros(lattice.lanes, lattice.dtype)
@@ -83,8 +88,7 @@ def _sites(lattice):
 
 
 def _gathered(lattice, state, ts, neighbourhood):
-    """The most energy that a neighbourhood holds at the start, shape of the lanes; whether others hold as much again.
-    """
+    """The most energy that a neighbourhood holds at the start, per lane; whether others hold as much again."""
     u, v = state
     spans = [term.span() for term in lattice.terms]
     one_shape = lattice.fields is None or len(set(lattice.sites.values())) == 1
@@ -154,7 +158,7 @@ def _add(total, part):
     return total + part
 
 
-def softens(lattice):
+def softens(lattice: Lattice) -> bool:
     """Whether a re-opening contact of the lattice is infinitely stiff, so that no step bound exists there."""
     found = [c for term in lattice.terms for c in term.compressions(jnp.zeros(()), lattice.zeros())]
     return any(c.law.softens for c in found)

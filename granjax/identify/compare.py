@@ -87,7 +87,7 @@ class Comparison(Result):
 
 def compare(
     models: dict[str, tuple | list], traces: Traces | Sequence[Traces], *, state: Start, level: Scalar = 10.0,
-    options: dict[str, dict] | None = None, **common,
+    options: dict[str, dict] | None = None, **common: object,
 ) -> Comparison:
     r"""Models fitted to the same traces, and ranked: which one they speak for.
 

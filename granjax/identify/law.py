@@ -83,7 +83,7 @@ class ForceLaw(Result):
 def law(
     scene: Callable[..., Lattice], family: str | Law, traces: Traces | Sequence[Traces], *, state: Start,
     stiffness: Scalar | None = None, reach: Sequence | None = None, others: dict[str, Parameter] | None = None,
-    hold: Sequence[str] = (), bounds: Bounds = None, stages: Count = 4, **options,
+    hold: Sequence[str] = (), bounds: Bounds = None, stages: Count = 4, **options: object,
 ) -> ForceLaw:
     r"""The force law of contacts, from traces of some sensors.
 

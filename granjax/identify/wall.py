@@ -86,7 +86,7 @@ def wall_modulus(
     lattice: Lattice | Callable[..., Lattice], traces: Traces | Sequence[Traces], *, state: Start,
     material: str | Material, radius: Scalar, start: Scalar, poisson: Scalar = 0.3, precompression: Scalar = 0.0,
     side: str = "right", others: dict[str, Parameter] | None = None, factor: Scalar = 10.0, scan: Count = 13,
-    **options,
+    **options: object,
 ) -> WallModulus:
     r"""Young's modulus of the wall at the end of a chain, from one trace of the wave that it reflects.
 

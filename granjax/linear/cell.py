@@ -6,6 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import refuse, whole
+from ..lattice import Lattice
+from ..types import AnyArray, Cell, ComplexNumbers, Displacements, Numbers
 from .stiffness import at_rest, blocks, grid, masses, measure, offsets, refuse_one_way, unpack
 
 ROUNDING, TIGHT, LOOSE = 16, 1e3, 1e6
@@ -30,7 +32,7 @@ class UnitCell(eqx.Module):
     fields: tuple[str, ...] | None = eqx.field(static=True)
     dimension: int | None = eqx.field(static=True)
 
-    def dynamical_matrix(self, k):
+    def dynamical_matrix(self, k: Numbers) -> ComplexNumbers:
         """D(k), (P, P), complex and Hermitian, for one `k` of shape (axes,)."""
         uniform = self.coupling.sum(0)
         # long waves stay accurate by exp(ix) - 1 = 2i sin(x/2) exp(ix/2), and without the rounding of D(0)
@@ -41,14 +43,14 @@ class UnitCell(eqx.Module):
         turn = 2j * jnp.sin(half) * jnp.exp(1j * half)
         return uniform + jnp.einsum("r,rab->ab", turn, self.coupling)
 
-    def slopes(self, k):
+    def slopes(self, k: Numbers) -> tuple:
         """First and second derivatives of D(k): (axes, P, P) and (axes, axes, P, P)."""
         R = np.array(self.shells)
         phase = jnp.exp(1j * (R @ k))
         first = jnp.einsum("r,rj,rab->jab", 1j * phase, R, self.coupling)
         return first, -jnp.einsum("r,rj,rl,rab->jlab", phase, R, R, self.coupling)
 
-    def displacements(self, q):
+    def displacements(self, q: AnyArray) -> Displacements:
         """Displacements M^{-1/2} q of vectors (..., P, bands): (..., cell..., [vector], bands), or a dict of such."""
         x = jnp.moveaxis(q / jnp.sqrt(self.mass)[:, None], -2, -1)
         x = x.reshape(x.shape[:-1] + self.cell + (-1,))
@@ -56,33 +58,33 @@ class UnitCell(eqx.Module):
         return jax.tree.map(lambda x: jnp.moveaxis(x, back, -1), unpack(x, self.fields, self.dimension))
 
 
-def unit_cell(chain, cell=None):
+def unit_cell(lattice: Lattice, cell: Cell | None = None) -> UnitCell:
     """The unit cell of a lattice, as a `UnitCell` with its dynamical matrix.
 
     The blocks of K = -d force/du at u = 0 are compared along each axis. A ring is compared all around; of a lattice
     with walls or free ends the sites within reach of an end are left out, so that what counts is the infinite lattice
     to which its interior belongs, whatever the boundary.
 
-    **Arguments:** `chain`: one `Lattice`. `cell`: sites per unit cell, a tuple for one number per axis; `None` finds
+    **Arguments:** `lattice`: one `Lattice`. `cell`: sites per unit cell, a tuple for one number per axis; `None` finds
     the smallest period. It must be given where the masses or laws are traced by `jit` or `vmap` (under `jax.grad`
     alone the period is found).
 
     **Raises** ValueError for a batch, modulated stiffness, a lattice without a period (disorder, a defect, a taper),
     a `cell` that is no period, a lattice too short to tell, forces without an energy (K not symmetric).
     """
-    chain = at_rest(chain)
-    sites = grid(chain)
+    lattice = at_rest(lattice)
+    sites = grid(lattice)
     given = None if cell is None else _given_cell(cell, sites)
-    plain, known = _stand_in(chain)
+    plain, known = _stand_in(lattice)
     reach, stiffness, mass = _reach(plain)
     rings = [_is_ring(stiffness, axis, reach) for axis in range(len(sites))]
     found, chosen = _periods(stiffness, mass, reach, rings, given, known)
-    if all(a is b for a, b in zip(jax.tree.leaves(chain), jax.tree.leaves(plain))):
+    if all(a is b for a, b in zip(jax.tree.leaves(lattice), jax.tree.leaves(plain))):
         shells, coupling, mass = _assemble(np, stiffness, mass, found, chosen, reach)
     else:
-        shells, coupling, mass = _traced(chain, found, chosen, reach)
+        shells, coupling, mass = _traced(lattice, found, chosen, reach)
     _check_energy(shells, coupling)
-    return UnitCell(jnp.asarray(coupling), jnp.asarray(mass), found, shells, chain.fields, chain.dimension)
+    return UnitCell(jnp.asarray(coupling), jnp.asarray(mass), found, shells, lattice.fields, lattice.dimension)
 
 
 def _given_cell(cell, sites):
@@ -123,7 +125,7 @@ def _reach(lattice):
     short = [axis for axis, (n, r) in enumerate(zip(sites, reach)) if n < 2 * r + 1]
     if short:
         n, r = sites[short[0]], reach[short[0]]
-        refuse("chain", f"at least {2 * r + 1} sites along axis {short[0]}, where bonds reach {r}", f"{n}",
+        refuse("lattice", f"at least {2 * r + 1} sites along axis {short[0]}, where bonds reach {r}", f"{n}",
                "Build it longer: a wave to the left and one to the right are the same bond there.")
     tolerance = LOOSE * np.finfo(lattice.dtype).eps
     while True:
@@ -132,7 +134,7 @@ def _reach(lattice):
             return tuple(reach), stiffness, mass
         further = [min(2 * r, (n - 1) // 2) for n, r in zip(sites, reach)]
         if further == reach:
-            refuse("chain", "bonds that reach less than half of the lattice", "bonds across the whole lattice",
+            refuse("lattice", "bonds that reach less than half of the lattice", "bonds across the whole lattice",
                    "Use granjax.linear.normal_modes.")
         reach = further
 
@@ -185,7 +187,7 @@ def _period(rows, ring, tolerance, given, known, axis):
     for p in range(1, size // 2 + 1):
         if (not ring or size % p == 0) and not np.any(np.abs(rows[p] - rows[0]) > tolerance) and repeats(p):
             return p
-    refuse("chain", f"a lattice that repeats along axis {axis}",
+    refuse("lattice", f"a lattice that repeats along axis {axis}",
            "one without a period (disorder, a defect, a taper, or fewer than two cells off the ends)",
            "Use granjax.linear.normal_modes, build it longer, or give cell=... to repeat it as one large cell.")
 

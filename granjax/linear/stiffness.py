@@ -1,6 +1,8 @@
 """The stiffness of a lattice at rest: products K w by `jax.jvp`, and the blocks of K between near sites."""
 
+from collections.abc import Callable
 from itertools import product
+from typing import Any, NoReturn
 
 import equinox as eqx
 import jax
@@ -9,21 +11,22 @@ import numpy as np
 
 from ..checks import refuse
 from ..lattice import Lattice, spread_mass
+from ..types import AnyArray, Displacements, Numbers
 
 
-def at_rest(chain):
+def at_rest(lattice: Any) -> Lattice:
     """The lattice without its drives, and with every moving wall held still.
 
     **Raises** ValueError for what is no single lattice, and for stiffness that changes in time.
     """
-    if not isinstance(chain, Lattice):
-        refuse("chain", "a Lattice", f"a {type(chain).__name__}", "Build one, or take one of granjax.scenes.")
-    if chain.lanes:
+    if not isinstance(lattice, Lattice):
+        refuse("lattice", "a Lattice", f"a {type(lattice).__name__}", "Build one, or take one of granjax.scenes.")
+    if lattice.lanes:
         refuse(
-            "chain", "one lattice", f"a batch with lanes {chain.lanes}",
-            "Use jax.vmap(function, in_axes=-1)(chain), and give cell=... where a unit cell is needed.",
+            "lattice", "one lattice", f"a batch with lanes {lattice.lanes}",
+            "Use jax.vmap(function, in_axes=-1)(lattice), and give cell=... where a unit cell is needed.",
         )
-    still = eqx.tree_at(lambda lattice: lattice.terms, chain, tuple(term.undriven() for term in chain.terms))
+    still = eqx.tree_at(lambda x: x.terms, lattice, tuple(term.undriven() for term in lattice.terms))
     for i, term in enumerate(still.terms):
         if term.dependence(still).time and term.stiffness_changes(still):
             refuse(
@@ -33,26 +36,26 @@ def at_rest(chain):
     return still
 
 
-def refuse_one_way():
+def refuse_one_way() -> NoReturn:
     """Refuse forces that come from no energy."""
-    refuse("chain", "forces that come from an energy (symmetric stiffness)", "stiffness that is not symmetric",
+    refuse("lattice", "forces that come from an energy (symmetric stiffness)", "stiffness that is not symmetric",
            "Bonds push both ends alike; look for a term of your own that does not.")
 
 
-def stiffness_product(lattice):
+def stiffness_product(lattice: Lattice) -> Callable:
     """The linear map w -> K w = -(d force/du)(u = 0) w, on displacements of the lattice's own structure."""
     zeros, time = lattice.zeros(), jnp.zeros((), lattice.dtype)
     _, slope = jax.linearize(lambda u: lattice.force(time, u, zeros), zeros)
     return lambda w: jax.tree.map(jnp.negative, slope(w))
 
 
-def pack(lattice, u):
+def pack(lattice: Lattice, u: Displacements) -> Numbers:
     """Displacements as one array (sites..., components): the fields in alphabetical order, each with its vector."""
     leaves = [x.reshape(x.shape[: lattice.axes] + (-1,)) for x in jax.tree.leaves(u)]
     return jnp.concatenate(leaves, -1)
 
 
-def unpack(x, fields, dimension):
+def unpack(x: AnyArray, fields: tuple[str, ...] | None, dimension: int | None) -> Displacements:
     """Inverse of `pack`, for any leading axes."""
     vector = () if dimension is None else (dimension,)
     if fields is None:
@@ -62,28 +65,28 @@ def unpack(x, fields, dimension):
     return {name: part.reshape(part.shape[:-1] + vector) for name, part in zip(names, parts)}
 
 
-def grid(lattice):
+def grid(lattice: Lattice) -> tuple[int, ...]:
     """Sites along each axis.
 
     **Raises** ValueError where the fields of a cell have different numbers of sites.
     """
     shapes = set(lattice.sites.values()) if lattice.fields else {lattice.sites}
     if len(shapes) > 1:
-        refuse("chain", "fields with one number of sites", f"{lattice.sites}", "Use granjax.linear.normal_modes.")
+        refuse("lattice", "fields with one number of sites", f"{lattice.sites}", "Use granjax.linear.normal_modes.")
     return shapes.pop()
 
 
-def components(lattice):
+def components(lattice: Lattice) -> int:
     """Degrees of freedom of one site."""
     return (len(lattice.fields) if lattice.fields else 1) * (lattice.dimension or 1)
 
 
-def masses(lattice):
+def masses(lattice: Lattice) -> Any:
     """Mass of every degree of freedom, (sites..., components)."""
     return pack(lattice, spread_mass(lattice))
 
 
-def offsets(reach):
+def offsets(reach: Any) -> list:
     """The offsets between sites that a reach spans, in the order of the blocks."""
     return list(product(*[range(-r, r + 1) for r in reach]))
 
@@ -95,7 +98,7 @@ def _colours(size, reach):
     return np.where(index < whole, index % spacing, spacing + index - whole)
 
 
-def blocks(lattice, reach):
+def blocks(lattice: Lattice, reach: Any) -> Any:
     """Blocks of K, (sites..., offsets, components, components): force on site n from site n + offset.
 
     Sites of one colour are displaced together, so the cost is that of a few forces, however long the chain. Offsets
@@ -118,13 +121,13 @@ def blocks(lattice, reach):
 
 
 @eqx.filter_jit
-def probe(lattice, reach, w):
+def probe(lattice: Lattice, reach: Any, w: Any) -> Any:
     """Blocks of K, the masses, and K w to test the blocks by."""
     pull = stiffness_product(lattice)(unpack(w, lattice.fields, lattice.dimension))
     return blocks(lattice, reach), masses(lattice), pack(lattice, pull)
 
 
-def settled(function, *arguments):
+def settled(function: Callable, *arguments: Any) -> Any:
     """The result of concrete arguments as NumPy arrays, inside `jit` too."""
     result = function(*arguments)
     if any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(result)):
@@ -133,7 +136,7 @@ def settled(function, *arguments):
     return jax.tree.map(np.asarray, result)
 
 
-def measure(lattice, reach):
+def measure(lattice: Lattice, reach: Any) -> Any:
     """Blocks of K, masses, and how much K w differs from the blocks' sum for a random w, relative to the largest."""
     sites = grid(lattice)
     w = np.random.default_rng(1).uniform(-1, 1, sites + (components(lattice),)).astype(lattice.dtype)

@@ -1,10 +1,12 @@
 """Contacts: compression, overlap and total force of bonds and walls."""
 
 from ..checks import refuse, whole
+from ..lattice import Lattice
+from ..types import Count, Number, Numbers, StateLike
 from .states_of import displacements
 
 
-def contacts(lattice, y, t=0.0):
+def contacts(lattice: Lattice, y: StateLike, t: Number = 0.0) -> list:
     """The contacts at a state: `Compression`s, bonds in the order of the terms, then walls in theirs.
 
     Each has its `law`, `compression` [m], total `force` [N] and `overlap` [m].
@@ -23,7 +25,7 @@ def _contact(lattice, y, t, bond):
     return found[bond]
 
 
-def strain(lattice, y, t=0.0, *, bond=0):
+def strain(lattice: Lattice, y: StateLike, t: Number = 0.0, *, bond: Count = 0) -> Numbers:
     """Compression of every bond from equilibrium, e_n = u_n - u_{n+1} for a chain, positive in compression [m].
 
     **Arguments:** `lattice`; `y`: a `State`; `t`: time, which only driven walls read; `bond`: which bond term, counted
@@ -34,7 +36,7 @@ def strain(lattice, y, t=0.0, *, bond=0):
     return _contact(lattice, y, t, bond).compression
 
 
-def contact_force(lattice, y, t=0.0, *, bond=0):
+def contact_force(lattice: Lattice, y: StateLike, t: Number = 0.0, *, bond: Count = 0) -> Numbers:
     """Total contact force of every bond, F0 + F(e), positive in compression [N].
 
     At rest it is the preload F0; an open contact carries zero. Under a modulation g(t) it is g(t) (F0 + F(e)).
@@ -44,7 +46,7 @@ def contact_force(lattice, y, t=0.0, *, bond=0):
     return _contact(lattice, y, t, bond).force
 
 
-def overlap(lattice, y, t=0.0, *, bond=0):
+def overlap(lattice: Lattice, y: StateLike, t: Number = 0.0, *, bond: Count = 0) -> Number | None:
     """Overlap of every contact, d0 + e for a power law; not above zero where it is open [m].
 
     **Arguments and shapes:** as in `strain`. **Raises** ValueError also for a law that cannot open.

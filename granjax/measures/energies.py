@@ -6,10 +6,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import refuse
+from ..lattice import Lattice
+from ..types import Displacements, Number, Parameter, StateLike
 from .states_of import displacements, parts, velocities
 
 
-def energy(lattice, y, t=0.0):
+def energy(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
     """Kinetic and potential energy of the whole lattice, from equilibrium [J]; shape of the lanes.
 
     **Raises** ValueError for a state of another shape than the lattice's.
@@ -18,25 +20,25 @@ def energy(lattice, y, t=0.0):
     return lattice.energy(t, u, v)
 
 
-def potential_energy(lattice, y, t=0.0):
+def potential_energy(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
     """Potential energy of all bonds, walls and sites, from equilibrium [J]; shape of the lanes."""
     u = displacements(lattice, y)
     return lattice.potential_energy(t, u) + jnp.zeros(lattice.lanes, lattice.dtype)
 
 
-def kinetic_energy(lattice, y, t=0.0):
+def kinetic_energy(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
     """Sum of m v^2/2 [J]; shape of the lanes. `t` is not read."""
     return lattice.kinetic_energy(velocities(lattice, y))
 
 
-def momentum(lattice, y, t=0.0):
+def momentum(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
     """Total momentum, sum of m v [kg m/s]; shape of the lanes, after (d,) for vectors. `t` is not read."""
     v = velocities(lattice, y)
     axes = tuple(range(lattice.axes))
     return sum(jax.tree.leaves(jax.tree.map(lambda m, v: (m * v).sum(axes), lattice.mass, v)))
 
 
-def site_energy(lattice, y, t=0.0):
+def site_energy(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Displacements:
     """Energy of every site: m v^2/2, its on-site energy, and half of each of its bonds' [J].
 
     A bond to a rigid wall belongs wholly to its one site, so that the sum over the sites is `energy`.
@@ -72,7 +74,7 @@ def _per_site(lattice, x):
     return x
 
 
-def species_energy(lattice, y, t=0.0, *, species=None):
+def species_energy(lattice: Lattice, y: StateLike, t: Number = 0.0, *, species: Parameter | None = None) -> Number:
     """Energy of each kind of site, from `site_energy` [J]: who holds it, the heavy or the light.
 
     **Arguments:** `species`: one label per site, numbers or names (`["heavy", "light"] * 50`, a mask); `None` for the

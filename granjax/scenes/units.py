@@ -8,6 +8,7 @@ import jax.numpy as jnp
 
 from ..checks import concrete, positive, refuse
 from ..lattice import Lattice
+from ..types import Scalar
 from ..units import Units
 
 
@@ -18,7 +19,7 @@ class ScaledLattice(NamedTuple):
     units: Units
 
 
-def scaled(lattice, velocity=None, *, units=None):
+def scaled(lattice: Lattice, velocity: Scalar | None = None, *, units: Units | None = None) -> ScaledLattice:
     r"""A lattice in SI with numbers of order one, and the units that lead back.
 
     Mass unit: the mean mass. Length unit: the overlap at rest d0 = (F0/A)^{1/p} of the mean contact, or where

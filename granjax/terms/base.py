@@ -143,8 +143,7 @@ class Term(Dimensional):
         return Tangent(self, t, u, v, lattice.mass, reads) if reads.displacement or reads.velocity else None
 
     def exact_damping(self):
-        """(field, rate) where the term is linear damping of sites, which a splitting solver takes exactly, or `None`.
-        """
+        """(field, rate) of a linear damping of sites, which a splitting solver takes exactly, or `None`."""
         return None
 
     def next_neighbours(self):
