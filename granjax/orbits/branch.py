@@ -57,7 +57,7 @@ class Branch(Result):
     `State` of (P, N). `energy` (P,) at t0. `response` (P,): the chosen number, of a forced branch. `multipliers`
     (P, 2n), the largest modulus first, and `error` of each. `step_error` (P,): change of the tangent map when the steps
     are doubled. `verdict`: P words "stable", "unstable", "undecided", or "" where they were not computed.
-    `bifurcations`: a tuple of `Bifurcation` in the order of the branch. `outcome`: why it ended. `flow`, `t0`.
+    `bifurcations`: a tuple of `Bifurcation` in the order of the branch. `outcome`: why it ended. `t0`.
     """
 
     held: ClassVar[dict[str, Held]] = {
@@ -65,6 +65,7 @@ class Branch(Result):
         "energy": Held("point", "J"), "response": Held("point"),
         "multipliers": Held("point multiplier", "1", "multiplier"),
         "error": Held("point multiplier", "1"), "step_error": Held("point", "1"), "verdict": Held("point"),
+        "bifurcations": Held(None),
     }
     p: Float[np.ndarray, " P"]
     periods: Float[np.ndarray, " P"]
@@ -77,8 +78,8 @@ class Branch(Result):
     verdict: Shaped[np.ndarray, " P"]
     bifurcations: tuple[Bifurcation, ...]
     outcome: str = eqx.field(static=True)
-    flow: Flow
     t0: float
+    _flow: Flow
     _family: Family
     _curve: Curve
 
@@ -125,7 +126,7 @@ class Branch(Result):
         none = jnp.zeros((), int)
         root = Root(x, jnp.full((x.size,) * 2, jnp.nan), residual, residual, none, none, residual)
         state = jax.tree.map(lambda y: jnp.asarray(y[i]), self.states)
-        return Orbit(state, jnp.asarray(self.periods[i]), lattice, root, self.flow, jnp.asarray(self.t0),
+        return Orbit(state, jnp.asarray(self.periods[i]), lattice, root, self._flow, jnp.asarray(self.t0),
                      self._family.shooting.symmetry)
 
 

@@ -183,7 +183,7 @@ def _branch(problem, curve, stability):
     half = problem.shooting.flow
     return Branch(
         curve.p, 2 * np.pi / curve.p, jax.tree.map(np.asarray, states), np.asarray(energy), None, multipliers, error,
-        step_error, verdict, tuple(special_of(problem, curve)), curve.outcome, Flow(2 * half.steps, half.solver), 0.0,
+        step_error, verdict, tuple(special_of(problem, curve)), curve.outcome, 0.0, Flow(2 * half.steps, half.solver),
         problem, curve)
 
 

@@ -102,7 +102,7 @@ def forced_branch(
     outcome = f"p reached {p[-1]:.6g}." if curve.outcome.startswith("p reached") else curve.outcome
     return Branch(
         p, periods, states, energies, responses, multipliers, errors,
-        np.array([np.abs(fine - coarse).max() for fine, coarse in maps]), verdicts, found, outcome, flow, float(t0),
+        np.array([np.abs(fine - coarse).max() for fine, coarse in maps]), verdicts, found, outcome, float(t0), flow,
         family, curve)
 
 

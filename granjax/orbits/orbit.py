@@ -1,6 +1,7 @@
 """A periodic orbit, y(t0 + T) = S y(t0), and how to ask for one."""
 
 import math
+from collections.abc import Iterator
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -53,7 +54,10 @@ class Orbit(Result):
     ended. `flow`: steps and solver over a period. `symmetry`: S; after T times its order the state itself returns.
     """
 
-    held: ClassVar[dict[str, Held]] = {"state": Held("site"), "period": Held(unit="s"), "t0": Held(unit="s")}
+    held: ClassVar[dict[str, Held]] = {
+        "state": Held("site"), "period": Held(unit="s"), "omega": Held(unit="rad/s"), "energy": Held(unit="J"),
+        "t0": Held(unit="s"),
+    }
     state: State
     period: Number
     lattice: Lattice
@@ -61,6 +65,15 @@ class Orbit(Result):
     flow: Flow
     t0: Number
     symmetry: Symmetry = Symmetry()
+
+    def _fields(self) -> Iterator[tuple[str, object]]:
+        yield "state", self.state
+        # of a batch neither energy nor steps is one number
+        one = ("period", "omega", "energy", "t0") if jnp.ndim(self.period) == 0 else ("period", "omega", "t0")
+        yield from ((name, getattr(self, name)) for name in one)
+        yield "steps", self.flow.steps
+        if not self.symmetry.trivial:
+            yield "symmetry", repr(self.symmetry)
 
     @property
     def omega(self) -> Number:

@@ -29,6 +29,10 @@ class Symmetry(eqx.Module):
     mirror: bool = eqx.field(static=True, default=False)
     sign: int = eqx.field(static=True, default=1)
 
+    def __repr__(self) -> str:
+        parts = {"Sign()": self.sign < 0, f"Translation({self.cells})": self.cells, "Mirror()": self.mirror}
+        return " @ ".join(name for name, there in parts.items() if there) or "the identity"
+
     @property
     def trivial(self) -> bool:
         """Whether it is the identity."""

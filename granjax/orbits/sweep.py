@@ -49,6 +49,7 @@ class Way(Result):
     held: ClassVar[dict[str, Held]] = {
         "response": Held("value"), "velocity": Held("value site", "m/s"), "energy": Held("value", "J"),
         "multiple": Held("value"), "periods": Held("value"), "states": Held("value site", "", "state"),
+        "jumps": Held(None), "bifurcations": Held(None),
     }
     response: Float[np.ndarray, " P"]
     velocity: Displacements
@@ -74,7 +75,7 @@ class Sweep(Result):
     settled differently; their ends are jumps where there is one beside, else values of the sweep.
     """
 
-    held: ClassVar[dict[str, Held]] = {"values": Held("value", "", "value")}
+    held: ClassVar[dict[str, Held]] = {"values": Held("value", "", "value"), "hysteresis": Held(None)}
     values: Float[np.ndarray, " P"]
     up: Way
     down: Way
