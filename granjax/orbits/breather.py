@@ -147,7 +147,7 @@ class AtEnergy(eqx.Module):
 
 def _check(lattice, omega, guess):
     # a State that fills the lattice is a wave with a dip: its first harmonic is in the band by nature
-    fills = isinstance(guess, tuple) and _spread(guess) > FILLS
+    fills = isinstance(guess, tuple) and bool(_spread(guess) > FILLS)
     refuse_resonance(lattice, omega, fills or guess == "dark")
     if guess == "dark" or isinstance(guess, tuple) or cell_of(lattice) is None:
         return
