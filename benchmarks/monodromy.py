@@ -38,11 +38,11 @@ FEWEST, MOST, RUNG = 8, 130, 1.12
 TOLERANCES, FEW = 10.0 ** -np.arange(3, 14.5, 0.5), 10.0 ** -np.arange(4.0, 15.0, 2.0)
 # the error at which like is compared with like
 ERROR = 1e-9
-POINTS, LONGEST_STEP, PROCESSES = 100, 0.0317, 5
+POINTS, LONGEST_ARCLENGTH, PROCESSES = 100, 0.0317, 5
 FAMILY = """
 import granjax as gx
 chain = gx.scenes.pattern(81, (1.0, 2.957949), precompression=1.0, boundary="free")
-branch = gx.breathers.family(chain, until=0.985 * 3**0.5, longest_arclength={step}, points={points})
+branch = gx.breathers.family(chain, until=0.985 * 3**0.5, longest_arclength={arclength}, points={points})
 assert branch.multipliers.shape == (len(branch), 162)
 print(len(branch))
 """
@@ -179,7 +179,7 @@ def family():
 
     With the compilation cache off, and with what an earlier process has left there.
     """
-    code = FAMILY.format(step=LONGEST_STEP, points=4 * POINTS)
+    code = FAMILY.format(arclength=LONGEST_ARCLENGTH, points=4 * POINTS)
     cached = f"import granjax.tuning; granjax.tuning.keep_compiled(){code}"
     fresh, points = processes(code, {"GRANJAX_CACHE": "0"})
     return {"points": points, "fresh": fresh, "with_cache": processes(cached, {})[0]}

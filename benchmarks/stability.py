@@ -27,7 +27,7 @@ AGREEMENT = 0.02
 def limits(quick):
     """The table, each line confirmed by two runs."""
     solvers = (gx.VelocityVerlet, gx.SRKN6b) if quick else runs.EVERY
-    rows = runs.table(solvers, most_steps=20_000 if quick else 400_000)
+    rows = runs.table(solvers, max_steps=20_000 if quick else 400_000)
     for row in rows:
         row["confirmed"] = _confirmed(row)
         print(f"{row['solver']:<20} h omega < {row['limit']:<11.6g} per force {row['per_evaluation']:<9.4g}"

@@ -46,7 +46,7 @@ def in_lanes(make, ratios):
 # the table, and a run on either side of every limit --------------------------------------------------------------
 
 
-def table(solvers, phase=1e5, sites=16, most_steps=400_000):
+def table(solvers, phase=1e5, sites=16, max_steps=400_000):
     """Lines of `granjax.solvers.stability`, each confirmed on a linear chain by growth just inside and just outside.
 
     Outside is 1 % beyond the limit, or the middle of the first window of instability where that is narrower. Growth is
@@ -63,18 +63,18 @@ def table(solvers, phase=1e5, sites=16, most_steps=400_000):
         outside = min(1.01 * line.limit, (first.start + first.end) / 2)
         row = {**line._asdict(), "windows": [w._asdict() for w in line.windows[:4]]}
         for name, z in (("inside", 0.99 * line.limit), ("outside", outside)):
-            row[name] = _confirmed(chain, top, omega, solver, z, phase, most_steps)
+            row[name] = _confirmed(chain, top, omega, solver, z, phase, max_steps)
         row["refused"] = [_refusal(chain, omega, solver, part * line.refused_from) for part in (0.999, 1.001)]
         rows.append(row)
     return rows
 
 
-def _confirmed(chain, top, omega, solver, z, phase, most_steps):
+def _confirmed(chain, top, omega, solver, z, phase, max_steps):
     rate = float(stability.growth(solver, z))
     step = z / omega
     # no overflow, and a decay that stays far above rounding
     steps = int(min(phase, 200 / max(rate, 1e-12), 15 / max(-rate, 1e-12)) / z)
-    steps = min(max(steps, 200), most_steps)
+    steps = min(max(steps, 200), max_steps)
     state = gx.State(jnp.asarray(0.01 * top), jnp.asarray(0.003 * top))
     chosen = np.unique(np.random.default_rng(0).integers(1, steps, 600))
     ys = states(chain, state, solver(), steps * step, step, jnp.asarray(chosen * step))
