@@ -26,16 +26,16 @@ from granjax.solvers.nystrom import _stages
 splittings = pytest.mark.parametrize("solver", SPLITTING, ids=lambda s: s.__name__)
 
 
-def mostly_slow(solvers, *fast):
-    """The solvers share their code: some stand for all in the fast set."""
-    marked = [s if s in fast else pytest.param(s, marks=pytest.mark.slow) for s in solvers]
+def some_of(solvers, *some, rest=pytest.mark.slow):
+    """Solvers, of which some stand for all; the others are slow, or a study where all share the code that is tested."""
+    marked = [s if s in some else pytest.param(s, marks=rest) for s in solvers]
     return pytest.mark.parametrize("solver", marked, ids=lambda s: s.__name__)
 
 
 # one that kicks first, one that drifts first, one pair
-each = mostly_slow(ALL_SOLVERS, SRKN11b, SRKN14a, RKN86)
+each = some_of(ALL_SOLVERS, SRKN11b, SRKN14a, RKN86, rest=pytest.mark.study)
 pairs = pytest.mark.parametrize("solver", NYSTROM, ids=lambda s: s.__name__)
-pair = mostly_slow(NYSTROM, RKN86)
+pair = some_of(NYSTROM, RKN86, rest=pytest.mark.study)
 
 N = 10
 
@@ -101,7 +101,7 @@ def truth(lanes):
 
 
 @pytest.mark.slow
-@mostly_slow(ALL_SOLVERS, VelocityVerlet, SRKN11b, RKN86)
+@some_of(ALL_SOLVERS, VelocityVerlet, SRKN11b, RKN86)
 def test_observed_order(solver, lanes, truth):
     scene, y = lanes
     counts = LADDERS[solver]
@@ -154,7 +154,7 @@ def monodromy(solver, lattice, y, t1, step):
 
 
 @pytest.mark.slow
-@mostly_slow(SPLITTING, SRKN11b, SRKN14a, SofroniouSpaletta10)
+@some_of(SPLITTING, SRKN11b, SRKN14a, SofroniouSpaletta10)
 def test_symplectic(solver):
     M = monodromy(solver, chain(), smooth(), 2.0, 0.25)
     J = symplectic_form(N)
@@ -197,7 +197,7 @@ def test_time_reversible(solver):
 
 
 @pytest.mark.slow
-@mostly_slow(SPLITTING, VelocityVerlet, SRKN6b, SRKN11b, SRKN14a)
+@some_of(SPLITTING, VelocityVerlet, SRKN6b, SRKN11b, SRKN14a)
 def test_stability_limit(solver):
     # the first interval of instability may be narrow and weak (SRKN11b: 3e-4 wide, growth 4e-4 a step)
     def oscillator(t, y, args):
@@ -569,20 +569,24 @@ DIRECTION = (jnp.asarray(0.7), jnp.cos(jnp.arange(N) * 1.0))
 
 
 @pytest.mark.slow
-@mostly_slow((SRKN11b, RKN86, RKN1210), RKN86)
+@some_of((SRKN11b, RKN86, RKN1210), SRKN11b, RKN86, rest=pytest.mark.study)
 def test_forward_and_reverse_derivatives_agree(solver):
-    def value(adjoint):
-        return jax.jit(lambda k, u: observed(solver(), k, u, adjoint))
+    @jax.jit
+    def both(place, direction):
+        forwards, backwards = (
+            lambda k, u, adjoint=adjoint: observed(solver(), k, u, adjoint)
+            for adjoint in (diffrax.ForwardMode(), diffrax.DirectAdjoint())
+        )
+        return jax.jvp(forwards, place, direction)[1], jax.grad(backwards, argnums=(0, 1))(*place)
 
-    _, forward = jax.jvp(value(diffrax.ForwardMode()), PLACE, DIRECTION)
-    gk, gu = jax.grad(value(diffrax.DirectAdjoint()), argnums=(0, 1))(*PLACE)
+    forward, (gk, gu) = both(PLACE, DIRECTION)
     assert abs(forward - gk * DIRECTION[0] - gu @ DIRECTION[1]) < 1e-12 * abs(forward)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("solver, options", (
     (SRKN11b, {}), (RKN86, {"stepsize_controller": diffrax.PIDController(rtol=1e-9, atol=1e-9)}),
-    pytest.param(RKN86, {}, marks=pytest.mark.slow), pytest.param(RKN1210, {}, marks=pytest.mark.slow),
+    (RKN86, {}), pytest.param(RKN1210, {}, marks=pytest.mark.study),
 ), ids=("SRKN11b", "RKN86 adaptive", "RKN86", "RKN1210"))
 def test_derivative_is_that_of_finite_differences(solver, options):
     def along(s):
