@@ -15,6 +15,7 @@ from granjax.results import Result
 
 TABLE = Path(granjax.__file__).parents[1] / "CONTRIBUTING.md"
 NAMES = [m.name for m in pkgutil.iter_modules(granjax.__path__) if not m.name.startswith("_")]
+NAMES += ["studies.reproduce", "studies.resonance"]
 
 
 class Signature(NamedTuple):
