@@ -22,7 +22,7 @@ UNTYPED = (
     "identify.families",
     "lattice",
     "laws",
-    "plots",
+    "plots.orbits",
     "strains",
     "terms",
 )

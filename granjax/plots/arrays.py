@@ -1,11 +1,14 @@
 """What the plots are given, as NumPy arrays of known shape."""
 
+from typing import Any
+
 import numpy as np
+from jaxtyping import Float
 
 from ..checks import parameter, refuse, show
 
 
-def numbers(argument, x, ndim=None, finite=True):
+def numbers(argument: str, x: Any, ndim: int | None = None, finite: bool = True) -> Float[np.ndarray, "..."]:
     """A floating NumPy array; with `finite=False` NaN and infinity pass, as gaps in the picture."""
     if finite:
         array = np.asarray(parameter(argument, x))
@@ -20,7 +23,7 @@ def numbers(argument, x, ndim=None, finite=True):
     return array
 
 
-def rising(argument, x, size):
+def rising(argument: str, x: Any, size: int) -> Float[np.ndarray, " size"]:
     """`size` numbers, each above the one before."""
     x = numbers(argument, x, 1)
     if len(x) != size:
@@ -30,12 +33,12 @@ def rising(argument, x, size):
     return x
 
 
-def is_run(x):
+def is_run(x: Any) -> bool:
     """Whether it is a run: anything with ts, us and vs."""
     return all(hasattr(x, name) for name in ("ts", "us", "vs"))
 
 
-def history(run_or_array, quantity, ts):
+def history(run_or_array: Any, quantity: Any, ts: Any) -> tuple[Any, Float[np.ndarray, "T N"]]:
     """Times (or `None`) and data (T, N) of a run and one of its quantities, or of an array."""
     if not is_run(run_or_array):
         if not (isinstance(quantity, str) and quantity == "v"):

@@ -1,19 +1,24 @@
 """Curves: profiles with a logarithmic inset, transmission over the mass ratio."""
 
+from collections.abc import Sequence
+
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
 from ..checks import one_of, parameter, refuse, within
+from ..types import Parameter, Scalar
 from .arrays import numbers
-from .style import COLOURS, DASHES, FAINT, axes_or_new, colour
+from .style import COLOURS, DASHES, FAINT, AxesOrNone, axes_or_new, colour
 
 INSETS = ("log", "none")
 
 
 def profile(
-    x, y, ax=None, *, labels=None, points=None, points_label=None, inset="log", floor=1e-16, x_label="site",
-    y_label="strain (scaled)",
-):
+    x: Parameter, y: Parameter, ax: AxesOrNone = None, *, labels: str | Sequence[str] | None = None,
+    points: tuple | list | None = None, points_label: str | None = None, inset: str | None = "log",
+    floor: Scalar = 1e-16, x_label: str = "site", y_label: str = "strain (scaled)",
+) -> Axes:
     """Profiles over space, with their absolute values on a logarithmic axis in an inset.
 
     **Arguments:**
@@ -77,9 +82,10 @@ def _curves(ax, x, y, points, labels, points_label, scale=1.0):
 
 
 def transmission(
-    mass_ratio, transmission, ax=None, *, resonances=None, anti_resonances=None, label=None,
-    y_label="transmitted force / that of the monomer",
-):
+    mass_ratio: Parameter, transmission: Parameter, ax: AxesOrNone = None, *, resonances: Parameter | None = None,
+    anti_resonances: Parameter | None = None, label: str | Sequence[str] | None = None,
+    y_label: str = "transmitted force / that of the monomer",
+) -> Axes:
     """Transmitted force of a dimer chain over the mass ratio, relative to the monomer's.
 
     **Arguments:** `mass_ratio`: light over heavy, (R,), in (0, 1]; `transmission`: (R,), or (R, C) for C curves;

@@ -1,18 +1,27 @@
 """Fits: data beside the fitted signals, corner plots of what is known, identified laws with their bands."""
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
+from jaxtyping import Shaped
+from matplotlib.axes import Axes
 from matplotlib.patches import Ellipse
 from matplotlib.ticker import MaxNLocator
 
 from ..checks import refuse, show, whole
+from ..types import Count, Parameter, Scalar
 from .arrays import numbers, rising
-from .style import COLOURS, FAINT, style
+from .style import COLOURS, FAINT, AxesOrNone, style
 
 # half-width of a corner plot's axes, in standard deviations
 REACH = 3.5
 
 
-def fit(result, ax=None, *, sensors=None, x_label="time", y_label=None, scale=1.0):
+def fit(
+    result: Any, ax: Axes | Shaped[np.ndarray, "..."] | None = None, *, sensors: Sequence[Count] | None = None,
+    x_label: str = "time", y_label: str | None = None, scale: Scalar | Sequence[Scalar] = 1.0,
+) -> Shaped[np.ndarray, "2 columns"]:
     """Data and fitted signal of every sensor, with the residuals below.
 
     **Arguments:**
@@ -60,7 +69,10 @@ def fit(result, ax=None, *, sensors=None, x_label="time", y_label=None, scale=1.
     return axes
 
 
-def corner(result, axes=None, *, truths=None, labels=None):
+def corner(
+    result: Any, axes: Axes | Shaped[np.ndarray, "..."] | None = None, *, truths: dict[str, Scalar] | None = None,
+    labels: Sequence[str] | None = None,
+) -> Shaped[np.ndarray, "P P"]:
     """What is known of each pair of parameters: ellipses of one and two standard deviations, Gaussians on the diagonal.
 
     The ellipses are contours of the Gaussian with the fit's covariance; the inner one holds 39 % and the outer one
@@ -125,8 +137,11 @@ def corner(result, axes=None, *, truths=None, labels=None):
     return axes
 
 
-def law(strain, force, low, high, ax=None, *, label="identified", band=None, truth=None, truth_label="true",
-        x_label="compression", y_label="force"):
+def law(
+    strain: Parameter, force: Parameter, low: Parameter, high: Parameter, ax: AxesOrNone = None, *,
+    label: str = "identified", band: str | None = None, truth: Parameter | None = None, truth_label: str = "true",
+    x_label: str = "compression", y_label: str = "force",
+) -> Axes:
     """An identified law with its band, over the strains that were visited and nowhere else.
 
     **Arguments:** `strain` (n,), rising, the strains that the motion visited; `force` (n,); `low`, `high` (n,): the

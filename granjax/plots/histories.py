@@ -1,11 +1,16 @@
 """Histories: space-time maps and stacked traces."""
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm, Normalize, TwoSlopeNorm
 
 from ..checks import one_of, positive, refuse, within
+from ..types import Parameter, Scalar
 from .arrays import history, numbers, rising
-from .style import add_colour_bar, axes_or_new, colour
+from .style import AxesOrNone, add_colour_bar, axes_or_new, colour
 
 SCALES = ("linear", "log")
 LABELS = {"u": "displacement", "v": "velocity"}
@@ -16,9 +21,11 @@ FINE = 1000
 
 
 def space_time(
-    run_or_array, ax=None, *, quantity="v", ts=None, sites=None, scale="linear", floor=1e-4, limit=None, label=None,
-    unit="scaled", time_label="time (scaled)", site_label="site", colour_bar=True,
-):
+    run_or_array: Any, ax: AxesOrNone = None, *, quantity: str | Parameter = "v", ts: Parameter | None = None,
+    sites: Parameter | None = None, scale: str = "linear", floor: Scalar = 1e-4, limit: Scalar | None = None,
+    label: str | None = None, unit: str = "scaled", time_label: str = "time (scaled)", site_label: str = "site",
+    colour_bar: bool = True,
+) -> Axes:
     """Space-time map of a history: site on x, time on y, the quantity in colour.
 
     **Arguments:**
@@ -102,9 +109,10 @@ def _ends(x):
 
 
 def traces(
-    ts, qs, sites=None, ax=None, *, offset=None, labels=None, label="velocity", unit="scaled",
-    time_label="time (scaled)", site_label="site",
-):
+    ts: Parameter, qs: Parameter, sites: Parameter | None = None, ax: AxesOrNone = None, *,
+    offset: Scalar | None = None, labels: Sequence | None = None, label: str = "velocity", unit: str = "scaled",
+    time_label: str = "time (scaled)", site_label: str = "site",
+) -> Axes:
     """Traces of some sites over time, stacked, the first at the bottom.
 
     **Arguments:**

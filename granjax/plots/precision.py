@@ -1,17 +1,20 @@
 """Error against time or force evaluations, one line per method."""
 
+from typing import Any
+
 import numpy as np
+from matplotlib.axes import Axes
 
 from ..checks import one_of, refuse
 from .arrays import numbers
-from .style import FAINT, axes_or_new, colour
+from .style import FAINT, AxesOrNone, axes_or_new, colour
 
 AGAINST = {"time": ("seconds", "time of one run (s)"), "evaluations": ("evaluations", "force evaluations of one run")}
 MARKS = ("o", "s", "^", "D", "v", "P", "X")
 DEFAULT = "default"
 
 
-def work_precision(wp, ax=None, *, against="time"):
+def work_precision(wp: Any, ax: AxesOrNone = None, *, against: str = "time") -> Axes:
     """Error against the work that it takes, both logarithmic: down and to the left is better.
 
     **Arguments:**

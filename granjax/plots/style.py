@@ -1,12 +1,20 @@
 """The house style: fonts, colours, new figures. Nothing global is changed."""
 
 import contextlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TypeAlias
 
 import matplotlib
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from ..checks import positive
+from ..types import Count, Scalar
+
+AxesOrNone: TypeAlias = Axes | None
+"""Axes to draw into, `None` for those of a new figure."""
 
 # Okabe and Ito (2008): blue, vermilion, green, orange, sky, purple, black
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#E69F00", "#56B4E9", "#CC79A7", "#000000")
@@ -32,7 +40,7 @@ _STYLE = {
 
 
 @contextlib.contextmanager
-def style():
+def style() -> Iterator[None]:
     """The house style as a context: `with gx.plots.style(): ...` for Axes of your own."""
     # not matplotlib's own context: it would undo what a notebook's backend sets when it loads inside
     kept = {name: matplotlib.rcParams[name] for name in _STYLE}
@@ -43,7 +51,7 @@ def style():
         matplotlib.rcParams.update(kept)
 
 
-def figure(width=5.0, height=3.6):
+def figure(width: Scalar = 5.0, height: Scalar = 3.6) -> Figure:
     """An empty figure without a window, to be filled by `.subplots(rows, columns)` inside `with style()`.
 
     **Arguments:** `width`, `height` [inch]. **Returns:** a matplotlib `Figure` that lays itself out.
@@ -56,14 +64,14 @@ def figure(width=5.0, height=3.6):
     return made
 
 
-def save(made, path, *, dpi=200):
+def save(made: Figure, path: str | Path, *, dpi: Scalar = 200) -> str | Path:
     """Write a figure; the path's ending says how (png, pdf, svg). Returns the path."""
     with style():
         made.savefig(path, dpi=float(positive("dpi", dpi)), facecolor="white")
     return path
 
 
-def axes_or_new(ax, width=5.0, height=3.6):
+def axes_or_new(ax: AxesOrNone, width: Scalar = 5.0, height: Scalar = 3.6) -> Axes:
     """The Axes that were given, or those of a new pyplot figure in the house style."""
     if ax is not None:
         return ax
@@ -73,12 +81,12 @@ def axes_or_new(ax, width=5.0, height=3.6):
         return plt.subplots(figsize=(width, height), layout="constrained")[1]
 
 
-def colour(i):
+def colour(i: Count) -> str:
     """The i-th line colour, around again after the last."""
     return COLOURS[i % len(COLOURS)]
 
 
-def add_colour_bar(ax, image, label, extend="neither"):
+def add_colour_bar(ax: Axes, image: object, label: str, extend: str = "neither") -> object:
     """A colour bar beside the Axes, with letters of their size."""
     bar = ax.figure.colorbar(image, ax=ax, pad=0.02, extend=extend, extendfrac=0.03)
     bar.set_label(label, size=ax.yaxis.label.get_size())

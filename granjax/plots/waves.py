@@ -1,16 +1,23 @@
 """Dispersion with the spectrum of a simulation under it."""
 
+from typing import Any
+
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 
 from ..checks import refuse, within
+from ..types import Scalar
 from .arrays import numbers
-from .style import COLOURS, add_colour_bar, axes_or_new
+from .style import COLOURS, AxesOrNone, add_colour_bar, axes_or_new
 
 CLOSED = 1e-6
 
 
-def dispersion(dispersion_record, ax=None, *, spectrum=None, floor=1e-6, unit="scaled", colour_bar=True):
+def dispersion(
+    dispersion_record: Any, ax: AxesOrNone = None, *, spectrum: Any = None, floor: Scalar = 1e-6, unit: str = "scaled",
+    colour_bar: bool = True,
+) -> Axes:
     """Dispersion relation of a chain, with a spectrum over wave number and frequency under it and gaps shaded.
 
     **Arguments:**
