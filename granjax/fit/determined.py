@@ -102,7 +102,7 @@ def quantities(
     laws, found = _bonds(problem.lattice(parameters), problem.t0), []
     for (i, law), value, gradient in zip(laws, *map(np.asarray, _stiffnesses(problem, jnp.asarray(flat)))):
         if np.isfinite(value) and value > 0 and np.isfinite(gradient).all():
-            formula = "K2" if law.power is None else "A p d0^(p-1)"
+            formula = "K2" if law.power_law is None else "A p d0^(p-1)"
             name = f"the linear stiffness {formula} of terms[{i}] ({type(law).__name__})"
             found.append((name, gradient * sizes / value))
     return found
@@ -119,7 +119,7 @@ def _stiffnesses(problem, flat):
     """The mean linear stiffness of all bonds (B,), and its derivatives with respect to the parameters (B, P)."""
     def every(flat):
         laws = _bonds(problem.lattice(problem.coordinates.unflat(flat)), problem.t0)
-        return jnp.array([jnp.mean(jnp.abs(law.slope(jnp.zeros_like(flat[0])))) for _, law in laws])
+        return jnp.array([jnp.mean(jnp.abs(law.derivative(jnp.zeros_like(flat[0])))) for _, law in laws])
 
     return every(flat), jax.jacfwd(every)(flat)
 
