@@ -7,11 +7,13 @@ import re
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 import pytest
 from typed import UNTYPED, is_untyped
 
 import granjax
 from granjax.results import Result
+from granjax.units import Units
 
 TABLE = Path(granjax.__file__).parents[1] / "CONTRIBUTING.md"
 NAMES = [m.name for m in pkgutil.iter_modules(granjax.__path__) if not m.name.startswith("_")]
@@ -121,6 +123,16 @@ def test_every_public_class_function_and_method_says_what_it_is():
 def test_the_list_of_modules_without_types_holds_no_others():
     for name in UNTYPED:
         importlib.import_module(f"granjax.{name}")
+
+
+def test_the_examples_of_the_table_s_page_run():
+    space = {}
+    for block in re.findall(r"```python\n(.*?)```", TABLE.read_text(), re.S):
+        exec(block, space)
+    assert space["run"].completed and space["run"].energy_error < 1e-6
+    assert space["shear"].strain({"u": np.ones(4), "theta": np.full(4, 2.0)}).tolist() == [2.0] * 4
+    law = space["Adhesive"](np.asarray(0.8), np.asarray(1.3))
+    assert law.in_units(Units(2.0, 3.0, 5.0)).rate == 3 * 1.3
 
 
 def test_outcomes_are_sentences_and_verdicts_words():
