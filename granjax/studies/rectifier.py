@@ -101,5 +101,5 @@ def rectifier(
 def _threshold(found):
     if found.up.multiple[0] != 1:
         return float(found.values[0])
-    lost = [change.value for change in found.up.bifurcations if change.before == 1]
+    lost = [change.p for change in found.up.bifurcations if change.before == 1]
     return lost[0] if lost else math.inf
