@@ -4,9 +4,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import one_of
-from ..continuation import Bordered, tangent_at
+from ..continuation import continuation
 from ..lattice import State
-from ..newton import newton
 from ..tuning import one_thread
 from ..types import Scalar
 from .branch import Bifurcation, Branch
@@ -82,20 +81,13 @@ class _Point:
 
 def _at(branch, i, s):
     """The solution at the length s along the i-th tangent; `None` is the next breather itself."""
-    curve = branch._curve
-    ends = [np.append(curve.x[j], curve.p[j]) for j in (i, i + 1)]
-    if s is None:
-        return _Point(branch, ends[1], curve.tangents[i + 1])
-    along = curve.tangents[i]
-    if s == 0:
-        return _Point(branch, ends[0], along)
-    whole = (ends[1] - ends[0]) @ along
-    guess = ends[0] + s / whole * (ends[1] - ends[0])
-    bordered = Bordered(branch._family.residual, branch._family.linearise)
-    arguments = None, jnp.asarray(along), jnp.asarray(ends[0] + s * along)
-    root = newton(bordered.residual, jnp.asarray(guess), arguments, tolerance=TOLERANCE, linearise=bordered.linearise,
-                  throw=False)
-    return _Point(branch, np.asarray(root.x), tangent_at(np.asarray(root.jacobian)[:-1], along)[0])
+    family, curve = branch._family, branch._curve
+    if s is None or s == 0:
+        j = i if s == 0 else i + 1
+        return _Point(branch, np.append(curve.x[j], curve.p[j]), curve.tangents[j])
+    near = continuation(family.residual, curve.x[i], curve.p[i], direction=curve.tangents[i], arclength=s, points=1,
+                        tolerance=TOLERANCE, linearise=family.linearise)
+    return _Point(branch, np.append(near.x[0], near.p[0]), near.tangents[0])
 
 
 def _locate(branch, i, kind, ends, accuracy):

@@ -272,8 +272,3 @@ def _amplitude(lattice, omega, site, sign, least):
         low, before = high, now
     refuse("omega", "a frequency that the site alone can have", f"{omega:.6g}",
            "It lies on the wrong side of the site's linear frequency: amplitude shifts it the other way.")
-
-
-def at_rest(state: State) -> State:
-    """A simulated state with its velocities dropped, as `breather` would; near a turning point it is a fair guess."""
-    return State(state.u, jax.tree.map(jnp.zeros_like, state.v))
