@@ -104,3 +104,18 @@ def whole(argument: str, x: Any, at_least: int = 0, remedy: str = "") -> int:
     if isinstance(x, bool) or not isinstance(x, (int, np.integer)) or x < at_least:
         refuse(argument, f"a whole number not below {at_least}", repr(x), remedy)
     return int(x)
+
+
+def random_key(seed: Any, remedy: str = "") -> jax.Array:
+    """A JAX key from a whole number, traced or not, or a key of either kind."""
+    if isinstance(seed, jax.Array):
+        if jnp.issubdtype(seed.dtype, jax.dtypes.prng_key) and seed.ndim == 0:
+            return seed
+        if seed.dtype == jnp.uint32 and seed.shape == (2,):
+            return jax.random.wrap_key_data(seed)
+        if jnp.issubdtype(seed.dtype, jnp.integer) and seed.ndim == 0:
+            return jax.random.key(seed)
+        refuse("seed", "one whole number or one JAX key", f"an array of {seed.dtype}, shape {seed.shape}", remedy)
+    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)):
+        refuse("seed", "a whole number or a JAX key", repr(seed), "Equal seeds give equal draws.")
+    return jax.random.key(int(seed))

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import concrete, one_of, parameter, positive, refuse, show, whole, within
+from ..checks import concrete, one_of, parameter, positive, random_key, refuse, show, whole, within
 from ..lattice import Lattice
 from ..laws import Hertz, Polynomial, PowerLaw, Toda
 from ..strains import BOUNDARIES, Shift
@@ -229,22 +229,8 @@ def disordered(
     draw = {"uniform": jax.random.uniform, "binary": jax.random.rademacher}
     draw = draw[one_of("distribution", distribution, tuple(draw))]
     limits = {"minval": -1.0, "maxval": 1.0} if distribution == "uniform" else {}
-    noise = draw(_key(seed), (sites,), dtype=spread.dtype, **limits)
+    noise = draw(random_key(seed, _MANY), (sites,), dtype=spread.dtype, **limits)
     return _chain(sites, 1 + spread * noise, _contact(stiffness, exponent, precompression), boundary)
-
-
-def _key(seed):
-    if isinstance(seed, jax.Array):
-        if jnp.issubdtype(seed.dtype, jax.dtypes.prng_key) and seed.ndim == 0:
-            return seed
-        if seed.dtype == jnp.uint32 and seed.shape == (2,):
-            return jax.random.wrap_key_data(seed)
-        if jnp.issubdtype(seed.dtype, jnp.integer) and seed.ndim == 0:
-            return jax.random.key(seed)
-        refuse("seed", "one whole number or one JAX key", f"an array of {seed.dtype}, shape {seed.shape}", _MANY)
-    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)):
-        refuse("seed", "a whole number or a JAX key", repr(seed), "Equal seeds give equal masses.")
-    return jax.random.key(int(seed))
 
 
 def fput(

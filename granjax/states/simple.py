@@ -2,9 +2,8 @@
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
-from ..checks import non_negative, parameter, refuse
+from ..checks import non_negative, parameter, random_key, refuse
 from ..lattice import Lattice, State
 from ..types import Parameter, Seed, Site
 from .places import field_of, site_of
@@ -49,7 +48,7 @@ def random(lattice: Lattice, seed: Seed = 0, displacement: Parameter = 0.1, velo
     and `velocity` [m/s]: amplitudes, not negative. Every lane draws its own numbers.
     **Raises** ValueError for a seed that is neither, or amplitudes that are negative or not finite.
     """
-    keys = jax.random.split(_key(seed), 2)
+    keys = jax.random.split(random_key(seed), 2)
     amplitudes = non_negative("displacement", displacement), non_negative("velocity", velocity)
     return State(*(_draw(lattice, key, a, _uniform) for key, a in zip(keys, amplitudes)))
 
@@ -63,7 +62,7 @@ def thermal(lattice: Lattice, temperature: Parameter, seed: Seed = 0) -> State:
     **Raises** ValueError for a temperature that is negative or not finite, or a seed that is none.
     """
     width = jnp.sqrt(non_negative("temperature", temperature))
-    drawn = _draw(lattice, _key(seed), width, jax.random.normal)
+    drawn = _draw(lattice, random_key(seed), width, jax.random.normal)
     return State(lattice.zeros(), jax.tree.map(lambda m, x: x / jnp.sqrt(m), lattice.mass, drawn))
 
 
@@ -77,13 +76,3 @@ def _draw(lattice, key, amplitude, distribution):
     keys = jax.random.split(key, len(leaves))
     drawn = [distribution(k, s.shape, s.dtype) * jnp.asarray(amplitude, s.dtype) for k, s in zip(keys, leaves)]
     return jax.tree.unflatten(structure, drawn)
-
-
-def _key(seed):
-    if isinstance(seed, (int, np.integer)) and not isinstance(seed, bool):
-        return jax.random.key(int(seed))
-    if isinstance(seed, jax.Array) and jnp.issubdtype(seed.dtype, jax.dtypes.prng_key) and seed.ndim == 0:
-        return seed
-    if isinstance(seed, jax.Array) and seed.dtype == jnp.uint32 and seed.shape == (2,):
-        return jax.random.wrap_key_data(seed)
-    refuse("seed", "a whole number or a jax.random key", repr(seed))
