@@ -33,7 +33,8 @@ import granjax  # noqa: E402
 from granjax import tuning  # noqa: E402
 
 KEPT_FOR = 14 * 24 * 3600
-MOST_MEMORY = 1.8e9
+# bytes of a worker above which programs are let go where a module ends, and anywhere
+MUCH, MOST = 1.2e9, 2.4e9
 
 kept = tuning.keep_compiled()
 if kept:
@@ -67,8 +68,8 @@ def _memory():
 
 
 def pytest_runtest_teardown(item, nextitem):
-    """Compiled programs are let go where a module ends: a worker would grow to many GB."""
-    if nextitem is not None and item.path != nextitem.path and _memory() > MOST_MEMORY:
+    """Compiled programs are let go, most where a module ends: a worker would grow to many GB."""
+    if nextitem is not None and _memory() > (MUCH if item.path != nextitem.path else MOST):
         jax.clear_caches()
         gc.collect()
         # glibc keeps what was freed until it is asked
