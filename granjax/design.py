@@ -1,13 +1,14 @@
 """`design`: parameters that make a scalar of a simulation, of modes or of bands as small or as large as it gets."""
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import ClassVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Integer
 
 from .checks import one_of, parameter, positive, refuse, whole, within
 from .descent import CONVERGED, NO_GRADIENT, NO_START, NOT_FINITE, SPENT, STALLED, descend
@@ -35,14 +36,14 @@ class Design(Result):
         "every": Held("start"), "names": Held("parameter", "", "parameter"),
     }
     parameters: dict[str, Numbers]
-    value: Float[AnyArray, "*starts"]
-    start_value: Float[AnyArray, "*starts"]
-    history: Float[AnyArray, "*starts points"]
-    gradient_norm: Float[AnyArray, "*starts points"]
-    start_gradient: Float[AnyArray, "*starts P"]
-    steps: AnyArray
+    value: Float[AnyArray, ""]
+    start_value: Float[AnyArray, ""]
+    history: Float[AnyArray, " points"]
+    gradient_norm: Float[AnyArray, " points"]
+    start_gradient: Float[AnyArray, " P"]
+    steps: Integer[AnyArray, ""]
     every: Numbers
-    code: AnyArray
+    code: Integer[AnyArray, ""]
     names: tuple[str, ...] = eqx.field(static=True)
 
     @property
@@ -114,13 +115,11 @@ def design(
     tolerance = positive("tolerance", tolerance)
     if not callable(objective):
         refuse("objective", "a function of the dict of parameters", repr(objective))
-    every = [coordinates, *_others(coordinates, bounds, starts, seed)]
-    stacked = jax.tree.map(lambda *x: jnp.stack(x), *every)
-    found = _solve(objective, stacked, optimiser, max_steps, tolerance, bool(maximise), mode)
-    every = jnp.where(found.code < NO_GRADIENT, found.value, jnp.nan)
-    ranked = np.nan_to_num(np.asarray(-every if maximise else every), nan=np.inf)
-    found = jax.tree.map(lambda x: x[int(np.argmin(ranked))], found)
-    found = eqx.tree_at(lambda d: d.every, found, every)
+    ends = [_solve(objective, start, optimiser, max_steps, tolerance, bool(maximise), mode)
+            for start in (coordinates, *_others(coordinates, bounds, starts, seed))]
+    every = np.array([end.value if end.code < NO_GRADIENT else np.nan for end in ends])
+    best = ends[int(np.argmin(np.nan_to_num(-every if maximise else every, nan=np.inf)))]
+    found = eqx.tree_at(lambda d: d.every, best, jnp.asarray(every, best.value.dtype))
     if throw and int(found.code) in (NO_GRADIENT, NO_START):
         raise RuntimeError(found.outcome)
     return found
@@ -137,6 +136,11 @@ def smooth_peak(values: Parameter, power: Scalar = 40, axis: int | tuple[int, ..
     """
     values = jnp.maximum(parameter("values", values), 0)
     power = within("power", power, 1, np.inf, open_low=True, open_high=True)
+    return _peak(values, power, axis)
+
+
+@partial(jax.jit, static_argnums=2)
+def _peak(values, power, axis):
     top = jax.lax.stop_gradient(values.max(axis, keepdims=True))
     top = jnp.where(top > 0, top, 1)
     mean = ((values / top) ** power).mean(axis, keepdims=True)
@@ -184,12 +188,9 @@ def _with_gradient(objective, coordinates, maximise, mode):
 
 
 @eqx.filter_jit
-def _solve(objective, stacked, optimiser, max_steps, tolerance, maximise, mode):
-    def one(coordinates):
-        cost, both = _with_gradient(objective, coordinates, maximise, mode)
-        found = descend(cost, both, coordinates.size, optimiser, max_steps, tolerance)
-        sign = -1.0 if maximise else 1.0
-        return Design(coordinates.parameters(found.x), sign * found.least, sign * found.values[0], sign * found.values,
-                      found.norms, found.start, found.steps, found.least, found.code, tuple(coordinates.names))
-
-    return jax.lax.map(one, stacked)
+def _solve(objective, coordinates, optimiser, max_steps, tolerance, maximise, mode):
+    cost, both = _with_gradient(objective, coordinates, maximise, mode)
+    found = descend(cost, both, coordinates.size, optimiser, max_steps, tolerance)
+    sign = -1.0 if maximise else 1.0
+    return Design(coordinates.parameters(found.x), sign * found.least, sign * found.values[0], sign * found.values,
+                  found.norms, found.start, found.steps, found.least, found.code, tuple(coordinates.names))

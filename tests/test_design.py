@@ -149,7 +149,7 @@ def test_several_starts_find_the_deeper_valley():
 
 
 def test_smooth_peak():
-    frames = jnp.asarray(np.random.default_rng(0).uniform(-1, 3, (200, 4)))
+    frames = np.random.default_rng(0).uniform(-1, 3, (200, 4))
     for power in (20, 100):
         peak = smooth_peak(frames, power, axis=0)
         top = frames.max(0)
@@ -158,7 +158,7 @@ def test_smooth_peak():
     assert smooth_peak(frames).shape == ()
     np.testing.assert_allclose(smooth_peak(7e9 * frames), 7e9 * smooth_peak(frames), rtol=1e-12)
     # its derivative is that of its values, and zero where nothing happens
-    push = jnp.asarray(np.random.default_rng(1).normal(size=frames.shape))
+    push = np.random.default_rng(1).normal(size=frames.shape)
     slope = jax.jvp(smooth_peak, (frames,), (push,))[1]
     difference = (smooth_peak(frames + 1e-6 * push) - smooth_peak(frames - 1e-6 * push)) / 2e-6
     assert slope == pytest.approx(float(difference), rel=1e-6)
