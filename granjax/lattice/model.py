@@ -9,7 +9,7 @@ import numpy as np
 
 from ..checks import positive, refuse, whole
 from ..terms import Term
-from ..terms.base import SCALES, traced
+from ..terms.tracing import SCALES, traced
 
 SAME = 1e-9
 

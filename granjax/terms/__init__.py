@@ -3,11 +3,12 @@
 A term that a scene does not need is not in the tuple, and then costs nothing.
 """
 
-from .base import Compression, Dependence, Excitation, Term
+from .base import Compression, Excitation, Term
 from .bonds import Bond, Modulated
 from .dissipation import Damping, Dashpot, Drag, ViscousContact
 from .reach import Reach, Reached
 from .sites import Drive, OnSite
+from .tracing import Dependence
 from .walls import Wall
 from .waveforms import Function, Harmonic
 

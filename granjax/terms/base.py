@@ -1,41 +1,20 @@
 """What every term is, and what the rest of the library asks of one."""
 
 import abc
-from functools import lru_cache
 from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.extend.core import jaxprs_in_params
-from jax.interpreters.partial_eval import dce_jaxpr
 
 from ..checks import refuse
 from ..laws import Law
 from ..units import PART, Dimensional
-from .reach import largest_eigenvalue, raveled
+from .reach import largest_eigenvalue
+from .tracing import Dependence, answers_to, stand_in, time_of, traced, used
 
-SCALES = 10.0 ** np.arange(-12, 4)
-RESISTS, DENSE = 1e-9, 4000
-
-
-class Dependence(NamedTuple):
-    """What a force reads: `time`, `displacement`, `velocity`; and whether the term stores an `energy`.
-
-    `transforms`: it holds an FFT, which XLA compiles for the CPU in some memory layouts only: no batches by `vmap`.
-    """
-
-    time: bool = False
-    displacement: bool = False
-    velocity: bool = False
-    energy: bool = False
-    transforms: bool = False
-
-    @property
-    def conserves(self):
-        """Whether the term keeps the energy."""
-        return self.energy and not self.time and not self.velocity
+DENSE = 4000
 
 
 class Compression(NamedTuple):
@@ -172,7 +151,7 @@ class Term(Dimensional):
             return jax.jvp(lambda u: term.force(t, u, v, mass), (u,), (w,))[1]
 
         u = lattice.template()
-        return _used(slope, (self, _time(lattice), u, u, u, lattice.mass))[2]
+        return used(slope, (self, time_of(lattice), u, u, u, lattice.mass))[2]
 
     def resists(self, lattice, moves):
         """How the force answers uniform displacements: columns (n, k), one for each of `moves`, zero for a free one.
@@ -182,7 +161,7 @@ class Term(Dimensional):
         if not self.dependence(lattice).displacement:
             return np.zeros((0, len(moves)))
         term, mass = jax.tree.map(stand_in, (self, lattice.mass))
-        return np.asarray(_answers(term, mass, lattice.template(), moves)).reshape(-1, len(moves))
+        return np.asarray(answers_to(moves, term, mass, lattice.template())).reshape(-1, len(moves))
 
     def stiffness_bound(self, lattice, reach, factor=1.0):
         """A bound on the stiffness at what the motion may reach, times a factor.
@@ -307,94 +286,3 @@ class InOtherUnits(Term):
 
 def _times(tree, factor):
     return jax.tree.map(lambda x: x * factor, tree)
-
-
-# ------------------------------------------------------------------------------------------- what a force reads
-
-
-def traced(term, lattice):
-    """(shapes of the force, `Dependence`) of a term on a lattice, found once for each structure."""
-    return _used_by_force((term, _time(lattice), lattice.template(), lattice.mass))
-
-
-def _time(lattice):
-    return jax.ShapeDtypeStruct((), lattice.dtype)
-
-
-def _used_by_force(arguments):
-    leaves, structure = jax.tree.flatten(arguments)
-    key = tuple(_abstract(x) for x in leaves)
-    try:
-        return _traced_force(structure, key)
-    except TypeError as error:
-        if "unhashable" not in str(error):
-            raise
-        return _traced_force.__wrapped__(structure, key)
-
-
-@lru_cache(maxsize=1024)
-def _traced_force(structure, leaves):
-    term, t, u, mass = jax.tree.unflatten(structure, leaves)
-
-    def force(term, t, u, v, mass):
-        return term.force(t, u, v, mass)
-
-    shapes, transforms, time, displacement, velocity = _used(force, (term, t, u, u, mass), (1, 2, 3))
-    stores = _shapes(lambda term, t, u: term.energy(t, u), (term, t, u)) is not None
-    return shapes, Dependence(time, displacement, velocity, stores, transforms)
-
-
-def _used(function, arguments, places=(1,)):
-    """(shapes of the result, whether an FFT is in it, whether it depends on each of the arguments at some places)."""
-    arguments = jax.tree.map(_abstract, arguments)
-    dynamic, static = eqx.partition(arguments, lambda x: isinstance(x, jax.ShapeDtypeStruct))
-    closed, shapes = jax.make_jaxpr(
-        lambda dynamic: function(*eqx.combine(dynamic, static)), return_shape=True)(dynamic)
-    _, used = dce_jaxpr(closed.jaxpr, [True] * len(closed.out_avals))
-    used = jax.tree.unflatten(jax.tree.structure(dynamic), used)
-    return shapes, _holds(closed.jaxpr, "fft"), *(any(jax.tree.leaves(used[place])) for place in places)
-
-
-def _holds(jaxpr, primitive):
-    """Whether a traced program holds an operation, in whatever it calls too."""
-    inner = [part for eqn in jaxpr.eqns for part in jaxprs_in_params(eqn.params)]
-    return any(eqn.primitive.name == primitive for eqn in jaxpr.eqns) or any(_holds(part, primitive) for part in inner)
-
-
-def _shapes(function, arguments):
-    dynamic, static = eqx.partition(arguments, lambda x: isinstance(x, jax.ShapeDtypeStruct))
-    return jax.eval_shape(lambda dynamic: function(*eqx.combine(dynamic, static)), dynamic)
-
-
-def _abstract(x):
-    if isinstance(x, (jax.Array, np.ndarray, np.generic, jax.ShapeDtypeStruct)):
-        return jax.ShapeDtypeStruct(x.shape, x.dtype)
-    return x
-
-
-# ------------------------------------------------------------------------------ which displacements a force resists
-
-
-def stand_in(x):
-    """The value, or ones in its place where it is traced."""
-    x = jax.lax.stop_gradient(x) if isinstance(x, jax.core.Tracer) else x
-    return np.ones(x.shape, x.dtype) if isinstance(x, jax.core.Tracer) else x
-
-
-def _answers(term, mass, template, moves):
-    random = np.random.default_rng(0)
-    where, other = (jax.tree.map(lambda s: random.normal(size=s.shape).astype(s.dtype), template) for _ in range(2))
-    zeros = jax.tree.map(np.zeros_like, where)
-
-    def answers(scale):
-        def push(u):
-            return raveled(term.force(jnp.zeros(()), u, zeros, mass), zeros)
-
-        slope = jax.linearize(push, jax.tree.map(lambda x: scale.astype(x.dtype) * x, where))[1]
-        size = jnp.max(jnp.abs(slope(other)))
-        columns = jnp.stack([slope(move) for move in moves], -1) / jnp.where(size > 0, size, 1)
-        good = jnp.isfinite(size) & jnp.all(jnp.isfinite(columns))
-        return jnp.where(good & (jnp.abs(columns) > RESISTS), columns, 0)
-
-    with jax.ensure_compile_time_eval():
-        return jax.jit(lambda scales: jax.lax.map(answers, scales))(SCALES)

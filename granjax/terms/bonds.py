@@ -11,7 +11,8 @@ from ..checks import refuse
 from ..laws import Law, Linear, Scaled, checked_law
 from ..strains import Shift, StrainMap, checked_map
 from ..units import PART, Signal
-from .base import Compression, Dependence, Term, stand_in
+from .base import Compression, Term
+from .tracing import Dependence, stand_in
 from .waveforms import checked_waveform
 
 

@@ -8,9 +8,10 @@ from ..checks import non_negative, positive
 from ..laws import plus_power
 from ..strains import StrainMap, checked_map
 from ..units import PART
-from .base import Dependence, Term, wider
+from .base import Term, wider
 from .bonds import Joined
 from .sites import one_a_vector
+from .tracing import Dependence
 
 
 class Damping(Term):

@@ -10,8 +10,9 @@ import numpy as np
 from ..checks import one_of, refuse
 from ..laws import Law, Scaled, Yielding, checked_law
 from ..units import PART, Signal
-from .base import Compression, Dependence, Excitation, Term, get, put
+from .base import Compression, Excitation, Term, get, put
 from .bonds import spring
+from .tracing import Dependence
 from .waveforms import checked_waveform
 
 
