@@ -70,7 +70,7 @@ def signatures():
             yield Signature(where, name, fields, None, bool(vars(value).get("__doc__")))
             inherited = {k for c in value.__mro__[1:] for k in vars(c)} - {"__init__"} | fields.keys()
             for k, v in vars(value).items():
-                own = k == "__init__" and inspect.isfunction(v) and "granjax" in v.__code__.co_filename
+                own = k == "__init__" and inspect.isfunction(v) and "granjax" in inspect.unwrap(v).__code__.co_filename
                 if own or inspect.isfunction(v) and not k.startswith("_") and k not in inherited:
                     yield signature(where, f"{name}.{k}", v)
 

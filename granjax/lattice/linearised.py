@@ -1,13 +1,16 @@
 """The lattice linearised about a state: the equation of its tangents, many at once in a trailing axis."""
 
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 
 from ..terms.base import wider
+from ..types import Displacements, Number
+from .model import Lattice
 
 
-def linearised(lattice, t, u, v=None):
+def linearised(lattice: Lattice, t: Number, u: Displacements, v: Displacements | None = None) -> Lattice:
     r"""The lattice of small perturbations U about u(t): m U'' = (dF/du) U + (dF/dv) U'.
 
     A `Lattice` with the same sites and one more lane: its displacements have a trailing axis for the tangents, so

@@ -1,6 +1,7 @@
 """The lattice: masses and terms, and the equation of motion that they make."""
 
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -10,6 +11,7 @@ import numpy as np
 from ..checks import positive, refuse, whole
 from ..terms import Term
 from ..terms.tracing import SCALES, traced
+from ..types import Count, Displacements, Number
 
 SAME = 1e-9
 
@@ -46,7 +48,10 @@ class Lattice(eqx.Module):
     _per_site: object = eqx.field(static=True)
     dimension: int | None = eqx.field(static=True)
 
-    def __init__(self, mass, terms, *, sites=None, dimension=None):
+    def __init__(
+        self, mass: Displacements | Number, terms: Sequence | Any, *, sites: Any = None,
+        dimension: Count | None = None,
+    ):
         self.dimension = None if dimension is None else whole("dimension", dimension, 1)
         if isinstance(mass, dict):
             if not mass:
@@ -141,7 +146,7 @@ class Lattice(eqx.Module):
         kinds = {x.dtype for x in arrays if jnp.issubdtype(x.dtype, jnp.floating)}
         return kinds.pop() if len(kinds) == 1 else jnp.result_type(*kinds)
 
-    def template(self):
+    def template(self) -> Any:
         """`jax.ShapeDtypeStruct`s of the displacements, lanes included."""
         lanes, shape = self.lanes, self.shape
         if not isinstance(shape, dict):
@@ -149,37 +154,37 @@ class Lattice(eqx.Module):
         dtype = jnp.result_type(*jax.tree.leaves(self.mass))
         return {name: jax.ShapeDtypeStruct(own + lanes, dtype) for name, own in shape.items()}
 
-    def zeros(self):
+    def zeros(self) -> Displacements:
         """Displacements (or velocities) that are zero, lanes included."""
         return jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), self.template())
 
-    def astype(self, dtype):
+    def astype(self, dtype: Any) -> Any:
         """The lattice with every floating parameter in another type, for a float32 run."""
         def cast(x):
             return x.astype(dtype) if eqx.is_inexact_array(x) else x
 
         return jax.tree.map(cast, self)
 
-    def force(self, t, u, v):
+    def force(self, t: Number, u: Displacements, v: Displacements) -> Displacements:
         """Sum of the forces on the sites, of the structure of `u`."""
         return self.sum_forces(t, u, v, self.terms)
 
-    def sum_forces(self, t, u, v, terms):
+    def sum_forces(self, t: Number, u: Displacements, v: Displacements, terms: Sequence) -> Displacements:
         """Sum of the forces of some terms, of the structure of `u`."""
         return self.total([term.force(t, u, v, self.mass) for term in terms], u)
 
-    def total(self, parts, u):
+    def total(self, parts: Sequence, u: Displacements) -> Displacements:
         """Sum of arrays over the sites, or of dicts of those fields that they touch; `None` is nothing."""
         parts = [part for part in parts if part is not None]
         if isinstance(u, dict):
             return {name: _sum([part[name] for part in parts if name in part], x) for name, x in u.items()}
         return _sum(parts, u)
 
-    def acceleration(self, t, u, v):
+    def acceleration(self, t: Number, u: Displacements, v: Displacements) -> Displacements:
         """a = force/m."""
         return jax.tree.map(jnp.divide, self.force(t, u, v), self.mass)
 
-    def potential_energy(self, t, u):
+    def potential_energy(self, t: Number, u: Displacements) -> Number:
         """Potential energy of the whole lattice, from equilibrium; shape of the lanes."""
         total = 0.0
         for term in self.terms:
@@ -189,14 +194,14 @@ class Lattice(eqx.Module):
                 total = total + sum(e.sum(tuple(range(e.ndim - lanes))) for e in jax.tree.leaves(energy))
         return total
 
-    def kinetic_energy(self, v):
+    def kinetic_energy(self, v: Displacements) -> Number:
         """Sum of m v^2/2; shape of the lanes."""
         def kinetic(m, v):
             return (m * v * v / 2).sum(tuple(range(v.ndim - len(self.lanes))))
 
         return sum(jax.tree.leaves(jax.tree.map(kinetic, self.mass, v)))
 
-    def energy(self, t, u, v):
+    def energy(self, t: Number, u: Displacements, v: Displacements) -> Number:
         """Kinetic and potential energy of the whole lattice, from equilibrium; shape of the lanes."""
         return self.kinetic_energy(v) + self.potential_energy(t, u)
 
@@ -215,7 +220,7 @@ class Lattice(eqx.Module):
         """Whether some force depends on velocities."""
         return any(term.dependence(self).velocity for term in self.terms)
 
-    def commutes(self, move):
+    def commutes(self, move: Callable) -> bool:
         """Whether a linear change of the displacements, such as a shift by cells or the mirror image, is a symmetry.
 
         `move(u)` takes displacements to displacements. Compared are the accelerations at rest in time, F(move(u))/m
@@ -235,7 +240,7 @@ class Lattice(eqx.Module):
 
         return not np.any(np.asarray(jax.jit(jax.vmap(differ))(SCALES)))
 
-    def unbalanced(self):
+    def unbalanced(self) -> Displacements:
         """Force on each site at rest, from the total contact forces (preloads included).
 
         Zero where the preloads balance. At an end that a static load holds, such as F0 of a free end, it shows that
@@ -253,6 +258,6 @@ def _sum(parts, like):
     return sum(parts[1:], parts[0]) if parts else jnp.zeros_like(like)
 
 
-def spread_mass(lattice):
+def spread_mass(lattice: Any) -> Displacements:
     """Mass of every degree of freedom, of the structure of the displacements."""
     return jax.tree.map(lambda m, u: jnp.broadcast_to(m, u.shape), lattice.mass, lattice.zeros())

@@ -3,6 +3,9 @@
 Linear damping of the sites goes exactly into the drift.
 """
 
+from collections.abc import Callable
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -10,6 +13,7 @@ import jax.numpy as jnp
 from ..checks import refuse
 from ..laws import Law
 from ..split_system import Split, pair
+from ..types import Number, StateLike
 from .model import Lattice
 
 
@@ -172,7 +176,7 @@ class SpringSplit(eqx.Module):
         return left * u[:-2] - (left + right) * u[1:-1] + right * u[2:]
 
 
-def split_system(lattice):
+def split_system(lattice: Lattice) -> Any:
     """The lattice as kicks and drifts for a splitting solver.
 
     **Raises** ValueError naming the term where a force reads the velocity in another way than linear damping of each
@@ -194,7 +198,7 @@ def split_system(lattice):
     return (SpringSplit if law.is_linear else ChainSplit)(lattice, law, boundary)
 
 
-def acceleration_only(lattice):
+def acceleration_only(lattice: Lattice) -> Callable:
     """The acceleration a(t, u) alone, for Nystrom pairs.
 
     **Raises** ValueError naming the term where a force reads the velocity.
@@ -209,7 +213,7 @@ def acceleration_only(lattice):
     return lambda t, u: lattice.acceleration(t, u, jax.tree.map(jnp.zeros_like, u))
 
 
-def vector_field(t, y, lattice):
+def vector_field(t: Number, y: StateLike, lattice: Lattice) -> StateLike:
     """dy/dt = (v, a): the right-hand side of diffrax's form f(t, y, args), with the lattice as `args`.
 
     `y` is a `State` (or a pair (u, v)); the result has its structure.

@@ -7,6 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from ..types import Number, StateLike
 from .linearised import linearised
 from .model import Lattice
 from .split import acceleration_only, split_system, vector_field
@@ -63,7 +64,7 @@ class TangentSplit(eqx.Module):
         return self._inner.acceleration((u, v), inner), outer.acceleration((U, V), many)
 
 
-def variational(t, y, lattice):
+def variational(t: Number, y: StateLike, lattice: Lattice) -> tuple:
     """dy/dt of the state and its tangents: f(t, y, args), with the lattice as `args`."""
     (u, U), (v, V) = y
     return (v, V), _accelerations(lattice, t, u, U, v, V)

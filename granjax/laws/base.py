@@ -1,12 +1,14 @@
 """What every force law is."""
 
 import abc
+from collections.abc import Sequence
 from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
 
 from ..checks import non_negative, refuse
+from ..types import Number, Numbers, Parameter
 from ..units import PART, Dimensional
 
 
@@ -29,11 +31,11 @@ class Law(Dimensional):
     is_linear: ClassVar[bool] = False
 
     @abc.abstractmethod
-    def force(self, e):
+    def force(self, e: Number) -> Numbers:
         """Force beyond the preload at compression `e`."""
 
     @abc.abstractmethod
-    def energy(self, e):
+    def energy(self, e: Number) -> Numbers:
         """Potential energy at compression `e`, without the work of the preload."""
 
     @property
@@ -41,11 +43,11 @@ class Law(Dimensional):
         """Force at equilibrium, F0."""
         return 0.0
 
-    def overlap(self, e):
+    def overlap(self, e: Number) -> Numbers | None:
         """Length that is positive while the contact is closed, or `None` where the law has no such limit."""
         return None
 
-    def derivative(self, e):
+    def derivative(self, e: Number) -> Numbers:
         """Stiffness F'(e), elementwise."""
         e = jnp.asarray(e)
         return jax.jvp(self.force, (e,), (jnp.ones_like(e),))[1]
@@ -72,14 +74,14 @@ class Law(Dimensional):
         return Sum(self.parts + checked_law(other).parts)
 
 
-def checked_law(law):
+def checked_law(law: Law) -> Law:
     """The law itself; anything else is refused."""
     if not isinstance(law, Law):
         refuse("law", "a law, such as Hertz()", repr(law))
     return law
 
 
-def checked_preload(argument, F0, remedy):
+def checked_preload(argument: str, F0: Parameter, remedy: str):
     """`None` for a plain zero, so that a law without preload costs no operation; else a checked array."""
     if isinstance(F0, (int, float)) and F0 == 0:
         return None
@@ -96,7 +98,7 @@ class Sum(Law):
     dimensions = {"_parts": PART}
     _parts: tuple[Law, ...]
 
-    def __init__(self, parts):
+    def __init__(self, parts: Sequence):
         self._parts = tuple(checked_law(part) for part in parts)
 
     @property
@@ -137,7 +139,7 @@ class Scaled(Law):
     law: Law
     factor: object
 
-    def __init__(self, law, factor):
+    def __init__(self, law: Law, factor: Number):
         self.law, self.factor = checked_law(law), factor
 
     @property

@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 
 from ..checks import parameter, positive, refuse, whole
+from ..types import Count, Parameter
 from .base import Law, checked_preload
 
 # below it differences of tanh and of log cosh are summed as series, so that no digits are lost near rest
@@ -40,7 +41,10 @@ class Network(Law):
     _preload: jax.Array | None
     monotone: bool = eqx.field(static=True)
 
-    def __init__(self, width=8, strain=1.0, force=1.0, monotone=True, parameters=None, preload=0.0):
+    def __init__(
+        self, width: Count = 8, strain: Parameter = 1.0, force: Parameter = 1.0, monotone: bool = True,
+        parameters: Parameter | None = None, preload: Parameter = 0.0,
+    ):
         width = whole("width", width, 1)
         self.strain, self.scale = positive("strain", strain), positive("force", force)
         self.monotone = bool(monotone)

@@ -15,10 +15,11 @@ import jax
 import jax.numpy as jnp
 from jax.custom_derivatives import SymbolicZero
 
+from ..types import Number, Numbers
 from .real_power import logarithm, real_power, root
 
 
-def plus_power(s, p):
+def plus_power(s: Number, p: Number) -> Numbers:
     """[s]_+^p, elementwise.
 
     **Arguments:** `s`: overlap, any shape. `p`: exponent of any sign; a Python number is static, and a multiple of

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 
 from ..checks import parameter, positive, refuse
+from ..types import Parameter
 from .base import Law
 
 
@@ -26,7 +27,7 @@ class Polynomial(Law):
     K3: jax.Array | None
     K4: jax.Array | None
 
-    def __init__(self, K2=1.0, K3=0.0, K4=0.0):
+    def __init__(self, K2: Parameter = 1.0, K3: Parameter = 0.0, K4: Parameter = 0.0):
         self.K2, self.K3, self.K4 = _optional("K2", K2), _optional("K3", K3), _optional("K4", K4)
         if self.K2 is None and self.K3 is None and self.K4 is None:
             refuse("K2, K3, K4", "at least one coefficient that is not zero", "0, 0, 0", "Leave the bond out instead.")
@@ -60,7 +61,7 @@ class Toda(Law):
     strength: jax.Array
     rate: jax.Array
 
-    def __init__(self, strength=1.0, rate=1.0):
+    def __init__(self, strength: Parameter = 1.0, rate: Parameter = 1.0):
         self.strength, self.rate = positive("strength", strength), positive("rate", rate)
 
     @property
@@ -87,7 +88,7 @@ class Linear(Law):
     is_linear = True
     stiffness: jax.Array
 
-    def __init__(self, stiffness=1.0):
+    def __init__(self, stiffness: Parameter = 1.0):
         self.stiffness = parameter("stiffness", stiffness)
 
     def force(self, e):
@@ -109,7 +110,7 @@ class Sine(Law):
     stiffness: jax.Array
     wavenumber: jax.Array
 
-    def __init__(self, stiffness=1.0, wavenumber=1.0):
+    def __init__(self, stiffness: Parameter = 1.0, wavenumber: Parameter = 1.0):
         self.stiffness, self.wavenumber = parameter("stiffness", stiffness), positive("wavenumber", wavenumber)
 
     def force(self, e):

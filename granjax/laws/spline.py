@@ -1,5 +1,7 @@
 """A monotone cubic spline: a force law without a formula, to be found from data."""
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -7,6 +9,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from ..checks import concrete, non_negative, parameter, refuse, show
+from ..types import AnyArray, Parameter
 from .base import Law, checked_preload
 
 
@@ -34,7 +37,7 @@ class Spline(Law):
     _preload: jax.Array | None
     knots: tuple[float, ...] = eqx.field(static=True)
 
-    def __init__(self, knots, stiffness, preload=0.0):
+    def __init__(self, knots: Sequence | AnyArray, stiffness: Parameter, preload: Parameter = 0.0):
         self.knots = _checked_knots(knots)
         stiffness = non_negative("stiffness", stiffness, "Where it is negative the force falls.")
         if stiffness.ndim == 0 or stiffness.shape[0] != len(self.knots) + 1:

@@ -1,9 +1,11 @@
 """Taylor coefficients of any law."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+
+from ..types import Number
 
 
 class Taylor(NamedTuple):
@@ -14,7 +16,7 @@ class Taylor(NamedTuple):
     K4: jax.Array
 
 
-def taylor(law, e=0.0):
+def taylor(law: Any, e: Number = 0.0) -> Taylor:
     """Taylor coefficients of a law about a compression, by nested derivatives.
 
     K2 = F'(e), K3 = F''(e)/2, K4 = F'''(e)/6. For Hertz with d0 = A = 1: 3/2, 3/8, -1/16.

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from ..checks import positive
+from ..types import Parameter
 from ..units import PART
 from .base import Law, checked_law
 
@@ -27,7 +28,7 @@ class Yielding(Law):
     law: Law
     support: jax.Array
 
-    def __init__(self, law, support):
+    def __init__(self, law: Law, support: Parameter | None):
         self.law, self.support = checked_law(law), positive("support", support)
 
     @property

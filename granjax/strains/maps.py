@@ -1,7 +1,8 @@
 """What every strain map is, and what follows where it is linear."""
 
 import abc
-from typing import ClassVar
+from collections.abc import Callable, Sequence
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -9,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import refuse
+from ..types import Displacements, Number, Numbers
 from ..units import Dimensional
 
 # what power iteration from a random start may lack
@@ -32,18 +34,18 @@ class StrainMap(Dimensional):
         return 1
 
     @abc.abstractmethod
-    def strain(self, u):
+    def strain(self, u: Displacements) -> Numbers:
         """Compression of every bond, measured from equilibrium."""
 
-    def rate(self, u, v):
+    def rate(self, u: Displacements, v: Displacements) -> Numbers:
         """de/dt of every bond."""
         return jax.jvp(self.strain, (u,), (v,))[1]
 
-    def pull(self, u, f):
+    def pull(self, u: Displacements, f: Numbers) -> Displacements:
         """(de/du)^T f: an array over the bonds taken to the sites."""
         return jax.vjp(self.strain, u)[1](f)[0]
 
-    def load(self, u, law):
+    def load(self, u: Displacements, law: Any) -> Displacements:
         """What the bonds take from the sites: (de/du)^T F(e), the preload counted only where e(u) is not linear.
 
         The force on the sites is minus this.
@@ -54,23 +56,23 @@ class StrainMap(Dimensional):
         (rest,) = transpose(jnp.broadcast_to(law.preload, e.shape).astype(e.dtype))
         return jax.tree.map(jnp.subtract, now, rest)
 
-    def push(self, u, law):
+    def push(self, u: Displacements, law: Any) -> Displacements:
         """Force on the sites, -load."""
         return jax.tree.map(jnp.negative, self.load(u, law))
 
-    def energy(self, u, law):
+    def energy(self, u: Displacements, law: Any) -> Numbers:
         """Energy of every bond, measured from equilibrium: energy(e) + F0 (e - its linear part)."""
         e = self.strain(u)
         _, linear = jax.jvp(self.strain, (jax.tree.map(jnp.zeros_like, u),), (u,))
         return law.energy(e) + law.preload * (e - linear)
 
-    def split(self, bonds, u):
+    def split(self, bonds: Numbers, u: Displacements) -> Displacements:
         """A quantity of the bonds shared out to their sites as |de/du| at rest weighs these; dense, bonds x sites."""
         weights = self._dense(u)
         whole = sum(w.sum(tuple(range(bonds.ndim, w.ndim))) for w in jax.tree.leaves(weights))
         return jax.tree.map(lambda w: jnp.tensordot(bonds / whole, w, bonds.ndim), weights)
 
-    def stiffness_bound(self, lattice, k):
+    def stiffness_bound(self, lattice: Any, k: Numbers) -> Any:
         """A bound on B^T k B for stiffnesses k >= 0 of the bonds, with B = de/du at rest.
 
         A function that takes w > 0, one number a site, to |B|^T k |B| w; or a number, no less than the eigenvalues of
@@ -93,22 +95,22 @@ class StrainMap(Dimensional):
         """|de/du| at rest."""
         return jax.tree.map(jnp.abs, jax.jacobian(self.strain)(jax.tree.map(jnp.zeros_like, u)))
 
-    def turning(self, law):
+    def turning(self, law: Any) -> Number:
         """Transverse stiffness that the preload of a bond that turns adds."""
         return 0.0
 
-    def span(self):
+    def span(self) -> tuple[int, ...] | None:
         """Sites along each axis between the ends of a bond, the longest; `None` where that is not known."""
         return None
 
-    def next_neighbours(self):
+    def next_neighbours(self) -> Any:
         """The boundary of a map from each site of one plain array to the next, e = u_n - u_{n+1}; else `None`."""
         return None
 
     def _wrapped(self, units):
         return InOtherUnits(self, units.length)
 
-    def walls(self):
+    def walls(self) -> tuple[str, ...]:
         """At which ends of a chain bonds lead to a rigid wall: of "left" and "right"."""
         return ()
 
@@ -131,7 +133,7 @@ class InOtherUnits(StrainMap):
         return self.strain_map.strain(jax.tree.map(lambda x: self.length * x, u)) / self.length
 
 
-def spectral_radius(product, lattice):
+def spectral_radius(product: Callable, lattice: Any):
     """Largest |eigenvalue| of M^{-1/2} K M^{-1/2}, by power iteration, for a linear map product(w) = K w."""
     root = jax.tree.map(jnp.sqrt, lattice.mass)
     w = jax.tree.map(lambda s: np.random.default_rng(0).normal(size=s.shape).astype(s.dtype), lattice.template())
@@ -155,30 +157,30 @@ class LinearMap(StrainMap):
     linear: ClassVar[bool] = True
 
     @abc.abstractmethod
-    def gather(self, f):
+    def gather(self, f: Numbers) -> Displacements:
         """Transpose of `strain`: an array over bonds to the sites (a dict of the fields that it touches)."""
 
     @abc.abstractmethod
-    def reach(self, w):
+    def reach(self, w: Displacements) -> Numbers:
         """|de/du| w: the sum, with positive weights, over the ends of every bond."""
 
     @abc.abstractmethod
-    def reach_back(self, f):
+    def reach_back(self, f: Numbers) -> Displacements:
         """Transpose of `reach`."""
 
-    def rate(self, u, v):
+    def rate(self, u: Displacements, v: Displacements) -> Numbers:
         return self.strain(v)
 
-    def pull(self, u, f):
+    def pull(self, u: Displacements, f: Numbers) -> Displacements:
         return self.gather(f)
 
-    def load(self, u, law):
+    def load(self, u: Displacements, law: Any) -> Displacements:
         return self.gather(law.force(self.strain(u)))
 
-    def energy(self, u, law):
+    def energy(self, u: Displacements, law: Any) -> Any:
         return law.energy(self.strain(u))
 
-    def stiffness_bound(self, lattice, k):
+    def stiffness_bound(self, lattice: Any, k: Numbers) -> Any:
         return lambda w: self.reach_back(k * self.reach(w))
 
 
@@ -232,14 +234,14 @@ class TwoEnds(LinearMap):
         return jax.tree.map(lambda s: s / 2, self.reach_back(bonds))
 
 
-def checked_map(strain_map):
+def checked_map(strain_map: StrainMap) -> StrainMap:
     """The strain map itself; anything else is refused."""
     if not isinstance(strain_map, StrainMap):
         refuse("strain_map", "a strain map, such as Shift(1, 'fixed')", repr(strain_map))
     return strain_map
 
 
-def checked_fields(fields):
+def checked_fields(fields: str | Sequence[str] | None):
     """`None`, or the pair of names of tail and head."""
     if fields is None:
         return None

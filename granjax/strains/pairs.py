@@ -1,10 +1,14 @@
 """Bonds listed one by one, on any graph."""
 
+from collections.abc import Sequence
+from typing import Any
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
 from ..checks import refuse, whole
+from ..types import AnyArray
 from .maps import TwoEnds, checked_fields
 
 WALL = -1
@@ -26,7 +30,10 @@ class Pairs(TwoEnds):
     sites: tuple[int, int] = eqx.field(static=True)
     fields: tuple[str, str] | None = eqx.field(static=True)
 
-    def __init__(self, tail, head, *, sites=None, fields=None):
+    def __init__(
+        self, tail: Sequence | AnyArray, head: Sequence | AnyArray, *, sites: Any = None,
+        fields: str | Sequence[str] | None = None,
+    ):
         self.fields = checked_fields(fields)
         self.tail, self.head = _indices("tail", tail), _indices("head", head)
         if len(self.tail) != len(self.head):

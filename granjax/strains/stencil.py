@@ -1,6 +1,7 @@
 """The normal form of a strain map: sites of fields at fixed offsets, each with a weight, as slices."""
 
 import abc
+from collections.abc import Sequence
 
 import equinox as eqx
 import jax
@@ -8,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import one_of, parameter, refuse
+from ..types import Site
 from .maps import BOUNDARIES, LinearMap, TwoEnds, checked_fields
 
 
@@ -104,7 +106,9 @@ class Shift(_Grid, TwoEnds):
     boundary: tuple[str, ...] = eqx.field(static=True)
     fields: tuple[str, str] | None = eqx.field(static=True)
 
-    def __init__(self, offset=1, boundary="fixed", fields=None):
+    def __init__(
+        self, offset: Site = 1, boundary: str | Sequence[str] = "fixed", fields: str | Sequence[str] | None = None,
+    ):
         self.offset = _offsets(offset)
         self.boundary = _boundaries(boundary, len(self.offset))
         self.fields = checked_fields(fields)
@@ -149,7 +153,7 @@ class Stencil(_Grid):
     offsets: tuple[tuple[int, ...], ...] = eqx.field(static=True)
     boundary: tuple[str, ...] = eqx.field(static=True)
 
-    def __init__(self, parts, boundary="fixed"):
+    def __init__(self, parts: Sequence, boundary: str | Sequence[str] = "fixed"):
         parts = tuple(parts) if isinstance(parts, (tuple, list)) else ()
         if not parts or any(not isinstance(p, (tuple, list)) or len(p) != 3 for p in parts):
             refuse("parts", "triples (field, offset, weight)", repr(parts), 'Write [("u", 0, 1.0), ("u", 1, -1.0)].')

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 
 from ..checks import parameter, positive, refuse
+from ..types import Parameter
 from ..units import PART
 from .maps import StrainMap, TwoEnds
 
@@ -27,7 +28,7 @@ class Stretch(StrainMap):
     pairs: TwoEnds
     vector: jax.Array
 
-    def __init__(self, pairs, vector):
+    def __init__(self, pairs: StrainMap, vector: Parameter):
         if not isinstance(pairs, TwoEnds):
             refuse("pairs", "a Shift or Pairs", repr(pairs))
         self.pairs = pairs

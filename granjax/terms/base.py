@@ -1,7 +1,8 @@
 """What every term is, and what the rest of the library asks of one."""
 
 import abc
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -10,8 +11,9 @@ import numpy as np
 
 from ..checks import refuse
 from ..laws import Law
+from ..types import Displacements, Number, Numbers, Pytree
 from ..units import PART, Dimensional
-from .reach import largest_eigenvalue
+from .reach import Reach, Reached, largest_eigenvalue
 from .tracing import Dependence, answers_to, stand_in, time_of, traced, used
 
 DENSE = 4000
@@ -60,14 +62,14 @@ class Term(Dimensional):
     """
 
     @abc.abstractmethod
-    def force(self, t, u, v, mass):
+    def force(self, t: Number, u: Displacements, v: Displacements, mass: Displacements | Number) -> Displacements:
         """Force on the sites at time t."""
 
-    def energy(self, t, u):
+    def energy(self, t: Number, u: Displacements) -> Any:
         """Potential energy, one value per bond or site, from equilibrium; `None` for a term that stores none."""
         return None
 
-    def site_energy(self, lattice, t, u):
+    def site_energy(self, lattice: Any, t: Number, u: Displacements) -> Any:
         """Potential energy shared out to sites, of the structure of `u` (or of some of its fields).
 
         By default an array over the sites stays as it is, and another one is shared out as the squares of its
@@ -89,63 +91,63 @@ class Term(Dimensional):
         return jax.tree.map(lambda w: jnp.sum(share.reshape(share.shape[:own] + (1,) * (w.ndim - lanes - own)
                                                             + share.shape[own:]) * w, tuple(range(own))), weights)
 
-    def preload_force(self, u):
+    def preload_force(self, u: Displacements) -> Displacements | None:
         """Force of the preloads on the sites at rest, or `None`; `u` gives the shapes."""
         return None
 
-    def compressions(self, t, u) -> tuple[Compression, ...]:
+    def compressions(self, t: Number, u: Displacements) -> tuple[Compression, ...]:
         """What the term's laws act on."""
         return ()
 
-    def at(self, t):
+    def at(self, t: Number) -> Any:
         """The term as it stands at time t, where its parameters change in time."""
         return self
 
-    def undriven(self):
+    def undriven(self) -> Any:
         """The term with what moves it from outside held still."""
         return self
 
-    def scaled(self, factor):
+    def scaled(self, factor: Number) -> Any:
         """The term with its force times a factor: a number, or an array over its bonds where it has bonds."""
         return Multiplied(self, factor)
 
-    def check(self, name, lattice):
+    def check(self, name: str, lattice: Any) -> None:
         """Refuse a lattice that has no place for the term."""
 
-    def per_vector(self, axes):
+    def per_vector(self, axes: int) -> Any:
         """The term for displacements that are vectors: parameters over `axes` axes of sites with one axis more."""
         return self
 
-    def linearised(self, lattice, t, u, v):
+    def linearised(self, lattice: Any, t: Number, u: Displacements, v: Displacements) -> Any:
         """The term's tangent about a state, as a term of one more trailing lane; `None` where it has none."""
         reads = self.dependence(lattice)
         return Tangent(self, t, u, v, lattice.mass, reads) if reads.displacement or reads.velocity else None
 
-    def exact_damping(self):
+    def exact_damping(self) -> tuple | None:
         """(field, rate) of a linear damping of sites, which a splitting solver takes exactly, or `None`."""
         return None
 
-    def next_neighbours(self):
+    def next_neighbours(self) -> Any:
         """(law, boundary) of bonds from each site of a chain to the next, which have a fast kernel, or `None`."""
         return None
 
-    def walls(self):
+    def walls(self) -> tuple[str, ...]:
         """The ends of a chain that the term ties to a wall: of "left" and "right"."""
         return ()
 
-    def without_walls(self, lattice, field=None):
+    def without_walls(self, lattice: Any, field: str | None = None) -> tuple | None:
         """(the term between free ends, law at the left wall, law at the right wall), or `None` where there are none."""
         return None
 
-    def span(self):
+    def span(self) -> tuple[int, ...] | None:
         """Sites along each axis that the term couples; () for single sites, `None` where that is not known."""
         return None
 
-    def dependence(self, lattice) -> Dependence:
+    def dependence(self, lattice: Any) -> Dependence:
         """What the force reads, traced."""
         return traced(self, lattice)[1]
 
-    def stiffness_changes(self, lattice):
+    def stiffness_changes(self, lattice: Any) -> bool:
         """Whether dF/du at rest depends on time."""
         def slope(term, t, u, w, v, mass):
             return jax.jvp(lambda u: term.force(t, u, v, mass), (u,), (w,))[1]
@@ -153,7 +155,7 @@ class Term(Dimensional):
         u = lattice.template()
         return used(slope, (self, time_of(lattice), u, u, u, lattice.mass))[2]
 
-    def resists(self, lattice, moves):
+    def resists(self, lattice: Any, moves: list) -> np.ndarray:
         """How the force answers uniform displacements: columns (n, k), one for each of `moves`, zero for a free one.
 
         By default dF/du at random displacements of all sizes, each relative to the answer to a random displacement.
@@ -163,7 +165,7 @@ class Term(Dimensional):
         term, mass = jax.tree.map(stand_in, (self, lattice.mass))
         return np.asarray(answers_to(moves, term, mass, lattice.template())).reshape(-1, len(moves))
 
-    def stiffness_bound(self, lattice, reach, factor=1.0):
+    def stiffness_bound(self, lattice: Any, reach: Reach | Reached, factor: Number = 1.0) -> Any:
         """A bound on the stiffness at what the motion may reach, times a factor.
 
         A function that takes w > 0 on the sites to |K| w, with |K| no less than |dF/du| entry by entry; or a number,
@@ -174,7 +176,7 @@ class Term(Dimensional):
             return jnp.zeros((), lattice.dtype)
         return jnp.max(jnp.abs(factor)) * largest_eigenvalue(self, lattice, reach)
 
-    def excitation(self, lattice, ts) -> Excitation:
+    def excitation(self, lattice: Any, ts: Numbers) -> Excitation:
         """What drives the lattice from outside during the times `ts`."""
         zero = jnp.zeros((), lattice.dtype)
         if not self.dependence(lattice).time:
@@ -187,7 +189,7 @@ class Term(Dimensional):
 
         return Excitation(jnp.max(jax.vmap(largest)(ts)), zero, zero)
 
-    def energy_times(self, lattice, ts):
+    def energy_times(self, lattice: Any, ts: Numbers) -> Numbers:
         """The times at which the energy of the initial state is looked at: all where the stiffness changes."""
         return ts if self.dependence(lattice).time else ts[:1]
 
@@ -195,17 +197,17 @@ class Term(Dimensional):
         return InOtherUnits(self, units)
 
 
-def get(u, field):
+def get(u: Displacements, field: str | None):
     """A field of the displacements, or all where they have none."""
     return u if field is None else u[field]
 
 
-def put(x, field):
+def put(x: Number, field: str | None):
     """A force on a field, or on all sites."""
     return x if field is None else {field: x}
 
 
-def wider(tree):
+def wider(tree: Pytree):
     """Arrays with a trailing axis for tangents; single numbers as they are."""
     return jax.tree.map(lambda x: x[..., None] if jnp.ndim(x) else x, tree)
 
@@ -228,7 +230,7 @@ class Tangent(Term):
         return self.reads._replace(time=False, energy=False)
 
 
-def each_tangent(function, reads, axis=-1):
+def each_tangent(function: Callable, reads: Dependence, axis: int = -1):
     """A linear function for many tangents along an axis: at once, or one by one where that cannot be compiled."""
     if not reads.transforms:
         return jax.vmap(function, in_axes=axis, out_axes=axis)

@@ -10,6 +10,7 @@ import numpy as np
 from ..checks import refuse
 from ..laws import Law, Linear, Scaled, checked_law
 from ..strains import Shift, StrainMap, checked_map
+from ..types import Number, Waveform
 from ..units import PART, Signal
 from .base import Compression, Term
 from .tracing import Dependence, stand_in
@@ -45,7 +46,7 @@ class Bond(Joined):
     strain_map: StrainMap
     law: Law
 
-    def __init__(self, strain_map, law):
+    def __init__(self, strain_map: StrainMap, law: Law):
         self.strain_map, self.law = checked_map(strain_map), checked_law(law)
 
     def dependence(self, lattice):
@@ -101,7 +102,7 @@ class Bond(Joined):
         return self.strain_map.stiffness_bound(lattice, k)
 
 
-def spring(law, e):
+def spring(law: Law, e: Number):
     """The linear spring of a law's stiffness at compressions e, one lane wider."""
     # not by the constructor, whose checks cost time at every step that is not compiled
     return eqx.tree_at(lambda spring: spring.stiffness, Linear(), law.derivative(e)[..., None])
@@ -122,7 +123,7 @@ class Modulated(Term):
     term: Term
     modulation: Callable
 
-    def __init__(self, term, modulation):
+    def __init__(self, term: Term, modulation: Waveform):
         if not isinstance(term, Term):
             refuse("term", "a term, such as a Bond", repr(term))
         self.term, self.modulation = term, checked_waveform("modulation", modulation)

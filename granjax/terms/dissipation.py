@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from ..checks import non_negative, positive
 from ..laws import plus_power
 from ..strains import StrainMap, checked_map
+from ..types import Parameter
 from ..units import PART
 from .base import Term, wider
 from .bonds import Joined
@@ -26,7 +27,7 @@ class Damping(Term):
     rate: jax.Array
     field: str | None = eqx.field(static=True)
 
-    def __init__(self, rate, field=None):
+    def __init__(self, rate: Parameter, field: str | None = None):
         self.rate, self.field = non_negative("rate", rate, "A negative rate would feed the lattice."), field
 
     def force(self, t, u, v, mass):
@@ -77,7 +78,7 @@ class Dashpot(_Viscous):
     strain_map: StrainMap
     coefficient: jax.Array
 
-    def __init__(self, strain_map, coefficient):
+    def __init__(self, strain_map: StrainMap, coefficient: Parameter):
         self.strain_map = checked_map(strain_map)
         self.coefficient = non_negative("coefficient", coefficient)
 
@@ -105,7 +106,9 @@ class ViscousContact(_Viscous):
     overlap: jax.Array
     exponent: float = eqx.field(static=True)
 
-    def __init__(self, strain_map, coefficient, exponent=0.5, overlap=0.0):
+    def __init__(
+        self, strain_map: StrainMap, coefficient: Parameter, exponent: Parameter = 0.5, overlap: Parameter = 0.0,
+    ):
         self.strain_map = checked_map(strain_map)
         self.coefficient, self.overlap = non_negative("coefficient", coefficient), non_negative("overlap", overlap)
         self.exponent = float(positive("exponent", exponent))
@@ -126,7 +129,7 @@ class Drag(Term):
     dimensions = {"coefficient": (1, -2, 2)}
     coefficient: jax.Array
 
-    def __init__(self, coefficient):
+    def __init__(self, coefficient: Parameter):
         self.coefficient = non_negative("coefficient", coefficient)
 
     def dependence(self, lattice):

@@ -1,5 +1,8 @@
 """What a motion may reach at its energy, and the stiffness there."""
 
+from collections.abc import Callable
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -7,6 +10,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 
 from ..strains.maps import spectral_radius
+from ..types import Displacements, Flags, Numbers, Parameter
 
 SAMPLES = 33
 # a contact of exponent below 1 is infinitely stiff where it opens; the bound keeps this far from there
@@ -26,11 +30,11 @@ class Reach(eqx.Module):
     ts: jax.Array
     u: object
 
-    def stiffest(self, law, index):
+    def stiffest(self, law: Any, index: int) -> Numbers:
         """Largest |F'(x)| over the compressions x within reach, per bond; `index` counts the term's compressions."""
         return steepest(law, *self._ends(law))
 
-    def opens(self, law):
+    def opens(self, law: Any) -> Flags:
         """Whether some contact of the law may open."""
         overlaps = [law.overlap(x) for x in self._ends(law)]
         return jnp.any(jnp.stack([jnp.min(s) <= 0 for s in overlaps if s is not None] or [jnp.zeros((), bool)]))
@@ -55,12 +59,12 @@ class Reached(eqx.Module):
     u: object
     energy: jax.Array
 
-    def stiffest(self, law, index):
+    def stiffest(self, law: Any, index: int) -> Numbers:
         """Largest |F'(x)| over the compressions that were reached, per bond."""
         return steepest(law, jnp.minimum(self.low[index], 0), jnp.maximum(self.high[index], 0))
 
 
-def steepest(law, low, high):
+def steepest(law: Any, low: Numbers, high: Numbers):
     """Largest |F'(x)| for low <= 0 <= high, elementwise; for a law that softens, where it is well closed."""
     fractions = jnp.linspace(0.0, 1.0, SAMPLES, dtype=low.dtype)
 
@@ -74,7 +78,7 @@ def steepest(law, low, high):
     return jnp.maximum(largest(low), largest(high))
 
 
-def furthest(reachable, zero, sign):
+def furthest(reachable: Callable, zero: Numbers, sign: float):
     """Largest |x| of one sign within reach: doubling, then bisection."""
     def double(_, state):
         x, going = state
@@ -94,7 +98,7 @@ def furthest(reachable, zero, sign):
     return sign * jnp.where(reachable(sign * start), low, 0)
 
 
-def largest_eigenvalue(term, lattice, reach):
+def largest_eigenvalue(term: Any, lattice: Any, reach: Reach | Reached):
     """Largest |eigenvalue| of M^{-1/2} dF/du M^{-1/2} of one term over displacements of the energy within reach."""
     flat, unravel = ravel_pytree(lattice.zeros())
     t, energy, zeros = reach.ts[0], jnp.max(reach.energy), lattice.zeros()
@@ -128,7 +132,7 @@ def _directions(flat):
     return jnp.asarray(np.concatenate([rows, np.negative(rows)]), flat.dtype)
 
 
-def raveled(force, zeros):
+def raveled(force: Parameter, zeros: Displacements):
     """A force as one array, with zeros for the fields that it does not touch."""
     if isinstance(zeros, dict):
         force = {name: force.get(name, zero) for name, zero in zeros.items()}

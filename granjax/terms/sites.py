@@ -9,6 +9,7 @@ import numpy as np
 
 from ..checks import refuse
 from ..laws import Law, Scaled, checked_law
+from ..types import Site, Waveform
 from ..units import PART, Signal
 from .base import Compression, Excitation, Term, get, put
 from .bonds import spring
@@ -27,7 +28,7 @@ class OnSite(Term):
     law: Law
     field: str | None = eqx.field(static=True)
 
-    def __init__(self, law, field=None):
+    def __init__(self, law: Law, field: str | None = None):
         self.law, self.field = checked_law(law), field
 
     def dependence(self, lattice):
@@ -81,7 +82,7 @@ class Drive(Term):
     site: tuple = eqx.field(static=True)
     field: str | None = eqx.field(static=True)
 
-    def __init__(self, waveform, site=0, field=None):
+    def __init__(self, waveform: Waveform, site: Site = 0, field: str | None = None):
         self.waveform = checked_waveform("waveform", waveform)
         self.site = tuple(site) if isinstance(site, (tuple, list)) else (site,)
         self.field = field
@@ -110,6 +111,6 @@ class Drive(Term):
         return ()
 
 
-def one_a_vector(term, axes):
+def one_a_vector(term: Term, axes: int):
     """A term of the sites with one parameter a site made one a vector, by a trailing axis."""
     return jax.tree.map(lambda x: x[..., None] if jnp.ndim(x) == axes else x, term)

@@ -1,7 +1,8 @@
 """What a force reads, found by tracing it, and which displacements it does not resist, by trying."""
 
+from collections.abc import Callable
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -10,6 +11,7 @@ import numpy as np
 from jax.extend.core import jaxprs_in_params
 from jax.interpreters.partial_eval import dce_jaxpr
 
+from ..types import Displacements, Number, Pytree
 from .reach import raveled
 
 SCALES = 10.0 ** np.arange(-12, 4)
@@ -34,12 +36,12 @@ class Dependence(NamedTuple):
         return self.energy and not self.time and not self.velocity
 
 
-def traced(term, lattice):
+def traced(term: Any, lattice: Any):
     """(shapes of the force, `Dependence`) of a term on a lattice, found once for each structure."""
     return _used_by_force((term, time_of(lattice), lattice.template(), lattice.mass))
 
 
-def time_of(lattice):
+def time_of(lattice: Any):
     """A time in the lattice's floating type, as a shape."""
     return jax.ShapeDtypeStruct((), lattice.dtype)
 
@@ -67,7 +69,7 @@ def _traced_force(structure, leaves):
     return shapes, Dependence(time, displacement, velocity, stores, transforms)
 
 
-def used(function, arguments, places=(1,)):
+def used(function: Callable, arguments: tuple, places: tuple = (1,)):
     """(shapes of the result, whether an FFT is in it, whether it depends on each of the arguments at some places)."""
     arguments = jax.tree.map(_abstract, arguments)
     dynamic, static = eqx.partition(arguments, lambda x: isinstance(x, jax.ShapeDtypeStruct))
@@ -95,13 +97,13 @@ def _abstract(x):
     return x
 
 
-def stand_in(x):
+def stand_in(x: Number):
     """The value, or ones in its place where it is traced."""
     x = jax.lax.stop_gradient(x) if isinstance(x, jax.core.Tracer) else x
     return np.ones(x.shape, x.dtype) if isinstance(x, jax.core.Tracer) else x
 
 
-def answers_to(moves, term, mass, template):
+def answers_to(moves: list, term: Any, mass: Displacements | Number, template: Pytree):
     """dF/du along some displacements, (scales, n, moves), each relative to the answer to a random one."""
     random = np.random.default_rng(0)
     where, other = (jax.tree.map(lambda s: random.normal(size=s.shape).astype(s.dtype), template) for _ in range(2))

@@ -9,6 +9,7 @@ import numpy as np
 
 from ..checks import one_of, refuse
 from ..laws import Law, Scaled, Yielding, checked_law
+from ..types import Displacements, Number, Numbers, Parameter, Waveform
 from ..units import PART, Signal
 from .base import Compression, Excitation, Term, get, put
 from .bonds import spring
@@ -35,7 +36,10 @@ class Wall(Term):
     side: str = eqx.field(static=True)
     field: str | None = eqx.field(static=True)
 
-    def __init__(self, law, side="right", motion=None, support=None, field=None):
+    def __init__(
+        self, law: Law, side: str = "right", motion: Waveform | None = None, support: Parameter | None = None,
+        field: str | None = None,
+    ):
         self.law = checked_law(law) if support is None else Yielding(checked_law(law), support)
         self.side = one_of("side", side, ("left", "right"))
         self.motion = None if motion is None else checked_waveform("motion", motion)
@@ -49,7 +53,7 @@ class Wall(Term):
     def dependence(self, lattice):
         return Dependence(time=self.motion is not None, displacement=True, energy=True)
 
-    def compression(self, t, u):
+    def compression(self, t: Number, u: Displacements) -> Numbers:
         """Compression of the contact with the wall; one value (and lanes)."""
         x = get(u, self.field)
         wall = 0.0 if self.motion is None else self.motion(t)

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from ..checks import parameter, refuse
+from ..types import Numbers, Parameter
 
 
 class Function(eqx.Module):
@@ -33,7 +34,7 @@ class Harmonic(eqx.Module):
     phase: jax.Array
     mean: jax.Array
 
-    def __init__(self, amplitude, omega, phase=0.0, mean=0.0):
+    def __init__(self, amplitude: Parameter, omega: Parameter, phase: Parameter = 0.0, mean: Parameter = 0.0):
         self.amplitude, self.omega = parameter("amplitude", amplitude), parameter("omega", omega)
         self.phase, self.mean = parameter("phase", phase), parameter("mean", mean)
 
@@ -41,7 +42,7 @@ class Harmonic(eqx.Module):
         return self.mean + self.amplitude * jnp.cos(self.omega * t + self.phase)
 
 
-def checked_waveform(name, f):
+def checked_waveform(name: str, f: Numbers):
     """A function of time as a Module."""
     if not callable(f):
         refuse(name, "a function of time", repr(f), "Give f(t), or Harmonic(amplitude, omega).")
