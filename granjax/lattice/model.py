@@ -11,7 +11,7 @@ import numpy as np
 from ..checks import positive, refuse, whole
 from ..terms import Term
 from ..terms.tracing import SCALES, traced
-from ..types import Count, Displacements, Number
+from ..types import Count, Displacements, Number, Parameter
 
 SAME = 1e-9
 
@@ -49,7 +49,7 @@ class Lattice(eqx.Module):
     dimension: int | None = eqx.field(static=True)
 
     def __init__(
-        self, mass: Displacements | Number, terms: Sequence | Any, *, sites: Any = None,
+        self, mass: Parameter | dict[str, Parameter], terms: Any, *, sites: Any = None,
         dimension: Count | None = None,
     ):
         self.dimension = None if dimension is None else whole("dimension", dimension, 1)

@@ -1,6 +1,7 @@
 """Forces on single sites: on-site laws and drives."""
 
 from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -9,7 +10,7 @@ import numpy as np
 
 from ..checks import refuse
 from ..laws import Law, Scaled, checked_law
-from ..types import Site, Waveform
+from ..types import Waveform
 from ..units import PART, Signal
 from .base import Compression, Excitation, Term, get, put
 from .bonds import spring
@@ -82,7 +83,7 @@ class Drive(Term):
     site: tuple = eqx.field(static=True)
     field: str | None = eqx.field(static=True)
 
-    def __init__(self, waveform: Waveform, site: Site = 0, field: str | None = None):
+    def __init__(self, waveform: Waveform, site: Any = 0, field: str | None = None):
         self.waveform = checked_waveform("waveform", waveform)
         self.site = tuple(site) if isinstance(site, (tuple, list)) else (site,)
         self.field = field

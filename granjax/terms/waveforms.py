@@ -1,13 +1,14 @@
 """Functions of time: what drives, moves walls and modulates stiffness."""
 
 from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 
 from ..checks import parameter, refuse
-from ..types import Numbers, Parameter
+from ..types import Parameter
 
 
 class Function(eqx.Module):
@@ -42,7 +43,7 @@ class Harmonic(eqx.Module):
         return self.mean + self.amplitude * jnp.cos(self.omega * t + self.phase)
 
 
-def checked_waveform(name: str, f: Numbers):
+def checked_waveform(name: str, f: Any):
     """A function of time as a Module."""
     if not callable(f):
         refuse(name, "a function of time", repr(f), "Give f(t), or Harmonic(amplitude, omega).")
