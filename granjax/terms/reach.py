@@ -10,7 +10,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 
 from ..strains.maps import spectral_radius
-from ..types import Displacements, Flags, Numbers, Parameter
+from ..types import Displacements, Flags, Numbers
 
 SAMPLES = 33
 # a contact of exponent below 1 is infinitely stiff where it opens; the bound keeps this far from there
@@ -132,7 +132,7 @@ def _directions(flat):
     return jnp.asarray(np.concatenate([rows, np.negative(rows)]), flat.dtype)
 
 
-def raveled(force: Parameter, zeros: Displacements):
+def raveled(force: Displacements, zeros: Displacements):
     """A force as one array, with zeros for the fields that it does not touch."""
     if isinstance(zeros, dict):
         force = {name: force.get(name, zero) for name, zero in zeros.items()}
