@@ -6,7 +6,7 @@ from typing import Any
 import equinox as eqx
 import jax
 
-from .types import Displacements, Number, Pytree, StateLike, VectorField
+from .types import Number, Pytree, StateLike, VectorField
 
 
 def pair(like: StateLike, u: Pytree, v: Pytree) -> StateLike:
@@ -51,7 +51,7 @@ class Split(eqx.Module):
         u, v, a = w
         return jax.tree.map(lambda u, v: u + ah.astype(u.dtype) * v, u, v), v, a
 
-    def acceleration(self, y: StateLike, cache: Pytree) -> Displacements:
+    def acceleration(self, y: StateLike, cache: Pytree) -> Pytree:
         """The acceleration at a state, from what `leave` gave with it."""
         return cache
 
