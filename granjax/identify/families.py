@@ -1,6 +1,6 @@
 """Families of force laws: where a search begins, which numbers of a law it moves, and within which bounds."""
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -8,10 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import concrete, one_of, parameter, positive, refuse
+from ..lattice import Lattice
 from ..laws import Law, Network, PowerLaw, Spline
+from ..types import Numbers, Parameter, Scalar, Scene
 
 KNOTS, UNITS = 7, 6
 FAMILIES = ("power law", "polynomial", "spline", "network")
+
 
 class Series(Law):
     r"""A polynomial of any degree through the origin: F(e) = F_s sum_{k=1}^n c_k (e/e_s)^k.
@@ -24,11 +27,11 @@ class Series(Law):
 
     dimensions = {"_coefficients": (0, 0, 0), "strain": (0, 1, 0), "scale": (1, 0, 0)}
     held = ("strain", "scale")
-    _coefficients: tuple[jax.Array, ...]
-    strain: jax.Array
-    scale: jax.Array
+    _coefficients: tuple[Numbers, ...]
+    strain: Numbers
+    scale: Numbers
 
-    def __init__(self, coefficients, strain=1.0, force=1.0):
+    def __init__(self, coefficients: Parameter, strain: Scalar = 1.0, force: Scalar = 1.0):
         coefficients = parameter("coefficients", coefficients)
         if coefficients.ndim == 0 or coefficients.shape[0] == 0:
             refuse("coefficients", "one or more numbers, c_1 first", f"shape {coefficients.shape}")
@@ -37,7 +40,7 @@ class Series(Law):
         self.strain, self.scale = positive("strain", strain), positive("force", force)
 
     @property
-    def coefficients(self):
+    def coefficients(self) -> Numbers:
         """c_1 ... c_n, (n,)."""
         return jnp.stack(self._coefficients)
 
@@ -55,7 +58,9 @@ class Series(Law):
         return total
 
 
-def starting_law(family, stiffness, reach):
+def starting_law(
+    family: str, stiffness: Scalar, reach: tuple[Scalar, Scalar],
+) -> tuple[Law, tuple[str, ...]]:
     """(law, names of its numbers that stay) of a named family: linear stiffness [N/m], for strains low ... high [m]."""
     one_of("family", family, FAMILIES)
     low, high = reach
@@ -83,7 +88,7 @@ class Leaf(NamedTuple):
     bounds: tuple | None
 
 
-def leaves_of(law):
+def leaves_of(law: Law) -> list[Leaf]:
     """The leaves of a law, in the order in which it is flattened."""
     return [_leaf(law, path, value) for path, value in jax.tree_util.tree_flatten_with_path(law)[0]]
 
@@ -109,26 +114,28 @@ def _leaf(law, path, value):
 class LawScene(NamedTuple):
     """A scene as a function of a dict of parameters, from one that is a function of a law: equal ones compile once."""
 
-    scene: Callable
+    scene: Scene
     structure: Any
     # of every leaf, its name where it moves, else its value as nested tuples
     places: tuple
     others: tuple
 
-    def law(self, parameters):
+    def law(self, parameters: dict[str, Parameter]) -> Law:
         """The law of some parameters."""
         leaves = [parameters[x] if isinstance(x, str) else jnp.asarray(x) for x in self.places]
         return jax.tree.unflatten(self.structure, leaves)
 
-    def __call__(self, parameters):
+    def __call__(self, parameters: dict[str, Parameter]) -> Lattice:
         return self.lattice(self.law(parameters), parameters)
 
-    def lattice(self, law, parameters):
+    def lattice(self, law: Law, parameters: dict[str, Parameter]) -> Lattice:
         """The lattice of a law and of the other parameters."""
         return self.scene(law, {name: parameters[name] for name in self.others}) if self.others else self.scene(law)
 
 
-def law_scene(scene, law, others, hold):
+def law_scene(
+    scene: Scene, law: Law, others: dict[str, Parameter], hold: Sequence[str],
+) -> tuple[LawScene, dict[str, Parameter], dict[str, tuple]]:
     """(`LawScene`, start, bounds) of a law and other parameters."""
     leaves = leaves_of(law)
     names = [leaf.name for leaf in leaves if not leaf.held]
