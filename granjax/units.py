@@ -51,7 +51,7 @@ class Units(eqx.Module):
         """Unit of angular frequency, and of a damping rate [1/s]."""
         return 1 / self.time
 
-    def of(self, force: float, length: float, time: float) -> Number:
+    def of(self, force: Number, length: Number, time: Number) -> Number:
         """The unit of a quantity of these powers of force, length and time."""
         return self.force**force * self.length**length * self.time**time
 
