@@ -17,8 +17,6 @@ import equinox as eqx
 import jaxtyping
 
 jaxtyped = jaxtyping.jaxtyped
-# modules and folders whose annotations are not checked yet, and not asked for by test_vocabulary: only to shrink
-UNTYPED = ("plots.orbits",)
 # a whole number is a real one too, as for static checkers
 TOWER = beartype.BeartypeConf(is_pep484_tower=True)
 checked = beartype.beartype(conf=TOWER)
@@ -28,8 +26,6 @@ def light(target=None, *, typechecker=None):
     """What stands for `jaxtyping.jaxtyped`."""
     if target is None:
         return functools.partial(light, typechecker=typechecker)
-    if is_untyped(getattr(target, "__module__", "")):
-        return target
     if inspect.isclass(target):
         return _fields_checked(target)
     if not inspect.isfunction(target) or not target.__annotations__:
@@ -47,12 +43,6 @@ def light(target=None, *, typechecker=None):
             raise
 
     return call
-
-
-def is_untyped(module):
-    """Whether a module is one that stands in the list, or below one that does."""
-    below = module.removeprefix("granjax.")
-    return any(f"{below}.".startswith(f"{name}.") for name in UNTYPED)
 
 
 def _fields_checked(cls):

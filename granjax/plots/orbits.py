@@ -1,11 +1,16 @@
 """Time-periodic orbits: Floquet multipliers, breathers, branches, response curves up and down, strain over time."""
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
+from matplotlib.axes import Axes
 
 from ..checks import refuse
+from ..types import Count, Scalar
 from .arrays import history, numbers, rising
 from .histories import space_time
-from .style import COLOURS, FAINT, axes_or_new, style
+from .style import COLOURS, FAINT, AxesOrNone, axes_or_new, style
 
 # Krein signature -> colour, mark, what it is called
 _KREIN = {1: (COLOURS[0], "o", "Krein +"), -1: (COLOURS[1], "s", "Krein $-$"), 0: ("0.25", "^", "Krein 0")}
@@ -19,7 +24,7 @@ _ORBITS = {
 }
 
 
-def floquet_circle(fl, ax=None, *, legend=True):
+def floquet_circle(fl: Any, ax: AxesOrNone = None, *, legend: bool = True) -> Axes:
     r"""Floquet multipliers in the complex plane with the unit circle.
 
     Colours and marks tell the Krein signature; 0 is off the circle, at a meeting of two signs, or of a flow without
@@ -54,7 +59,7 @@ def floquet_circle(fl, ax=None, *, legend=True):
     return ax
 
 
-def unstable_of(fl):
+def unstable_of(fl: Any) -> np.ndarray:
     """Indices of the multipliers outside the unit circle by more than their error, symmetries' at +1 left out."""
     rho = np.asarray(fl.multipliers)
     symmetry = np.argsort(np.abs(rho - 1))[: fl.expected]
@@ -62,7 +67,9 @@ def unstable_of(fl):
     return np.setdiff1d(outside, symmetry)
 
 
-def breather(breather, fl=None, axes=None, *, mode=None):
+def breather(
+    breather: Any, fl: Any = None, axes: Sequence[Axes] | np.ndarray | None = None, *, mode: Count | None = None,
+) -> np.ndarray:
     """A breather in four panels: displacements, Floquet multipliers, displacement and velocity of an eigenvector.
 
     **Arguments:**
@@ -144,7 +151,10 @@ def _written(rho, complex_pair):
     return f"{rho.real:.6f} {'-' if rho.imag < 0 else '+'} {abs(rho.imag):.6f}i"
 
 
-def branch(br, axes=None, *, bands=None, marks=None, omega_label=r"frequency $\omega_b$"):
+def branch(
+    br: Any, axes: Sequence[Axes] | np.ndarray | None = None, *, bands: Any = None, marks: Any = None,
+    omega_label: str = r"frequency $\omega_b$",
+) -> np.ndarray:
     """A family of breathers: energy and amplitude over frequency, stable and unstable parts, bands, bifurcations.
 
     **Arguments:**
@@ -192,7 +202,10 @@ def _line(ax, x, y, verdict, looks):
         named.add(name)
 
 
-def hysteresis(sweep, ax=None, *, orbits=None, x_label="parameter", y_label="response", scale=1.0):
+def hysteresis(
+    sweep: Any, ax: AxesOrNone = None, *, orbits: Any = None, x_label: str = "parameter", y_label: str = "response",
+    scale: Scalar = 1.0,
+) -> Axes:
     """Response while a parameter goes up and down again; where the two differ is shaded.
 
     **Arguments:**
@@ -235,7 +248,7 @@ def _ways(sweep):
     return values, up, down, intervals
 
 
-def strain_map(run, ax=None, **options):
+def strain_map(run: Any, ax: AxesOrNone = None, **options: Any) -> Axes:
     """Space-time map of the strain of a chain, y_n = u_n - u_{n+1} (compression positive) at n + 1/2.
 
     Contacts with walls are left out. **Arguments:** `run`: anything with `ts`, `us`, `vs`; `options`: as in
