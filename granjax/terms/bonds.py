@@ -16,6 +16,8 @@ from .base import Compression, Term
 from .tracing import Dependence, stand_in
 from .waveforms import checked_waveform
 
+_strain = eqx.filter_jit(lambda strain_map, move: strain_map.strain(move))
+
 
 class Joined(Term):
     """A term that joins sites by a strain map."""
@@ -25,8 +27,7 @@ class Joined(Term):
     def resists(self, lattice, moves):
         strain_map = jax.tree.map(stand_in, self.strain_map)
         with jax.ensure_compile_time_eval():
-            strain = jax.jit(lambda move: strain_map.strain(move))
-            return np.stack([np.ravel(strain(move)) for move in moves], -1)
+            return np.stack([np.ravel(_strain(strain_map, move)) for move in moves], -1)
 
     def span(self):
         return self.strain_map.span()

@@ -107,7 +107,13 @@ def answers_to(moves: list, term: Any, mass: Displacements | Number, template: P
     """dF/du along some displacements, (scales, n, moves), each relative to the answer to a random one."""
     random = np.random.default_rng(0)
     where, other = (jax.tree.map(lambda s: random.normal(size=s.shape).astype(s.dtype), template) for _ in range(2))
-    zeros = jax.tree.map(np.zeros_like, where)
+    with jax.ensure_compile_time_eval():
+        return _answers(moves, term, mass, where, other, SCALES)
+
+
+@eqx.filter_jit
+def _answers(moves, term, mass, where, other, scales):
+    zeros = jax.tree.map(jnp.zeros_like, where)
 
     def answers(scale):
         def push(u):
@@ -119,5 +125,4 @@ def answers_to(moves: list, term: Any, mass: Displacements | Number, template: P
         good = jnp.isfinite(size) & jnp.all(jnp.isfinite(columns))
         return jnp.where(good & (jnp.abs(columns) > RESISTS), columns, 0)
 
-    with jax.ensure_compile_time_eval():
-        return jax.jit(lambda scales: jax.lax.map(answers, scales))(SCALES)
+    return jax.lax.map(answers, scales)
