@@ -118,6 +118,7 @@ def _solve(lattice, half, guess, omega, tolerance, max_steps, throw):
 
 def _orbit(half, lattice, guess, root, x, period, throw):
     flow = Flow(2 * half.flow.steps, half.flow.solver)
+    period = jnp.asarray(period, lattice.dtype)
     orbit = Orbit(half.state(x), period, lattice, root, flow, jnp.zeros((), lattice.dtype))
     return checked_orbit(orbit, half.state(half.guess(guess)), throw)
 
