@@ -1,5 +1,7 @@
 """Energies and momentum of a state, of the whole lattice and site by site."""
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -74,7 +76,9 @@ def _per_site(lattice, x):
     return x
 
 
-def species_energy(lattice: Lattice, y: StateLike, t: Number = 0.0, *, species: Parameter | None = None) -> Number:
+def species_energy(
+    lattice: Lattice, y: StateLike, t: Number = 0.0, *, species: Parameter | None = None
+) -> dict[Any, Number]:
     """Energy of each kind of site, from `site_energy` [J]: who holds it, the heavy or the light.
 
     **Arguments:** `species`: one label per site, numbers or names (`["heavy", "light"] * 50`, a mask); `None` for the
