@@ -121,6 +121,8 @@ def fixed_step(
 
 def passed(solver: diffrax.AbstractSolver | type, run: Run) -> Any:
     """The highest frequency that a run at the default step has reached, where it passed the bound; else `None`."""
+    if isinstance(run.stats["omega"], jax.core.Tracer):
+        return None
     omega = np.asarray(run.stats["omega"]).item()
     limit = refused_from(solver)
     fraction = min(STEP_FRACTION, limit or STEP_FRACTION)
@@ -148,7 +150,10 @@ def _bound(lattice, state, t0, t1):
     if facts(lattice).traced or traced((state, t0, t1)):
         return frequency_bound(lattice, state, *span)
     for neighbourhood in GATHERED:
-        bound = np.asarray(frequency_bound(lattice, state, *span, neighbourhood)).item()
+        bound = frequency_bound(lattice, state, *span, neighbourhood)
+        if isinstance(bound, jax.core.Tracer):  # plain numbers inside a transformation of something else
+            return frequency_bound(lattice, state, *span)
+        bound = np.asarray(bound).item()
         if not bound > 0 or not _useless(STEP_FRACTION / bound, t0, t1):
             break
     return bound

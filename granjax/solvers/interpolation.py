@@ -1,7 +1,7 @@
 """Dense output of one step: the displacement as one polynomial, the velocity as its derivative."""
 
 from functools import cache
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import diffrax
 import jax
@@ -9,7 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..split_system import pair
-from ..types import Number
+from ..types import AnyArray
+
+# real or complex
+Entry: TypeAlias = AnyArray | np.inexact
 
 
 class QuinticHermite(diffrax.AbstractLocalInterpolation):
@@ -72,7 +75,7 @@ class Bootstrapped(diffrax.AbstractLocalInterpolation):
         return _state(self.y0, both, u0, v0, *self.quintic, *self.inside)
 
 
-def quintic(rise: Number, gain: Number, p0: Number, p1: Number) -> tuple:
+def quintic(rise: Entry, gain: Entry, p0: Entry, p1: Entry) -> tuple:
     """Coefficients of s^2 ... s^5 of u(s) - u0 - s h v0.
 
     `rise` = u1 - u0 - h v0, `gain` = h (v1 - v0), `p0`, `p1` = h^2 a at the ends: all of the size of h^2 a, so that
