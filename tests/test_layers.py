@@ -1,4 +1,6 @@
 import ast
+import importlib
+import inspect
 from pathlib import Path
 
 import pytest
@@ -69,6 +71,37 @@ def test_imports_point_downwards(path):
         assert other not in ABOVE | {""}, f"{own} imports the face"
         assert other != "plots", f"{own} imports plots"
         assert other == "checks" or FLOOR[other] < FLOOR[own], f"{own} imports {other}, which is not below it"
+
+
+KINDS = {
+    name: folder for folder, names in (
+        ("laws", ("Hertz", "PowerLaw", "Polynomial", "Toda", "Linear", "Sine", "Spline", "Network", "Sum", "Scaled",
+                  "Yielding")),
+        ("strains", ("Shift", "Stencil", "Pairs", "Stretch", "LinearMap")),
+        ("terms", ("Bond", "Modulated", "OnSite", "Damping", "Dashpot", "ViscousContact", "Drag", "Drive", "Wall")),
+    ) for name in names
+}
+
+
+def test_the_kinds_are_all_there_are():
+    for folder in ("laws", "strains", "terms"):
+        module = importlib.import_module(f"granjax.{folder}")
+        base = {"laws": granjax.Law, "strains": granjax.StrainMap, "terms": granjax.Term}[folder]
+        concrete = {name for name, value in vars(module).items() if inspect.isclass(value) and issubclass(value, base)}
+        assert concrete - {base.__name__} == {name for name, where in KINDS.items() if where == folder}
+
+
+@pytest.mark.parametrize("path", FILES, ids=IDS)
+def test_nobody_asks_a_kind_what_it_is(path):
+    """No isinstance or type() test on a law, a strain map or a term outside of the folder that defines it."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        asks = isinstance(node, ast.Call) and getattr(node.func, "id", None) in ("isinstance", "issubclass")
+        compares = isinstance(node, ast.Compare) and any(
+            isinstance(side, ast.Call) and getattr(side.func, "id", None) == "type"
+            for side in (node.left, *node.comparators))
+        if asks or compares:
+            named = {getattr(n, "id", None) or getattr(n, "attr", None) for n in ast.walk(node)}
+            assert not {name for name in named if KINDS.get(name, module_of(path)) != module_of(path)}
 
 
 def test_checks_import_nothing_of_the_library():

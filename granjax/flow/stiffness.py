@@ -26,7 +26,7 @@ SAMPLES = 257
 # lengths of a bond from which energy may gather in one
 NEIGHBOURHOOD = 16
 # where contacts open all over a lattice, the order of every method is 5/2: shorter steps
-OPENING = 4 / 3
+OPENING = 2.0
 
 
 @compiled
@@ -39,7 +39,7 @@ def frequency_bound(
     start (the whole lattice's, where a term says nothing of how far it couples). A drive adds what a quasi-static push
     to twice its largest value would store; a moving wall the energy of the heaviest site at twice its largest speed, or
     its displacement shared by all sites, whichever is more. A modulation counts with its largest value and with the
-    energy that it gives the initial state. Where contacts may open all over the lattice a third is added.
+    energy that it gives the initial state. Where contacts may open all over the lattice it is doubled.
 
     **Returns:** omega_max, one number for all lanes; zero for a lattice without any stiffness at its energy.
     """

@@ -1,0 +1,57 @@
+"""The default step where energy is spread over many sites: short enough, and not much shorter."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.linalg import eigvalsh_tridiagonal
+
+import granjax as gx
+from granjax.flow.method import STEP_FRACTION
+
+N, T1 = 200, 40.0
+TODA, VACUUM = gx.scenes.toda(N), gx.scenes.monomer(N)
+LOADED = gx.scenes.monomer(N, precompression=1.0, boundary="free")
+FPUT = gx.scenes.fput(N)
+SOFT = gx.scenes.monomer(N, exponent=0.5, precompression=1.0, boundary="free")
+SHOCKS = {
+    "Toda 0.1": (TODA, lambda: gx.states.velocity_step(TODA, 0.1)),
+    "Toda 0.5": (TODA, lambda: gx.states.velocity_step(TODA, 0.5)),
+    "Toda 2": (TODA, lambda: gx.states.velocity_step(TODA, 2.0)),
+    "Toda rarefaction": (TODA, lambda: gx.states.velocity_step(TODA, -0.3)),
+    "Toda strain": (TODA, lambda: gx.states.strain_step(TODA, 0.3)),
+    "granular 0.5": (LOADED, lambda: gx.states.velocity_step(LOADED, 0.5)),
+    "granular 3": (LOADED, lambda: gx.states.velocity_step(LOADED, 3.0)),
+    "granular strain": (LOADED, lambda: gx.states.strain_step(LOADED, 0.3)),
+    "sonic vacuum": (VACUUM, lambda: gx.states.velocity_step(VACUUM, 0.3)),
+    "FPUT": (FPUT, lambda: gx.states.velocity_step(FPUT, 0.5)),
+    "softening": (SOFT, lambda: gx.states.velocity_step(SOFT, 0.2)),
+}
+
+
+def highest_frequency(lattice, us):
+    """The largest eigenfrequency of any frame, of a chain of equal beads, from the law alone."""
+    (law, boundary) = lattice.terms[0].next_neighbours()
+    pad = [(0, 0), (1, 1)]
+    ends = np.pad(us, pad) if boundary == "fixed" else us
+    k = np.asarray(law.derivative(jnp.asarray(ends[:, :-1] - ends[:, 1:])))
+    k = k if boundary == "fixed" else np.pad(k, pad)
+    return np.sqrt(max(eigvalsh_tridiagonal(row[:-1] + row[1:], -row[1:-1]).max() for row in k))
+
+
+@pytest.mark.parametrize("case", SHOCKS)
+def test_a_shock_takes_at_most_three_times_the_steps_of_what_it_reaches(case):
+    """h omega between 1/6 and 1/2 (and a tenth) with the frequencies of 41 frames; energy kept to 1e-8."""
+    lattice, state = SHOCKS[case]
+    run = gx.simulate(lattice, state(), T1, save_at=41)
+    h_omega = float(run.stats["step"]) * highest_frequency(lattice, np.asarray(run.us))
+    assert STEP_FRACTION / 3 <= h_omega <= 1.1 * STEP_FRACTION
+    assert float(run.stats["step"] * run.stats["omega"]) >= h_omega * (1 - 1e-9)
+    assert float(run.energy_error) < 1e-8
+
+
+def test_energy_that_a_drive_brings_is_noticed_and_the_run_taken_again():
+    """A hard chain driven in its band takes up far more than a slow push of that force would store."""
+    lattice = gx.Lattice(1.0, (*gx.scenes.fput(20, 0.0, 1.0).terms, gx.Drive(gx.Harmonic(2.0, 1.5), 10)), sites=20)
+    run = gx.simulate(lattice, gx.states.rest(lattice), 60.0, save_at=121)
+    h_omega = float(run.stats["step"]) * highest_frequency(lattice, np.asarray(run.us))
+    assert "taken again" in run.choice and h_omega <= 1.1 * STEP_FRACTION
