@@ -327,15 +327,16 @@ def test_a_piston_does_not_collapse_the_default_step():
     chain = gx.scenes.toda(20, boundary="free")
     pushed = gx.Lattice(1.0, (*chain.terms, gx.Wall(gx.Toda(), "left", motion=lambda t: 0.5 * t)), sites=20)
     assert float(gx.simulate(pushed, gx.states.rest(pushed), 15.0).stats["step"]) > 0.01
-    # a cubic bond has no floor beyond its barrier, which the energy of the whole chain passes
+    # a cubic bond has no floor beyond its barrier, which the energy of the whole chain passes, but not a neighbour's
     alpha = gx.scenes.fput(200, alpha=0.25)
-    state = gx.states.random(alpha, 0, displacement=0.0, velocity=0.5)
+    run = gx.simulate(alpha, gx.states.random(alpha, 0, displacement=0.0, velocity=0.5), 100.0)
+    assert run.completed and float(run.energy_error) < 1e-8
     with pytest.raises(ValueError, match="step: expected a time step.*no useful one"):
-        gx.simulate(alpha, state, 100.0)
+        gx.simulate(alpha, gx.states.random(alpha, 0, displacement=0.0, velocity=50.0), 100.0)
 
 
 @pytest.mark.slow
-def test_a_term_of_unknown_stiffness_asks_for_a_step():
+def test_a_term_of_ones_own_gets_a_step():
     class Spring(gx.Term):
         k: jax.Array
 
@@ -344,8 +345,8 @@ def test_a_term_of_unknown_stiffness_asks_for_a_step():
 
     chain = gx.Lattice(np.ones(4), (gx.Bond(gx.Shift(1), gx.Linear(0.01)), Spring(jnp.array(50.0))))
     state = gx.states.impact(chain)
-    with pytest.raises(ValueError, match="step: .*Spring.*give step="):
-        gx.simulate(chain, state, 20.0)
+    run = gx.simulate(chain, state, 20.0)
+    assert 0.25 < float(run.stats["step"]) * 50.0**0.5 <= 0.5 and np.max(np.abs(run.final.v)) < 2
     assert np.max(np.abs(gx.simulate(chain, state, 20.0, step=0.05).final.v)) < 2
 
 
@@ -409,13 +410,14 @@ class OwnMap(gx.StrainMap):
 
 
 @pytest.mark.slow
-def test_a_large_lattice_of_a_map_of_ones_own_runs_at_a_given_step():
-    # no bound on its stiffness exists, so that the step cannot be judged; it is not refused for that
+def test_a_large_lattice_of_a_map_of_ones_own_has_a_bound():
+    # too large for a dense matrix: by power iteration, which may lack a tenth
     chain = gx.Lattice(1.0, (gx.Bond(OwnMap(), gx.Hertz(1.0, 1.0)),), sites=4100)
     run = gx.simulate(chain, gx.State(chain.zeros(), chain.zeros()), 0.2, step=0.1)
     assert run.completed
-    with pytest.raises(ValueError, match="step"):
-        gx.simulate(chain, gx.State(chain.zeros(), chain.zeros()), 0.2)
+    omega_max = 2 * 1.5**0.5
+    omega = 0.5 / float(gx.simulate(chain, gx.State(chain.zeros(), chain.zeros()), 200.0).stats["step"])
+    assert omega_max <= omega < 1.15 * omega_max
 
 
 @pytest.mark.slow
