@@ -2,7 +2,6 @@
 
 from typing import NamedTuple
 
-import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -231,9 +230,9 @@ def test_a_breather_and_its_multipliers(case):
 
 def test_a_driven_orbit_with_friction():
     lattice = _bead(CHAIN, gx.OnSite(gx.Linear(0.3)), Friction(K), gx.Drive(gx.Harmonic(0.5, 1.1), 0))
-    orbit = gx.forced.forced_orbit(lattice, 2 * np.pi / 1.1, transient=40, steps=200, solver=diffrax.Dopri8())
+    orbit = gx.forced.forced_orbit(lattice, 2 * np.pi / 1.1, transient=40, steps=200)
     assert orbit.converged
-    floquet = orbit.floquet(solver=diffrax.Dopri8())
+    floquet = orbit.floquet()
     assert floquet.expected == 0 and np.abs(floquet.multipliers).max() < 1
 
 

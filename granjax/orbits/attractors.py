@@ -17,7 +17,7 @@ from ..measures import contacts
 from ..results import Held, Result
 from ..solvers import SRKN11b
 from ..types import Count, Displacements, Numbers, Scalar, StateLike, Times
-from .steps import default_steps, history
+from .steps import default_steps, fixed_step_solver, history
 
 # h omega of the default step, with omega the highest linear frequency
 STEP_FRACTION = 0.4
@@ -72,7 +72,7 @@ class Attractor(Result):
 
 def settle(
     lattice: Lattice, state: StateLike, period: Scalar, *, periods: Count = 4000, tolerance: Scalar = 1e-8,
-    steps: Count | None = None, solver: AbstractSolver = SRKN11b(),
+    steps: Count | None = None, solver: AbstractSolver | None = None,
 ) -> Attractor:
     r"""Run a periodically forced lattice until it repeats once a period, or after 2, 3 or 4 periods.
 
@@ -97,6 +97,7 @@ def settle(
     tolerance = float(positive("tolerance", tolerance, "Typical: 1e-8."))
     periods = whole("periods", periods, 8)
     steps = steps_per_period(lattice, period) if steps is None else whole("steps", steps, 1)
+    solver = fixed_step_solver(lattice, solver, SRKN11b())
     end, used, multiple, changes = _follow(Flow(steps, solver), lattice, state, period, periods, tolerance)
     used, multiple = int(used), int(multiple)
     ts, us, vs, amplitude, force, energy = _watch(solver, lattice, end, period, multiple or KEPT, steps)

@@ -19,7 +19,7 @@ from ..solvers import KahanLi8
 from ..types import Count, Pytree, Scalar, StateLike
 from .problems import Symmetry, free_moves
 from .spectrum import product_spectrum, spectrum
-from .steps import default_steps
+from .steps import default_steps, fixed_step_solver
 from .structure import NOTHING, defect, krein, structure
 from .symmetry import shifts
 
@@ -143,8 +143,8 @@ def floquet(
     - `state`: the orbit at t0. `period`: T > 0. `t0`: phase of a drive.
     - `steps`: steps of the finer flow over the period; `None` doubles them until the matrix is known to `tolerance`
       (relative to its largest entry) or 16384 steps are reached, as may happen where contacts open.
-    - `solver`: `None` is KahanLi8, or the flow's own. `segments`: factors of which M is the product; several keep
-      multipliers that lie far below the largest one's rounding.
+    - `solver`: `None` is KahanLi8 (Dopri8 where a force reads velocities other than by `Damping`), or the flow's own.
+    - `segments`: factors of which M is the product; several keep multipliers far below the largest one's rounding.
     - `symmetry`: S of an orbit with y(t0 + T) = S y(t0); M is then S^-1 times that derivative.
     - `expected`: multipliers that symmetry puts at +1; `None` is what the terms of a lattice say, and none for a
       `Flow`: give 1 for a limit cycle of an autonomous one.
@@ -164,7 +164,7 @@ def floquet(
             known = known._replace(expected=known.expected - (2 if known.rate == 0 else 1))
         turned = shifts(lattice).shape[1] - free_moves(lattice, symmetry).shape[1]
         known = known._replace(expected=known.expected - turned * (2 if known.rate == 0 else 1))
-        solver, field = solver or KahanLi8(), {}
+        solver, field = fixed_step_solver(lattice, solver, KahanLi8()), {}
         start = steps or default_steps(lattice, period, 2 * segments, doubled=True)
     else:
         solver, field = solver or lattice.solver, {"field": lattice.field}
@@ -264,7 +264,7 @@ def leading(
     """
     count = whole("count", count, 1)
     steps = steps or default_steps(lattice, period, 2, doubled=True)
-    flow = Flow(jnp.asarray(steps), solver or KahanLi8())
+    flow = Flow(jnp.asarray(steps), fixed_step_solver(lattice, solver, KahanLi8()))
     times = jnp.asarray(float(t0)), jnp.asarray(float(period))
     size = ravel_pytree(state)[0].size
     if count > size - 2:

@@ -21,7 +21,7 @@ from .branch import BRANCH_POINT, DOUBLING, FOLD, TORUS, Bifurcation, Branch, ve
 from .orbit import FRAMES, checked_guess, prepared
 from .problems import Family, period_at
 from .spectrum import spectrum
-from .steps import flow_over, history
+from .steps import fixed_step_solver, flow_over, history
 from .structure import structure
 
 # of dp along the first tangent, so that a branch that begins near a fold does not count as endlessly steep
@@ -34,7 +34,7 @@ LOCATED, APART = 1e-10, 1e-7
 def forced_branch(
     make: Callable, start: Scalar, until: Scalar, *, period: Callable | Scalar, guess: StateLike | None = None,
     transient: Count = 0, t0: Scalar = 0.0, steps: Count | None = None, segments: Count = 1,
-    solver: AbstractSolver = SRKN14a(), tolerance: Scalar = 1e-10, arclength: Scalar = 0.02,
+    solver: AbstractSolver | None = None, tolerance: Scalar = 1e-10, arclength: Scalar = 0.02,
     longest_arclength: Scalar | None = None, points: Count = 400, response: Callable = rms_velocity,
 ) -> Branch:
     r"""Follow the periodic orbits of a forced lattice over a parameter, through folds, stable or not.
@@ -68,6 +68,7 @@ def forced_branch(
         refuse("until", "another value than start", repr(until))
     period = period if callable(period) else positive("period", period)
     scenes = [(make(jnp.asarray(p)), period_at(period, p)) for p in (start, until)]
+    solver = fixed_step_solver(scenes[0][0], solver, SRKN14a())
     flows = [flow_over(lattice, T, steps, solver, segments) for lattice, T in scenes]
     # an array, whose value compiles nothing anew
     flow = Flow(jnp.asarray(max(int(f.steps) for f in flows)), solver)

@@ -18,6 +18,7 @@ from ..results import Held, Result
 from ..solvers import SRKN11b
 from ..types import Count, Scalar, StateLike
 from .attractors import steps_per_period
+from .steps import fixed_step_solver
 
 
 class Lyapunov(Result):
@@ -48,7 +49,7 @@ class Lyapunov(Result):
 
 def lyapunov(
     lattice: Lattice, state: StateLike, period: Scalar, *, periods: Count = 1000, transient: Count = 100,
-    number: Count = 1, windows: Count = 10, steps: Count | None = None, solver: AbstractSolver = SRKN11b(),
+    number: Count = 1, windows: Count = 10, steps: Count | None = None, solver: AbstractSolver | None = None,
     seed: Count = 0,
 ) -> Lyapunov:
     r"""The k largest Lyapunov exponents: mean growth of tangents that are made orthonormal again every period.
@@ -80,6 +81,7 @@ def lyapunov(
         refuse("number", f"at most {size}, twice the number of displacements", f"{number}")
     periods, transient = whole("periods", periods, windows), whole("transient", transient, 0)
     steps = steps_per_period(lattice, period) if steps is None else whole("steps", steps, 1)
+    solver = fixed_step_solver(lattice, solver, SRKN11b())
     start = np.random.default_rng(seed).normal(size=(size, number))
     end, logs = _grow(Flow(steps, solver), lattice, State(*state), jnp.asarray(start), period, transient + periods)
     rates = np.asarray(logs)[transient:] / period

@@ -21,7 +21,7 @@ from ..tuning import one_thread
 from ..types import Count, Counts, Displacements, Flags, Number, Numbers, Scalar, StateLike, Times
 from .floquet import Floquet, floquet
 from .problems import Shooting, Symmetry, checked_symmetry
-from .steps import flow_over, history
+from .steps import fixed_step_solver, flow_over, history
 
 FRAMES = 32
 # of the guess's size, below which an orbit is none; and its code, beside those of `newton`
@@ -155,7 +155,7 @@ class Orbit(Result):
 @one_thread
 def orbit(
     lattice: Lattice, guess: StateLike, period: Scalar, *, symmetry: Symmetry = Symmetry(), t0: Scalar = 0.0,
-    steps: Count | None = None, segments: Count = 1, transient: Count = 0, solver: AbstractSolver = SRKN14a(),
+    steps: Count | None = None, segments: Count = 1, transient: Count = 0, solver: AbstractSolver | None = None,
     tolerance: Scalar = 1e-10, max_steps: Count = 20, throw: bool | None = None,
 ) -> Orbit:
     r"""An orbit of a lattice that returns after a time, up to a symmetry: y(t0 + T) = S y(t0), by Newton's method.
@@ -177,7 +177,8 @@ def orbit(
     - `t0`: phase of the drive at which the state is taken.
     - `steps` per period; `None` takes h omega_max <= 0.3, with omega_max the highest linear frequency, which gives
       displacements to about 1e-9; scenes whose contacts open need more.
-    - `segments`: of multiple shooting, for long or strongly unstable orbits. `solver`: at a fixed step.
+    - `segments`: of multiple shooting, for long or strongly unstable orbits. `solver`: at a fixed step; `None` takes SRKN14a, or
+      diffrax's Dopri8 where a force reads velocities other than by `Damping`.
     - `tolerance`: of the residual, relative to the amplitude (of the guess, or what a period makes of it).
     - `max_steps`: the most Jacobians. `throw`: raise where it does not converge; `None` does so outside of
       transformations.
@@ -193,7 +194,7 @@ def orbit(
     transient = whole("transient", transient, 0)
     guess = checked_guess(lattice, guess)
     checked_symmetry(lattice, symmetry, guess, t0, period)
-    flow = flow_over(lattice, period, steps, solver, segments)
+    flow = flow_over(lattice, period, steps, fixed_step_solver(lattice, solver, SRKN14a()), segments)
     t0 = jnp.asarray(t0, lattice.dtype)
     free = not lattice.reads_time
     if free and not lattice.conserves:

@@ -4,15 +4,23 @@ import math
 
 import jax
 import jax.numpy as jnp
-from diffrax import AbstractSolver
+from diffrax import AbstractSolver, Dopri8
 
 from ..checks import concrete, refuse, whole
 from ..flow import Flow, linear_frequency
+from ..flow.dispatch import facts
 from ..lattice import Lattice, State
 from ..types import Count, Scalar, StateLike, Times
 
 # h omega of a step, with omega the highest linear frequency, and the fewest steps of a period
 FINE, LEAST_STEPS = 0.3, 16
+
+
+def fixed_step_solver(lattice: Lattice, solver: AbstractSolver | None, otherwise: AbstractSolver) -> AbstractSolver:
+    """The solver that is given; else `otherwise`, a splitting one, where the lattice splits, and Dopri8 where not."""
+    if solver is not None:
+        return solver
+    return otherwise if facts(lattice).splits else Dopri8()
 
 
 def default_steps(

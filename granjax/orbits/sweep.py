@@ -19,7 +19,7 @@ from ..types import Count, Displacements, Parameter, Scalar, StateLike
 from .attractors import follow, steps_per_period
 from .branch import Bifurcation
 from .problems import period_at
-from .steps import history
+from .steps import fixed_step_solver, history
 
 if TYPE_CHECKING:
     import xarray  # half a second
@@ -99,7 +99,8 @@ class Sweep(Result):
 def sweep(
     make: Callable, values: Parameter, period: Callable | Scalar, *, state: StateLike | None = None,
     response: Callable = rms_velocity, jump: Scalar = 0.2, accuracy: Scalar = 1e-3, periods: Count = 2000,
-    tolerance: Scalar = 1e-6, watch: Count = WATCHED, steps: Count | None = None, solver: AbstractSolver = SRKN11b(),
+    tolerance: Scalar = 1e-6, watch: Count = WATCHED, steps: Count | None = None,
+    solver: AbstractSolver | None = None,
     down: bool = True,
 ) -> Sweep:
     r"""Follow the attractor of a forced lattice while one parameter goes up its values, and then down again.
@@ -134,7 +135,7 @@ def sweep(
     first = make(jnp.asarray(values[0]))
     if steps is None:
         steps = max(steps_per_period(make(jnp.asarray(w)), float(period_at(period, w))) for w in values[[0, -1]])
-    flow = Flow(whole("steps", steps, 1), solver)
+    flow = Flow(whole("steps", steps, 1), fixed_step_solver(first, solver, SRKN11b()))
     state = State(first.zeros(), first.zeros()) if state is None else State(*state)
     if concrete(jax.tree.leaves(state)[0]) is None:
         refuse("state", "numbers known before tracing", "a traced state", "A sweep runs outside of transformations.")
