@@ -177,8 +177,8 @@ def orbit(
     - `t0`: phase of the drive at which the state is taken.
     - `steps` per period; `None` takes h omega_max <= 0.3, with omega_max the highest linear frequency, which gives
       displacements to about 1e-9; scenes whose contacts open need more.
-    - `segments`: of multiple shooting, for long or strongly unstable orbits. `solver`: at a fixed step; `None` takes SRKN14a, or
-      diffrax's Dopri8 where a force reads velocities other than by `Damping`.
+    - `segments`: of multiple shooting, for long or strongly unstable orbits. `solver`: at a fixed step; `None` takes
+      SRKN14a, or diffrax's Dopri8 where a force reads velocities other than by `Damping`.
     - `tolerance`: of the residual, relative to the amplitude (of the guess, or what a period makes of it).
     - `max_steps`: the most Jacobians. `throw`: raise where it does not converge; `None` does so outside of
       transformations.

@@ -100,8 +100,7 @@ def sweep(
     make: Callable, values: Parameter, period: Callable | Scalar, *, state: StateLike | None = None,
     response: Callable = rms_velocity, jump: Scalar = 0.2, accuracy: Scalar = 1e-3, periods: Count = 2000,
     tolerance: Scalar = 1e-6, watch: Count = WATCHED, steps: Count | None = None,
-    solver: AbstractSolver | None = None,
-    down: bool = True,
+    solver: AbstractSolver | None = None, down: bool = True,
 ) -> Sweep:
     r"""Follow the attractor of a forced lattice while one parameter goes up its values, and then down again.
 
