@@ -121,7 +121,7 @@ def _reach(lattice):
     reach = [1] * len(sites)
     for term in lattice.terms:
         for axis, span in enumerate(term.span() or ()):
-            reach[axis] = max(reach[axis], min(span, (sites[axis] - 1) // 2))
+            reach[axis] = max(reach[axis], span)
     short = [axis for axis, (n, r) in enumerate(zip(sites, reach)) if n < 2 * r + 1]
     if short:
         n, r = sites[short[0]], reach[short[0]]

@@ -68,9 +68,6 @@ class Pairs(TwoEnds):
         spread = jnp.zeros((sites + 1,) + f.shape[1:], f.dtype)
         return spread.at[np.where(index == WALL, sites, index)].add(f)[:sites]
 
-    def span(self):
-        return (max((abs(t - h) for t, h in zip(self.tail, self.head) if WALL not in (t, h)), default=0),)
-
     def walls(self):
         return ("left", "right") if WALL in self.tail + self.head else ()
 
