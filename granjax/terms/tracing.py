@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.extend.core import jaxprs_in_params
+from jax.extend.core import ClosedJaxpr, Jaxpr
 from jax.interpreters.partial_eval import dce_jaxpr
 
 from ..types import Displacements, Number, Pytree
@@ -82,7 +82,8 @@ def used(function: Callable, arguments: tuple, places: tuple = (1,)):
 
 def _holds(jaxpr, primitive):
     """Whether a traced program holds an operation, in whatever it calls too."""
-    inner = [part for eqn in jaxpr.eqns for part in jaxprs_in_params(eqn.params)]
+    parameters = jax.tree.leaves([list(eqn.params.values()) for eqn in jaxpr.eqns])
+    inner = [getattr(x, "jaxpr", x) for x in parameters if isinstance(x, (ClosedJaxpr, Jaxpr))]
     return any(eqn.primitive.name == primitive for eqn in jaxpr.eqns) or any(_holds(part, primitive) for part in inner)
 
 
@@ -108,21 +109,18 @@ def answers_to(moves: list, term: Any, mass: Displacements | Number, template: P
     random = np.random.default_rng(0)
     where, other = (jax.tree.map(lambda s: random.normal(size=s.shape).astype(s.dtype), template) for _ in range(2))
     with jax.ensure_compile_time_eval():
-        return _answers(moves, term, mass, where, other, SCALES)
+        return np.stack([_answers(moves, term, mass, where, other, jnp.asarray(scale)) for scale in SCALES])
 
 
 @eqx.filter_jit
-def _answers(moves, term, mass, where, other, scales):
+def _answers(moves, term, mass, where, other, scale):
     zeros = jax.tree.map(jnp.zeros_like, where)
 
-    def answers(scale):
-        def push(u):
-            return raveled(term.force(jnp.zeros(()), u, zeros, mass), zeros)
+    def push(u):
+        return raveled(term.force(jnp.zeros(()), u, zeros, mass), zeros)
 
-        slope = jax.linearize(push, jax.tree.map(lambda x: scale.astype(x.dtype) * x, where))[1]
-        size = jnp.max(jnp.abs(slope(other)))
-        columns = jnp.stack([slope(move) for move in moves], -1) / jnp.where(size > 0, size, 1)
-        good = jnp.isfinite(size) & jnp.all(jnp.isfinite(columns))
-        return jnp.where(good & (jnp.abs(columns) > RESISTS), columns, 0)
-
-    return jax.lax.map(answers, scales)
+    slope = jax.linearize(push, jax.tree.map(lambda x: scale.astype(x.dtype) * x, where))[1]
+    size = jnp.max(jnp.abs(slope(other)))
+    columns = jnp.stack([slope(move) for move in moves], -1) / jnp.where(size > 0, size, 1)
+    good = jnp.isfinite(size) & jnp.all(jnp.isfinite(columns))
+    return jnp.where(good & (jnp.abs(columns) > RESISTS), columns, 0)
