@@ -14,7 +14,7 @@ import granjax
 from granjax.results import Result
 from granjax.units import Units
 
-TABLE = Path(granjax.__file__).parents[1] / "CONTRIBUTING.md"
+TABLE = Path(__file__).parents[1] / "CONTRIBUTING.md"
 NAMES = [m.name for m in pkgutil.iter_modules(granjax.__path__) if not m.name.startswith("_")]
 NAMES += ["studies.reproduce", "studies.resonance"]
 
