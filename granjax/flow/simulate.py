@@ -49,8 +49,10 @@ def simulate(
       given, diffrax's Dopri8 where a force reads the velocity in another way than `Damping`.
     - `step`: fixed step, the longest: it is shortened to divide t1 - t0, and the spacing of the saved times where that
       is even; times that lie between steps are read off the dense output. `None` takes h omega_max = 1/2, with
-      omega_max a bound on every frequency that the scene can reach at its energy (not only the linear one, which is
-      zero in a sonic vacuum).
+      omega_max a bound on the frequencies that the scene can reach at its energy (not only the linear one, which is
+      zero in a sonic vacuum), where a bond gathers at most what four neighbours held at the start. What the run reached
+      is looked at when it has ended (`stats["omega"]`), and where it passed the bound the run is taken again; under a
+      transformation nothing is looked at, and sixteen neighbours count.
     - `tolerance`: adaptive steps, each with a local error below `tolerance` times the scene's scale of velocity (and
       that over omega_max for displacements), in the largest norm over sites. Give `step` or `tolerance`, not both.
       The mesh follows the state, not its tangents: for derivatives of a smooth orbit (a monodromy) give `step`. Lanes

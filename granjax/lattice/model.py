@@ -1,6 +1,6 @@
 """The lattice: masses and terms, and the equation of motion that they make."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -10,10 +10,8 @@ import numpy as np
 
 from ..checks import positive, refuse, whole
 from ..terms import Term
-from ..terms.tracing import SCALES, traced
+from ..terms.tracing import traced
 from ..types import Count, Displacements, Number, Parameter
-
-SAME = 1e-9
 
 
 class State(NamedTuple):
@@ -219,26 +217,6 @@ class Lattice(eqx.Module):
     def reads_velocity(self):
         """Whether some force depends on velocities."""
         return any(term.dependence(self).velocity for term in self.terms)
-
-    def commutes(self, move: Callable) -> bool:
-        """Whether a linear change of the displacements, such as a shift by cells or the mirror image, is a symmetry.
-
-        `move(u)` takes displacements to displacements. Compared are the accelerations at rest in time, F(move(u))/m
-        and move(F(u)/m), at random displacements of all sizes; to 1e-9 of the largest.
-        """
-        random = np.random.default_rng(0)
-        where = jax.tree.map(lambda s: random.normal(size=s.shape).astype(s.dtype), self.template())
-        zeros = jax.tree.map(np.zeros_like, where)
-
-        def differ(scale):
-            u = jax.tree.map(lambda x: scale.astype(x.dtype) * x, where)
-            there = self.acceleration(jnp.zeros(()), move(u), zeros)
-            here = move(self.acceleration(jnp.zeros(()), u, zeros))
-            size = jnp.max(jnp.stack([jnp.max(jnp.abs(x)) for x in jax.tree.leaves(here)]))
-            off = jnp.max(jnp.stack(jax.tree.leaves(jax.tree.map(lambda a, b: jnp.max(jnp.abs(a - b)), there, here))))
-            return jnp.isfinite(size) & (off > SAME * size)
-
-        return not np.any(np.asarray(jax.jit(jax.vmap(differ))(SCALES)))
 
     def unbalanced(self) -> Displacements:
         """Force on each site at rest, from the total contact forces (preloads included).
