@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import refuse
-from ..laws import Law
+from ..laws import Law, Scaled
 from ..types import Displacements, Number, Numbers, Pytree
 from ..units import PART, Dimensional
 from .reach import Reach, Reached, largest_eigenvalue
@@ -256,8 +256,25 @@ class Multiplied(Term):
         energy = self.term.energy(t, u)
         return None if energy is None else self.factor * energy
 
+    def site_energy(self, lattice, t, u):
+        energy = self.term.site_energy(lattice, t, u)
+        return None if energy is None else jax.tree.map(lambda e: self.factor * e, energy)
+
+    def preload_force(self, u):
+        force = self.term.preload_force(u)
+        return None if force is None else jax.tree.map(lambda f: self.factor * f, force)
+
+    def compressions(self, t, u):
+        return tuple(c._replace(law=Scaled(c.law, self.factor)) for c in self.term.compressions(t, u))
+
+    def stiffness_bound(self, lattice, reach, factor=1.0):
+        return self.term.stiffness_bound(lattice, reach, factor * self.factor)
+
     def span(self):
         return self.term.span()
+
+    def walls(self):
+        return self.term.walls()
 
     def dependence(self, lattice):
         return self.term.dependence(lattice)
