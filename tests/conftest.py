@@ -36,7 +36,10 @@ KEPT_FOR = 14 * 24 * 3600
 # bytes of a worker above which programs are let go where a module ends, and anywhere
 MUCH, MOST = 1.2e9, 2.4e9
 
-kept = tuning.keep_compiled()
+# a folder of the tests' own; the workers inherit its name, and the command line's switch below
+own = os.environ.get("GRANJAX_CACHE") or str(tuning._user_cache() / "granjax")
+os.environ.setdefault("GRANJAX_TESTS_CACHE", own if own == "0" else str(Path(own) / "tests"))
+kept = tuning.keep_compiled(os.environ["GRANJAX_TESTS_CACHE"])
 if kept:
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 # where an operation was written is read by nobody here: a fourteenth

@@ -109,7 +109,7 @@ class Term(Dimensional):
 
     def scaled(self, factor: Number) -> Any:
         """The term with its force times a factor: a number, or an array over its bonds where it has bonds."""
-        return Multiplied(self, factor)
+        return Multiplied(self, jnp.asarray(factor))
 
     def check(self, name: str, lattice: Any) -> None:
         """Refuse a lattice that has no place for the term."""
