@@ -62,6 +62,8 @@ def test_the_folds_are_those_of_harmonic_balance(hump):
     assert upper == pytest.approx(-top.fun, rel=1e-8)
     assert lower == pytest.approx(bottom.fun, rel=1e-8)
     assert hump.outcome == "p reached 1.4."
+    with pytest.raises(ValueError, match="Its own are branch.bifurcations"):
+        gx.breathers.bifurcations(hump)
 
 
 @pytest.mark.slow
@@ -105,6 +107,12 @@ def test_input_that_cannot_be_meant_is_refused():
         forced_orbit(jax.vmap(duffing, out_axes=-1)(jnp.array([0.8, 0.9])), 1.0)
     with pytest.raises(ValueError, match="Nothing is stiff at rest"):
         forced_orbit(gx.scenes.monomer(4), 1.0)
+    with pytest.raises(ValueError, match="period: expected one after which the forces repeat, got 7.0"):
+        forced_orbit(lattice, 7.0)
+    free = gx.Lattice(jnp.ones(2), lattice.terms[:2])
+    for terms, words in ((free.terms, "make: expected a lattice under"), (lattice.terms[:3], "got damping alone")):
+        with pytest.raises(ValueError, match=words):
+            forced_branch(lambda p, terms=terms: gx.Lattice(jnp.ones(2), terms), 0.9, 1.0, period=7.0)
     with pytest.raises(ValueError, match="until: expected another value than start"):
         forced_branch(duffing, 0.9, 0.9, period=period_of)
 
@@ -212,6 +220,14 @@ class Parametric(eqx.Module):
     def __call__(self, strength):
         bond = gx.Modulated(gx.Bond(gx.Shift(1, "free"), gx.Linear(1.0)), gx.Harmonic(strength, self.omega, mean=1.0))
         return gx.Lattice(jnp.array([1.0, 2.0]), (bond, gx.OnSite(gx.Linear(1.0)), gx.Damping(self.damping)))
+
+
+def test_a_parametric_guess_that_falls_to_rest_is_no_orbit():
+    lattice, period = Parametric(jnp.asarray(2.0), jnp.asarray(0.1))(0.1), np.pi
+    with pytest.raises(RuntimeError, match="The guess fell to rest"):
+        forced_orbit(lattice, period, gx.State(jnp.array([0.1, -0.1]), jnp.zeros(2)), steps=32)
+    # whoever asks for rest gets it
+    assert forced_orbit(lattice, period, steps=32).converged
 
 
 def threshold(omega, damping):

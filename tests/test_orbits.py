@@ -7,7 +7,8 @@ from scipy.special import ellipe, ellipj, ellipk
 import granjax as gx
 from granjax.continuation import continuation
 from granjax.newton import newton
-from granjax.orbits import Mirror, Shooting, Sign, Translation, orbit, shifts
+from granjax.orbits import Mirror, Shooting, Sign, Symmetry, Translation, orbit, shifts
+from granjax.orbits.problems import checked_symmetry
 
 N = 5
 RNG = np.random.default_rng(4)
@@ -279,6 +280,8 @@ def test_a_rotating_wave_of_a_toda_ring_is_the_cnoidal_one(rotating):
     np.testing.assert_allclose(end.u, np.roll(exact.u, 1), rtol=0, atol=1e-14)
     assert wave.converged and float(wave.energy) == pytest.approx(float(RING.energy(0.0, *exact)), rel=1e-11)
     # the same wave, later or earlier by a while: a site ago it stood one site before
+    with pytest.raises(ValueError, match=r"orbit: expected one that returns itself after T, .* Translation\(1\)"):
+        _ = wave.amplitude
     state, best = wave.state, min(np.linspace(-0.1, 0.1, 41), key=lambda s: apart(exact, wave.state, s))
     assert apart(exact, state, best) < 0.02 and np.abs(state.u).max() > 0.25
 
@@ -339,6 +342,14 @@ def test_symmetries_compose_and_what_is_none_of_the_lattice_is_refused():
         orbit(chain, gx.State(np.sin(np.arange(6.0)), np.zeros(6)), 1.0, symmetry=Translation(1))
     with pytest.raises(ValueError, match="symmetry: expected a symmetry"):
         orbit(RING, gx.State(np.sin(np.arange(6.0)), np.zeros(6)), 1.0, symmetry=Sign())
+    # sin(t) turns its sign after half of its period, not after all of it
+    sine = gx.Drive(gx.Harmonic(0.1, 1.0, phase=-np.pi / 2), 0)
+    driven = gx.Lattice(1.0, (bond("fixed", gx.Linear(1.0)), sine), sites=3)
+    rest = gx.State(jnp.zeros(3), jnp.zeros(3))
+    assert checked_symmetry(driven, Sign(), rest, 0.0, np.pi) == Sign()
+    for asked, period in ((Sign(), 2 * np.pi), (Sign(), np.nan), (Symmetry(), 6.0)):
+        with pytest.raises(ValueError, match="period: expected" if asked.trivial else "symmetry: expected"):
+            checked_symmetry(driven, asked, rest, 0.0, period)
 
 
 def test_a_guess_that_falls_to_rest_is_no_orbit():

@@ -233,7 +233,7 @@ def test_both_ways_and_what_lies_between(ax, sweep):
 def test_arrays_will_do_and_one_way_is_enough(ax, sweep):
     plots.hysteresis((sweep.values, sweep.up.response, None), ax)
     assert labels(ax) == ["up"] and not ax.patches
-    sweep.down = sweep.up
+    sweep.down = None
     plots.hysteresis(sweep, ax)
     assert labels(ax) == ["up", "up"]
 

@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import one_of
+from ..checks import one_of, refuse
 from ..continuation import continuation
 from ..lattice import State
 from ..tuning import one_thread
@@ -31,6 +31,8 @@ def bifurcations(branch: Branch, kinds: tuple[str, ...] = KINDS, *, accuracy: Sc
     **Returns:** a list of `Bifurcation` in the order of the branch. A pair that comes and goes between two breathers
     is not seen: give the family a shorter `longest_arclength`.
     """
+    if not branch._family.shooting.reversible:
+        refuse("branch", "a family of breathers", "a branch of forced orbits", "Its own are branch.bifurcations.")
     for kind in kinds:
         one_of("kinds", kind, KINDS)
     found = []

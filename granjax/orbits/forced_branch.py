@@ -18,8 +18,8 @@ from ..solvers import SRKN14a
 from ..tuning import one_thread
 from ..types import Count, Scalar, StateLike
 from .branch import BRANCH_POINT, DOUBLING, FOLD, TORUS, Bifurcation, Branch, verdicts_of
-from .orbit import FRAMES, checked_guess, prepared
-from .problems import Family, period_at
+from .orbit import FRAMES, checked_free, checked_guess, prepared
+from .problems import Family, Symmetry, checked_symmetry, period_at
 from .spectrum import spectrum
 from .steps import fixed_step_solver, flow_over, history
 from .structure import structure
@@ -58,7 +58,7 @@ def forced_branch(
     - `points`: the most points. `response(lattice, u, v, t)`: a number from one period u, v (F, N), t (F,); by
       default the root mean square of all velocities.
 
-    **Returns:** `Branch`. **Raises** ValueError for `until` equal to `start`, and as `forced_orbit`;
+    **Returns:** `Branch`. **Raises** ValueError for `until` equal to `start`, no forcing, and as `forced_orbit`;
     RuntimeError where the first orbit does not converge.
     Source: Doedel, Keller, Kernevez, Int. J. Bifurcation Chaos 1, 493 and 745 (1991); Kuznetsov, Elements of Applied
     Bifurcation Theory.
@@ -74,6 +74,10 @@ def forced_branch(
     flow = Flow(jnp.asarray(max(int(f.steps) for f in flows)), solver)
     lattice, T = scenes[0]
     guess = State(lattice.zeros(), lattice.zeros()) if guess is None else checked_guess(lattice, guess)
+    for lattice, T in scenes[::-1]:
+        if checked_free(lattice):
+            refuse("make", "a lattice under forcing", "none", "Breathers over their frequency: gx.breathers.family.")
+        checked_symmetry(lattice, Symmetry(), guess, t0, T)
     shooting, x = prepared(lattice, T, guess, flow, jnp.asarray(t0, lattice.dtype), segments, jnp.asarray(transient))
     family = Family(shooting, make, period, jnp.asarray(start), jnp.asarray(until - start))
     settings = {"tolerance": tolerance, "find": ("fold",)}

@@ -20,7 +20,7 @@ from ..solvers import SRKN14a
 from ..tuning import one_thread
 from ..types import Count, Counts, Displacements, Flags, Number, Numbers, Scalar, StateLike, Times
 from .floquet import Floquet, floquet
-from .problems import Shooting, Symmetry, checked_symmetry
+from .problems import Shooting, Symmetry, checked_symmetry, largest, phases
 from .steps import fixed_step_solver, flow_over, history
 
 FRAMES = 32
@@ -77,7 +77,7 @@ class Orbit(Result):
 
     @property
     def omega(self) -> Number:
-        """2 pi/T."""
+        """2 pi/T; the motion itself repeats after T times the order of S."""
         return 2 * np.pi / self.period
 
     @property
@@ -115,8 +115,10 @@ class Orbit(Result):
     def harmonics(self, count: Count = 1, frames: Count = FRAMES) -> Displacements:
         r"""Complex Fourier amplitudes c_k of every displacement, u = Re sum_k c_k exp(2 pi i k t/T), k = 0 ... count.
 
-        **Returns:** (count + 1, N), or a dict of such. Wants count < frames/2.
+        **Returns:** (count + 1, N), or a dict of such. Wants count < frames/2. **Raises** ValueError where S is not the
+        identity, as `amplitude` and `rms_velocity` do: u then repeats after T times the order of S alone.
         """
+        self._refuse_symmetry()
         if not whole("count", count, 0) < whole("frames", frames, 2) / 2:
             refuse("count", f"fewer than half of the {frames} frames", repr(count))
         run = self.run(frames)
@@ -132,7 +134,13 @@ class Orbit(Result):
     @property
     def rms_velocity(self) -> Displacements:
         """Root mean square velocity of every site over a period, (N,)."""
+        self._refuse_symmetry()
         return jax.tree.map(lambda v: jnp.sqrt(jnp.mean(v * v, 0)), self.run().vs)
+
+    def _refuse_symmetry(self):
+        if not self.symmetry.trivial:
+            refuse("orbit", "one that returns itself after T", f"one that returns up to {self.symmetry!r}",
+                   "Ask gx.orbits.orbit(lattice, state, T times the order of the symmetry) for it.")
 
     @property
     def energy_input(self) -> Number:
@@ -183,9 +191,9 @@ def orbit(
     - `max_steps`: the most Jacobians. `throw`: raise where it does not converge; `None` does so outside of
       transformations.
 
-    **Returns:** `Orbit`. **Raises** ValueError for a period that is not positive, a batch of lattices, steps that the
-    segments do not divide, what is no symmetry of the lattice, or a sonic vacuum without `steps`; RuntimeError where
-    `throw` and it did not converge, or fell to rest without forcing.
+    **Returns:** `Orbit`. **Raises** ValueError for a period that is not positive, or none of the forcing, a batch of
+    lattices, steps that the segments do not divide, what is no symmetry of the lattice, or a sonic vacuum without
+    `steps`; RuntimeError where `throw` and it did not converge, or fell to rest where nothing moves what is at rest.
     """
     if not isinstance(lattice, Lattice) or lattice.lanes:
         refuse("lattice", "one Lattice", "a batch" if isinstance(lattice, Lattice) else repr(lattice),
@@ -193,18 +201,15 @@ def orbit(
     period, segments = positive("period", period), whole("segments", segments, 1)
     transient = whole("transient", transient, 0)
     guess = checked_guess(lattice, guess)
-    checked_symmetry(lattice, symmetry, guess, t0, period)
     flow = flow_over(lattice, period, steps, fixed_step_solver(lattice, solver, SRKN14a()), segments)
+    checked_symmetry(lattice, symmetry, guess, t0, period)
     t0 = jnp.asarray(t0, lattice.dtype)
-    free = not lattice.reads_time
-    if free and not lattice.conserves:
-        remedy = "A damped lattice without forcing comes to rest."
-        refuse("lattice", "forcing, or neither forcing nor damping", "damping alone", remedy)
+    free = checked_free(lattice)
     shooting, x = prepared(lattice, period, guess, flow, t0, segments, jnp.asarray(transient), symmetry, free)
     root = newton(shooting.residual, x, (lattice, period), tolerance=tolerance, max_steps=max_steps,
                   linearise=shooting.linearise, throw=throw)
     state = shooting.state(root.x)
-    return checked_orbit(Orbit(state, period, lattice, root, flow, t0, symmetry), guess if free else None, throw)
+    return checked_orbit(Orbit(state, period, lattice, root, flow, t0, symmetry), guess, throw)
 
 
 def forced_orbit(lattice: Lattice, period: Scalar, guess: StateLike | None = None, **keywords: Any) -> Orbit:
@@ -218,13 +223,27 @@ def forced_orbit(lattice: Lattice, period: Scalar, guess: StateLike | None = Non
     return orbit(lattice, guess, period, **keywords)
 
 
-def checked_orbit(orbit: Orbit, guess: State | None, throw: bool | None) -> Orbit:
+def checked_free(lattice: Lattice) -> bool:
+    """Whether nothing drives the lattice. **Raises** ValueError for damping alone."""
+    if not lattice.reads_time and not lattice.conserves:
+        remedy = "A damped lattice without forcing comes to rest."
+        refuse("lattice", "forcing, or neither forcing nor damping", "damping alone", remedy)
+    return not lattice.reads_time
+
+
+def checked_orbit(orbit: Orbit, guess: State, throw: bool | None) -> Orbit:
     """The orbit, marked where a guess that moves has led to rest."""
-    if guess is None:
-        return orbit
-    speed = lambda y: jnp.max(jnp.stack([jnp.max(jnp.abs(x)) for x in jax.tree.leaves(y)]))
-    moves = [speed(vector_field(orbit.t0, y, orbit.lattice)) for y in (orbit.state, guess)]
-    fell = orbit.root.converged & (moves[0] <= AT_REST * moves[1])
+    lattice, omega = orbit.lattice, orbit.omega
+
+    def speed(y, t=orbit.t0):
+        v, a = vector_field(t, y, lattice)
+        return jnp.maximum(omega * largest(v), largest(a))
+
+    found, before = speed(orbit.state), speed(guess)
+    fell = orbit.root.converged & (before > 0) & (found <= AT_REST * before)
+    if lattice.reads_time:  # what is driven at rest may well move by little
+        rest, ts = State(lattice.zeros(), lattice.zeros()), phases(orbit.t0, orbit.period)
+        fell = fell & (largest(jax.vmap(lambda t: speed(rest, t))(ts)) <= AT_REST**2 * before)
     orbit = eqx.tree_at(lambda o: o.root.code, orbit, jnp.where(fell, FELL, orbit.root.code))
     if not isinstance(fell, jax.core.Tracer) and fell and (throw is None or throw):
         raise RuntimeError(orbit.outcome)

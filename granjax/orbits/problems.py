@@ -15,6 +15,9 @@ from ..lattice import Lattice, State, spread_mass, vector_field
 from ..types import AnyArray, Count, Numbers, Pytree, Scalar, StateLike
 from .symmetry import shifts
 
+# where in a period forces are compared: at no simple fraction, where waveforms have their zeros and jumps
+PHASES = (0.1 + 0.618034 * np.arange(4)) % 1
+
 
 class Symmetry(eqx.Module):
     r"""S of y(t0 + T) = S y(t0): displacements moved by some cells, reflected, with a sign; velocities alike.
@@ -72,24 +75,46 @@ def Sign() -> Symmetry:
 
 
 def checked_symmetry(lattice: Lattice, symmetry: Symmetry, state: State, t0: Scalar, period: Scalar) -> Symmetry:
-    """Refuse what is no symmetry of the lattice, as its forces at a state and its image say."""
+    """Refuse what is no symmetry of the lattice, as its forces at a state and at its image a period later say.
+
+    Where forces depend on time that holds for the identity too: they must repeat after the period.
+    """
     if not isinstance(symmetry, Symmetry):
         refuse("symmetry", "a Symmetry, such as Translation(1)", f"a {type(symmetry).__name__}")
-    if symmetry.trivial or any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves((lattice, state, period))):
+    traced = any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves((lattice, state, t0, period)))
+    if traced or symmetry.trivial and not lattice.reads_time:
         return symmetry
     if symmetry.mirror and lattice.dimension is not None:
         refuse("symmetry", "translations and signs in the plane", repr(symmetry))
-    size = max(float(jnp.abs(x).max()) for x in jax.tree.leaves(state.u)) or 1.0
-    rng = np.random.default_rng(0)
+    ts, omega = phases(t0, period), 2 * np.pi / float(period)
+
+    def accelerations(ts, u, v):
+        return jax.vmap(lambda t: lattice.acceleration(t, u, v))(ts)
+
+    zeros, rng = lattice.zeros(), np.random.default_rng(0)
+    size = float(largest(state.u)) or float(largest(accelerations(ts, zeros, zeros))) / omega**2 or 1.0
     u, v = (jax.tree.map(lambda x: jnp.asarray(size * scale * rng.uniform(-1, 1, x.shape), x.dtype), state.u)
-            for scale in (1.0, 2 * np.pi / float(period)))
-    there = symmetry(lattice.acceleration(t0, u, v))
-    here = lattice.acceleration(t0 + period, symmetry(u), symmetry(v))
-    off = max(float(jnp.abs(a - b).max()) for a, b in zip(jax.tree.leaves(there), jax.tree.leaves(here)))
-    most = max(float(jnp.abs(a).max()) for a in jax.tree.leaves(there))
-    if off > 1e3 * jnp.finfo(lattice.dtype).eps * max(most, size * (2 * np.pi / float(period)) ** 2):
-        refuse("symmetry", "a symmetry of the lattice", repr(symmetry), "Its image has other accelerations.")
-    return symmetry
+            for scale in (1.0, omega))
+    there = jax.vmap(symmetry)(accelerations(ts, u, v))
+    here = accelerations(ts + period, symmetry(u), symmetry(v))
+    off = float(largest(jax.tree.map(jnp.subtract, there, here)))
+    # of what time changes, the rounding is that of the static force beside it
+    change, eps = float(largest(jax.tree.map(lambda a: a - a[0], there))), float(jnp.finfo(lattice.dtype).eps)
+    if off <= 1e3 * eps * max(float(largest(there)), size * omega**2) + 100 * eps**0.5 * change:
+        return symmetry
+    if symmetry.trivial:
+        refuse("period", "one after which the forces repeat", repr(float(period)), "Give the drive's, or a multiple.")
+    refuse("symmetry", "a symmetry of the lattice", repr(symmetry), "Its image has other accelerations.")
+
+
+def phases(t0: Scalar, period: Scalar) -> Numbers:
+    """Four times within a period."""
+    return t0 + period * jnp.asarray(PHASES)
+
+
+def largest(x: Pytree) -> Numbers:
+    """The largest modulus in a tree of arrays, NaN where one is."""
+    return jnp.max(jnp.stack([jnp.max(jnp.abs(leaf)) for leaf in jax.tree.leaves(x)]))
 
 
 def free_moves(lattice: Lattice, symmetry: Symmetry) -> Numbers:

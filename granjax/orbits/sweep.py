@@ -71,26 +71,29 @@ class Way(Result):
 class Sweep(Result):
     """What `sweep` returns: `values` (P,) ascending, the two ways `up` and `down`, and where they differ.
 
-    `hysteresis`: a list of pairs (low, high), intervals of the parameter in which the way up and the way down have
-    settled differently; their ends are jumps where there is one beside, else values of the sweep.
+    `down`: `None` where that way was not run. `hysteresis`: a list of pairs (low, high), intervals of the parameter in
+    which the way up and the way down have settled differently; their ends are jumps where there is one beside, else
+    values of the sweep.
     """
 
     held: ClassVar[dict[str, Held]] = {"values": Held("value", "", "value"), "hysteresis": Held(None)}
     values: Float[np.ndarray, " P"]
     up: Way
-    down: Way
+    down: Way | None
     hysteresis: list
 
     @property
     def outcome(self) -> str:
         """What was met, and where the ways differ."""
+        if self.down is None:
+            return f"Up: {self.up.outcome}"
         where = ", ".join(f"{low:.6g} ... {high:.6g}" for low, high in self.hysteresis) or "nowhere"
         return f"Up: {self.up.outcome} Down: {self.down.outcome} They differ {where}."
 
     def to_xarray(self) -> "xarray.Dataset":
-        """Both ways over the values, as `up_response` and so on."""
+        """The ways over the values, as `up_response` and so on."""
         data = super().to_xarray()
-        for name in ("up", "down"):
+        for name in ("up", "down") if self.down is not None else ("up",):
             way = getattr(self, name).to_xarray()
             data = data.merge(way.rename({x: f"{name}_{x}" for x in way.data_vars}), combine_attrs="override")
         return data
@@ -122,7 +125,7 @@ def sweep(
     - `jump`, `accuracy`: above; both relative. `watch`: periods for the response, more where the motion does not
       repeat. `periods`, `tolerance`, `steps`, `solver`: as in `settle`; the first or last value sets the steps.
 
-    **Returns:** `Sweep`; without `down` its `down` is `up`, and no hysteresis. **Raises** ValueError for fewer than
+    **Returns:** `Sweep`; without `down` its `down` is `None`, and no hysteresis. **Raises** ValueError for fewer than
     two values, or values that do not ascend.
     """
     values = np.asarray(parameter("values", values), float)
@@ -147,7 +150,7 @@ def sweep(
 
     up = _way(attractor, values, state, jump, accuracy, 1)
     if not down:
-        return Sweep(values, up, up, [])
+        return Sweep(values, up, None, [])
     last = jax.tree.map(lambda x: x[-1], up.states)
     back = _way(attractor, values, last, jump, accuracy, -1)
     return Sweep(values, up, back, _hysteresis(values, up, back, jump))

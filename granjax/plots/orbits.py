@@ -234,8 +234,8 @@ def hysteresis(
 
 def _ways(sweep):
     if all(hasattr(sweep, name) for name in ("values", "up", "down")):
-        values, up, down, intervals = sweep.values, sweep.up.response, sweep.down.response, sweep.hysteresis
-        down = None if sweep.down is sweep.up else down
+        values, up, intervals = sweep.values, sweep.up.response, sweep.hysteresis
+        down = None if sweep.down is None else sweep.down.response
     elif isinstance(sweep, (tuple, list)) and len(sweep) == 3:
         (values, up, down), intervals = sweep, []
     else:
