@@ -26,16 +26,16 @@ from granjax.solvers.nystrom import _stages
 splittings = pytest.mark.parametrize("solver", SPLITTING, ids=lambda s: s.__name__)
 
 
-def some_of(solvers, *some, rest=pytest.mark.slow):
-    """Solvers, of which some stand for all; the others are slow, or a study where all share the code that is tested."""
-    marked = [s if s in some else pytest.param(s, marks=rest) for s in solvers]
+def some_of(solvers, *some):
+    """Solvers, of which some stand for all; the others are slow."""
+    marked = [s if s in some else pytest.param(s, marks=pytest.mark.slow) for s in solvers]
     return pytest.mark.parametrize("solver", marked, ids=lambda s: s.__name__)
 
 
 # one that kicks first, one that drifts first, one pair
-each = some_of(ALL_SOLVERS, SRKN11b, SRKN14a, RKN86, rest=pytest.mark.study)
+each = some_of(ALL_SOLVERS, SRKN11b, SRKN14a, RKN86)
 pairs = pytest.mark.parametrize("solver", NYSTROM, ids=lambda s: s.__name__)
-pair = some_of(NYSTROM, RKN86, rest=pytest.mark.study)
+pair = some_of(NYSTROM, RKN86)
 
 N = 10
 
@@ -569,7 +569,7 @@ DIRECTION = (jnp.asarray(0.7), jnp.cos(jnp.arange(N) * 1.0))
 
 
 @pytest.mark.slow
-@some_of((SRKN11b, RKN86, RKN1210), SRKN11b, RKN86, rest=pytest.mark.study)
+@pytest.mark.parametrize("solver", (SRKN11b, RKN86, RKN1210), ids=lambda s: s.__name__)
 def test_forward_and_reverse_derivatives_agree(solver):
     @jax.jit
     def both(place, direction):
@@ -586,7 +586,7 @@ def test_forward_and_reverse_derivatives_agree(solver):
 @pytest.mark.slow
 @pytest.mark.parametrize("solver, options", (
     (SRKN11b, {}), (RKN86, {"stepsize_controller": diffrax.PIDController(rtol=1e-9, atol=1e-9)}),
-    (RKN86, {}), pytest.param(RKN1210, {}, marks=pytest.mark.study),
+    (RKN86, {}), (RKN1210, {}),
 ), ids=("SRKN11b", "RKN86 adaptive", "RKN86", "RKN1210"))
 def test_derivative_is_that_of_finite_differences(solver, options):
     def along(s):

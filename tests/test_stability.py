@@ -19,8 +19,8 @@ EVERY = ALL_SOLVERS + RUNGE_KUTTA + TWO_STATES
 FAST = (gx.SRKN11b, gx.RKN86, diffrax.Tsit5)
 
 
-def over(solvers, fast=FAST, rest=pytest.mark.slow):
-    marked = [s if s in fast else pytest.param(s, marks=rest) for s in solvers]
+def over(solvers, fast=FAST):
+    marked = [s if s in fast else pytest.param(s, marks=pytest.mark.slow) for s in solvers]
     return pytest.mark.parametrize("solver", marked, ids=lambda s: s.__name__)
 
 
@@ -105,7 +105,7 @@ def test_simulate_refuses_just_outside(solver):
 
 
 @pytest.mark.slow
-@over(EVERY, (*FAST, *TWO_STATES, gx.SofroniouSpaletta10, diffrax.Euler), pytest.mark.study)
+@each
 def test_simulate_takes_just_inside(solver):
     chain = gx.scenes.monomer(4, precompression=1.0)
     state = gx.State(jnp.array([0.01, 0.0, -0.01, 0.02]), jnp.zeros(4))
