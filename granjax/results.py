@@ -4,7 +4,7 @@ import dataclasses
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, NamedTuple, get_args, get_origin
 
 import equinox as eqx
 import jax
@@ -19,9 +19,10 @@ if TYPE_CHECKING:
 class Held(NamedTuple):
     """What a field of a result holds: its axes, words with a space between; its unit; its name in a file.
 
-    `axes=None` makes an attribute of it instead of a variable. A variable of the one axis that has its name is a
-    coordinate. Axes beyond those named are called `axis_k`, those of a field without any `NAME_k`; they stand where
-    the dots do ("site ... mode"), or at the end.
+    `axes=None` makes an attribute of it instead of a variable, and leaves out a result within. A variable of the one
+    axis that has its name is a coordinate. Axes beyond those named are called `NAME_k`, but behind the axis `site`
+    `site_1`, `site_2`: those of a lattice in the plane and of vectors. They stand where the dots do
+    ("site ... mode"), or at the end.
     """
 
     axes: str | None = ""
@@ -69,27 +70,36 @@ class Result(eqx.Module):
         """The arrays as an `xarray.Dataset`, with units; the rest, the versions and the outcome as attributes.
 
         A dict gives a variable for each of its arrays, NAME_KEY, over an axis `site_KEY` of its own; complex numbers
-        give two, NAME_real and NAME_imag. **Raises** ValueError where the result is traced.
+        give two, NAME_real and NAME_imag. A result within gives its variables as NAME_VARIABLE, a tuple of records
+        arrays of their numbers and words, NAME_FIELD. **Raises** ValueError where the result is traced.
         """
         import xarray
 
-        variables, attributes = {}, {}
+        held, types = self.held, {field.name: field.type for field in dataclasses.fields(self)}
+        variables, attributes, within = {}, {}, {}
         for field, value in self._fields():
-            axes, unit, name = self.held.get(field, Held())
-            for key, x in _arrays(name or field, value):
+            axes, unit, name = held.get(field, Held())
+            records = _records(types.get(field), value)
+            if isinstance(value, Result):
+                within |= {} if axes is None else {name or field: value}
+                continue
+            if records is not None:
+                axes, value = axes or name or field, records
+            for key, fields, x in _arrays(name or field, value):
                 if isinstance(x, jax.core.Tracer):
                     refuse("result", "numbers", f"{field}, which is traced", "Call to_xarray outside of jit and vmap.")
                 if axes is None or x.ndim == 0:
                     attributes[key] = x.astype(int).tolist() if x.dtype == bool else x.tolist()
                     continue
-                suffix = key.removeprefix(f"{name or field}_") if isinstance(value, dict) else ""
-                dims = _axes(axes, key, x.ndim)
-                dims = [f"site_{suffix}" if axis == "site" and suffix else axis for axis in dims]
+                dims = _axes(axes, key, x.ndim, f"site_{fields}" if fields else "site")
                 for part, y in (("_real", x.real), ("_imag", x.imag)) if x.dtype.kind == "c" else (("", x),):
                     variables[key + part] = (dims, y, {"units": unit} if unit else {})
         origin = {"result": type(self).__name__, "outcome": self.outcome}
         versions = {"granjax": sys.modules[__package__].__version__, "jax": jax.__version__}
-        return xarray.Dataset(variables, attrs=attributes | origin | versions)
+        data = xarray.Dataset(variables, attrs=attributes | origin | versions)
+        for name, result in within.items():
+            data = _joined(data, name, result.to_xarray())
+        return data
 
     def save(self, path: str | Path) -> Path:
         """Write `to_xarray()` to a file: netCDF (`.nc`), or MATLAB's `.mat` with the attributes in a struct.
@@ -119,29 +129,58 @@ class Result(eqx.Module):
         return xarray.load_dataset(path, engine="h5netcdf")
 
 
-def _axes(axes: str, name: str, count: int) -> list[str]:
+def _axes(axes: str, name: str, count: int, site: str) -> list[str]:
     """Names of an array's axes."""
     first, _, last = (part.split() for part in axes.partition("..."))
     first = first[: max(count - len(last), 0)]
     between = range(len(first), count - len(last))
-    return first + [f"{'axis' if axes else name}_{k}" for k in between] + last[len(last) - min(len(last), count) :]
+    more = [f"{site}_{k - len(first) + 1}" if first[-1:] == ["site"] else f"{name}_{k}" for k in between]
+    named = first + more + last[len(last) - min(len(last), count) :]
+    return [site if axis == "site" else axis for axis in named]
 
 
-def _arrays(name: str, value: object) -> Iterator[tuple[str, object]]:
-    """Names and arrays of a field: of a dict or a named tuple one for each entry, none of what is no array."""
-    entries = value._asdict() if hasattr(value, "_asdict") else value
-    if isinstance(entries, dict):
-        for key, x in entries.items():
-            yield from _arrays(f"{name}_{key}", x)
+def _records(hint: object, value: object) -> dict[str, np.ndarray] | None:
+    """Arrays of the numbers and words that all records of a tuple have; `None` where its type is none of records."""
+    kind = next(iter(get_args(hint)), None) if get_origin(hint) is tuple else None
+    if not (isinstance(kind, type) and isinstance(value, tuple)):
+        return None
+    if not (issubclass(kind, Result) or hasattr(kind, "_asdict")):
+        return None
+    hints = {name: type_ for name, type_ in kind.__annotations__.items() if type_ in (str, int, float)}
+    return {name: np.array([getattr(x, name) for x in value], type_) for name, type_ in hints.items()}
+
+
+def _joined(data: "xarray.Dataset", name: str, inner: "xarray.Dataset") -> "xarray.Dataset":
+    """A dataset with that of a result within: its variables as NAME_VARIABLE, on axes of their own but sites.
+
+    Axes that both have are shared where they are as long and have the same coordinates.
+    """
+    shared = [
+        x for x in inner.dims if inner.sizes[x] == data.sizes.get(x, inner.sizes[x])
+        and (x in data.dims or x.startswith("site")) and (x not in inner.coords or inner[x].equals(data[x]))
+    ]
+    inner = inner.rename({x: f"{name}_{x}" for x in {*inner.variables, *inner.dims} - {*shared}})
+    told = {f"{name}_{key}": x for key, x in inner.attrs.items() if key not in ("granjax", "jax")}
+    return data.merge(inner, combine_attrs="override").assign_attrs(told)
+
+
+def _arrays(name: str, value: object, fields: str = "") -> Iterator[tuple[str, str, object]]:
+    """Names, keys and arrays of a field: of a dict or a named tuple one for each entry, none of what is no array."""
+    if hasattr(value, "_asdict"):
+        for key, x in value._asdict().items():
+            yield from _arrays(f"{name}_{key}", x, fields)
+    elif isinstance(value, dict):
+        for key, x in value.items():
+            yield from _arrays(f"{name}_{key}", x, f"{fields}_{key}" if fields else str(key))
     elif isinstance(value, jax.core.Tracer):
-        yield name, value
+        yield name, fields, value
     elif isinstance(value, (jax.Array, np.ndarray, np.generic, int, float, complex, str, list, tuple)):
         try:
             x = np.asarray(value)
         except ValueError:
             return
         if x.dtype.kind in "biufcU":
-            yield name, x
+            yield name, fields, x
 
 
 def _text(value: object, unit: str = "") -> str:

@@ -62,6 +62,9 @@ def test_multipliers_of_the_family_are_those_of_floquet(short):
 def test_a_family_exports(short):
     table = short.to_xarray()
     assert table.sizes["multiplier"] == 50 and table.attrs["outcome"] == short.outcome
+    assert np.array_equal(table.omega, short.omega) and np.array_equal(table.amplitude, short.amplitude)
+    assert table.bifurcations_p.values.tolist() == [b.p for b in short.bifurcations]
+    assert table.attrs["folds"] == short.folds.tolist()
 
 
 @pytest.mark.slow

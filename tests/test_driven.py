@@ -186,6 +186,9 @@ def test_a_period_doubling_is_located_from_either_side():
     # Newton's method puts a multiplier at -1 at 0.2655818; found within the accuracy, 1e-3
     assert up.p == pytest.approx(0.2655818, rel=1e-3) and down.p == pytest.approx(0.2655818, rel=1e-3)
     assert found.up.jumps == found.down.jumps == () and found.hysteresis == []
+    data = found.to_xarray()
+    assert data.up_bifurcations_p.values.tolist() == [up.p] and data.down_bifurcations_kind.values.tolist() == [up.kind]
+    assert data.up_jumps_value.shape == (0,) and data.up_response.dims == data.down_response.dims == ("value",)
     alone = driven.Sweep(found.values, found.up, None, [])
     assert "down" not in repr(alone).lower() and "down_response" not in alone.to_xarray()
 

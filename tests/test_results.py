@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import granjax as gx
+from granjax.orbits import Bifurcation
 from granjax.results import Held, Result
 
 
@@ -43,6 +44,49 @@ def test_a_result_is_read_back_from_its_file(sample, tmp_path):
     assert np.array_equal(matlab["u_resonator"], np.ones((4, 2)))
     with pytest.raises(ValueError, match="ends in .nc or .mat"):
         sample.save(tmp_path / "sample.txt")
+
+
+def test_axes_that_share_a_size_share_a_name_and_no_others():
+    inside = gx.Bond(gx.Shift(0, "periodic", ("bead", "core")), gx.Linear(0.3))
+    masses = {"bead": np.ones(6), "core": np.full(6, 0.5)}
+    chain = gx.Lattice(masses, (gx.Bond(gx.Shift(1, "periodic", "bead"), gx.Linear(1.0)), inside))
+    flat = gx.linear.dispersion(chain, jnp.linspace(0.1, 3.0, 5)).to_xarray()
+    assert flat.omega.dims == flat.group_velocity.dims == ("wave", "band")
+    assert flat.vectors_bead_real.dims == ("wave", "site_bead", "band")
+    bonds = [gx.Bond(gx.Shift(way, "periodic"), gx.Linear(1.0)) for way in ((1, 0), (0, 1))]
+    plane = gx.Lattice(np.ones((6, 5)), tuple(bonds))
+    data = gx.linear.dispersion(plane, jnp.ones((5, 2))).to_xarray()
+    assert data.k.dims == ("wave", "k_1") and data.group_velocity.dims == ("wave", "band", "group_velocity_2")
+    assert data.vectors_real.dims[:3] == ("wave", "site", "site_1") and data.vectors_real.dims[-1] == "band"
+    one = gx.linear.dispersion(gx.scenes.dimer(12, precompression=1.0), 1.0).to_xarray()
+    assert one.omega.dims == one.group_velocity.dims == ("band",) and one.vectors_real.dims == ("site", "band")
+    modes = gx.linear.normal_modes(plane).to_xarray()
+    assert modes.modes.dims[:2] == ("site", "site_1") and modes.modes.dims[-1] == "mode"
+
+
+class Rich(Result):
+    held: ClassVar = {"state": Held("site"), "changes": Held("change"), "parts": Held(None)}
+    state: gx.State
+    changes: tuple[Bifurcation, ...]
+    first: Sample
+    second: Sample
+    parts: Sample
+    outcome: str = "Found."
+
+
+def test_fields_of_a_state_records_and_results_within_are_kept(sample, tmp_path):
+    state = gx.State(*({"bead": jnp.zeros(3), "resonator": jnp.ones(2)} for _ in "uv"))
+    longer = Sample(np.linspace(0.0, 1.0, 5), jnp.ones((5, 3)), sample.roots)
+    for changes in ((), (Bifurcation("fold", 0.5, 1), Bifurcation("torus", 0.75, 3, None, 1j))):
+        rich = Rich(state, changes, sample, longer, sample)
+        again = Result.load(rich.save(tmp_path / f"{len(changes)}.nc"))
+        rich.save(tmp_path / "rich.mat")
+        assert again.equals(rich.to_xarray()) and not any(x.startswith("parts") for x in again.variables)
+        assert again.changes_kind.values.tolist() == [b.kind for b in changes] and "changes" not in again.attrs
+        assert again.changes_p.values.tolist() == [b.p for b in changes] and again.changes_p.dims == ("change",)
+        assert again.state_v_bead.dims == ("site_bead",) and again.state_v_resonator.dims == ("site_resonator",)
+        assert again.first_u_bead.dims == ("first_time", "site_bead") and again.second_u.dims == ("second_time", "site")
+        assert again.second_time.size == 5 and again.attrs["second_outcome"] == "Found."
 
 
 def test_a_result_prints_numbers_and_ranges(sample):

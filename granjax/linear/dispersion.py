@@ -1,7 +1,5 @@
 """Dispersion relation, Bloch vectors, group velocity and curvature of a periodic lattice."""
 
-from typing import ClassVar
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -35,11 +33,6 @@ class Dispersion(Result):
     acoustic band has a corner (see `sound_speed`), and where bands cross. Bands that stay together keep theirs.
     """
 
-    held: ClassVar[dict[str, Held]] = {
-        "k": Held("wave", "rad"), "omega": Held("wave ... band", "rad/s"),
-        "omega_squared": Held("wave ... band", "rad^2/s^2"), "vectors": Held("wave ... band"),
-        "group_velocity": Held("wave", "1/s"), "curvature": Held("wave", "1/s"), "cell": Held(None),
-    }
     k: Numbers
     omega: Numbers
     omega_squared: Numbers
@@ -47,6 +40,16 @@ class Dispersion(Result):
     group_velocity: Numbers
     curvature: Numbers
     cell: tuple[int, ...] = eqx.field(static=True)
+
+    @property
+    def held(self) -> dict[str, Held]:
+        """Axes and units, as many for the wave as `k` has: none where it is one number."""
+        wave = " ".join(["wave", *(f"wave_{i}" for i in range(1, self.omega.ndim))][: self.omega.ndim - 1])
+        return {
+            "k": Held(wave, "rad"), "omega": Held(f"{wave} band", "rad/s"),
+            "omega_squared": Held(f"{wave} band", "rad^2/s^2"), "vectors": Held(f"{wave} site ... band"),
+            "group_velocity": Held(f"{wave} band", "1/s"), "curvature": Held(f"{wave} band", "1/s"), "cell": Held(None),
+        }
 
     @property
     def outcome(self) -> str:

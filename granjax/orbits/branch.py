@@ -1,5 +1,6 @@
 """A branch of periodic orbits over a parameter, and the bifurcations on it."""
 
+from collections.abc import Iterator
 from typing import ClassVar
 
 import equinox as eqx
@@ -65,7 +66,8 @@ class Branch(Result):
         "energy": Held("point", "J"), "response": Held("point"),
         "multipliers": Held("point multiplier", "1", "multiplier"),
         "error": Held("point multiplier", "1"), "step_error": Held("point", "1"), "verdict": Held("point"),
-        "bifurcations": Held(None),
+        "bifurcations": Held("bifurcation"), "omega": Held("point", "rad/s"), "amplitude": Held("point"),
+        "folds": Held(None),
     }
     p: Float[np.ndarray, " P"]
     periods: Float[np.ndarray, " P"]
@@ -85,6 +87,10 @@ class Branch(Result):
 
     def __len__(self) -> int:
         return len(self.p)
+
+    def _fields(self) -> Iterator[tuple[str, object]]:
+        yield from super()._fields()
+        yield from ((name, getattr(self, name)) for name in ("omega", "amplitude", "folds"))
 
     @property
     def omega(self) -> Float[np.ndarray, " P"]:

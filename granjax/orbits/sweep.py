@@ -1,7 +1,7 @@
 """Response curves: the attractor followed up and down a parameter, with its jumps and its hysteresis."""
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -20,9 +20,6 @@ from .attractors import follow, steps_per_period
 from .branch import Bifurcation
 from .problems import period_at
 from .steps import fixed_step_solver, history
-
-if TYPE_CHECKING:
-    import xarray  # half a second
 
 # periods over which a response is taken: a multiple of those after which a motion may repeat
 WATCHED = 12
@@ -49,7 +46,7 @@ class Way(Result):
     held: ClassVar[dict[str, Held]] = {
         "response": Held("value"), "velocity": Held("value site", "m/s"), "energy": Held("value", "J"),
         "multiple": Held("value"), "periods": Held("value"), "states": Held("value site", "", "state"),
-        "jumps": Held(None), "bifurcations": Held(None),
+        "jumps": Held("jump"), "bifurcations": Held("bifurcation"),
     }
     response: Float[np.ndarray, " P"]
     velocity: Displacements
@@ -89,14 +86,6 @@ class Sweep(Result):
             return f"Up: {self.up.outcome}"
         where = ", ".join(f"{low:.6g} ... {high:.6g}" for low, high in self.hysteresis) or "nowhere"
         return f"Up: {self.up.outcome} Down: {self.down.outcome} They differ {where}."
-
-    def to_xarray(self) -> "xarray.Dataset":
-        """The ways over the values, as `up_response` and so on."""
-        data = super().to_xarray()
-        for name in ("up", "down") if self.down is not None else ("up",):
-            way = getattr(self, name).to_xarray()
-            data = data.merge(way.rename({x: f"{name}_{x}" for x in way.data_vars}), combine_attrs="override")
-        return data
 
 
 def sweep(

@@ -31,9 +31,11 @@ class Coefficients(Result):
     """
 
     held: ClassVar[dict[str, Held]] = {
-        "omega": Held(unit="rad/s"), "mode": Held("site"), "strain": Held("bond"),
-        "strain_slope": Held("bond"), "mean_strain": Held("bond"), "mean_strain_force": Held("bond"),
-        "harmonic_mode": Held("site"), "harmonic_strain": Held("bond"), "bond": Held(None),
+        **{name: Held("lane ... site") for name in ("mode", "harmonic_mode")},
+        **{name: Held("lane ... bond") for name in (
+            "strain", "strain_slope", "mean_strain", "mean_strain_force", "harmonic_strain")},
+        **{name: Held("lane") for name in ("nu2", "nu3", "nu3_force", "resonant", "bond")},
+        "k": Held("lane", "rad"), "omega": Held("lane", "rad/s"), "group_velocity": Held("lane", "1/s"),
     }
     k: Float[Array, "*lanes"]
     omega: Float[Array, "*lanes"]
