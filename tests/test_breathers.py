@@ -59,6 +59,14 @@ def test_multipliers_of_the_family_are_those_of_floquet(short):
                                np.abs(fl.multipliers[outside]), rtol=1e-6)
 
 
+def test_another_breather_or_a_pair_is_a_guess(short):
+    orbit = short.orbit(-1)
+    by_orbit, by_pair = (gx.breathers.breather(dimer(25), 0.985 * OMEGA2, guess, steps=int(short._flow.steps))
+                         for guess in (orbit, list(orbit.state)))
+    assert np.array_equal(by_orbit.state.u, by_pair.state.u)
+    assert float(by_orbit.energy) == pytest.approx(float(orbit.energy), rel=1e-9)
+
+
 def test_a_family_exports(short):
     table = short.to_xarray()
     assert table.sizes["multiplier"] == 50 and table.attrs["outcome"] == short.outcome
@@ -100,6 +108,9 @@ def test_newton_that_fails_says_how_far_it_came():
     (lambda: gx.breathers.breather(monomer(24), -1.0), "above zero"),
     (lambda: gx.breathers.breather(monomer(24), 2.5, "brigth"), "bright"),
     (lambda: gx.breathers.family(gx.scenes.monomer(8), until=1.0), "sonic vacuum"),
+    (lambda: gx.breathers.breather(gx.scenes.monomer(8), 1.0, [np.ones(8), np.zeros(8)]), "sonic vacuum"),
+    (lambda: gx.floquet.leading(gx.scenes.monomer(8), [np.ones(8), np.zeros(8)], 1.0), "sonic vacuum"),
+    (lambda: gx.breathers.breather(dimer(25), 0.985 * OMEGA2, (np.ones(24), np.zeros(24))), r"guess.u: .*\(25,\)"),
     (lambda: gx.breathers.family(gx.Lattice(np.ones(4), (gx.Bond(gx.Shift(1), gx.Linear()), gx.Damping(0.1)))),
      "positions alone, got Damping"),
     (lambda: gx.breathers.family(dimer(25), mode=60), "a mode that oscillates, of 25"),

@@ -62,6 +62,7 @@ def test_the_folds_are_those_of_harmonic_balance(hump):
     assert upper == pytest.approx(-top.fun, rel=1e-8)
     assert lower == pytest.approx(bottom.fun, rel=1e-8)
     assert hump.outcome == "p reached 1.4."
+    assert repr(hump.bifurcations[0]) == f"Bifurcation(Fold at p = {upper:.9g})"
     with pytest.raises(ValueError, match="Its own are branch.bifurcations"):
         gx.breathers.bifurcations(hump)
 

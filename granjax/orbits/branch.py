@@ -44,11 +44,14 @@ class Bifurcation(Result):
     before: int | None = None
     behind: int | None = None
 
+    def __repr__(self) -> str:
+        return f"Bifurcation({self.outcome[:-1]})"
+
     @property
     def outcome(self) -> str:
         """Where what happens, a sentence."""
         counts = "" if self.before is None else f", {self.before} before and {self.behind} behind"
-        return f"{self.kind.capitalize()} at p = {self.p:.9g}{counts}."
+        return f"{self.kind[0].upper()}{self.kind[1:]} at p = {self.p:.9g}{counts}."
 
 
 class Branch(Result):

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from ..checks import one_of, positive, refuse
 from ..flow import Flow
-from ..lattice import Lattice, State
+from ..lattice import Lattice
 from ..linear import bands, normal_modes
 from ..newton import newton
 from ..solvers import KahanLi8
@@ -18,7 +18,7 @@ from ..types import Count, Numbers, Scalar, StateLike
 from .families import TOLERANCE, checked_lattice, family, half_steps
 from .guesses import bright_guess, cell_of, dark_guess, edge_of, edges_beside, refuse_bright, supports_bright
 from .orbit import Orbit, checked_orbit
-from .problems import Family, Shooting, over_omega
+from .problems import Family, Shooting, checked_state, over_omega
 
 # relative distance to a frequency of the finite lattice that is a resonance by itself
 MEETS = 1e-9
@@ -33,7 +33,7 @@ NEARER = (0.5, 0.2, 0.1)
 
 @one_thread
 def breather(
-    lattice: Lattice, omega: Scalar, guess: StateLike | str | None = None, *, energy: Scalar | None = None,
+    lattice: Lattice, omega: Scalar, guess: StateLike | Orbit | str | None = None, *, energy: Scalar | None = None,
     centre: Scalar | None = None, steps: Count | None = None, solver: AbstractSolver | None = None,
     tolerance: Scalar = TOLERANCE, max_steps: Count = 30, check: bool = True, throw: bool | None = None,
 ) -> Orbit:
@@ -46,9 +46,10 @@ def breather(
       own frequency, which is then differentiable too: d omega/d parameter at constant energy.
     - `guess`: where Newton's method starts. `None`: the family from the linear mode next to omega. `"bright"`,
       `"dark"`: the envelope's soliton of a periodic chain, centred on `centre` (a site, or 3.5 for a bond; `None` the
-      middle); dark with the ends that the chain has (free: constant force; walls or a ring: fixed length). A `State`,
-      such as that of another breather, of `guesses.single_site`, or a simulated one, whose velocities are dropped.
-    - `steps`: time steps in a period, an even number; `None` takes h omega_max = 0.3. `tolerance`: of max |v(T/2)|.
+      middle); dark with the ends that the chain has (free: constant force; walls or a ring: fixed length). Another
+      breather, or a `State`, such as that of `guesses.single_site` or a simulated one, whose velocities are dropped.
+    - `steps`: time steps in a period, an even number; `None` takes h omega_max = 0.3, or the family's.
+      `tolerance`: of max |v(T/2)|.
     - `check`: refuse a frequency of which a harmonic meets a band, or whose gap has no bright breathers.
     - `throw`: raise where Newton's method does not converge; `None` does so outside of transformations.
 
@@ -58,13 +59,15 @@ def breather(
     **Returns:** `Orbit`; `throw=False` returns the best iterate. **Raises** ValueError for a frequency that has no
     such breather, with the reason; RuntimeError where Newton's method does not converge.
     """
-    if isinstance(guess, str):
-        one_of("guess", guess, GUESSES)
-    elif guess is not None and not (isinstance(guess, tuple) and len(guess) == 2):
-        refuse("guess", "None, 'bright', 'dark' or a State", f"a {type(guess).__name__}")
+    guess = guess.state if isinstance(guess, Orbit) else guess
     traced = any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves((lattice, omega, guess, energy)))
     if not traced:
         checked_lattice(lattice)
+    if isinstance(guess, str):
+        one_of("guess", guess, GUESSES)
+    elif guess is not None:
+        guess = checked_state(lattice, guess, "guess")
+    if not traced:
         if not omega > 0:
             refuse("omega", "a frequency above zero", repr(omega))
         if energy is not None:
@@ -77,19 +80,19 @@ def breather(
         found = family(lattice, float(omega), stability=False, points=400, steps=steps, solver=solver)
         if "reached" not in found.outcome:
             raise RuntimeError(f"The family did not reach omega = {float(omega):.6g}: {found.outcome}")
-        guess = found.orbit(-1).state
+        guess, steps = found.orbit(-1).state, int(found._flow.steps)
     count = half_steps(lattice, 2 * np.pi / omega, steps)
     half = Shooting.half(lattice, Flow(count if traced else jnp.asarray(count), solver or KahanLi8()))
     if isinstance(guess, str):
         guess = _from_envelope(lattice, half, float(omega), guess, centre, tolerance)
     if energy is None:
-        return _solve(lattice, half, State(*guess), omega, tolerance, max_steps, throw)
+        return _solve(lattice, half, guess, omega, tolerance, max_steps, throw)
     if not traced:  # a step of its own to omega: the guess's energy may be far off
-        guess = _solve(lattice, half, State(*guess), omega, tolerance, max_steps, throw).state
-    problem, x = AtEnergy(half), jnp.append(half.guess(State(*guess)), omega)
+        guess = _solve(lattice, half, guess, omega, tolerance, max_steps, throw).state
+    problem, x = AtEnergy(half), jnp.append(half.guess(guess), omega)
     root = newton(problem.residual, x, (lattice, jnp.asarray(energy, float)), tolerance=tolerance,
                   max_steps=max_steps, linearise=problem.linearise, throw=throw)
-    return _orbit(half, lattice, State(*guess), root, root.x[:-1], 2 * jnp.pi / root.x[-1], throw)
+    return _orbit(half, lattice, guess, root, root.x[:-1], 2 * jnp.pi / root.x[-1], throw)
 
 
 def _from_envelope(lattice, half, omega, kind, centre, tolerance):

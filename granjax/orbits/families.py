@@ -84,7 +84,7 @@ def family(
             least_arclength=1e-6 * arclength, linearise=problem.linearise, tolerance=tolerance, veto=veto,
             stop=_both(grown, stop))
 
-    count = half_steps(lattice, 2 * np.pi / ways[0](over_frequency(lattice, 8).shooting)[1], steps)
+    count = half_steps(lattice, 2 * np.pi / ways[0](over_frequency(lattice, 8).shooting)[1], steps, doubled=True)
     chosen = ways[0] if len(ways) == 1 else _towards(ways, until, lambda way: follow(way, count, PROBE)[1])
     problem, curve = follow(chosen, count, points)
     enough = count if steps else _enough(problem, curve, count)
@@ -201,9 +201,9 @@ def checked_lattice(lattice: Lattice) -> Lattice:
     return lattice
 
 
-def half_steps(lattice: Lattice, period: Scalar, steps: Count | None = None) -> Count:
-    """Steps of half a period, from those of a whole one or by default."""
-    steps = default_steps(lattice, period, 2, doubled=True) if steps is None else whole("steps", steps, 2)
+def half_steps(lattice: Lattice, period: Scalar, steps: Count | None = None, *, doubled: bool = False) -> Count:
+    """Steps of half a period, from those of a whole one or by default; `doubled`: as in `default_steps`."""
+    steps = default_steps(lattice, period, 2, doubled=doubled) if steps is None else whole("steps", steps, 2)
     if steps % 2:
         refuse("steps", "an even number, of which half a period takes half", repr(steps))
     return steps // 2

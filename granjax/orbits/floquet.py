@@ -17,7 +17,7 @@ from ..lattice import Lattice, vector_field
 from ..results import Held, Result
 from ..solvers import KahanLi8
 from ..types import Count, Pytree, Scalar, StateLike
-from .problems import Symmetry, free_moves
+from .problems import Symmetry, checked_state, free_moves
 from .spectrum import product_spectrum, spectrum
 from .steps import default_steps, fixed_step_solver
 from .structure import NOTHING, defect, krein, structure
@@ -158,8 +158,7 @@ def floquet(
     segments = whole("segments", segments, 1)
     known = NOTHING
     if isinstance(lattice, Lattice):
-        _check_state(lattice, state)
-        known, args = structure(lattice), lattice
+        state, known, args = checked_state(lattice, state), structure(lattice), lattice
         if known.autonomous and _rests(lattice, state, t0):  # has neither phase nor energy
             known = known._replace(expected=known.expected - (2 if known.rate == 0 else 1))
         turned = shifts(lattice).shape[1] - free_moves(lattice, symmetry).shape[1]
@@ -200,14 +199,6 @@ def _record(known, fine, coarse, state, period, steps, resolution):
         defect(monodromy, known.mass, known.rate, float(period)), float(np.abs(monodromy - rough).max()),
         known.expected, verdict, outcome, float(period), int(steps), known.rate, state,
     )
-
-
-def _check_state(lattice, state):
-    shapes = [x.shape for x in jax.tree.leaves(lattice.template())]
-    for name, part in zip("uv", state):
-        got = [np.shape(x) for x in jax.tree.leaves(part)]
-        if got != shapes:
-            refuse(f"state.{name}", f"shape {lattice.shape}", f"{got}", "One orbit of one lattice at a time.")
 
 
 def _rests(lattice, state, t0):
@@ -259,11 +250,12 @@ def leading(
     For more than about 1000 beads, where the matrix itself costs n^2. Ask for no more than stand out: of many on the
     unit circle none leads, and the method then ends without them and names those that it has.
 
-    **Returns:** multipliers (count,), the largest first, and their vectors (2n, count). **Raises** RuntimeError where
-    Arnoldi's method does not converge. Source: Lehoucq, Sorensen, Yang, ARPACK Users' Guide (SIAM, 1998).
+    **Returns:** multipliers (count,), the largest first, and their vectors (2n, count). **Raises** ValueError in a
+    sonic vacuum without `steps`; RuntimeError where Arnoldi's method does not converge. Source: Lehoucq, Sorensen,
+    Yang, ARPACK Users' Guide (SIAM, 1998).
     """
-    count = whole("count", count, 1)
-    steps = steps or default_steps(lattice, period, 2, doubled=True)
+    count, state = whole("count", count, 1), checked_state(lattice, state)
+    steps = steps or default_steps(lattice, period)
     flow = Flow(jnp.asarray(steps), fixed_step_solver(lattice, solver, KahanLi8()))
     times = jnp.asarray(float(t0)), jnp.asarray(float(period))
     size = ravel_pytree(state)[0].size

@@ -18,8 +18,8 @@ from ..solvers import SRKN14a
 from ..tuning import one_thread
 from ..types import Count, Scalar, StateLike
 from .branch import BRANCH_POINT, DOUBLING, FOLD, TORUS, Bifurcation, Branch, verdicts_of
-from .orbit import FRAMES, checked_free, checked_guess, prepared
-from .problems import Family, Symmetry, checked_symmetry, period_at
+from .orbit import FRAMES, checked_free, prepared
+from .problems import Family, Symmetry, checked_state, checked_symmetry, period_at
 from .spectrum import spectrum
 from .steps import fixed_step_solver, flow_over, history
 from .structure import structure
@@ -73,7 +73,7 @@ def forced_branch(
     # an array, whose value compiles nothing anew
     flow = Flow(jnp.asarray(max(int(f.steps) for f in flows)), solver)
     lattice, T = scenes[0]
-    guess = State(lattice.zeros(), lattice.zeros()) if guess is None else checked_guess(lattice, guess)
+    guess = State(lattice.zeros(), lattice.zeros()) if guess is None else checked_state(lattice, guess, "guess")
     for lattice, T in scenes[::-1]:
         if checked_free(lattice):
             refuse("make", "a lattice under forcing", "none", "Breathers over their frequency: gx.breathers.family.")

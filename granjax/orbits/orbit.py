@@ -20,7 +20,7 @@ from ..solvers import SRKN14a
 from ..tuning import one_thread
 from ..types import Count, Counts, Displacements, Flags, Number, Numbers, Scalar, StateLike, Times
 from .floquet import Floquet, floquet
-from .problems import Shooting, Symmetry, checked_symmetry, largest, phases
+from .problems import Shooting, Symmetry, checked_state, checked_symmetry, largest, phases
 from .steps import fixed_step_solver, flow_over, history
 
 FRAMES = 32
@@ -200,7 +200,7 @@ def orbit(
                "For a batch use jax.vmap(lambda c: forced_orbit(c, T, throw=False), in_axes=-1).")
     period, segments = positive("period", period), whole("segments", segments, 1)
     transient = whole("transient", transient, 0)
-    guess = checked_guess(lattice, guess)
+    guess = checked_state(lattice, guess, "guess")
     flow = flow_over(lattice, period, steps, fixed_step_solver(lattice, solver, SRKN14a()), segments)
     checked_symmetry(lattice, symmetry, guess, t0, period)
     t0 = jnp.asarray(t0, lattice.dtype)
@@ -248,17 +248,6 @@ def checked_orbit(orbit: Orbit, guess: State, throw: bool | None) -> Orbit:
     if not isinstance(fell, jax.core.Tracer) and fell and (throw is None or throw):
         raise RuntimeError(orbit.outcome)
     return orbit
-
-
-def checked_guess(lattice: Lattice, guess: StateLike) -> State:
-    """The guess as a `State` of the lattice's type."""
-    u, v = guess
-    wanted = [x.shape for x in jax.tree.leaves(lattice.template())]
-    for name, part in (("u", u), ("v", v)):
-        got = [np.shape(x) for x in jax.tree.leaves(part)]
-        if got != wanted:
-            refuse(f"guess.{name}", f"shape {lattice.shape}", f"{got}")
-    return jax.tree.map(lambda x: jnp.asarray(x, lattice.dtype), State(u, v))
 
 
 @eqx.filter_jit

@@ -74,6 +74,18 @@ def Sign() -> Symmetry:
     return Symmetry(sign=-1)
 
 
+def checked_state(lattice: Lattice, state: StateLike, argument: str = "state") -> State:
+    """A pair as a `State` of the lattice's shape and type."""
+    if not isinstance(state, (tuple, list)) or len(state) != 2:
+        refuse(argument, "a State", f"a {type(state).__name__}")
+    wanted = [x.shape for x in jax.tree.leaves(lattice.template())]
+    for name, part in zip("uv", state):
+        got = [np.shape(x) for x in jax.tree.leaves(part)]
+        if got != wanted:
+            refuse(f"{argument}.{name}", f"shape {lattice.shape}", f"{got}", "One orbit of one lattice at a time.")
+    return jax.tree.map(lambda x: jnp.asarray(x, lattice.dtype), State(*state))
+
+
 def checked_symmetry(lattice: Lattice, symmetry: Symmetry, state: State, t0: Scalar, period: Scalar) -> Symmetry:
     """Refuse what is no symmetry of the lattice, as its forces at a state and at its image a period later say.
 
