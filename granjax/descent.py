@@ -21,8 +21,8 @@ class Descent(NamedTuple):
     """Where a descent ended.
 
     The best point `x` and its value `least`; `values` and `norms` (max_steps + 1,) of the points that were accepted,
-    NaN after the last one; `start`: the gradient at the start; `steps`; `code`: 0 converged, 1 stalled, 2 steps spent,
-    3 not finite on the way, 4 gradient zero at the start, 5 not finite at the start.
+    NaN after the last one; `start`: the gradient at the start; `iterations`; `code`: 0 converged, 1 stalled, 2 steps
+    spent, 3 not finite on the way, 4 gradient zero at the start, 5 not finite at the start.
     """
 
     x: Float[AnyArray, " P"]
@@ -30,7 +30,7 @@ class Descent(NamedTuple):
     values: Float[AnyArray, " points"]
     norms: Float[AnyArray, " points"]
     start: Float[AnyArray, " P"]
-    steps: AnyArray
+    iterations: AnyArray
     code: AnyArray
 
 

@@ -26,9 +26,9 @@ class Design(Result):
 
     **Fields:** `parameters`: dict. `value`, `start_value`: the objective there and at the start. `history`,
     `gradient_norm` (max_steps + 1,): the objective and the largest entry of its gradient in the free coordinates at
-    every point, the start first, NaN after the last one. `start_gradient` (P,): in the order of `names`. `steps`: how
-    many were made. `every`: best value of each start (S,), NaN for one without a gradient. `code`: 0 converged, 1
-    stalled, 2 steps spent, 3 not finite on the way, 4 gradient zero at the start, 5 not finite at the start.
+    every point, the start first, NaN after the last one. `start_gradient` (P,): in the order of `names`. `iterations`:
+    how many were made. `every`: best value of each start (S,), NaN for one without a gradient. `code`: 0 converged,
+    1 stalled, 2 steps spent, 3 not finite on the way, 4 gradient zero at the start, 5 not finite at the start.
     """
 
     held: ClassVar[dict[str, Held]] = {
@@ -41,7 +41,7 @@ class Design(Result):
     history: Float[AnyArray, " points"]
     gradient_norm: Float[AnyArray, " points"]
     start_gradient: Float[AnyArray, " P"]
-    steps: Integer[AnyArray, ""]
+    iterations: Integer[AnyArray, ""]
     every: Numbers
     code: Integer[AnyArray, ""]
     names: tuple[str, ...] = eqx.field(static=True)
@@ -59,13 +59,14 @@ class Design(Result):
             return (f"The start is not finite: the objective is {float(self.start_value):.6g}, its gradient is not "
                     f"finite in {which}.")
         went = f"the objective went from {float(self.start_value):.6g} to {float(self.value):.6g}"
-        left = np.asarray(self.gradient_norm)[int(self.steps)] / np.abs(slopes).max()
+        left = np.asarray(self.gradient_norm)[int(self.iterations)] / np.abs(slopes).max()
         sentence = {
-            CONVERGED: f"Converged: {went} in {int(self.steps)} steps, the gradient is {left:.0e} of the start's.",
-            STALLED: f"No step is better: {went} in {int(self.steps)} steps, the gradient is {left:.0e} of the "
+            CONVERGED: f"Converged: {went} in {int(self.iterations)} steps, the gradient is {left:.0e} of the start's.",
+            STALLED: f"No step is better: {went} in {int(self.iterations)} steps, the gradient is {left:.0e} of the "
                      "start's (a kink or the floor of rounding).",
-            SPENT: f"The {int(self.steps)} steps are spent: {went}, the gradient is {left:.0e} of the start's.",
-            NOT_FINITE: f"Stopped where the objective is not finite: {went} in {int(self.steps)} steps. Give bounds.",
+            SPENT: f"The {int(self.iterations)} steps are spent: {went}, the gradient is {left:.0e} of the start's.",
+            NOT_FINITE: f"Stopped where the objective is not finite: {went} in {int(self.iterations)} steps. "
+                        "Give bounds.",
         }[code]
         still = _listed(self.names, slopes == 0)
         return sentence + (f" At the start it does not feel {still}." if still else "")
@@ -193,4 +194,4 @@ def _solve(objective, coordinates, optimiser, max_steps, tolerance, maximise, mo
     found = descend(cost, both, coordinates.size, optimiser, max_steps, tolerance)
     sign = -1.0 if maximise else 1.0
     return Design(coordinates.parameters(found.x), sign * found.least, sign * found.values[0], sign * found.values,
-                  found.norms, found.start, found.steps, found.least, found.code, tuple(coordinates.names))
+                  found.norms, found.start, found.iterations, found.least, found.code, tuple(coordinates.names))

@@ -55,8 +55,8 @@ def pytest_report_header(config):
 
 
 def pytest_sessionstart(session):
-    """What no run of the last days has written again is let go."""
-    if kept and not os.environ.get("PYTEST_XDIST_WORKER"):
+    """What no run of the last days has written again is let go, in the tests' own folder alone."""
+    if kept and kept.parent == Path(os.environ["GRANJAX_TESTS_CACHE"]) and not os.environ.get("PYTEST_XDIST_WORKER"):
         for program in kept.glob("*-cache"):
             if program.stat().st_mtime < time.time() - KEPT_FOR:
                 program.unlink(missing_ok=True)

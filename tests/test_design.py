@@ -83,7 +83,7 @@ def test_a_valley_that_bends():
         return jnp.sum(100 * (x[1:] - x[:-1] ** 2) ** 2 + (1 - x[:-1]) ** 2)
 
     found = design(rosenbrock, {"x": np.array([-1.2, 1.0, -1.2, 1.0])}, tolerance=1e-9)
-    assert found.code == CONVERGED and found.steps < 100
+    assert found.code == CONVERGED and found.iterations < 100
     np.testing.assert_allclose(found.parameters["x"], 1, atol=1e-6)
 
 
@@ -130,7 +130,7 @@ def test_what_is_not_finite_is_said():
 
 def test_steps_that_are_spent_and_a_kink():
     found = design(bowl, {"x": 10.0}, optimiser=optax.sgd(1e-4), max_steps=5)
-    assert found.code == SPENT and found.steps == 5 and "5 steps are spent" in found.outcome
+    assert found.code == SPENT and found.iterations == 5 and "5 steps are spent" in found.outcome
     kink = design(lambda p: jnp.abs(p["x"] - 1) + p["x"] / 2, {"x": 3.0})
     assert kink.code == STALLED and kink.parameters["x"] == pytest.approx(1, abs=1e-5)
 

@@ -1,5 +1,6 @@
 """`fit`: parameters from traces that SciPy made, their errors, what is not determined, what is refused."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,6 +9,7 @@ from scipy.integrate import solve_ivp
 
 import granjax as gx
 from granjax.fit.problem import prepared
+from granjax.fit.solve import STALLED, least_squares
 from granjax.fit.windows import cut
 from granjax.parameters import Coordinates
 
@@ -203,6 +205,22 @@ def test_the_unit_of_the_data_does_not_matter():
         assert fit.noise == pytest.approx(sigma, rel=0.1) and "Noise" in fit.outcome
         found.append(float(fit.parameters["stiffness"]))
     assert found[0] == pytest.approx(found[1], rel=1e-6) and found[0] == pytest.approx(1.0, rel=2e-3)
+
+
+class Edge(eqx.Module):
+    """Residuals x - 2 and 0.1, NaN beyond x = 1."""
+
+    traces: tuple = ()
+    dtype = jnp.dtype("float64")
+
+    def linearise(self, x):
+        ahead = jnp.where(x[0] > 1, jnp.nan, x[0] - 2)
+        return jnp.stack([ahead, jnp.asarray(0.1)]), jnp.array([[1.0], [0.0]]), ()
+
+
+def test_the_edge_of_what_is_finite_is_no_minimum():
+    found = least_squares(Edge(), np.zeros(1), 1e-8, 100)
+    assert found.code == STALLED and 0.999 < found.x[0] <= 1
 
 
 @pytest.mark.slow

@@ -72,6 +72,8 @@ def test_monomer_in_closed_form(k):
 def test_dimer_of_equal_masses_is_the_monomer(k, folded, branch, constraint):
     one = nls.coefficients(1.0, *HERTZ, k, constraint=constraint)
     two = nls.coefficients([1.0, 1.0], *HERTZ, folded, branch, constraint)
+    lanes = jax.tree.map(lambda *x: np.stack(x), two, two).to_xarray()
+    assert lanes.mode_real.dims == ("lane", "site") and lanes.omega.dims == ("lane",)
     assert two.omega == pytest.approx(float(one.omega), rel=1e-13)
     # k per cell, cells of two sites
     assert 2 * abs(two.group_velocity) == pytest.approx(abs(float(one.group_velocity)), rel=1e-12, abs=1e-12)

@@ -12,7 +12,7 @@ from ..results import Held, Result
 from ..types import AnyArray, Count, Numbers
 from .determined import Direction
 from .problem import Problem
-from .solve import BLIND, CONVERGED, NOT_FINITE, SPENT
+from .solve import BLIND, CONVERGED, NOT_FINITE, SPENT, STALLED
 from .traces import Traces
 
 UNITS = {"velocity": "m/s", "displacement": "m", "force": "N"}
@@ -29,8 +29,8 @@ class Fit(Result):
     - `undetermined`: sentences naming what the data do not determine, empty where they determine all. `directions`:
       combinations of parameters with their relative deviations, the least known first; relative to `sizes` (P,), the
       parameters themselves, or their starts where those are larger.
-    - `steps`, `code`, `outcome`: of the minimiser. `step_error`: change of the signals, in units of sigma, when the
-      time step is halved. `return_error`: what integrating back to the start misses, relative; `adjoint`: what the
+    - `iterations`, `code`, `outcome`: of the minimiser. `step_error`: change of the signals, in units of sigma, when
+      the time step is halved. `return_error`: what integrating back to the start misses, relative; `adjoint`: what the
       derivatives were taken with. `starts`: chi_square that every start reached.
     """
 
@@ -45,7 +45,7 @@ class Fit(Result):
     directions: tuple[Direction, ...]
     sizes: Float[AnyArray, " P"]
     remarks: tuple[str, ...] = eqx.field(static=True)
-    steps: int = eqx.field(static=True)
+    iterations: int = eqx.field(static=True)
     code: int = eqx.field(static=True)
     step: float = eqx.field(static=True)
     step_error: float = eqx.field(static=True)
@@ -101,7 +101,9 @@ class Fit(Result):
     def outcome(self) -> str:
         """What became of it, in sentences: convergence, agreement with the noise, what is not determined."""
         how = {
-            CONVERGED: f"Converged in {self.steps} steps", SPENT: f"Not converged after {self.steps} steps",
+            CONVERGED: f"Converged in {self.iterations} steps",
+            SPENT: f"Not converged after {self.iterations} steps",
+            STALLED: f"Stalled after {self.iterations} steps: the residuals could be smaller, but no step was better",
             NOT_FINITE: "Failed: the residuals are not finite at the start or near it",
             BLIND: "Failed: the traces do not depend on the parameters at the start",
         }[self.code]
@@ -132,8 +134,8 @@ class Fit(Result):
         return held
 
     def _fields(self) -> Iterator[tuple[str, object]]:
-        for name in ("parameters", "deviations", "names", "covariance", "chi_square", "samples", "noise", "steps",
-                     "step", "step_error", "return_error", "adjoint"):
+        for name in ("parameters", "deviations", "names", "covariance", "chi_square", "samples", "noise",
+                     "iterations", "step", "step_error", "return_error", "adjoint"):
             yield name, getattr(self, name)
         yield "chi_square_of_starts", self.starts
         for k, (trace, signal, residual) in enumerate(zip(self.traces, self.signals, self.residuals)):

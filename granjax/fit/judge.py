@@ -12,11 +12,11 @@ from ..types import AnyArray, Numbers
 from .determined import covariance, directions, quantities, sentences
 from .fitted import Fit
 from .problem import Problem
-from .solve import BLIND, CONVERGED, NOT_FINITE, SPENT, Found, directions_left, evaluated, linearised
+from .solve import BLIND, CONVERGED, NOT_FINITE, SPENT, STALLED, Found, directions_left, evaluated, linearised
 from .windows import Windows
 
 NOTICEABLE = 0.1
-# a minimiser that has spent its steps has converged if chi^2 could fall by less: a hundredth of a deviation
+# a minimiser that has stalled or spent its steps has converged if chi^2 could fall by less: a hundredth of a deviation
 ARRIVED = 1e-4
 EXACT = 1e-30
 
@@ -54,8 +54,9 @@ def judged(
     sizes = np.where(flat < 0, -1, 1) * np.maximum(np.abs(flat), np.abs(start))
     sizes = np.where(sizes != 0, sizes, slopes)
     code, remarks, undetermined, found_directions = int(found.code), [], (), ()
-    if code == SPENT and directions_left(value, jacobian)[3] < ARRIVED * noise**2:
-        code = CONVERGED
+    if code in (SPENT, STALLED):
+        *_, b, kept = directions_left(value, jacobian)
+        code = CONVERGED if np.sum(b[kept] ** 2) < ARRIVED * noise**2 else code
     step_error = np.nan
     if code in (NOT_FINITE, BLIND):
         matrix = np.full((flat.size, flat.size), np.nan)
@@ -82,7 +83,7 @@ def judged(
     unit = 1.0 if known else float(plain.traces[0].size)
     starts = tuple(cost / noise**2 for cost in starts)
     return Fit(parameters, jnp.asarray(matrix), tuple(coordinates.names), signals, residuals, samples, noise * unit,
-               undetermined, found_directions, jnp.asarray(sizes), tuple(remarks), int(found.steps), code,
+               undetermined, found_directions, jnp.asarray(sizes), tuple(remarks), int(found.iterations), code,
                float(plain.step), step_error, back, adjoint, starts, plain.traces, plain)
 
 

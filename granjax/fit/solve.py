@@ -12,9 +12,9 @@ from .. import descent
 from ..types import AnyArray, Scalar
 from .problem import Problem, Signals, misfit
 
-CONVERGED, SPENT, NOT_FINITE, BLIND = range(4)
+CONVERGED, SPENT, NOT_FINITE, BLIND, STALLED = range(5)
 # the codes of a descent: converged, stalled, spent, not finite on the way, no gradient, no start
-_AS_HERE = np.array([CONVERGED, SPENT, SPENT, SPENT, BLIND, NOT_FINITE])
+_AS_HERE = np.array([CONVERGED, STALLED, SPENT, SPENT, BLIND, NOT_FINITE])
 # of the damping: relative to the squares of the Jacobian's columns at the start, and at least
 DAMPING, LEAST_DAMPING = 1e-3, 1e-12
 # singular values below this share of the largest are of directions that the data do not see
@@ -22,11 +22,11 @@ NEGLIGIBLE = 1e-6
 
 
 class Found(NamedTuple):
-    """Where a minimiser ended: free coordinates, half the sum of squares, steps, code."""
+    """Where a minimiser ended: free coordinates, half the sum of squares, iterations, code."""
 
     x: Float[AnyArray, " n"]
     cost: Scalar
-    steps: Scalar
+    iterations: Scalar
     code: Scalar
 
 
@@ -48,12 +48,15 @@ def evaluated(
 
 
 def directions_left(value: Float[np.ndarray, " m"], jacobian: Float[np.ndarray, "m n"]) -> tuple:
-    """(s, V^T, b, left) of a Jacobian U S V^T: b = U^T value, left = what |value|^2 could still fall by."""
+    """(s, V^T, b, kept) of a Jacobian U S V^T: b = U^T value, kept: which directions the data see.
+
+    Along those |value|^2 could still fall by the sum of b^2.
+    """
     n = jacobian.shape[1]
     triangle = np.linalg.qr(np.column_stack([jacobian, value]), mode="r")[:n]
     u, s, vh = np.linalg.svd(triangle[:, :n], full_matrices=False)
     b = u.T @ triangle[:, n]
-    return s, vh, b, np.sum(b[s > NEGLIGIBLE * s[0]] ** 2)
+    return s, vh, b, s > NEGLIGIBLE * s[0]
 
 
 @np.errstate(over="ignore", invalid="ignore")
@@ -62,18 +65,21 @@ def least_squares(
 ) -> Found:
     """Levenberg and Marquardt from x (n,), damped as by Nielsen: IMM-REP-1999-05, Technical University of Denmark.
 
-    It ends where a step, or what could be gained by the undamped one, is relatively below the tolerance.
+    It has converged where the undamped step, or what that could gain, is relatively below the tolerance, and has
+    stalled where no step above it is better.
     """
     value, jacobian = evaluated(problem, x)
     x, square, scale = np.asarray(x, float), value @ value, np.zeros(len(x))
     damping, growth = DAMPING, 2.0
     tolerance = max(float(tolerance), 4 * float(jnp.finfo(problem.dtype).eps))
-    for steps in range(1, max_steps + 1):
+    for iterations in range(1, max_steps + 1):
         scale = np.maximum(scale, np.linalg.norm(jacobian, axis=0))
         unit = np.where(scale > 0, scale, 1.0)
-        s, vh, b, left = directions_left(value, jacobian / unit)
+        s, vh, b, kept = directions_left(value, jacobian / unit)
         step = -(b * s / (s**2 + damping)) @ vh / unit
-        small = np.abs(step).max() <= tolerance * (1 + np.abs(x).max()) or left <= tolerance * square
+        undamped = -(b[kept] / s[kept]) @ vh[kept] / unit
+        least = tolerance * (1 + np.abs(x).max())
+        arrived = np.abs(undamped).max() <= least or np.sum(b[kept] ** 2) <= tolerance * square
         after = evaluated(problem, x + step)
         fall = np.sum(b**2 * (1 - (damping / (s**2 + damping)) ** 2))
         gain = (square - after[0] @ after[0]) / max(fall, np.finfo(float).tiny)
@@ -83,8 +89,10 @@ def least_squares(
             damping, growth = max(damping * max(1 / 3, 1 - (2 * gain - 1) ** 3), LEAST_DAMPING), 2.0
         else:
             damping, growth = damping * growth, 2 * growth
-        if small:
-            return Found(x, square / 2, steps, CONVERGED)
+            if np.abs(step).max() <= least and not arrived:
+                return Found(x, square / 2, iterations, STALLED)
+        if arrived:
+            return Found(x, square / 2, iterations, CONVERGED)
     return Found(x, square / 2, max_steps, SPENT)
 
 
@@ -97,4 +105,4 @@ def gradient_descent(
     samples = sum(trace.data.size for trace in problem.traces)
     cost = lambda z: jnp.sum(problem.residuals(x + z, adjoint=adjoint, max_steps=most) ** 2) / (2 * samples)
     found = descent.descend(cost, jax.value_and_grad(cost), x.size, optimiser, max_steps, tolerance)
-    return Found(x + found.x, samples * found.least, found.steps, jnp.asarray(_AS_HERE)[found.code])
+    return Found(x + found.x, samples * found.least, found.iterations, jnp.asarray(_AS_HERE)[found.code])
