@@ -11,11 +11,11 @@ from ..checks import concrete, refuse, show
 from ..lattice import Lattice, acceleration_only, split_system
 from ..solvers import RKN86, AbstractNystrom, AbstractSplitting, SRKN11b
 from ..solvers.stability import refused_from
-from ..types import Scalar, StateLike
+from ..types import Number, Scalar, StateLike
 from .dispatch import facts, traced
 from .inputs import checked_size
 from .run import Run
-from .stiffness import frequency_bound, linear_frequency, softens
+from .stiffness import frequency_bound, gathered_frequency, linear_frequency, softens
 
 # h omega of the default step
 STEP_FRACTION = 0.5
@@ -90,14 +90,15 @@ def fixed_step(
     lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, step: Scalar | None,
     solver: diffrax.AbstractSolver | type, frames: int, bound: Any = None,
 ) -> tuple:
-    """The step, the number of steps where it is known, what was chosen, and a remark.
+    """The step, the number of steps where it is known, what was chosen, a remark, and whether the run may pass it.
 
     `bound`: the highest frequency, where a run has shown it; by default that of the scene's energy.
     """
-    remark, choice, known = "", "given step", facts(lattice).known
+    remark, choice, known, beyond = "", "given step", facts(lattice).known, False
     limit = refused_from(solver)
     if step is None:
-        bound = _known(_bound(lattice, state, t0, t1) if bound is None else bound)
+        bound, beyond = _bound(lattice, state, t0, t1) if bound is None else (bound, True)
+        bound = _known(bound)
         if not isinstance(bound, jax.core.Tracer) and not bound > 0:
             refuse(
                 "step", "a time step", "None",
@@ -116,17 +117,16 @@ def fixed_step(
     span = _known((t1 - t0) / frames)
     count = _ceil(span / step)
     steps = None if isinstance(count, jax.core.Tracer) else int(count) * frames
-    return (t1 - t0) / (count * frames), steps, choice, remark
+    return (t1 - t0) / (count * frames), steps, choice, remark, beyond
 
 
-def passed(solver: diffrax.AbstractSolver | type, run: Run) -> Any:
+def passed(solver: diffrax.AbstractSolver | type, run: Run, step: Number) -> Any:
     """The highest frequency that a run at the default step has reached, where it passed the bound; else `None`."""
-    if isinstance(run.stats["omega"], jax.core.Tracer):
+    omega = run.stats["omega"]
+    if isinstance(omega, jax.core.Tracer):
         return None
-    omega = np.asarray(run.stats["omega"]).item()
-    limit = refused_from(solver)
-    fraction = min(STEP_FRACTION, limit or STEP_FRACTION)
-    return omega if float(run.stats["step"]) * omega > PASSED * fraction else None
+    omega = np.asarray(omega).item()
+    return omega if step * omega > PASSED * min(STEP_FRACTION, refused_from(solver) or STEP_FRACTION) else None
 
 
 def _useless(step, t0, t1):
@@ -145,18 +145,18 @@ def _refuse_useless(step, t0, t1):
 
 
 def _bound(lattice, state, t0, t1):
-    """The bound as a Python number, where it is known; a run that is not traced is looked at afterwards."""
+    """(The bound, a Python number where it is known, and whether a run may pass it, which is then looked at)."""
     span = number(t0, np.dtype(float)), number(t1, np.dtype(float))
     if facts(lattice).traced or traced((state, t0, t1)):
-        return frequency_bound(lattice, state, *span)
+        return frequency_bound(lattice, state, *span), False
     for neighbourhood in GATHERED:
-        bound = frequency_bound(lattice, state, *span, neighbourhood)
-        if isinstance(bound, jax.core.Tracer):  # plain numbers inside a transformation of something else
-            return frequency_bound(lattice, state, *span)
-        bound = np.asarray(bound).item()
+        found = gathered_frequency(lattice, state, *span, neighbourhood)
+        if isinstance(found, jax.core.Tracer):  # plain numbers inside a transformation of something else
+            return frequency_bound(lattice, state, *span), False
+        bound, beyond = np.asarray(found).tolist()
         if not bound > 0 or not _useless(STEP_FRACTION / bound, t0, t1):
             break
-    return bound
+    return bound, bool(beyond)
 
 
 def suspicion(
@@ -167,7 +167,7 @@ def suspicion(
     limit = refused_from(solver)
     if limit is None or step is None:
         return ""
-    omega = _bound(lattice, state, t0, t1)
+    omega, _ = _bound(lattice, state, t0, t1)
     if step * omega <= limit:
         return ""
     return (
@@ -205,7 +205,7 @@ def _refuse_unstable(lattice, state, t0, t1, step, solver, limit):
         omega = concrete(linear_frequency(lattice))
     what = "the highest linear frequency"
     if omega == 0:
-        omega = concrete(_bound(lattice, state, t0, t1))
+        omega = concrete(_bound(lattice, state, t0, t1)[0])
         what = "the highest frequency at this energy"
     if step * omega > limit:
         refuse(

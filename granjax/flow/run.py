@@ -26,8 +26,8 @@ class Run(Result):
       open at the end of any step, one that never closed included.
     - `outcome`: a sentence; `completed`: whether the run reached t1 with finite numbers, in every lane.
     - `stats`: dict of `steps`, `accepted`, `rejected`, `step` (the fixed one, or the mean of adaptive ones),
-      `force_evaluations` (NaN for diffrax's own solvers), and at the default step `omega`, a bound on the frequencies
-      that were reached. `solver`: its name; `choice`: what was chosen and why.
+      `force_evaluations` (NaN for diffrax's own solvers), and where energy might gather beyond the default step's
+      bound `omega`, that of what was reached. `solver`: its name; `choice`: what was chosen and why.
     """
 
     held: ClassVar[dict[str, Held]] = {

@@ -84,9 +84,9 @@ def simulate(
     save_ts, frames, every = checked_save_at(save_at, t0, t1)
     records = checked_records(record, lattice, state)
     if tolerance is None:
-        dt, steps, choice, remark = fixed_step(lattice, state, t0, t1, step, solver, frames)
+        dt, steps, choice, remark, watch = fixed_step(lattice, state, t0, t1, step, solver, frames)
     else:
-        dt, steps, choice, remark = None, None, f"adaptive steps, tolerance {_shown(tolerance)}", ""
+        dt, steps, choice, remark, watch = None, None, f"adaptive steps, tolerance {_shown(tolerance)}", "", False
     backwards = adjoint if isinstance(adjoint, Reversible) else None
     if backwards is not None:
         checked_reversible(solver, records, every)
@@ -97,13 +97,13 @@ def simulate(
     span = number(t0, dtype), number(t1, dtype)
     dt = None if dt is None else number(dt, dtype)
     save_ts = None if save_ts is None else jnp.asarray(save_ts, dtype)
-    watch = backwards is None and tolerance is None and step is None and not unknown
+    watch = watch and not unknown
     if backwards is None:
         rest = records, solver, adjoint, limit, every, progress, watch
         run = integrate(lattice, state, *span, dt, tolerance, save_ts, *rest)
-        again = passed(solver, run) if watch else None
+        again = passed(solver, run, dt) if watch else None
         if again is not None:
-            dt, steps, choice, remark = fixed_step(lattice, state, t0, t1, None, solver, frames, again)
+            dt, steps, choice, remark, _ = fixed_step(lattice, state, t0, t1, None, solver, frames, again)
             choice += ", taken again: energy gathered beyond the bound at the start"
             dt, limit = number(dt, dtype), None if limit is None else max(limit, steps)
             rest = records, solver, adjoint, limit, every, progress, watch

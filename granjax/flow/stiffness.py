@@ -18,10 +18,11 @@ import jax.numpy as jnp
 
 from ..lattice import Lattice
 from ..terms import Reach, Reached
-from ..types import Displacements, Number, Scalar, StateLike
+from ..types import Displacements, Number, Numbers, Scalar, StateLike
 from .dispatch import compiled
 
-POWER_STEPS = 40
+# of power iteration; few are enough for a look, which a tenth too much does not mislead
+POWER_STEPS, FEW_STEPS = 40, 12
 SAMPLES = 257
 # lengths of a bond from which energy may gather in one
 NEIGHBOURHOOD = 16
@@ -43,6 +44,14 @@ def frequency_bound(
 
     **Returns:** omega_max, one number for all lanes; zero for a lattice without any stiffness at its energy.
     """
+    return gathered_frequency(lattice, state, t0, t1, neighbourhood)[0]
+
+
+@compiled
+def gathered_frequency(
+    lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, neighbourhood: Any = NEIGHBOURHOOD,
+) -> Numbers:
+    """(`frequency_bound`, whether a run might pass it), (2,): not where the neighbourhood holds all energy there is."""
     ts = (t0 + (t1 - t0) * jnp.linspace(0.0, 1.0, SAMPLES)).astype(lattice.dtype)
     zero = jnp.zeros((), lattice.dtype)
     force = displacement = speed = zero
@@ -51,13 +60,19 @@ def frequency_bound(
         force = jnp.maximum(force, driven.force)
         displacement, speed = jnp.maximum(displacement, driven.displacement), jnp.maximum(speed, driven.speed)
     heaviest = jnp.max(jnp.stack([jnp.max(m) for m in jax.tree.leaves(lattice.mass)]))
-    energy, spread = _gathered(lattice, state, ts, neighbourhood)
-    energy = energy + 2 * heaviest * speed**2
+    most, whole = _gathered(lattice, state, ts, neighbourhood)
+    spread = jnp.any(whole > 2 * most)
+    energy = most + 2 * heaviest * speed**2
     reach = Reach(energy, 2 * force, 4 * displacement / _sites(lattice), ts, state.u)
     bound = _bound(lattice, [reach] * len(lattice.terms))
+    known = not lattice.reads_time and all(term.span() is not None for term in lattice.terms)
+    beyond = jnp.any(whole > 1.01 * most) if known and not softens(lattice) else jnp.ones((), bool)
     contacts = [c.law for term in lattice.terms for c in term.compressions(ts[0], state.u) if c.place != "site"]
-    opens = [reach.opens(law) for law in contacts]
-    return jnp.where(spread & jnp.any(jnp.stack(opens)), OPENING, 1.0) * bound if opens else bound
+    if contacts:
+        # for a cheap scene the search takes longer than all else
+        opens = jax.lax.cond(spread, lambda: jnp.any(jnp.stack([reach.opens(law) for law in contacts])), lambda: spread)
+        bound = jnp.where(opens, OPENING, 1.0).astype(bound.dtype) * bound
+    return jnp.stack([bound, beyond.astype(bound.dtype)])
 
 
 @compiled
@@ -80,7 +95,7 @@ def reached_frequency(lattice: Lattice, low: Any, high: Any, t0: Scalar, t1: Sca
     """The bound at the least and largest `compressions` that a run has seen."""
     ts = (t0 + (t1 - t0) * jnp.linspace(0.0, 1.0, SAMPLES)).astype(lattice.dtype)
     energy = jnp.zeros(lattice.lanes, lattice.dtype)
-    return _bound(lattice, [Reached(*both, ts, u, energy) for both in zip(low, high)])
+    return _bound(lattice, [Reached(*both, ts, u, energy) for both in zip(low, high)], FEW_STEPS)
 
 
 def _sites(lattice):
@@ -88,7 +103,7 @@ def _sites(lattice):
 
 
 def _gathered(lattice, state, ts, neighbourhood):
-    """The most energy that a neighbourhood holds at the start, per lane; whether others hold as much again."""
+    """The most energy that a neighbourhood holds at the start, and what the whole lattice holds, per lane."""
     u, v = state
     spans = [term.span() for term in lattice.terms]
     one_shape = lattice.fields is None or len(set(lattice.sites.values())) == 1
@@ -103,7 +118,8 @@ def _gathered(lattice, state, ts, neighbourhood):
     arrays = [jnp.maximum(x, 0) for part in parts for x in jax.tree.leaves(part)]
     if not local:
         whole = sum(x.sum(tuple(range(x.ndim - lanes))) for x in arrays)
-        return whole + jnp.zeros(lattice.lanes, lattice.dtype), jnp.zeros((), bool)
+        whole = whole + jnp.zeros(lattice.lanes, lattice.dtype)
+        return whole, whole
     shape = next(iter(lattice.sites.values())) if lattice.fields else lattice.sites
     total = jnp.zeros(shape + lattice.lanes, lattice.dtype)
     for x in arrays:
@@ -113,8 +129,7 @@ def _gathered(lattice, state, ts, neighbourhood):
     for axis in axes:
         width = neighbourhood * max([1, *(span[axis] for span in spans if span)])
         total = _window(total, axis, width)
-    most = jnp.max(total, axis=axes)
-    return most, jnp.any(whole > 2 * most)
+    return jnp.max(total, axis=axes), whole
 
 
 def _window(x, axis, width):
