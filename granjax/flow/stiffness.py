@@ -10,11 +10,13 @@ exact for chains of next neighbours once w is the leading vector; a few power st
 such matrix add their largest eigenvalue. The neighbourhood is a rule of thumb: a run is looked at when it has ended.
 """
 
+import inspect
 import math
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from ..lattice import Lattice
 from ..terms import Reach, Reached
@@ -52,7 +54,7 @@ def gathered_frequency(
     lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, neighbourhood: Any = NEIGHBOURHOOD,
 ) -> Numbers:
     """(`frequency_bound`, whether a run might pass it), (2,): not where the neighbourhood holds all energy there is."""
-    ts = (t0 + (t1 - t0) * jnp.linspace(0.0, 1.0, SAMPLES)).astype(lattice.dtype)
+    ts = _times(lattice, t0, t1)
     zero = jnp.zeros((), lattice.dtype)
     force = displacement = speed = zero
     for term in lattice.terms:
@@ -87,15 +89,32 @@ def linear_frequency(lattice: Lattice, power_steps: int = POWER_STEPS) -> Number
 
 
 def compressions(lattice: Lattice, t: Number, u: Displacements) -> tuple:
-    """The compressions of every term's laws: a tuple of arrays for each term."""
-    return tuple(tuple(c.compression for c in term.compressions(t, u)) for term in lattice.terms)
+    """The compressions of every term's laws, a tuple of arrays for each term; its energy where it has no laws."""
+    found = []
+    for term in lattice.terms:
+        own = tuple(c.compression for c in term.compressions(t, u))
+        if not own and term.dependence(lattice).energy:
+            lanes = len(lattice.lanes)
+            own = tuple(e.sum(tuple(range(e.ndim - lanes))) for e in jax.tree.leaves(term.energy(t, u)))
+        found.append(own)
+    return tuple(found)
 
 
 def reached_frequency(lattice: Lattice, low: Any, high: Any, t0: Scalar, t1: Scalar, u: Displacements) -> Number:
     """The bound at the least and largest `compressions` that a run has seen."""
-    ts = (t0 + (t1 - t0) * jnp.linspace(0.0, 1.0, SAMPLES)).astype(lattice.dtype)
-    energy = jnp.zeros(lattice.lanes, lattice.dtype)
-    return _bound(lattice, [Reached(*both, ts, u, energy) for both in zip(low, high)], FEW_STEPS)
+    ts = _times(lattice, t0, t1)
+    none, reaches = jnp.zeros(lattice.lanes, lattice.dtype), []
+    for term, *ends in zip(lattice.terms, low, high):
+        has_laws = bool(term.compressions(ts[0], u))
+        reaches.append(Reached(*ends, ts, u, none if has_laws else sum(ends[1], none)))
+    return _bound(lattice, reaches, FEW_STEPS)
+
+
+def _times(lattice, t0, t1):
+    """Times from t0 to t1, unevenly spaced, so that no period of a drive hides between them."""
+    i = np.arange(SAMPLES)
+    places = np.clip(i + np.where(i % (SAMPLES - 1) == 0, 0, (0.6180339887498949 * i) % 1 - 0.5), 0, SAMPLES - 1)
+    return (t0 + (t1 - t0) * jnp.asarray(places / (SAMPLES - 1))).astype(lattice.dtype)
 
 
 def _sites(lattice):
@@ -144,8 +163,8 @@ def _window(x, axis, width):
 
 def _bound(lattice, reaches, power_steps=POWER_STEPS):
     found = [term.stiffness_bound(lattice, reach) for term, reach in zip(lattice.terms, reaches)]
-    numbers = [x for x in found if isinstance(x, jax.Array)]
-    products = [x for x in found if not isinstance(x, jax.Array)]
+    products = [x for x in found if inspect.isroutine(x)]
+    numbers = [x for x in found if not inspect.isroutine(x)]
     mass, site = lattice.mass, lattice.zeros()
     if lattice.dimension is not None:
         mass = jnp.squeeze(mass, lattice.axes) if mass.ndim > lattice.axes else mass

@@ -146,6 +146,11 @@ class Scaled(Law):
     def softens(self):
         return self.law.softens
 
+    @property
+    def power_law(self):
+        found = self.law.power_law
+        return None if found is None else (self.factor * found[0], found[1])
+
     def force(self, e):
         return self.factor * self.law.force(e)
 

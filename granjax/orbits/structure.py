@@ -37,7 +37,9 @@ def structure(lattice: Lattice) -> Structure:
     mass = ravel_pytree(spread_mass(lattice))[0]
     damping = [term.exact_damping() for term in lattice.terms]
     damping = [found for found in damping if found is not None]
-    others = [term for term in lattice.terms if term.exact_damping() is None and term.dependence(lattice).velocity]
+    reads = [term.dependence(lattice) for term in lattice.terms if term.exact_damping() is None]
+    # a force that comes from no energy is no more symplectic than one that reads velocities
+    others = [x for x in reads if x.velocity or x.displacement and not x.energy]
     autonomous = not lattice.reads_time
     moves = shifts(lattice).shape[1]
     rates = {float(x) for _, rate in damping for x in np.ravel(rate)}

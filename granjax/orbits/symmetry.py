@@ -25,7 +25,7 @@ def shifts(lattice: Lattice) -> Float[jax.Array, "n k"]:
 
 def _uniform(lattice):
     """The displacement of one component of one field, for each."""
-    zeros = jax.tree.map(lambda s: np.zeros(s.shape), lattice.template())
+    zeros = jax.tree.map(lambda s: np.zeros(s.shape, s.dtype), lattice.template())
     moves = []
     for i in range(lattice.dimension or 1):
         # the vector axis lies before the lanes

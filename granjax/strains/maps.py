@@ -16,7 +16,6 @@ from ..units import Dimensional
 # what power iteration from a random start may lack
 POWER_STEPS, MARGIN = 40, 1.1
 BOUNDARIES = ("fixed", "free", "periodic")
-DENSE_LIMIT = 4000
 
 
 class StrainMap(Dimensional):
@@ -76,26 +75,16 @@ class StrainMap(Dimensional):
         """A bound on B^T k B for stiffnesses k >= 0 of the bonds, with B = de/du at rest.
 
         A function that takes w > 0, one number a site, to |B|^T k |B| w; or a number, no less than the eigenvalues of
-        M^{-1/2} B^T k B M^{-1/2}, estimated where a dense B would be too large.
+        M^{-1/2} B^T k B M^{-1/2}, as here by power iteration.
         """
         rest = lattice.zeros()
-        if sum(x.size for x in jax.tree.leaves(rest)) > DENSE_LIMIT:
-            return spectral_radius(lambda w: self.pull(rest, k * self.rate(rest, w)), lattice)
-        B = self._dense(rest)
-        if lattice.dimension is not None:  # one number a site for all of its components
-            B = jnp.sum(B, axis=self.axes + lattice.axes)
-
-        def product(w):
-            _, transpose = jax.vjp(lambda w: _contract(B, w), w)
-            return transpose(k * _contract(B, w))[0]
-
-        return product
+        return spectral_radius(lambda w: self.pull(rest, k * self.rate(rest, w)), lattice)
 
     def _dense(self, u):
         """|de/du| at rest."""
         return jax.tree.map(jnp.abs, jax.jacobian(self.strain)(jax.tree.map(jnp.zeros_like, u)))
 
-    def turning(self, law: Any) -> Number:
+    def turning(self, law: Any, lattice: Any) -> Number:
         """Transverse stiffness that the preload of a bond that turns adds."""
         return 0.0
 
@@ -113,10 +102,6 @@ class StrainMap(Dimensional):
     def walls(self) -> tuple[str, ...]:
         """At which ends of a chain bonds lead to a rigid wall: of "left" and "right"."""
         return ()
-
-
-def _contract(B, w):
-    return sum(jnp.tensordot(b, x, axes=x.ndim) for b, x in zip(jax.tree.leaves(B), jax.tree.leaves(w)))
 
 
 class InOtherUnits(StrainMap):

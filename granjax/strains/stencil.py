@@ -200,4 +200,4 @@ class Stencil(_Grid):
 
     def split(self, bonds, u):
         whole = sum(jnp.abs(weight) for weight in self.weights)
-        return self.reach_back(bonds / whole)
+        return self.reach_back(bonds / jnp.where(whole > 0, whole, 1))

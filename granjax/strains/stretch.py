@@ -75,8 +75,9 @@ class Stretch(StrainMap):
     def stiffness_bound(self, lattice, k):
         return self.pairs.stiffness_bound(lattice, k)
 
-    def turning(self, law):
-        return jnp.max(jnp.abs(law.preload)) / jnp.min(jnp.linalg.norm(self.vector, axis=-1))
+    def turning(self, law, lattice):
+        axis = max(self.vector.ndim - 1 - len(lattice.lanes), 0)
+        return jnp.max(jnp.abs(law.preload)) / jnp.min(jnp.linalg.norm(self.vector, axis=axis))
 
     def span(self):
         return self.pairs.span()

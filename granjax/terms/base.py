@@ -254,7 +254,7 @@ class Multiplied(Term):
 
     def energy(self, t, u):
         energy = self.term.energy(t, u)
-        return None if energy is None else self.factor * energy
+        return None if energy is None else _times(energy, self.factor)
 
     def site_energy(self, lattice, t, u):
         energy = self.term.site_energy(lattice, t, u)
@@ -292,7 +292,7 @@ class InOtherUnits(Term):
 
     def energy(self, t, u):
         energy = self.term.energy(t * self.units.time, _times(u, self.units.length))
-        return None if energy is None else energy / self.units.energy
+        return None if energy is None else _times(energy, 1 / self.units.energy)
 
     def compressions(self, t, u):
         found = self.term.compressions(t * self.units.time, _times(u, self.units.length))

@@ -12,8 +12,9 @@ from ..laws import Law, Linear, Scaled, checked_law
 from ..strains import Shift, StrainMap, checked_map
 from ..types import Number, Waveform
 from ..units import PART, Signal
-from .base import Compression, Term
-from .tracing import Dependence, stand_in
+from .base import Compression, Term, wider
+from .reach import largest_eigenvalue
+from .tracing import RESISTS, Dependence, stand_in
 from .waveforms import checked_waveform
 
 _strain = eqx.filter_jit(lambda strain_map, move: strain_map.strain(move))
@@ -27,7 +28,11 @@ class Joined(Term):
     def resists(self, lattice, moves):
         strain_map = jax.tree.map(stand_in, self.strain_map)
         with jax.ensure_compile_time_eval():
-            return np.stack([np.ravel(_strain(strain_map, move)) for move in moves], -1)
+            answers = np.stack([np.ravel(_strain(strain_map, move)) for move in moves], -1)
+            random = np.random.default_rng(0)
+            other = jax.tree.map(lambda x: random.uniform(0.5, 1.5, x.shape).astype(x.dtype), moves[0])
+            size = np.max(np.abs(_strain(strain_map, other)), initial=0.0)
+        return np.where(np.abs(answers) > RESISTS * size, answers, 0)
 
     def span(self):
         return self.strain_map.span()
@@ -68,7 +73,7 @@ class Bond(Joined):
         # what of each bond arrives at a site: 1, or 1/2 where the other end is a wall
         sites, back = jax.vjp(lambda b: self.strain_map.split(b, u), bonds)
         (arrives,) = back(jax.tree.map(jnp.ones_like, sites))
-        return self.strain_map.split(bonds / arrives, u)
+        return self.strain_map.split(bonds / jnp.where(arrives > 0, arrives, 1), u)
 
     def compressions(self, t, u):
         return (Compression(self.law, self.strain_map.strain(u)),)
@@ -79,7 +84,7 @@ class Bond(Joined):
     def linearised(self, lattice, t, u, v):
         if not self.strain_map.linear:
             return super().linearised(lattice, t, u, v)
-        return eqx.tree_at(lambda term: term.law, self, spring(self.law, self.strain_map.strain(u)))
+        return eqx.tree_at(lambda term: term.law, wider(self), spring(self.law, self.strain_map.strain(u)))
 
     def next_neighbours(self):
         boundary = self.strain_map.next_neighbours()
@@ -99,8 +104,14 @@ class Bond(Joined):
         return inner, over(lambda x: x[0]), over(lambda x: x[-1])
 
     def stiffness_bound(self, lattice, reach, factor=1.0):
-        k = factor * reach.stiffest(self.law, 0) + self.strain_map.turning(self.law)
-        return self.strain_map.stiffness_bound(lattice, k)
+        k = factor * reach.stiffest(self.law, 0)
+        if lattice.dimension is not None and jnp.ndim(k) > self.strain_map.axes + len(lattice.lanes):
+            k = jnp.max(k, axis=self.strain_map.axes)
+        k = k + jnp.max(factor) * self.strain_map.turning(self.law, lattice)
+        bound = self.strain_map.stiffness_bound(lattice, k)
+        if isinstance(bound, jax.Array):  # of de/du at rest, which is not all of a map of one's own
+            bound = jnp.maximum(bound, jnp.max(factor) * largest_eigenvalue(self, lattice, reach))
+        return bound
 
 
 def spring(law: Law, e: Number):
@@ -178,3 +189,7 @@ class Modulated(Term):
 
     def excitation(self, lattice, ts):
         return self.term.excitation(lattice, ts)
+
+    def energy_times(self, lattice, ts):
+        # a wall that moves is looked at where it begins
+        return self.term.energy_times(lattice, ts) if self.term.dependence(lattice).time else ts

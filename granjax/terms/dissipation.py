@@ -4,7 +4,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ..checks import non_negative, positive
+from ..checks import non_negative, positive, refuse
 from ..laws import plus_power
 from ..strains import StrainMap, checked_map
 from ..types import Parameter
@@ -37,6 +37,9 @@ class Damping(Term):
 
     def dependence(self, lattice):
         return Dependence(velocity=True)
+
+    def span(self):
+        return ()
 
     def exact_damping(self):
         return self.field, self.rate
@@ -134,6 +137,14 @@ class Drag(Term):
 
     def dependence(self, lattice):
         return Dependence(velocity=True)
+
+    def check(self, name, lattice):
+        if lattice.dimension is not None:
+            refuse(name, "a lattice with scalar displacements", f"vectors of {lattice.dimension}",
+                   "In the plane drag couples the components: write a term of your own.")
+
+    def span(self):
+        return ()
 
     def force(self, t, u, v, mass):
         return jax.tree.map(lambda v: -self.coefficient * v * jnp.abs(v), v)

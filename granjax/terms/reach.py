@@ -98,38 +98,65 @@ def furthest(reachable: Callable, zero: Numbers, sign: float):
     return sign * jnp.where(reachable(sign * start), low, 0)
 
 
-def largest_eigenvalue(term: Any, lattice: Any, reach: Reach | Reached):
+def largest_eigenvalue(term: Any, lattice: Any, reach: Reach | Reached) -> Any:
     """Largest |eigenvalue| of M^{-1/2} dF/du M^{-1/2} of one term over displacements of the energy within reach."""
-    flat, unravel = ravel_pytree(lattice.zeros())
-    t, energy, zeros = reach.ts[0], jnp.max(reach.energy), lattice.zeros()
+    t, zeros, lanes = reach.ts[0], lattice.zeros(), len(lattice.lanes)
+    energy = jnp.max(reach.energy)
 
-    def stored(x):
-        return sum(jnp.sum(e) for e in jax.tree.leaves(term.energy(t, unravel(x))))
+    def stored(u):
+        parts = [e.sum(tuple(range(e.ndim - lanes))) for e in jax.tree.leaves(term.energy(t, u))]
+        return jnp.max(sum(parts))
+
+    def along(a, direction):
+        return jax.tree.map(lambda x: a * x, direction)
 
     def within(direction):
-        size = furthest(lambda a: (stored(a * direction) <= energy) & (energy > 0), jnp.zeros((), flat.dtype), 1.0)
+        size = furthest(lambda a: (stored(along(a, direction)) <= energy) & (energy > 0), zero, 1.0)
         # a displacement that costs nothing is not sampled at infinity
-        return jnp.where(stored(2 * size * direction) > energy, size, 0) * direction
+        return along(jnp.where(stored(along(2 * size, direction)) > energy, size, 0), direction)
 
-    def eigenvalue(x):
-        _, slope = jax.linearize(lambda u: term.force(t, u, zeros, lattice.mass), unravel(x))
-        return spectral_radius(slope, lattice)
+    def eigenvalue(u):
+        _, slope = jax.linearize(lambda u: term.force(t, u, zeros, lattice.mass), u)
+        found = spectral_radius(slope, lattice)
+        return jnp.where(jnp.isfinite(found), found, 0)
 
-    tried = [jnp.zeros_like(flat), ravel_pytree(reach.u)[0]]
-    if term.dependence(lattice).energy:
-        tried += list(jax.lax.map(within, _directions(flat)))
-    found = jax.lax.map(eigenvalue, jnp.stack(tried).astype(flat.dtype))
-    return jnp.max(jnp.where(jnp.isfinite(found), found, 0))
+    zero = jnp.zeros((), lattice.dtype)
+    largest = jnp.maximum(eigenvalue(zeros), eigenvalue(reach.u))
+    if not term.dependence(lattice).energy:
+        return largest
+
+    def further():
+        return jnp.max(jax.lax.map(lambda direction: eigenvalue(within(direction)), _directions(lattice)))
+
+    return jnp.maximum(largest, jax.lax.cond(energy > 0, further, lambda: zero))
 
 
-def _directions(flat):
-    """Single displacements, neighbours in antiphase, a step and all together, of both signs."""
-    size = flat.size
-    places = sorted({0, size // 4, size // 2, size - 1})
-    rows = [np.eye(1, size, i)[0] for i in places]
-    rows += [rows[i] - np.eye(1, size, (place + 1) % size)[0] for i, place in enumerate(places)]
-    rows += [np.where(np.arange(size) < size // 2, 1.0, 0.0), (-1.0) ** np.arange(size), np.ones(size)]
-    return jnp.asarray(np.concatenate([rows, np.negative(rows)]), flat.dtype)
+def _directions(lattice):
+    """Single displacements, neighbours in antiphase, a step and all together, of both signs; every lane alike."""
+    template = lattice.template()
+    found = []
+    for name in template if isinstance(template, dict) else (None,):
+        for component in range(lattice.dimension or 1):
+            shape = (template if name is None else template[name]).shape[: lattice.axes]
+            for pattern in _patterns(shape):
+                for sign in (1.0, -1.0):
+                    zeros = jax.tree.map(lambda s: np.zeros(s.shape, s.dtype), template)
+                    x = zeros if name is None else zeros[name]
+                    x = x[(slice(None),) * lattice.axes + (component,)] if lattice.dimension else x
+                    x += sign * pattern.reshape(pattern.shape + (1,) * (x.ndim - pattern.ndim))
+                    found.append(zeros)
+    return jax.tree.map(lambda *x: jnp.asarray(np.stack(x)), *found)
+
+
+def _patterns(shape):
+    n, size = shape[0], int(np.prod(shape))
+    for place in sorted({0, size // 4, size // 2, size - 1}):
+        single = np.zeros(size)
+        single[place] = 1
+        yield single.reshape(shape)
+        yield single.reshape(shape) - np.roll(single.reshape(shape), 1, 0)
+    along = np.arange(n).reshape((n,) + (1,) * (len(shape) - 1)) * np.ones(shape)
+    yield from (np.where(along < n // 2, 1.0, 0.0), (-1.0) ** along, np.ones(shape))
 
 
 def raveled(force: Displacements, zeros: Displacements):

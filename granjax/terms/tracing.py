@@ -123,4 +123,5 @@ def _answers(moves, term, mass, where, other, scale):
     size = jnp.max(jnp.abs(slope(other)))
     columns = jnp.stack([slope(move) for move in moves], -1) / jnp.where(size > 0, size, 1)
     good = jnp.isfinite(size) & jnp.all(jnp.isfinite(columns))
-    return jnp.where(good & (jnp.abs(columns) > RESISTS), columns, 0)
+    least = max(RESISTS, 1e3 * float(jnp.finfo(columns.dtype).eps))
+    return jnp.where(good & (jnp.abs(columns) > least), columns, 0)
