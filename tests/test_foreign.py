@@ -11,6 +11,8 @@ from jax.flatten_util import ravel_pytree
 
 import granjax as gx
 from granjax.flow.method import STEP_FRACTION
+from granjax.flow.stiffness import frequency_bound
+from granjax.lattice import linearised
 from granjax.orbits import shifts
 
 N = 8
@@ -323,3 +325,47 @@ def test_a_modulated_term_of_ones_own():
     assert found.expected == 2 and (np.abs(np.asarray(found.multipliers) - 1) < 1e-3).sum() == 2
     with pytest.raises(ValueError, match="constant in time"):
         gx.linear.normal_modes(lattice)
+
+
+def test_what_hides_from_a_rule_of_thumb():
+    """A drive whose period divides the samples, lanes, a bent strain map, weights a bond: the bound holds for all."""
+    t1 = 256 * 2 * np.pi / 1.5
+    driven = _bead(RING, gx.Drive(gx.Harmonic(20.0, 1.5, phase=-np.pi / 2), 4))
+    assert frequency_bound(driven, gx.states.rest(driven), 0.0, t1) > 8
+    stiff = jnp.ones(N - 2).at[0].set(1e3)
+    rest = gx.State(jnp.zeros(N), jnp.zeros(N).at[0].set(1.0))
+    one = _bead(CHAIN, Bend(stiff))
+    alone = float(frequency_bound(one, rest, 0.0, 1.0))
+    both = jax.vmap(lambda f: _bead(CHAIN, Bend(f * stiff)), out_axes=-1)(jnp.ones(2))
+    lanes = gx.State(*(jnp.stack([x, x], -1) for x in rest))
+    assert float(frequency_bound(both, lanes, 0.0, 1.0)) == pytest.approx(alone, rel=0.1)
+    assert alone >= np.sqrt(float(jnp.linalg.eigvalsh(dense(one, one.zeros())).max()))
+
+
+class Squared(gx.StrainMap):
+    """A strain that is not linear."""
+
+    def strain(self, u):
+        return (u[:-1] - u[1:]) ** 2
+
+
+def test_a_bent_strain_map_and_weights_a_bond():
+    lattice = _bead(CHAIN, gx.Bond(Squared(), gx.Linear(100.0)))
+    state = gx.State(jnp.zeros(N), jnp.zeros(N).at[3].set(1.0))
+    run = gx.simulate(lattice, state, 5.0, save_at=51)
+    reached = jax.lax.map(lambda u: jnp.linalg.eigvalsh(dense(lattice, u)).max(), run.us)
+    assert float(run.stats["step"]) * np.sqrt(float(reached.max())) <= 1.1 * STEP_FRACTION
+    weights = jnp.linspace(0.5, 1.5, N)
+    uneven = _bead(gx.Bond(gx.strains.Stencil([(None, 0, weights), (None, 1, -weights)], "periodic"), gx.Linear(1.0)))
+    tangents = jnp.eye(N)
+    got = linearised(uneven, 0.0, jnp.zeros(N)).force(0.0, tangents, 0 * tangents)
+    np.testing.assert_allclose(got, -dense(uneven, jnp.zeros(N)), atol=1e-14)
+    thirds = [(None, 0, 1.0), *((None, k, -1 / 3) for k in (1, 2, 3))]
+    assert shifts(_bead(gx.Bond(gx.strains.Stencil(thirds, "periodic"), gx.Linear(1.0)))).shape[1] == 1
+
+
+def test_damping_does_not_shorten_the_step_of_a_shock():
+    lattice = gx.scenes.toda(200)
+    damped = gx.Lattice(1.0, (*lattice.terms, gx.Damping(1e-6)), sites=200)
+    steps = [float(gx.simulate(x, gx.states.velocity_step(x, 0.5), 1.0).stats["step"]) for x in (lattice, damped)]
+    assert steps[0] == pytest.approx(steps[1], rel=1e-12)

@@ -84,7 +84,7 @@ class StrainMap(Dimensional):
         """|de/du| at rest."""
         return jax.tree.map(jnp.abs, jax.jacobian(self.strain)(jax.tree.map(jnp.zeros_like, u)))
 
-    def turning(self, law: Any, lattice: Any) -> Number:
+    def turning(self, lattice: Any, law: Any) -> Number:
         """Transverse stiffness that the preload of a bond that turns adds."""
         return 0.0
 

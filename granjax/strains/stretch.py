@@ -75,7 +75,7 @@ class Stretch(StrainMap):
     def stiffness_bound(self, lattice, k):
         return self.pairs.stiffness_bound(lattice, k)
 
-    def turning(self, law, lattice):
+    def turning(self, lattice, law):
         axis = max(self.vector.ndim - 1 - len(lattice.lanes), 0)
         return jnp.max(jnp.abs(law.preload)) / jnp.min(jnp.linalg.norm(self.vector, axis=axis))
 
