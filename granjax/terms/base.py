@@ -174,7 +174,7 @@ class Term(Dimensional):
         """
         if not self.dependence(lattice).displacement:
             return jnp.zeros((), lattice.dtype)
-        return jnp.max(jnp.abs(factor)) * largest_eigenvalue(self, lattice, reach)
+        return jnp.max(jnp.abs(jnp.asarray(factor, lattice.dtype))) * largest_eigenvalue(self, lattice, reach)
 
     def excitation(self, lattice: Any, ts: Numbers) -> Excitation:
         """What drives the lattice from outside during the times `ts`."""

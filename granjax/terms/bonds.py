@@ -107,10 +107,11 @@ class Bond(Joined):
         k = factor * reach.stiffest(self.law, 0)
         if lattice.dimension is not None and jnp.ndim(k) > self.strain_map.axes + len(lattice.lanes):
             k = jnp.max(k, axis=self.strain_map.axes)
-        k = k + jnp.max(factor) * self.strain_map.turning(lattice, self.law)
+        largest = jnp.max(jnp.asarray(factor, lattice.dtype))
+        k = k + largest * self.strain_map.turning(lattice, self.law)
         bound = self.strain_map.stiffness_bound(lattice, k)
         if isinstance(bound, jax.Array):  # of de/du at rest, which is not all of a map of one's own
-            bound = jnp.maximum(bound, jnp.max(factor) * largest_eigenvalue(self, lattice, reach))
+            bound = jnp.maximum(bound, largest * largest_eigenvalue(self, lattice, reach))
         return bound
 
 
