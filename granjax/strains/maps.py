@@ -67,7 +67,7 @@ class StrainMap(Dimensional):
 
     def split(self, bonds: Numbers, u: Displacements) -> Displacements:
         """A quantity of the bonds shared out to their sites as |de/du| at rest weighs these; dense, bonds x sites."""
-        weights = self._dense(u)
+        weights = jax.tree.map(jnp.abs, jax.jacobian(self.strain)(jax.tree.map(jnp.zeros_like, u)))
         whole = sum(w.sum(tuple(range(bonds.ndim, w.ndim))) for w in jax.tree.leaves(weights))
         return jax.tree.map(lambda w: jnp.tensordot(bonds / whole, w, bonds.ndim), weights)
 
@@ -79,10 +79,6 @@ class StrainMap(Dimensional):
         """
         rest = lattice.zeros()
         return spectral_radius(lambda w: self.pull(rest, k * self.rate(rest, w)), lattice)
-
-    def _dense(self, u):
-        """|de/du| at rest."""
-        return jax.tree.map(jnp.abs, jax.jacobian(self.strain)(jax.tree.map(jnp.zeros_like, u)))
 
     def turning(self, lattice: Any, law: Any) -> Number:
         """Transverse stiffness that the preload of a bond that turns adds."""

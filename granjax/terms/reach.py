@@ -7,10 +7,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.flatten_util import ravel_pytree
 
 from ..strains.maps import spectral_radius
-from ..types import Displacements, Flags, Numbers
+from ..types import Flags, Numbers
 
 SAMPLES = 33
 # a contact of exponent below 1 is infinitely stiff where it opens; the bound keeps this far from there
@@ -157,10 +156,3 @@ def _patterns(shape):
         yield single.reshape(shape) - np.roll(single.reshape(shape), 1, 0)
     along = np.arange(n).reshape((n,) + (1,) * (len(shape) - 1)) * np.ones(shape)
     yield from (np.where(along < n // 2, 1.0, 0.0), (-1.0) ** along, np.ones(shape))
-
-
-def raveled(force: Displacements, zeros: Displacements):
-    """A force as one array, with zeros for the fields that it does not touch."""
-    if isinstance(zeros, dict):
-        force = {name: force.get(name, zero) for name, zero in zeros.items()}
-    return ravel_pytree(jax.tree.map(lambda f, u: jnp.broadcast_to(f, u.shape), force, zeros))[0]

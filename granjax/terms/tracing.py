@@ -9,10 +9,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr
+from jax.flatten_util import ravel_pytree
 from jax.interpreters.partial_eval import dce_jaxpr
 
 from ..types import Displacements, Number, Pytree
-from .reach import raveled
 
 SCALES = 10.0 ** np.arange(-12, 4)
 RESISTS = 1e-9
@@ -117,7 +117,7 @@ def _answers(moves, term, mass, where, other, scale):
     zeros = jax.tree.map(jnp.zeros_like, where)
 
     def push(u):
-        return raveled(term.force(jnp.zeros(()), u, zeros, mass), zeros)
+        return _raveled(term.force(jnp.zeros(()), u, zeros, mass), zeros)
 
     slope = jax.linearize(push, jax.tree.map(lambda x: scale.astype(x.dtype) * x, where))[1]
     size = jnp.max(jnp.abs(slope(other)))
@@ -125,3 +125,10 @@ def _answers(moves, term, mass, where, other, scale):
     good = jnp.isfinite(size) & jnp.all(jnp.isfinite(columns))
     least = max(RESISTS, 1e3 * float(jnp.finfo(columns.dtype).eps))
     return jnp.where(good & (jnp.abs(columns) > least), columns, 0)
+
+
+def _raveled(force, zeros):
+    """A force as one array, with zeros for the fields that it does not touch."""
+    if isinstance(zeros, dict):
+        force = {name: force.get(name, zero) for name, zero in zeros.items()}
+    return ravel_pytree(jax.tree.map(lambda f, u: jnp.broadcast_to(f, u.shape), force, zeros))[0]

@@ -10,7 +10,8 @@ from jax.flatten_util import ravel_pytree
 
 from ..checks import one_of, refuse
 from ..flow import frequency_bound, linear_frequency, simulate
-from ..lattice import Lattice, State, acceleration_only, split_system
+from ..flow.dispatch import facts
+from ..lattice import Lattice, State
 from ..solvers import (
     RKN86,
     RKN1210,
@@ -40,20 +41,12 @@ ORDER = 4
 
 def splits(lattice: Lattice) -> bool:
     """Whether splitting solvers take the lattice."""
-    return _accepts(split_system, lattice)
+    return facts(lattice).splits
 
 
 def reads_velocity(lattice: Lattice) -> bool:
     """Whether a force reads the velocity, so that Nystrom pairs do not take the lattice."""
-    return not _accepts(acceleration_only, lattice)
-
-
-def _accepts(form, lattice):
-    try:
-        form(lattice)
-    except ValueError:
-        return False
-    return True
+    return facts(lattice).reads_velocity
 
 
 def sensible_solvers(lattice: Lattice) -> Solvers:
