@@ -4,7 +4,7 @@ Every check looks at concrete values only. A traced value passes, because what i
 """
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any, NoReturn
 
 import jax
@@ -31,6 +31,38 @@ def show(x: Any) -> str:
     return np.array2string(x, threshold=6, edgeitems=2, precision=6) if x.ndim else repr(x.item())
 
 
+def unmasked(argument: str, x: Any) -> Any:
+    """`x`, with nothing hidden under a mask that would be read all the same."""
+    if isinstance(x, np.ma.MaskedArray) and np.ma.is_masked(x):
+        missing = f"{np.ma.count_masked(x)} of {x.size} masked"
+        refuse(argument, "numbers without a mask", missing, "Where NaN may stand for what is missing: .filled(np.nan).")
+    return x
+
+
+def real(argument: str, x: Any, expected: str = "real numbers") -> np.ndarray:
+    """`x` as a floating NumPy array, of any shape: measured numbers, NaN where one is missing.
+
+    Nothing is cut to its real part and nothing is read under a mask.
+    """
+    return np.asarray(_real(argument, x, expected), dtype=float)
+
+
+def _real(argument, x, expected="real numbers"):
+    """An array of real numbers, NumPy's, or JAX's where it is one."""
+    try:
+        array = x if isinstance(x, jax.Array) else np.asarray(x)
+        kind = array.dtype.kind
+    except (TypeError, ValueError):
+        kind = ""
+    unmasked(argument, x)
+    if kind == "c":
+        refuse(argument, "real numbers", f"{array.dtype}", "Take .real or abs() of them, whichever is meant.")
+    if kind not in "fiu" or not kind:
+        got = f"{x!r} of type {type(x).__name__}"
+        refuse(argument, expected, got, "Give a number or an array of numbers.")
+    return array
+
+
 def parameter(argument: str, x: Any) -> jax.Array:
     """`x` as a floating array: finite real numbers, of any shape.
 
@@ -39,16 +71,10 @@ def parameter(argument: str, x: Any) -> jax.Array:
     if isinstance(x, jax.Array) and jnp.issubdtype(x.dtype, jnp.floating):
         array = x
     else:
-        try:
-            raw = x if isinstance(x, jax.Array) else np.asarray(x)
-            if raw.dtype.kind not in "fiu":
-                raise TypeError
-            # a plain number stays one while tracing, so that it is checked there too
-            with jax.ensure_compile_time_eval():
-                array = jnp.asarray(raw, dtype=float)
-        except (TypeError, ValueError):
-            got = f"{x!r} of type {type(x).__name__}"
-            refuse(argument, "real numbers", got, "Give a number or an array of numbers.")
+        raw = _real(argument, x)
+        # a plain number stays one while tracing, so that it is checked there too
+        with jax.ensure_compile_time_eval():
+            array = jnp.asarray(raw, dtype=float)
     value = concrete(array)
     if value is not None and not np.all(np.isfinite(value)):
         refuse(argument, "finite numbers", show(value), "Look for NaN or infinity in what you pass.")
@@ -87,6 +113,25 @@ def within(
             interval = f"{'(' if open_low else '['}{low}, {high}{')' if open_high else ']'}"
             refuse(argument, f"numbers in {interval}", show(value), remedy)
     return array
+
+
+def per_lane(argument: str, x: Any, lanes: tuple[int, ...], check: Callable = parameter) -> jax.Array:
+    """A parameter of a whole lattice: one number, or one per lane; `check`: what else each must be."""
+    array = check(argument, x)
+    if array.shape not in ((), lanes):
+        wanted = "one number" + (f", or one per lane, shape {lanes}" if lanes else "")
+        refuse(argument, wanted, f"shape {array.shape}", "What differs from site to site is written into the state.")
+    return array
+
+
+def tolerance(argument: str, x: Any, most: float = 0.1) -> Any:
+    """A relative tolerance: one number above zero and below `most`, from which on nothing is asked."""
+    if isinstance(x, jax.core.Tracer) or type(x) is float and 0 < x < most:
+        return x
+    value = _real(argument, x)
+    if value.ndim or not 0 < value < most:
+        refuse(argument, f"one number above 0 and below {most:g}", show(value), "Typical: 1e-8.")
+    return float(value)
 
 
 def one_of(argument: str, name: Any, options: Iterable) -> Any:

@@ -10,7 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Integer
 
-from .checks import one_of, parameter, positive, refuse, whole, within
+from .checks import one_of, parameter, refuse, whole, within
+from .checks import tolerance as checked_tolerance
 from .descent import CONVERGED, NO_GRADIENT, NO_START, NOT_FINITE, SPENT, STALLED, descend
 from .parameters import Bounds, Coordinates
 from .results import Held, Result
@@ -113,7 +114,7 @@ def design(
     coordinates = Coordinates(start, bounds)
     mode = one_of("mode", mode or MODES[coordinates.size > FEW], MODES)
     max_steps = whole("max_steps", max_steps, 1)
-    tolerance = positive("tolerance", tolerance)
+    tolerance = jnp.asarray(checked_tolerance("tolerance", tolerance))
     if not callable(objective):
         refuse("objective", "a function of the dict of parameters", repr(objective))
     ends = [_solve(objective, start, optimiser, max_steps, tolerance, bool(maximise), mode)

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .checks import concrete, positive, refuse, within
+from .checks import concrete, positive, real, refuse, within
 from .types import Number, Parameter
 
 _BOECHLER = "as used by Boechler et al., Phys. Rev. Lett. 104, 244302 (2010)"
@@ -127,10 +127,7 @@ def _radius(argument, radius):
 
 def _radius_or_plane(argument, radius):
     """A radius, infinite where the body is a plane."""
-    try:
-        value = None if isinstance(radius, jax.core.Tracer) else np.asarray(radius, float)
-    except (TypeError, ValueError):
-        value = None
+    value = None if isinstance(radius, jax.core.Tracer) else real(argument, radius)
     if value is None or not np.isposinf(value).any():
         return positive(argument, radius, "A radius is in metres, above zero, or infinite for a plane.")
     _radius(argument, np.where(np.isposinf(value), 1.0, value))

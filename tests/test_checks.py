@@ -20,6 +20,8 @@ def chain(*terms, mass=np.ones(6), **how):
 
 HERTZ = gx.Hertz()
 BOND = gx.Bond(gx.Shift(1, "free"), HERTZ)
+LINEAR = gx.Lattice(np.ones(6), (gx.Bond(gx.Shift(1, "fixed"), gx.Linear(1.0)),))
+MASKED = np.ma.array(np.ones(6), mask=[False] * 5 + [True])
 CELL = {"bead": np.ones(6), "resonator": np.ones(6)}
 
 # what is wrong, who refuses it, and what the sentence must name
@@ -117,6 +119,31 @@ BAD = (
     ("unknown field of a damping", lambda: chain(gx.Damping(0.1, "beed"), mass=CELL), "bead"),
     ("field of a plain array", lambda: chain(gx.OnSite(HERTZ, "bead")), "terms[0] (OnSite)"),
     ("no field in a cell", lambda: chain(BOND, mass=CELL), "terms[0] (Bond)"),
+    ("mass masked", lambda: chain(BOND, mass=MASKED), "1 of 6 masked"),
+    ("data masked", lambda: gx.Traces(np.arange(6.0), velocity=MASKED, sites=0), ".filled(np.nan)"),
+    ("data complex", lambda: gx.Traces(np.arange(6.0), velocity=np.ones(6) * 1j, sites=0), "complex128"),
+    ("times complex", lambda: gx.simulate(chain(BOND), gx.states.impact(chain(BOND)), 1.0,
+                                          save_at=np.linspace(0, 1, 3) * (1 + 0j)), "save_at"),
+    ("state masked", lambda: gx.simulate(chain(BOND), (np.zeros(6), MASKED), 1.0), "state.v"),
+    ("snapshots masked", lambda: gx.identify.dmd(np.ma.stack([MASKED, MASKED]), 1.0), "snapshots"),
+    ("radius complex", lambda: gx.materials.hertz_coefficient("steel 316", 1j), "radius"),
+    ("a displacement per site", lambda: gx.states.random(chain(BOND), 0, np.ones(6)), "displacement"),
+    ("a velocity per site", lambda: gx.states.random(chain(BOND), 0, 0.1, np.ones(6)), "velocity"),
+    ("a temperature per site", lambda: gx.states.thermal(chain(BOND), np.ones(6)), "temperature"),
+    ("a strain per site", lambda: gx.states.strain_step(chain(BOND), np.ones(6)), "left"),
+    ("a speed per site", lambda: gx.states.velocity_step(chain(BOND), np.ones(6)), "c: expected one number"),
+    ("an amplitude per site", lambda: gx.states.wave_packet(chain(BOND), 1.0, amplitude=np.ones(6), omega=1.0),
+     "amplitude"),
+    ("a mode's phase per site", lambda: gx.states.normal_mode(LINEAR, phase=np.ones(6)), "phase"),
+    *((f"{what} of another length", lambda f=f: f(LINEAR, np.zeros(7)), "shape (6,), that of the lattice")
+      for what, f in (("force", lambda l, x: l.force(0.0, x, x)), ("energy", lambda l, x: l.energy(0.0, x, x)),
+                      ("acceleration", lambda l, x: l.acceleration(0.0, x, x)))),
+    ("force of an array for fields", lambda: chain(mass=CELL).force(0.0, np.zeros(6), np.zeros(6)), "fields"),
+    *((f"tolerance {x}", lambda x=x: checks.tolerance("tolerance", x), "tolerance")
+      for x in (-1, True, INF, 1e308, NAN, 1.0, 0, "fine", 1j, np.ones(2))),
+    *((f"{name} of a growth rate", lambda i=i: gx.theory.nls.growth_rate(*(NAN if j == i else 1.0 for j in range(4))),
+       name) for i, name in enumerate(("Q", "amplitude", "nu2", "nu3"))),
+    ("run_time before the pulse arrives", lambda: gx.resonance.transmission([0.5], 21, run_time=1.0), "run_time"),
 )
 
 
@@ -169,6 +196,19 @@ def test_parameters_take_the_default_float_and_keep_a_given_one():
     assert checks.parameter("x", np.float32(1)).dtype == jnp.float64
     assert checks.parameter("x", jnp.float32(1)).dtype == jnp.float32
     assert checks.parameter("x", jnp.arange(3)).dtype == jnp.float64
+
+
+def test_what_is_legal_passes():
+    """An empty mask hides nothing; NaN marks what is missing in data; lanes, fields and tangents behind the sites."""
+    assert checks.real("x", np.ma.array([1.0, 2.0])).tolist() == [1.0, 2.0]
+    assert np.isnan(checks.real("x", [1, NAN])).tolist() == [False, True]
+    assert checks.real("x", jnp.arange(2)).dtype == np.float64
+    assert checks.tolerance("tolerance", np.float32(1e-6)) == pytest.approx(1e-6)
+    assert checks.per_lane("x", [1.0, 2.0], (2,)).shape == (2,) and checks.per_lane("x", 1, (2,)).shape == ()
+    assert LINEAR.force(0.0, np.zeros((6, 3)), np.zeros((6, 3))).shape == (6, 3)
+    lanes = jax.vmap(lambda k: gx.Lattice(np.ones(6), (gx.Bond(gx.Shift(1), gx.Linear(k)),)), out_axes=-1)(jnp.ones(2))
+    assert gx.states.random(lanes, 0, np.array([0.0, 1.0])).u[:, 0].tolist() == [0.0] * 6
+    assert np.isnan(jax.jit(gx.theory.nls.growth_rate)(1.0, 1.0, NAN, 1.0))
 
 
 def test_traced_values_pass_the_checks():

@@ -305,3 +305,9 @@ def test_coordinates_keep_bounds_and_know_their_slopes():
     x = jnp.array([0.3, -0.2, 0.5, -0.4, 0.1])
     slopes = jnp.diag(jax.jacfwd(lambda x: at.flat(at.parameters(x)))(x))
     assert np.allclose(at.slopes(x), slopes, rtol=1e-14)
+
+
+@pytest.mark.parametrize("tolerance", [-1, True, np.inf, 1e308, np.nan, 0.5])
+def test_a_tolerance_that_every_start_meets_is_refused(tolerance):
+    with pytest.raises(ValueError, match="tolerance: expected"):
+        gx.fit(lambda p: None, {"k": 1.0}, None, state=None, tolerance=tolerance)

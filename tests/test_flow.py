@@ -426,3 +426,20 @@ def test_the_default_step_is_one_that_is_not_refused():
     state = gx.State(jnp.asarray([0.01, 0.0, 0.0, 0.0]), jnp.zeros(4))
     run = gx.simulate(chain, state, 0.1, solver=diffrax.Euler())
     assert run.completed and "0.02" in run.choice
+
+
+def test_traced_times_that_span_nothing_complete_nothing(closed):
+    """What cannot be refused while it is traced is said by the outcome, and by it alone."""
+    chain, state = closed
+
+    run, nan = jax.jit(lambda t1, step: gx.simulate(chain, state, t1, step=step)), np.nan
+    for t1, step in ((nan, 0.1), (-1.0, 0.1), (0.0, 0.1), (np.inf, 0.1), (0.4, nan), (0.4, -0.1), (0.4, 0.0)):
+        found = run(t1, step)
+        assert not found.completed and "Nothing was integrated" in found.outcome
+    assert run(0.4, 0.1).completed
+
+
+def test_a_traced_tolerance_below_zero_completes_nothing(closed):
+    chain, state = closed
+    run = jax.jit(lambda tolerance: gx.simulate(chain, state, 0.2, tolerance=tolerance, max_steps=200))
+    assert [bool(run(x).completed) for x in (1e-6, -1e-6, 0.0, np.inf, np.nan)] == [True, False, False, False, False]

@@ -9,6 +9,7 @@ import numpy as np
 from diffrax import AbstractSolver
 
 from ..checks import one_of, positive, refuse, whole
+from ..checks import tolerance as checked_tolerance
 from ..flow import Reversible
 from ..parameters import Bounds
 from ..tuning import one_thread
@@ -25,6 +26,8 @@ METHODS = ("least squares", "gradient")
 RETURNS = 1e-8
 # a step that is this much longer than the fitted scene would choose is shortened, and the fit goes on
 TOO_LONG = 1.3
+# a relative change from which on every start would count as an end
+MOST = 1e-2
 
 
 @one_thread
@@ -55,7 +58,7 @@ def fit(
       bounds), from `seed`; they run one after another in one program, and the best is returned.
     - `windows`: pieces of the record, each with a free state at its start (multiple shooting), for chaotic or long
       records: as many as make each short beside the time in which neighbouring runs part. Wants sensors at most sites.
-    - `max_steps`: of the minimiser. `tolerance`: relative change of parameters and residuals at which it ends.
+    - `max_steps`: of the minimiser. `tolerance`: relative change of parameters and residuals at which it ends, below 0.01.
     - `throw`: raise where it does not converge; `None` does.
 
     **Returns:** `Fit`. **Raises** ValueError for input that cannot be meant; RuntimeError where `throw` and the fit
@@ -63,6 +66,7 @@ def fit(
     way to the sensors have no gradient), steps spent. Typical: 20 beads, 4 sensors, 4 parameters: well below a second.
     Source: Levenberg, Quart. Appl. Math. 2, 164 (1944); Marquardt, SIAM J. Appl. Math. 11, 431 (1963).
     """
+    tolerance = checked_tolerance("tolerance", tolerance, MOST)
     problem = prepared(scene, start, traces, state=state, bounds=bounds, t0=t0, step=step, solver=solver)
     windows, starts, spread = whole("windows", windows, 1), whole("starts", starts, 1), positive("spread", spread)
     max_steps = whole("max_steps", max_steps, 1)

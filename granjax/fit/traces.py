@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..checks import concrete, parameter, positive, refuse, show, whole
+from ..checks import concrete, parameter, positive, real, refuse, show, whole
 from ..types import AnyArray, Count, Counts, Numbers, Parameter, Scalar
 
 KINDS = ("velocity", "displacement", "force")
@@ -63,7 +63,7 @@ class Traces(eqx.Module):
         value = concrete(self.times)
         if self.times.ndim != 1 or value is not None and (value.size < 2 or not (np.diff(value) > 0).all()):
             refuse("times", "at least two rising times", show(self.times) if value is not None else "another shape")
-        data = jnp.asarray(np.asarray(data, float) if concrete(data) is not None else data)
+        data = jnp.asarray(real(self.kind, data) if concrete(data) is not None else data)
         data = data[:, None] if data.ndim == 1 else data
         wanted = (self.times.size, len(self.places))
         if data.shape != wanted:

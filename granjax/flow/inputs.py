@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import concrete, one_of, refuse, show, whole
+from ..checks import concrete, one_of, real, refuse, show, whole
 from ..lattice import Lattice, State
 from ..types import Scalar
 from .dispatch import facts
@@ -38,7 +38,7 @@ def checked_state(lattice: Any, state: Any) -> State:
 
 def _checked_array(name, x, shape, dtype):
     if not isinstance(x, jax.Array):
-        x = np.asarray(x)
+        x = real(name, x) if isinstance(x, np.ma.MaskedArray) else np.asarray(x)
     if x.dtype.kind != "f":
         refuse(name, f"floating numbers ({dtype})", f"{x.dtype}", "Write 0.0 instead of 0, or .astype(float).")
     if x.shape != shape:
@@ -94,10 +94,8 @@ def checked_save_at(save_at: Any, t0: Scalar, t1: Scalar) -> tuple:
         if frames == 1:
             return None, 1, False
         return t0 + (t1 - t0) * jnp.linspace(0.0, 1.0, frames), frames - 1, False
-    try:
-        ts = save_at if isinstance(save_at, jax.core.Tracer) else np.asarray(save_at, dtype=float)
-    except (TypeError, ValueError):
-        refuse("save_at", "a number of frames, a list of times, or 'steps'", repr(save_at))
+    ts = save_at if isinstance(save_at, jax.core.Tracer) else real(
+        "save_at", save_at, "a number of frames, a list of times, or 'steps'")
     if ts.ndim != 1 or ts.size == 0:
         refuse("save_at", "a list of times", f"shape {ts.shape}")
     value = concrete(ts)

@@ -11,7 +11,7 @@ from ..types import Number, Scalar, StateLike, Times
 from .control import Scales, StepControl
 from .dispatch import compiled
 from .record import CLOSEST, EXTREMES, Extremes, Lowest, Recorded
-from .run import COMPLETED, FAILED, NOT_FINITE, STEP_TOO_SMALL, TOO_MANY_STEPS, Run, finite
+from .run import COMPLETED, FAILED, NOT_FINITE, NOTHING, STEP_TOO_SMALL, TOO_MANY_STEPS, Run, finite
 from .stiffness import compressions, frequency_bound, reached_frequency
 
 
@@ -60,7 +60,8 @@ def integrate(
     }
     if watch:
         stats["omega"] = reached_frequency(lattice, *extremes, t0, t1, final.u)
-    code = _code(solution.result, final)
+    meant = _meant(t0, t1, dt if tolerance is None else tolerance)
+    code = jnp.where(meant, _code(solution.result, final), NOTHING)
     energy_error = _energy_error(lattice, state, t0, ts, ys)
     return Run(ts, ys.u, ys.v, final, recorded, energy_error, opened, code, stats, None, "", "", "")
 
@@ -92,6 +93,11 @@ def _compressions(t, y, lattice):
 
 def _any_below_zero(smallest, lattice):
     return jnp.any(smallest < 0, axis=tuple(range(smallest.ndim - len(lattice.lanes))))
+
+
+def _meant(t0, t1, size):
+    """Whether times that were traced, and so not refused, span a run: size is that of a step, or a tolerance."""
+    return (t1 > t0) & (size > 0) & jnp.isfinite(t1 - t0) & jnp.isfinite(size)
 
 
 def _code(result, final):

@@ -114,6 +114,8 @@ def fixed_step(
             remark = "An exponent below 1: a contact that re-opens is infinitely stiff, and no step bound exists there."
     else:
         _refuse_unstable(lattice, state, t0, t1, step, solver, limit)
+        if isinstance(step, jax.core.Tracer):
+            step = jnp.where(step > 0, step, jnp.nan)  # what the outcome then says
     span = _known((t1 - t0) / frames)
     count = _ceil(span / step)
     steps = None if isinstance(count, jax.core.Tracer) else int(count) * frames

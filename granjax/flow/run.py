@@ -13,7 +13,7 @@ from ..lattice import State
 from ..results import Held, Result
 from ..types import Counts, Displacements, Flags, Number, Numbers, Pytree, Times
 
-COMPLETED, NOT_FINITE, TOO_MANY_STEPS, STEP_TOO_SMALL, FAILED = range(5)
+COMPLETED, NOT_FINITE, TOO_MANY_STEPS, STEP_TOO_SMALL, FAILED, NOTHING = range(6)
 
 
 class Run(Result):
@@ -66,6 +66,8 @@ class Run(Result):
             TOO_MANY_STEPS: f"Stopped after {steps} steps, the most allowed; give max_steps= or a looser tolerance.",
             STEP_TOO_SMALL: "Stopped: the tolerance asks for steps below what the floating type resolves.",
             FAILED: "The solver reported a failure.",
+            NOTHING: "Nothing was integrated: t1 is not after t0, the step or the tolerance is not above zero, or one "
+                     "of them is no finite number.",
         }[int(np.max(code))]
         return f"{sentence} {self.remark}".strip()
 

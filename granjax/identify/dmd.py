@@ -7,7 +7,7 @@ import jax
 import numpy as np
 from jaxtyping import Complex, Float, Inexact
 
-from ..checks import parameter, positive, refuse, show, whole
+from ..checks import parameter, positive, refuse, show, unmasked, whole
 from ..flow import Run
 from ..results import Held, Result
 from ..types import AnyArray, Count, Parameter, Scalar
@@ -117,7 +117,7 @@ def snapshots(run: Run, velocities: bool = True) -> Float[np.ndarray, "T n"]:
 
 
 def _checked(snapshots):
-    y = np.asarray(snapshots)
+    y = np.asarray(unmasked("snapshots", snapshots))
     if y.dtype.kind == "c":
         if not np.isfinite(y).all():
             refuse("snapshots", "finite numbers", show(y), "Look for NaN or infinity in what you pass.")

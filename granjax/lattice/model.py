@@ -164,8 +164,22 @@ class Lattice(eqx.Module):
         return jax.tree.map(cast, self)
 
     def force(self, t: Number, u: Displacements, v: Displacements) -> Displacements:
-        """Sum of the forces on the sites, of the structure of `u`."""
+        """Sum of the forces on the sites, of the structure of `u`: of the lattice's shape, lanes or tangents behind."""
+        self._check_shape("u", u)
+        self._check_shape("v", v)
         return self.sum_forces(t, u, v, self.terms)
+
+    def _check_shape(self, name, x):
+        """That displacements or velocities have an entry for every site; more axes may follow."""
+        shape = self.shape
+        if isinstance(shape, dict) != isinstance(x, dict) or isinstance(x, dict) and set(x) != set(shape):
+            refuse(name, f"fields {sorted(shape)}" if isinstance(shape, dict) else "an array",
+                   f"fields {sorted(x)}" if isinstance(x, dict) else "an array", "Start from lattice.zeros().")
+        for field in shape if isinstance(shape, dict) else (None,):
+            wanted, got = (shape, jnp.shape(x)) if field is None else (shape[field], jnp.shape(x[field]))
+            if got[: len(wanted)] != wanted:
+                refuse(name if field is None else f"{name}[{field!r}]", f"shape {wanted}, that of the lattice",
+                       f"shape {got}", "Start from lattice.zeros().")
 
     def sum_forces(self, t: Number, u: Displacements, v: Displacements, terms: Sequence) -> Displacements:
         """Sum of the forces of some terms, of the structure of `u`."""
@@ -184,6 +198,7 @@ class Lattice(eqx.Module):
 
     def potential_energy(self, t: Number, u: Displacements) -> Number:
         """Potential energy of the whole lattice, from equilibrium; shape of the lanes."""
+        self._check_shape("u", u)
         total = 0.0
         for term in self.terms:
             energy = term.energy(t, u)
@@ -194,6 +209,8 @@ class Lattice(eqx.Module):
 
     def kinetic_energy(self, v: Displacements) -> Number:
         """Sum of m v^2/2; shape of the lanes."""
+        self._check_shape("v", v)
+
         def kinetic(m, v):
             return (m * v * v / 2).sum(tuple(range(v.ndim - len(self.lanes))))
 

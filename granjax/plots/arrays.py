@@ -2,10 +2,11 @@
 
 from typing import Any
 
+import jax
 import numpy as np
 from jaxtyping import Float
 
-from ..checks import parameter, refuse, show
+from ..checks import parameter, real, refuse, show
 
 
 def numbers(argument: str, x: Any, ndim: int | None = None, finite: bool = True) -> Float[np.ndarray, "..."]:
@@ -13,10 +14,10 @@ def numbers(argument: str, x: Any, ndim: int | None = None, finite: bool = True)
     if finite:
         array = np.asarray(parameter(argument, x))
     else:
-        try:
-            array = np.asarray(x, dtype=float)
-        except (TypeError, ValueError):
+        if isinstance(x, jax.core.Tracer):
             refuse(argument, "real numbers known before tracing", f"{type(x).__name__}")
+        # what is masked is a gap, as NaN is
+        array = real(argument, x.astype(float).filled(np.nan) if isinstance(x, np.ma.MaskedArray) else x)
     if ndim is not None and array.ndim != ndim:
         names = {1: "one row, shape (N,)", 2: "frames of sites, shape (T, N)"}
         refuse(argument, names.get(ndim, f"{ndim} axes"), f"shape {array.shape}")

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import concrete, parameter, refuse, whole
+from ..checks import concrete, per_lane, refuse, whole
 from ..lattice import Lattice, State
 from ..types import Count, Parameter
 from .places import chain_only
@@ -28,6 +28,7 @@ def normal_mode(lattice: Lattice, index: Count = 0, amplitude: Parameter = 1.0, 
     size, lanes = sum(_sizes(lattice)), lattice.lanes
     if isinstance(index, bool) or not isinstance(index, (int, np.integer)) or not -size <= index < size:
         refuse("index", f"a whole number within {-size} ... {size - 1}", repr(index), "Modes are counted from 0.")
+    amplitude, phase = per_lane("amplitude", amplitude, lanes), per_lane("phase", phase, lanes)
     stiffness, mass = _matrices(lattice, size)
     values = concrete(stiffness)
     if values is not None and not np.any(values):
@@ -41,7 +42,6 @@ def normal_mode(lattice: Lattice, index: Count = 0, amplitude: Parameter = 1.0, 
     lead = jnp.take_along_axis(phi, jnp.argmax(high, -1)[..., None], -1)
     phi = jnp.moveaxis(phi * jnp.sign(lead), -1, 0).reshape((size,) + lanes)
     omega = jnp.sqrt(jnp.maximum(squares[..., index], 0)).reshape(lanes)
-    amplitude, phase = parameter("amplitude", amplitude), parameter("phase", phase)
     u, v = amplitude * jnp.cos(phase) * phi, -omega * amplitude * jnp.sin(phase) * phi
     return State(_shaped(lattice, u), _shaped(lattice, v))
 
@@ -62,7 +62,7 @@ def sine_mode(lattice: Lattice, k: Count = 1, amplitude: Parameter = 1.0) -> Sta
     n = jnp.arange(1, size + 1).reshape((-1,) + (1,) * len(lattice.lanes))
     # k n taken modulo the period in whole numbers, so that high modes lose no digits
     shape = jnp.sin(jnp.pi / (size + 1) * (k * n % (2 * (size + 1))))
-    u = parameter("amplitude", amplitude) * shape
+    u = per_lane("amplitude", amplitude, lattice.lanes) * shape
     zeros = lattice.zeros()
     return State((zeros + u).astype(zeros.dtype), zeros)
 

@@ -3,7 +3,7 @@
 import jax
 import jax.numpy as jnp
 
-from ..checks import non_negative, parameter, random_key, refuse
+from ..checks import non_negative, parameter, per_lane, random_key, refuse
 from ..lattice import Lattice, State
 from ..types import Parameter, Seed, Site
 from .places import field_of, site_of
@@ -45,11 +45,12 @@ def random(lattice: Lattice, seed: Seed = 0, displacement: Parameter = 0.1, velo
     """Displacements and velocities uniform in [-displacement, displacement) and [-velocity, velocity), seeded.
 
     **Arguments:** `seed`: a whole number or a `jax.random` key; the same seed gives the same state. `displacement` [m]
-    and `velocity` [m/s]: amplitudes, not negative. Every lane draws its own numbers.
-    **Raises** ValueError for a seed that is neither, or amplitudes that are negative or not finite.
+    and `velocity` [m/s]: amplitudes, not negative, numbers or one per lane. Every lane draws its own numbers.
+    **Raises** ValueError for a seed that is neither, or amplitudes that are negative, not finite, or of another shape.
     """
     keys = jax.random.split(random_key(seed), 2)
-    amplitudes = non_negative("displacement", displacement), non_negative("velocity", velocity)
+    given, lanes = {"displacement": displacement, "velocity": velocity}, lattice.lanes
+    amplitudes = [per_lane(name, x, lanes, non_negative) for name, x in given.items()]
     return State(*(_draw(lattice, key, a, _uniform) for key, a in zip(keys, amplitudes)))
 
 
@@ -59,9 +60,9 @@ def thermal(lattice: Lattice, temperature: Parameter, seed: Seed = 0) -> State:
     **Arguments:** `temperature`: k_B T [J], not negative, a number or one per lane; the mean kinetic energy of each
     component of each site is half of it. All energy is kinetic at first, so a linear lattice settles at half this
     temperature. `seed`: as in `random`.
-    **Raises** ValueError for a temperature that is negative or not finite, or a seed that is none.
+    **Raises** ValueError for a temperature that is negative, not finite or of another shape, or a seed that is none.
     """
-    width = jnp.sqrt(non_negative("temperature", temperature))
+    width = jnp.sqrt(per_lane("temperature", temperature, lattice.lanes, non_negative))
     drawn = _draw(lattice, random_key(seed), width, jax.random.normal)
     return State(lattice.zeros(), jax.tree.map(lambda m, x: x / jnp.sqrt(m), lattice.mass, drawn))
 

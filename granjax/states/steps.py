@@ -2,7 +2,7 @@
 
 import jax.numpy as jnp
 
-from ..checks import concrete, parameter, refuse, show
+from ..checks import concrete, parameter, per_lane, refuse, show
 from ..lattice import Lattice, State
 from ..types import Parameter
 from .places import chain_only
@@ -23,7 +23,7 @@ def strain_step(lattice: Lattice, left: Parameter, right: Parameter = 0.0, centr
     **Raises** ValueError for a lattice that is no plain chain, strains not finite, or a centre outside the chain.
     """
     size = chain_only(lattice, "strain_step")
-    left, right = parameter("left", left), parameter("right", right)
+    left, right = per_lane("left", left, lattice.lanes), per_lane("right", right, lattice.lanes)
     centre = _inside("centre", (size - 1) // 2 if centre is None else centre, size)
     n = jnp.arange(size, dtype=left.dtype).reshape((-1,) + (1,) * len(lattice.lanes))
     before, after = jnp.maximum(centre - n, 0), size - 1 - jnp.maximum(n, centre)
@@ -46,7 +46,7 @@ def velocity_step(lattice: Lattice, c: Parameter, centre: Parameter | None = Non
     Source: S. Venakides, P. Deift, R. Oba, Comm. Pure Appl. Math. 44, 1171 (1991).
     """
     size = chain_only(lattice, "velocity_step")
-    c = parameter("c", c)
+    c = per_lane("c", c, lattice.lanes)
     centre = _inside("centre", (size - 1) / 2 if centre is None else centre, size)
     n = jnp.arange(size, dtype=c.dtype).reshape((-1,) + (1,) * len(lattice.lanes))
     zeros = lattice.zeros()

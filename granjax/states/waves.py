@@ -1,13 +1,14 @@
 """Wave packets of the linear chain."""
 
 from collections.abc import Callable
+from functools import partial
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import concrete, one_of, parameter, positive, refuse, show, within
+from ..checks import concrete, one_of, per_lane, positive, refuse, show, within
 from ..lattice import Lattice, State
 from ..types import Parameter
 from .places import chain_only
@@ -42,10 +43,11 @@ def wave_packet(
     linear stiffness where `omega` is `None`, or a width, centre, amplitude or direction that is none.
     """
     size = chain_only(lattice, "wave_packet")
-    k = within("k", k, 0, np.pi, open_low=True, open_high=True)
-    width, amplitude = positive("width", width), parameter("amplitude", amplitude)
+    lanes = lattice.lanes
+    k = per_lane("k", k, lanes, partial(within, low=0, high=np.pi, open_low=True, open_high=True))
+    width, amplitude = per_lane("width", width, lanes, positive), per_lane("amplitude", amplitude, lanes)
     sign = 1 if one_of("direction", direction, ("right", "left")) == "right" else -1
-    centre = parameter("centre", (size if sign > 0 else 3 * size) / 4 if centre is None else centre)
+    centre = per_lane("centre", (size if sign > 0 else 3 * size) / 4 if centre is None else centre, lanes)
     if concrete(centre) is not None and not np.all((concrete(centre) >= 0) & (concrete(centre) <= size - 1)):
         refuse("centre", f"a place within 0 ... {size - 1}", show(concrete(centre)))
     zeros = lattice.zeros()
@@ -53,7 +55,7 @@ def wave_packet(
     envelope = amplitude * jnp.exp(-((x / width) ** 2) / 2)
     u = envelope * jnp.cos(k * x)
     if omega is not None and not callable(omega):
-        v = positive("omega", omega) * envelope * jnp.sin(k * x)
+        v = per_lane("omega", omega, lanes, positive) * envelope * jnp.sin(k * x)
     else:
         q = _column(2 * jnp.pi * jnp.fft.rfftfreq(size), lattice)
         frequency = _local_frequency(lattice, q, k) if omega is None else jnp.asarray(omega(q))

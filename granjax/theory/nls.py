@@ -82,9 +82,11 @@ def growth_rate(Q: Parameter, amplitude: Parameter, nu2: Number, nu3: Number) ->
     the chain has a fixed length. **Returns:** array of their broadcast shape.
     Source: T. B. Benjamin, J. E. Feir, J. Fluid Mech. 27, 417 (1967).
     """
-    Q, amplitude = parameter("Q", Q), parameter("amplitude", amplitude)
+    Q, amplitude, nu2, nu3 = map(parameter, ("Q", "amplitude", "nu2", "nu3"), (Q, amplitude, nu2, nu3))
     square = nu2 * Q**2 * (2 * nu3 * amplitude**2 - nu2 * Q**2)
-    return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0)
+    # what is not a number, such as a traced one, stays so
+    stable = square <= 0
+    return jnp.where(stable, 0.0, jnp.sqrt(jnp.where(stable, 1.0, square)))
 
 
 class Profile(Result):

@@ -9,7 +9,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from ..checks import one_of, refuse, show
+from ..checks import one_of, real, refuse, show
 from ..types import Count, Parameter, Pytree, Scalar
 
 PARAMETERS = ("step", "tolerance")
@@ -69,10 +69,7 @@ def checked_ladders(ladders: Sequence[Ladder]) -> tuple[Ladder, ...]:
 
 def checked_values(name: str, values: Parameter) -> tuple[float, ...]:
     """Steps or tolerances as a tuple of floats, the coarsest first."""
-    try:
-        array = np.atleast_1d(np.asarray(values, dtype=float))
-    except (TypeError, ValueError):
-        array = np.array([np.nan])
+    array = np.atleast_1d(real(f"steps of {name}", values))
     if array.ndim != 1 or not array.size or not np.all(np.isfinite(array) & (array > 0)):
         got = show(array) if array.ndim == 1 and not np.isnan(array).all() else repr(values)[:60]
         refuse(f"steps of {name}", "finite numbers above zero, such as [0.1, 0.05]", got)
@@ -163,7 +160,7 @@ def distance(state: Pytree, reference: Pytree) -> float:
 
 def _parts(tree):
     parts = tree if isinstance(tree, (tuple, list)) else (tree,)
-    return [[np.asarray(x, dtype=float) for x in jax.tree.leaves(part)] for part in parts]
+    return [[real("reference", x) for x in jax.tree.leaves(part)] for part in parts]
 
 
 def _relative(part, reference):

@@ -12,6 +12,8 @@ from ...types import Count, Parameter, Scalar
 from .lanes import LANES, checked_ratios, peak_forces
 
 LEAST_BEADS = 3
+# time a bead that the slowest pulse takes, at any ratio, and the time for its force to rise and fall
+SLOWEST, LEAST_TIME = 1.2, 5.0
 
 
 class Transmission(Result):
@@ -78,18 +80,22 @@ def transmission(
     - `ratios`: mass ratios light over heavy in (0, 1], (n,).
     - `beads`: N >= 3 moving beads. A wall also stands behind bead 0, which only its rebound meets.
     - `run_time`: until when the wall is watched [in units (m^2/(A^2 v))^(1/5)]; `None` takes 1.5 N + 10, after the
-      leading pulse has been reflected at every ratio.
+      leading pulse has been reflected at every ratio; at least 1.2 N + 5, when it has reached the wall.
     - `progress`: a progress bar.
 
     Fixed steps with h omega_max = 1/2: relative error of T at 101 beads 1e-6, near 0.587 up to 6e-6.
 
-    **Returns:** `Transmission`; NaN where a run did not complete. **Raises** ValueError for ratios outside (0, 1] or
-    N < 3. Typical: N = 101, T = 0.21 at 0.595.
+    **Returns:** `Transmission`; NaN where a run did not complete. **Raises** ValueError for ratios outside (0, 1],
+    N < 3 or a shorter run. Typical: N = 101, T = 0.21 at 0.595.
     Source: Jayaprakash, Starosvetsky, Vakakis, Phys. Rev. E 83, 036606 (2011).
     """
     ratios = checked_ratios(ratios)
     beads = whole("beads", beads, LEAST_BEADS, "A dimer chain between walls.")
     run_time = float(_run_time(beads) if run_time is None else positive("run_time", run_time))
+    least = SLOWEST * beads + LEAST_TIME
+    if run_time < least:
+        refuse("run_time", f"at least {least:g}, when the pulse has reached the wall", f"{run_time:g}",
+               "A wall that nothing has reached feels no force.")
     lanes = ratios if (ratios == 1).any() else np.append(ratios, 1.0)
     forces = _wall_forces(lanes, beads, run_time, progress)
     reference = float(forces[lanes == 1][0])
