@@ -58,7 +58,7 @@ def fit(
       bounds), from `seed`; they run one after another in one program, and the best is returned.
     - `windows`: pieces of the record, each with a free state at its start (multiple shooting), for chaotic or long
       records: as many as make each short beside the time in which neighbouring runs part. Wants sensors at most sites.
-    - `max_steps`: of the minimiser. `tolerance`: relative change of parameters and residuals at which it ends, below 0.01.
+    - `max_steps`: of the minimiser. `tolerance`: relative change of parameters and residuals at which it ends, < 0.01.
     - `throw`: raise where it does not converge; `None` does.
 
     **Returns:** `Fit`. **Raises** ValueError for input that cannot be meant; RuntimeError where `throw` and the fit

@@ -69,7 +69,7 @@ def checked_ladders(ladders: Sequence[Ladder]) -> tuple[Ladder, ...]:
 
 def checked_values(name: str, values: Parameter) -> tuple[float, ...]:
     """Steps or tolerances as a tuple of floats, the coarsest first."""
-    array = np.atleast_1d(real(f"steps of {name}", values))
+    array = np.atleast_1d(real(f"steps of {name}", values, "finite numbers above zero, such as [0.1, 0.05]"))
     if array.ndim != 1 or not array.size or not np.all(np.isfinite(array) & (array > 0)):
         got = show(array) if array.ndim == 1 and not np.isnan(array).all() else repr(values)[:60]
         refuse(f"steps of {name}", "finite numbers above zero, such as [0.1, 0.05]", got)
