@@ -261,7 +261,7 @@ BAD = {
     "step zero": (dict(step=0.0), "step: expected one finite number above zero"),
     "step negative": (dict(step=-0.1), "step: expected one finite number above zero"),
     "tolerance negative": (dict(tolerance=-1e-9), "tolerance: expected one finite number above zero"),
-    "both": (dict(step=0.1, tolerance=1e-9), "tolerance: expected a fixed step or a tolerance, got both"),
+    "a tolerance of all there is": (dict(tolerance=2.0), "tolerance: expected at most 1"),
     "tolerance below the type": (dict(tolerance=1e-18), "tolerance: expected at least .* float64"),
     "step below the type": (dict(t1=1e9, step=1e-9), "step: expected a step that changes the time"),
     "step unstable": (dict(step=2.0), "step: expected at most .* SRKN11b is stable"),
@@ -443,3 +443,34 @@ def test_a_traced_tolerance_below_zero_completes_nothing(closed):
     chain, state = closed
     run = jax.jit(lambda tolerance: gx.simulate(chain, state, 0.2, tolerance=tolerance, max_steps=200))
     assert [bool(run(x).completed) for x in (1e-6, -1e-6, 0.0, np.inf, np.nan)] == [True, False, False, False, False]
+
+
+def test_a_tolerance_with_a_longest_step(closed):
+    chain, state = closed
+    how = dict(tolerance=1e-6, save_at="steps")
+    free, bound = gx.simulate(chain, state, 10.0, **how), gx.simulate(chain, state, 10.0, step=0.2, **how)
+    gaps = np.diff(np.asarray(bound.ts))
+    assert np.diff(np.asarray(free.ts)).max() > 0.25 and gaps.max() <= 0.2 + 1e-12 and gaps[0] < 0.1
+    assert "none longer than 0.2" in bound.choice
+    np.testing.assert_allclose(bound.final.u, free.final.u, atol=1e-4)
+
+
+def test_a_loose_tolerance_is_said():
+    chain = gx.scenes.monomer(20)
+    run = gx.simulate(chain, gx.states.impact(chain), 30.0, tolerance=1.0)
+    assert float(run.energy_error) > 0.1 and "loose" in run.outcome and "0.32 of it" in run.outcome
+    fine = gx.simulate(chain, gx.states.impact(chain), 30.0, tolerance=1e-5)
+    assert float(fine.energy_error) < 1e-3 and fine.outcome == f"Completed at t = 30 after {fine.stats['steps']} steps."
+
+
+def test_an_opening_that_no_law_tells_of_is_unknown():
+    def ring(law):
+        lattice = gx.Lattice(1.0, (gx.Bond(gx.Shift(1, "periodic"), law),), sites=6)
+        return gx.simulate(lattice, gx.states.impact(lattice, velocity=0.1), 0.5, step=0.1)
+
+    spline = gx.laws.Spline([-1.0, 0.0, 1.0], [0.5, 1.0, 1.0, 1.5])
+    for law in (spline, gx.Hertz(1.0, 0.5) + spline, gx.laws.Network(2)):
+        run = ring(law)
+        assert run.opening == "unknown" and "contact opened unknown (Bond)" in repr(run)
+    assert ring(gx.Toda()).opening == ring(gx.Hertz(1.0, 0.5)).opening == "no"
+    assert ring(gx.Hertz() + spline).opening == ring(gx.Hertz()).opening == "yes"

@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -167,6 +168,57 @@ def test_friction_gets_a_solver_that_reads_velocities():
     assert run.solver == "Dopri8" and np.isnan(float(run.energy_error))
     with pytest.raises(ValueError, match="Friction"):
         gx.simulate(lattice, moving(case), 5.0, solver=gx.SRKN11b(), step=0.1)
+
+
+@over
+def test_a_tolerance_suits_every_kind(case):
+    """A tolerance, alone and with a longest step, against DOP853's kin of diffrax."""
+    lattice, state = case.make(K), moving(case)
+    best = gx.simulate(lattice, state, 3.0, tolerance=1e-12, solver=diffrax.Dopri8())
+    for how in ({}, {"step": 0.05}):
+        run = gx.simulate(lattice, state, 3.0, tolerance=1e-9, **how)
+        gap = jax.tree.map(lambda a, b: float(jnp.abs(a - b).max()), run.final, best.final)
+        assert max(jax.tree.leaves(gap)) < 1e-7
+
+
+class Pushed(gx.OnSite):
+    """What inherits that it keeps the energy, and does not."""
+
+    def force(self, t, u, v, mass):
+        return -jnp.cos(t) * self.law.force(u)
+
+
+class Slowed(gx.OnSite):
+    """What inherits that it reads no velocity, and does."""
+
+    def force(self, t, u, v, mass):
+        return -self.law.force(u) - 0.1 * v
+
+
+class Circling(gx.Term):
+    """A force that is no gradient, with an energy all the same."""
+
+    strength: jax.Array
+
+    def force(self, t, u, v, mass):
+        return self.strength * jnp.roll(u, 1, 0)
+
+    def energy(self, t, u):
+        return -self.strength * u**2 / 2
+
+
+def test_an_energy_that_is_not_kept_has_no_error():
+    for term in (Pushed(gx.Linear(0.5)), Slowed(gx.Linear(0.5)), Circling(K)):
+        lattice = _bead(RING, term)
+        run = gx.simulate(lattice, moving(CASES[0]), 5.0)
+        assert np.isnan(run.energy_error) and "no energy is kept" in repr(run)
+        said = "The force of Circling is not the slope of its `energy`" in run.outcome
+        assert said == lattice.conserves == (type(term) is Circling)
+        assert lattice.reads_time == (type(term) is Pushed)
+        if type(term) is Slowed:
+            assert run.solver == "Dopri8" and lattice.reads_velocity
+            with pytest.raises(ValueError, match="Slowed, whose `dependence` does not say so"):
+                gx.simulate(lattice, moving(CASES[0]), 5.0, solver=gx.SRKN11b(), step=0.1)
 
 
 @over

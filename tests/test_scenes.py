@@ -75,6 +75,8 @@ def test_monomer_acceleration_is_the_equation():
 
 
 def test_fput_and_toda_accelerations_are_their_equations():
+    alone, asked = scenes.fput(8, beta=8.0).terms[0].law, scenes.fput(8).terms[0].law
+    assert alone.K3 is None and float(alone.K4) == 8 and float(asked.K3) == 0.25 and asked.K4 is None
     lattice = scenes.fput(8, alpha=0.25, beta=0.7)
     u, v = random_state(lattice)
     e = -np.diff(np.concatenate([[0], np.asarray(u), [0]]))

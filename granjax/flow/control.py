@@ -46,26 +46,31 @@ class StepControl(diffrax.AbstractAdaptiveStepSizeController):
     `first` tolerance^(1/q), and no force is spent to choose it.
 
     **Arguments:** `atol`: the tolerance, dimensionless. `norm`: of a state, in scales of the scene. `first`: a time.
+    `longest`: no step is longer; `None` for no such bound.
     """
 
     atol: jax.Array
     norm: Scales
     first: jax.Array
+    longest: jax.Array | None = None
     rtol: float = 0.0
 
     def wrap(self, direction):
         return self
 
     def init(self, terms, t0, t1, y0, dt0, args, func, error_order):
-        return t0 + self.first * self.atol ** (1 / error_order), jnp.asarray(False)
+        return t0 + self._bounded(self.first * self.atol ** (1 / error_order)), jnp.asarray(False)
 
     def adapt_step_size(self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state):
         error = jax.lax.stop_gradient(self.norm(y_error) / self.atol)
         keep = error < 1
         most = jnp.where(controller_state | ~keep, 1.0, GROW)
         factor = jnp.clip(SAFETY * error ** (-1 / error_order), SHRINK, most)
-        step = (t1 - t0) * factor.astype(t1.dtype)
+        step = self._bounded((t1 - t0) * factor.astype(t1.dtype))
         start = jnp.where(keep, t1, t0)
         stuck = ~(start + step > start)
         result = diffrax.RESULTS.where(stuck, diffrax.RESULTS.dt_min_reached, diffrax.RESULTS.successful)
         return keep, start, start + step, False, ~keep, result
+
+    def _bounded(self, step):
+        return step if self.longest is None else jnp.minimum(step, self.longest)

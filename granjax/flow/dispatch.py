@@ -9,6 +9,7 @@ import jax
 import numpy as np
 
 from ..lattice import Lattice
+from ..terms.tracing import reads
 from ..types import Pytree
 
 _ARRAYS = (jax.Array, np.ndarray, np.generic)
@@ -70,7 +71,7 @@ def facts(lattice: Lattice) -> Facts:
 
 
 def _found(lattice):
-    velocity = [term for term in lattice.terms if term.dependence(lattice).velocity]
+    velocity = [term for term in lattice.terms if reads(term, lattice).velocity]
     return Facts(
         lattice.template(), lattice.dtype, traced(lattice), bool(velocity),
         all(term.exact_damping() is not None for term in velocity), {},

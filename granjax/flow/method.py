@@ -11,6 +11,7 @@ from ..checks import concrete, refuse, show
 from ..lattice import Lattice, acceleration_only, split_system
 from ..solvers import RKN86, AbstractNystrom, AbstractSplitting, SRKN11b
 from ..solvers.stability import refused_from
+from ..terms.tracing import reads
 from ..types import Number, Scalar, StateLike
 from .dispatch import facts, traced
 from .inputs import checked_size
@@ -25,6 +26,8 @@ GATHERED = (4, 1)
 # how far beyond its bound a run at the default step may go before it is taken again
 PASSED = 1.1
 DEFAULT_TOLERANCE = 1e-8
+# tolerance from which on a run is remarked upon, and relative energy error
+LOOSE, SUSPICIOUS = 1e-2, 0.02
 MOST_STEPS = 1e8
 # built once: making a module takes longer than a short run
 _FIXED, _ADAPTIVE, _GENERAL = SRKN11b(), RKN86(), diffrax.Dopri8()
@@ -32,8 +35,6 @@ _FIXED, _ADAPTIVE, _GENERAL = SRKN11b(), RKN86(), diffrax.Dopri8()
 
 def checked_method(lattice: Lattice, solver: Any, step: Any, tolerance: Any) -> tuple:
     """Solver, step and tolerance that go together, chosen where they are not given."""
-    if step is not None and tolerance is not None:
-        refuse("tolerance", "a fixed step or a tolerance", "both", "Give one of them.")
     if solver is not None and not isinstance(solver, diffrax.AbstractSolver):
         name = getattr(solver, "__name__", None) or repr(solver)
         refuse("solver", "a solver, such as gx.SRKN11b()", name, "Solvers are instances: write the brackets.")
@@ -53,6 +54,7 @@ def checked_method(lattice: Lattice, solver: Any, step: Any, tolerance: Any) -> 
     if isinstance(solver, AbstractSplitting):
         if not splits:
             split_system(lattice)  # refuses, naming the term
+            _refuse_unsaid(lattice)
         if tolerance is not None:
             refuse(
                 "tolerance", f"a fixed step with {type(solver).__name__}", f"tolerance={show(tolerance)}",
@@ -60,6 +62,7 @@ def checked_method(lattice: Lattice, solver: Any, step: Any, tolerance: Any) -> 
             )
     if velocity and isinstance(solver, AbstractNystrom):
         acceleration_only(lattice)  # refuses, naming the term
+        _refuse_unsaid(lattice)
     if tolerance is not None and not isinstance(solver, diffrax.AbstractAdaptiveSolver):
         wanted = "one with an error estimate for a tolerance"
         refuse("solver", wanted, type(solver).__name__, "Use gx.RKN86(), or step=.")
@@ -69,8 +72,17 @@ def checked_method(lattice: Lattice, solver: Any, step: Any, tolerance: Any) -> 
     least = 0 if value is None else _least_tolerance(dtype)
     if value is not None and value < least:
         refuse("tolerance", f"at least {least:.1e}, what {dtype} holds", show(value), "Use a larger one.")
+    if value is not None and value > 1:
+        refuse("tolerance", "at most 1, the size of the motion itself", show(value), "1e-6 to 1e-9 are usual.")
     # an array, so that another tolerance compiles nothing
     return solver, step, None if tolerance is None else number(tolerance, dtype)
+
+
+def _refuse_unsaid(lattice):
+    """Where a force reads the velocity and its kind says that it does not."""
+    names = [type(term).__name__ for term in lattice.terms if reads(term, lattice).velocity]
+    refuse("solver", "forces that do not read the velocity", f"{', '.join(names)}, whose `dependence` does not say so",
+           "Use solver=diffrax.Dopri8() with tolerance=....")
 
 
 def number(x: Any, dtype: Any) -> Any:
@@ -161,21 +173,34 @@ def _bound(lattice, state, t0, t1):
     return bound, bool(beyond)
 
 
-def suspicion(
-    lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, step: Scalar | None,
-    solver: diffrax.AbstractSolver | type,
+def doubts(
+    lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, step: Scalar | None, tolerance: Any,
+    solver: diffrax.AbstractSolver, run: Run,
 ) -> str:
-    """A remark on a run that has lost much energy; empty where its step explains nothing."""
-    limit = refused_from(solver)
-    if limit is None or step is None:
-        return ""
-    omega, _ = _bound(lattice, state, t0, t1)
-    if step * omega <= limit:
-        return ""
-    return (
-        f"Much energy was lost: the step is past stability for frequencies that this energy can reach, h omega <= "
-        f"{step * omega:.3g}, where {type(solver).__name__} is stable below {limit:.3g}."
-    )
+    """Remarks on a run that has ended: a loose tolerance, much energy lost, an energy that is none; empty without."""
+    said = []
+    if tolerance is not None and tolerance > LOOSE:
+        said.append(f"A tolerance of {show(tolerance)} is loose: a step may err by that part of the motion.")
+    lost = np.asarray(run.energy_error)
+    if np.isnan(lost).any() and lattice.conserves and np.all(run.completed):
+        gaps = {type(term).__name__: np.max(term.energy_gap(lattice, t1, run.final.u)) for term in lattice.terms}
+        said.append(f"The force of {max(gaps, key=gaps.get)} is not the slope of its `energy`, so none is kept.")
+    if not np.isnan(lost).all() and np.nanmax(lost) > SUSPICIOUS:
+        said.append(_lost(lattice, state, t0, t1, step, tolerance, solver, float(np.nanmax(lost))))
+    return " ".join(said)
+
+
+def _lost(lattice, state, t0, t1, step, tolerance, solver, lost):
+    limit = None if tolerance is not None else refused_from(solver)
+    if limit is not None and step is not None:
+        omega, _ = _bound(lattice, state, t0, t1)
+        if step * omega > limit:
+            return (
+                f"Much energy was lost: the step is past stability for frequencies that this energy can reach, "
+                f"h omega <= {step * omega:.3g}, where {type(solver).__name__} is stable below {limit:.3g}."
+            )
+    way = "a shorter step=" if tolerance is None else "a smaller tolerance="
+    return f"Much energy was lost or won, {lost:.2g} of it: the run is not accurate; give {way}."
 
 
 def _known(x):

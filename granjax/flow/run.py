@@ -22,8 +22,9 @@ class Run(Result):
     - `ts` (T,), `us`, `vs` (T, N): times, displacements and velocities that were saved (T = 1, the end, by default).
     - `final`: `State` at the last time; `recorded`: dict of the records' results.
     - `energy_error`: largest |E - E0|/max(|E0|, kinetic energy) over the saved times, NaN where a term does not keep
-      the energy; shape of the lanes. `contact_opened`: whether any contact was
-      open at the end of any step, one that never closed included.
+      the energy (says so, or its force is not the slope of its energy); shape of the lanes.
+    - `contact_opened`: whether any contact was open at the end of any step, one that never closed included;
+      `opening`: the same in a word. `unseen`: the terms that may have contacts of which that is not known.
     - `outcome`: a sentence; `completed`: whether the run reached t1 with finite numbers, in every lane.
     - `stats`: dict of `steps`, `accepted`, `rejected`, `step` (the fixed one, or the mean of adaptive ones),
       `force_evaluations` (NaN for diffrax's own solvers), and where energy might gather beyond the default step's
@@ -47,6 +48,7 @@ class Run(Result):
     solver: str = eqx.field(static=True)
     choice: str = eqx.field(static=True)
     remark: str = eqx.field(static=True)
+    unseen: str = eqx.field(static=True)
 
     @property
     def completed(self) -> Flags:
@@ -71,6 +73,11 @@ class Run(Result):
         }[int(np.max(code))]
         return f"{sentence} {self.remark}".strip()
 
+    @property
+    def opening(self) -> str:
+        """Whether a contact opened, in a word: yes, no, or unknown, where a law or a term does not say when it does."""
+        return "yes" if np.any(self.contact_opened) else "unknown" if self.unseen else "no"
+
     def _where(self):
         if self.failed_at is None:
             return ""
@@ -84,8 +91,9 @@ class Run(Result):
         rejected = int(np.max(self.stats["rejected"]))
         yield "steps", steps + (f", {rejected} of them rejected" if rejected else "")
         yield "step", f"{float(np.max(self.stats['step'])):.6g}"
-        yield "energy error", f"{float(np.max(self.energy_error)):.2g}"
-        yield "contact opened", "yes" if np.any(self.contact_opened) else "no"
+        lost = float(np.max(self.energy_error))
+        yield "energy error", "no energy is kept" if np.isnan(lost) else f"{lost:.2g}"
+        yield "contact opened", self.opening + (f" ({self.unseen})" if self.opening == "unknown" else "")
         yield "saved", f"{self.ts.shape[-1]} times" + (f", records {', '.join(self.recorded)}" if self.recorded else "")
         yield "outcome", self.outcome
 
@@ -95,7 +103,7 @@ class Run(Result):
         return jax.tree.map(np.asarray, tree)
 
     def _fields(self) -> Iterator[tuple[str, object]]:
-        own = ("ts", "us", "vs", "energy_error", "contact_opened", "stats", "solver", "choice")
+        own = ("ts", "us", "vs", "energy_error", "contact_opened", "opening", "stats", "solver", "choice")
         yield from ((name, getattr(self, name)) for name in own)
         yield from self.recorded.items()
 

@@ -15,7 +15,7 @@ from ..types import Count, Parameter, Scalar, StateLike
 from .dispatch import facts, traced
 from .inputs import checked_records, checked_save_at, checked_state, checked_times
 from .integrate import integrate
-from .method import checked_method, fixed_step, number, passed, suspicion
+from .method import checked_method, doubts, fixed_step, number, passed
 from .record import Record
 from .reversible import Reversible, checked_reversible, reversible
 from .run import COMPLETED, NOT_FINITE, Run, named
@@ -23,8 +23,6 @@ from .run import COMPLETED, NOT_FINITE, Run, named
 # bounds a traced run whose number of steps is not known; a bound that is not reached costs nothing
 TRACED_STEPS = 2**24
 SAVED_STEPS = 2**16
-# relative energy error from which on a run at a fixed step is remarked upon
-SUSPICIOUS = 0.02
 # built once: making a module takes longer than a short run
 _ADJOINTS = (diffrax.DirectAdjoint, diffrax.ForwardMode, diffrax.RecursiveCheckpointAdjoint)
 _FORWARD, _BOTH_MODES = diffrax.ForwardMode(), diffrax.DirectAdjoint()
@@ -54,9 +52,10 @@ def simulate(
       is looked at when it has ended (`stats["omega"]`), and where it passed the bound the run is taken again; under a
       transformation nothing is looked at, and sixteen neighbours count.
     - `tolerance`: adaptive steps, each with a local error below `tolerance` times the scene's scale of velocity (and
-      that over omega_max for displacements), in the largest norm over sites. Give `step` or `tolerance`, not both.
-      The mesh follows the state, not its tangents: for derivatives of a smooth orbit (a monodromy) give `step`. Lanes
-      share every step, and so the events of all: sort them and go in chunks, or give `step`.
+      that over omega_max for displacements), in the largest norm over sites. With `step` too, no step is longer than
+      that. Above 0.01 the outcome says that it is loose; above 1 it is refused. The mesh follows the state, not its
+      tangents: for derivatives of a smooth orbit (a monodromy) give `step` alone. Lanes share every step, and so the
+      events of all: sort them and go in chunks, or give `step`.
     - `save_at`: `None` only the end; a whole number, that many frames from t0 to t1; an array of times; `"steps"`,
       the end of every step.
     - `record`: dict of `Peak`, `Arrival`, `Integral`, `Lowest`, reduced along the run and found between steps.
@@ -86,7 +85,8 @@ def simulate(
     if tolerance is None:
         dt, steps, choice, remark, watch = fixed_step(lattice, state, t0, t1, step, solver, frames)
     else:
-        dt, steps, choice, remark, watch = None, None, f"adaptive steps, tolerance {_shown(tolerance)}", "", False
+        dt, steps, choice, remark, watch = step, None, f"adaptive steps, tolerance {_shown(tolerance)}", "", False
+        choice += "" if step is None else f", none longer than {_shown(step)}"
     backwards = adjoint if isinstance(adjoint, Reversible) else None
     if backwards is not None:
         checked_reversible(solver, records, every)
@@ -117,9 +117,9 @@ def simulate(
     code = np.asarray(code)
     if every:
         run = _cut(run)
-    lost = None if unknown or tolerance is not None or remark else np.asarray(run.energy_error).max()
-    if lost is not None and lost > SUSPICIOUS:
-        run = named(run, run.solver, choice, suspicion(lattice, state, t0, t1, step, solver))
+    remark = "" if unknown else doubts(lattice, state, t0, t1, step, tolerance, solver, run)
+    if remark:
+        run = named(run, run.solver, choice, f"{run.remark} {remark}".strip())
     if not (code == COMPLETED).all():
         if code.max() == NOT_FINITE:
             run = _located(run, lattice, state, span, dt, tolerance, solver)

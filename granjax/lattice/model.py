@@ -10,7 +10,7 @@ import numpy as np
 
 from ..checks import positive, refuse, whole
 from ..terms import Term
-from ..terms.tracing import traced
+from ..terms.tracing import reads, traced
 from ..types import Count, Displacements, Number, Parameter
 
 
@@ -223,17 +223,21 @@ class Lattice(eqx.Module):
     @property
     def conserves(self):
         """Whether every term keeps the energy."""
-        return all(term.dependence(self).conserves for term in self.terms)
+        return not self.unkept()
+
+    def unkept(self) -> tuple[str, ...]:
+        """The names of the terms that do not keep the energy."""
+        return tuple(type(term).__name__ for term in self.terms if not reads(term, self).conserves)
 
     @property
     def reads_time(self):
         """Whether some force depends on time."""
-        return any(term.dependence(self).time for term in self.terms)
+        return any(reads(term, self).time for term in self.terms)
 
     @property
     def reads_velocity(self):
         """Whether some force depends on velocities."""
-        return any(term.dependence(self).velocity for term in self.terms)
+        return any(reads(term, self).velocity for term in self.terms)
 
     def unbalanced(self) -> Displacements:
         """Force on each site at rest, from the total contact forces (preloads included).

@@ -18,7 +18,7 @@ class Law(Dimensional):
     `force(e)` is positive in compression and `force(0) = 0`; `energy(e)` is its integral with `energy(0) = 0`. The
     force that the bond carries in equilibrium is `preload`; the total contact force is `preload + force(e)`.
     `overlap(e)` is what must stay positive for the law to hold as one smooth branch (an open contact, magnets that
-    met), or `None` where nothing can open.
+    met), or `None`; a law where nothing can open says `opens = False`.
 
     Everything is elementwise: `e` has the shape of the bonds (then lanes), parameters are scalars or arrays over them.
     To add a law write `force` and `energy`, with parameters that are arrays (another value of a plain number compiles
@@ -46,6 +46,14 @@ class Law(Dimensional):
     def overlap(self, e: Number) -> Numbers | None:
         """Length that is positive while the contact is closed, or `None` where the law has no such limit."""
         return None
+
+    @property
+    def opens(self):
+        """Whether a contact of this law can open: `True` (`overlap` says when), `False`, `None` where nobody knows.
+
+        A law that writes no `overlap` does not know, unless it says `opens = False`.
+        """
+        return None if type(self).overlap is Law.overlap else True
 
     def derivative(self, e: Number) -> Numbers:
         """Stiffness F'(e), elementwise."""
@@ -109,6 +117,11 @@ class Sum(Law):
     def softens(self):
         return any(part.softens for part in self.parts)
 
+    @property
+    def opens(self):
+        known = {part.opens for part in self.parts}
+        return None if None in known else True in known
+
     def force(self, e):
         return sum(part.force(e) for part in self.parts)
 
@@ -147,6 +160,10 @@ class Scaled(Law):
         return self.law.softens
 
     @property
+    def opens(self):
+        return self.law.opens
+
+    @property
     def power_law(self):
         found = self.law.power_law
         return None if found is None else (self.factor * found[0], found[1])
@@ -179,6 +196,10 @@ class InOtherUnits(Law):
     @property
     def softens(self):
         return self.law.softens
+
+    @property
+    def opens(self):
+        return self.law.opens
 
     def force(self, e):
         return self.law.force(self.length * e) / self.unit

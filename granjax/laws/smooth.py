@@ -22,6 +22,7 @@ class Polynomial(Law):
     Source: Fermi, Pasta, Ulam (with Tsingou), Los Alamos report LA-1940 (1955).
     """
 
+    opens = False
     dimensions = {"K2": (1, -1, 0), "K3": (1, -2, 0), "K4": (1, -3, 0)}
     K2: jax.Array | None
     K3: jax.Array | None
@@ -56,6 +57,7 @@ class Toda(Law):
     Source: M. Toda, J. Phys. Soc. Jpn. 22, 431 (1967).
     """
 
+    opens = False
     dimensions = {"strength": (1, 0, 0), "rate": (0, -1, 0)}
     positive = ("strength", "rate")
     strength: jax.Array
@@ -84,6 +86,7 @@ class Linear(Law):
     site potential). **Raises** ValueError for values not finite.
     """
 
+    opens = False
     dimensions = {"stiffness": (1, -1, 0)}
     is_linear = True
     stiffness: jax.Array
@@ -105,6 +108,7 @@ class Sine(Law):
     the potential has period 2 pi/q. Typical: K = q = 1. **Raises** ValueError for values not finite, q <= 0.
     """
 
+    opens = False
     dimensions = {"stiffness": (1, -1, 0), "wavenumber": (0, -1, 0)}
     positive = ("wavenumber",)
     stiffness: jax.Array

@@ -35,6 +35,10 @@ class Yielding(Law):
     def softens(self):
         return self.law.softens
 
+    @property
+    def opens(self):
+        return self.law.opens
+
     def _inner(self, e):
         return _share(self.law, self.support, e)
 

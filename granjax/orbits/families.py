@@ -195,7 +195,7 @@ def checked_lattice(lattice: Lattice) -> Lattice:
         remedy = "Use jax.vmap(function, in_axes=-1)(lattice) for gx.breathers.breather with a guess."
         refuse("lattice", "one lattice", f"a batch with lanes {lattice.lanes}", remedy)
     if not lattice.conserves:
-        names = ", ".join(type(t).__name__ for t in lattice.terms if not t.dependence(lattice).conserves)
+        names = ", ".join(lattice.unkept())
         remedy = "Orbits of damped or driven chains: gx.forced.forced_orbit."
         refuse("lattice", "forces that depend on positions alone", names, remedy)
     return lattice

@@ -234,21 +234,25 @@ def disordered(
 
 
 def fput(
-    sites: Count, alpha: Parameter = 0.25, beta: Parameter = 0.0, *, mass: Parameter = 1.0, stiffness: Parameter = 1.0,
-    boundary: str = "fixed",
+    sites: Count, alpha: Parameter | None = None, beta: Parameter | None = None, *, mass: Parameter = 1.0,
+    stiffness: Parameter = 1.0, boundary: str = "fixed",
 ) -> Lattice:
     r"""Fermi-Pasta-Ulam-Tsingou chain: F(e) = K e + alpha e^2 + beta e^3 in the compression e = u_n - u_{n+1}.
 
     Compression is positive, so alpha > 0 stiffens under compression; the original chain stiffens under extension,
     which is the same chain with u -> -u. The N = 32 of the literature counts intervals: 31 moving masses.
 
-    **Arguments:** `sites`: number of moving masses; `alpha`, `beta`: K3 and K4; `stiffness`: K; `mass`, `boundary`:
-    as in `monomer`. Typical: alpha = 1/4, beta = 0; alpha = 0, beta = 1.
+    **Arguments:** `sites`: number of moving masses; `alpha`, `beta`: K3 and K4, zero where only the other is given,
+    alpha = 1/4 and beta = 0 where neither is; `stiffness`: K; `mass`, `boundary`: as in `monomer`. Typical: `fput(31)`,
+    the alpha chain; `fput(31, beta=1.0)`, the beta chain.
 
     **Returns:** a `Lattice`. **Raises** ValueError for N < 2, an unknown boundary, m or K <= 0.
     Source: Fermi, Pasta, Ulam (with Tsingou), Los Alamos report LA-1940 (1955).
     """
     stiffness = positive("stiffness", stiffness, "At rest the springs hold the chain.")
+    if alpha is None:
+        alpha = 0.25 if beta is None else 0.0
+    beta = 0.0 if beta is None else beta
     parameter("alpha", alpha)
     parameter("beta", beta)
     return _chain(sites, mass, Polynomial(stiffness, alpha, beta), boundary)

@@ -91,6 +91,28 @@ class Term(Dimensional):
         return jax.tree.map(lambda w: jnp.sum(share.reshape(share.shape[:own] + (1,) * (w.ndim - lanes - own)
                                                             + share.shape[own:]) * w, tuple(range(own))), weights)
 
+    def energy_gap(self, lattice: Any, t: Number, u: Displacements) -> Numbers:
+        """How far the force is from the slope of the energy, relative: |dE + F.w|/(sum of |dE| and |F w|), along one w.
+
+        Zero, to rounding (also that of the preloads), for a force that keeps the energy; w is irregular. Shape of the
+        lanes.
+        """
+        lanes = len(lattice.lanes)
+
+        def total(x):
+            return x.sum(tuple(range(x.ndim - lanes)))
+
+        w = jax.tree.map(lambda x: _irregular(x, x.ndim - lanes), u)
+        _, change = jax.jvp(lambda u: self.energy(t, u), (u,), (w,))
+        force = self.force(t, u, jax.tree.map(jnp.zeros_like, u), lattice.mass)
+        work = [force[name] * w[name] for name in force] if isinstance(force, dict) else [force * w]
+        parts = jax.tree.leaves(change) + work
+        size = sum(total(jnp.abs(x)) for x in parts)
+        held = [jnp.broadcast_to(c.law.preload, c.compression.shape) for c in self.compressions(t, u)]
+        rounding = 16 * jnp.finfo(size.dtype).eps * sum(total(jnp.abs(x)) for x in held)
+        missed = jnp.maximum(jnp.abs(sum(total(x) for x in parts)) - rounding, 0)
+        return missed / jnp.where(size > 0, size, 1)
+
     def preload_force(self, u: Displacements) -> Displacements | None:
         """Force of the preloads on the sites at rest, or `None`; `u` gives the shapes."""
         return None
@@ -98,6 +120,17 @@ class Term(Dimensional):
     def compressions(self, t: Number, u: Displacements) -> tuple[Compression, ...]:
         """What the term's laws act on."""
         return ()
+
+    def opens(self, lattice: Any) -> bool | None:
+        """Whether a contact of the term can open: by its laws; `None` where that is not known.
+
+        A term that says nothing of `compressions` does not know, where its force reads displacements.
+        """
+        found = self.compressions(jnp.zeros((), lattice.dtype), lattice.zeros())
+        if not found:
+            return None if self.dependence(lattice).displacement else False
+        known = {c.law.opens for c in found if c.place != "site"}
+        return None if None in known else True in known
 
     def at(self, t: Number) -> Any:
         """The term as it stands at time t, where its parameters change in time."""
@@ -207,6 +240,13 @@ def put(x: Number, field: str | None):
     return x if field is None else {field: x}
 
 
+def _irregular(like, axes):
+    """Numbers between -1 and 1 without pattern over the leading axes, of the shape of an array."""
+    size = int(np.prod(like.shape[:axes]))
+    x = np.cos(np.arange(size) ** 2 * 0.6180339887498949 + np.arange(size)).reshape(like.shape[:axes])
+    return jnp.broadcast_to(x.reshape(x.shape + (1,) * (like.ndim - axes)), like.shape).astype(like.dtype)
+
+
 def wider(tree: Pytree):
     """Arrays with a trailing axis for tangents; single numbers as they are."""
     return jax.tree.map(lambda x: x[..., None] if jnp.ndim(x) else x, tree)
@@ -272,6 +312,9 @@ class Multiplied(Term):
 
     def span(self):
         return self.term.span()
+
+    def opens(self, lattice):
+        return self.term.opens(lattice)
 
     def walls(self):
         return self.term.walls()

@@ -188,6 +188,9 @@ class Modulated(Term):
         largest = jnp.max(jnp.abs(jax.vmap(self.modulation)(reach.ts)), axis=0)
         return self.term.stiffness_bound(lattice, reach, factor * largest)
 
+    def opens(self, lattice):
+        return self.term.opens(lattice)
+
     def excitation(self, lattice, ts):
         return self.term.excitation(lattice, ts)
 

@@ -65,6 +65,9 @@ class _Viscous(Joined):
     def scaled(self, factor):
         return eqx.tree_at(lambda term: term.coefficient, self, factor * self.coefficient)
 
+    def opens(self, lattice):
+        return False  # what opens is the contact beside it
+
     def stiffness_bound(self, lattice, reach, factor=1.0):
         return jnp.zeros((), lattice.dtype)
 

@@ -41,6 +41,13 @@ def traced(term: Any, lattice: Any):
     return _used_by_force((term, time_of(lattice), lattice.template(), lattice.mass))
 
 
+def reads(term: Any, lattice: Any) -> Dependence:
+    """What a term says that its force reads, and what tracing finds that it reads besides."""
+    said, found = term.dependence(lattice), traced(term, lattice)[1]
+    return said._replace(**{name: getattr(said, name) or getattr(found, name)
+                            for name in ("time", "displacement", "velocity")})
+
+
 def time_of(lattice: Any):
     """A time in the lattice's floating type, as a shape."""
     return jax.ShapeDtypeStruct((), lattice.dtype)
