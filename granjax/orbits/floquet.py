@@ -18,9 +18,9 @@ from ..results import Held, Result
 from ..solvers import KahanLi8
 from ..types import Count, Pytree, Scalar, StateLike
 from .problems import Symmetry, checked_state, free_moves
-from .spectrum import product_spectrum, spectrum
+from .spectrum import change, product_spectrum, spectrum, uncertain
 from .steps import default_steps, fixed_step_solver
-from .structure import NOTHING, defect, krein, structure
+from .structure import NOTHING, defect, krein, structure, weights
 from .symmetry import shifts
 
 STABLE, UNSTABLE, UNDECIDED = "stable", "unstable", "undecided"
@@ -28,6 +28,10 @@ RESOLUTION = 1e-4
 # where refinement ends
 MOST_STEPS = 2**14
 TOLERANCE = 1e-9
+# a state further from returning is no orbit, of its size; singular values of M - 1 below are zero, of the largest
+OPEN, SINGULAR = 1e-2, 1e-10
+# for a change of M that is known to first order
+TWICE = 2
 # vectors that Arnoldi's method keeps, and how often it starts anew from them
 BASIS, RESTARTS = 60, 30
 
@@ -38,11 +42,15 @@ class Floquet(Result):
     **Fields:**
 
     - `monodromy`: M, (2n, 2n), over the raveled (u, v). `multipliers`: its eigenvalues rho (2n,), the largest
-      modulus first; `vectors`: eigenvectors in columns, of norm 1.
-    - `error`: of each multiplier, from two step sizes and its condition number; it grows like a square root where
-      multipliers meet, as those at +1 do. Of the flow alone: the error of the orbit is not in it.
+      modulus first; `vectors`: eigenvectors (du, dv) in columns, of norm 1 with du times sqrt(m/m_mean) and dv times
+      sqrt(m/m_mean) T/2 pi (m_mean the geometric mean; of a flow without masses dv times T/2 pi where the state is a
+      pair). Errors, conditions and defects are of M in these weights, where it has no units.
+    - `error`: of each multiplier, from three step sizes, how far the orbit of the exact flow may lie from the state (as
+      the state fails to return), and its condition number; it grows like a square root where multipliers meet, as those
+      at +1 do.
     - `krein`: signature +1, -1, or 0 off the circle and for those of symmetry (NaN for a flow without masses).
-    - `defect`: max |M^T J M - exp(-gamma T) J|, relative; it is blind to time errors. `step_error`: max |M - M_coarse|.
+    - `defect`: max |M^T J M - exp(-gamma T) J|; it is blind to time errors. `step_error`: the norm
+      to which the steps leave M known.
     - `expected`: how many multipliers symmetry puts at +1; these are left out of the verdict.
     - `verdict`: "stable", "unstable" or "undecided"; `outcome` says why.
     - `period`, `steps`, `state`, `rate` (of uniform damping: multipliers pair as rho rho' = exp(-gamma T)).
@@ -134,7 +142,7 @@ def floquet(
 ) -> Floquet:
     r"""Monodromy matrix, multipliers and stability of a periodic orbit.
 
-    M = d y(t0 + T)/d y(t0) by tangents through a fixed-step flow, with two step sizes whose difference is the error.
+    M = d y(t0 + T)/d y(t0) by tangents through a fixed-step flow, by three step sizes whose differences tell the error.
 
     **Arguments:**
 
@@ -142,7 +150,7 @@ def floquet(
       symmetries are known).
     - `state`: the orbit at t0. `period`: T > 0. `t0`: phase of a drive.
     - `steps`: steps of the finer flow over the period; `None` doubles them until the matrix is known to `tolerance`
-      (relative to its largest entry) or 16384 steps are reached, as may happen where contacts open.
+      (relative to its largest entry, without units) or 16384 steps are reached, as may happen where contacts open.
     - `solver`: `None` is KahanLi8 (Dopri8 where a force reads velocities other than by `Damping`), or the flow's own.
     - `segments`: factors of which M is the product; several keep multipliers far below the largest one's rounding.
     - `symmetry`: S of an orbit with y(t0 + T) = S y(t0); M is then S^-1 times that derivative.
@@ -150,12 +158,12 @@ def floquet(
       `Flow`: give 1 for a limit cycle of an autonomous one.
     - `resolution`: what an undetected instability may be; an error above it leaves the verdict open.
 
-    **Returns:** `Floquet`. **Raises** ValueError for a period that is not positive, a state of another shape, and
-    segments that do not divide the steps.
+    **Returns:** `Floquet`. **Raises** ValueError for a period that is not positive, a batch of lattices, a state of
+    another shape, and segments that do not divide the steps.
     """
-    if not period > 0:
-        refuse("period", "a time above zero", repr(period))
-    segments = whole("segments", segments, 1)
+    period, segments = _checked(lattice, period), whole("segments", segments, 1)
+    if steps is not None and whole("steps", steps, 1) % (2 * segments):
+        refuse("steps", f"a multiple of {2 * segments}, twice the segments", repr(steps))
     known = NOTHING
     if isinstance(lattice, Lattice):
         state, known, args = checked_state(lattice, state), structure(lattice), lattice
@@ -171,32 +179,102 @@ def floquet(
     if expected is not None:
         known = known._replace(expected=whole("expected", expected, 0))
     if start % (2 * segments):
-        refuse("steps", f"a multiple of {2 * segments}, twice the segments", repr(start))
+        refuse("lattice.steps", f"a multiple of {2 * segments}, twice the segments", repr(start))
 
-    def factors(count):
-        flow = Flow(jnp.asarray(count // segments), solver, **field)
-        found = _factors(flow, state, t0, period, segments, args)
-        return found if symmetry.trivial else [*found[:-1], symmetry.matrix(state).T @ found[-1]]
+    scale = _weights(known, state, period)
 
-    count, coarse, fine = start, factors(start // 2), factors(start)
+    def run(count, y=state):
+        """The factors of S^-1 M without units, and where S^-1 leads y after the period, without units too."""
+        flow = Flow(jnp.asarray(max(count // segments, 1)), solver, **field)
+        found, end = _factors(flow, y, t0, period, segments, args)
+        if not symmetry.trivial:
+            back = symmetry.matrix(state).T
+            found, end = [*found[:-1], back @ found[-1]], back @ end
+        return [factor * scale[:, None] / scale for factor in found], end * scale
+
+    count, coarser, fine = start, run(start // 2), run(start)
     while steps is None and 2 * count <= MOST_STEPS:
-        size = max(np.abs(f).max() for f in fine)
-        if np.abs(_product(fine) - _product(coarse)).max() <= tolerance * max(size, np.abs(_product(fine)).max()):
+        size = max(np.abs(f).max() for f in fine[0])
+        product = _product(fine[0])
+        if np.abs(product - _product(coarser[0])).max() <= tolerance * max(size, np.abs(product).max()):
             break
-        count, coarse, fine = 2 * count, fine, factors(2 * count)
-    return _record(known, fine, coarse, state, period, count, resolution)
+        count, coarser, fine = 2 * count, fine, run(2 * count)
+    coarse = run(3 * count // 4)
+    if not all(np.isfinite(f).all() for f in fine[0] + coarse[0] + coarser[0]):
+        refuse("steps", "so many that the motion stays finite", repr(count), "Give more steps=, or look at the state.")
+    flat, unravel = ravel_pytree(state)
+    there = np.asarray(flat) * scale
+    away = _displacement(known, _product(fine[0]), fine[1] - there, change(fine[1], coarse[1], coarser[1]))
+    _refuse_open(there, away, fine[1], coarser[1])
+    other = run(count // 2, unravel(jnp.asarray((there + away) / scale, flat.dtype)))[0] if away.any() else coarser[0]
+    levels = fine[0], coarse[0], coarser[0]
+    return _record(known, levels, other, scale, state, period, count, resolution)
 
 
-def _record(known, fine, coarse, state, period, steps, resolution):
-    monodromy, rough = _product(fine), _product(coarse)
-    multipliers, vectors, error = spectrum(monodromy, rough) if len(fine) == 1 else product_spectrum(fine, coarse)
+def _displacement(known, monodromy, gap, unknown):
+    """How far the orbit of the exact flow may lie from the state: Newton's step from the gap and from its error.
+
+    The latter, `unknown`, may have either sign: their sizes are added up. Steps along the orbit and along free
+    displacements (singular directions of M - 1) make no other orbit.
+    """
+    left, size, right = np.linalg.svd(monodromy - np.eye(len(monodromy)))
+    idle = known.expected // 2 if known.rate == 0 else known.expected
+    size[len(size) - idle :] = np.inf
+    size[size <= SINGULAR * size[0]] = np.inf
+    step, doubt = (-right.T @ (left.T @ x / size) for x in (gap, unknown))
+    away, total = step + doubt, np.linalg.norm(step) + np.linalg.norm(doubt)
+    return away * total / max(np.linalg.norm(away), np.finfo(float).tiny)
+
+
+def _refuse_open(start, away, fine, coarse):
+    """Refuse a state that does not return, by more than the flow is known to and more than the orbit may be off."""
+    gap, known = np.linalg.norm(fine - start), np.linalg.norm(fine - coarse)
+    size = max(np.linalg.norm(start), np.linalg.norm(fine))
+    if not min(gap, np.linalg.norm(away)) <= OPEN * size + known:
+        refuse("state", "one that returns after the period", f"a gap of {gap / size:.1e} of its size",
+               "gx.orbits.orbit and gx.forced.forced_orbit find the orbit beside it.")
+
+
+def _checked(lattice, period):
+    """The period, of one lattice."""
+    if isinstance(lattice, Lattice) and lattice.lanes:
+        refuse("lattice", "one Lattice", f"a batch with lanes {lattice.lanes}",
+               "Ask for each, or use jax.vmap(..., in_axes=-1) over gx.floquet.multipliers.")
+    if not 0 < period < np.inf:
+        refuse("period", "a time above zero", repr(period))
+    return float(period)
+
+
+def _weights(known, state, period):
+    """Of the raveled state: those of a lattice; else of a pair of positions and velocities; else ones."""
+    if known.mass is not None:
+        return weights(known.mass, period)
+    sizes = [ravel_pytree(part)[0].size for part in state] if isinstance(state, tuple) else []
+    if len(sizes) == 2 and sizes[0] == sizes[1]:
+        return weights(np.ones(sizes[0]), period)
+    return np.ones(ravel_pytree(state)[0].size)
+
+
+def _record(known, levels, moved, scale, state, period, steps, resolution):
+    """From the factors of M by three numbers of steps, and by the third those of the orbit that the state may miss.
+
+    All are in the weights `scale`.
+    """
+    monodromy, rough = _product(levels[0]), _product(levels[2])
+    if len(moved) == 1:
+        off = TWICE * np.linalg.norm(moved[0] - rough, 2)
+        multipliers, vectors, error = spectrum(*(level[0] for level in levels), moved=off)
+    else:
+        off = TWICE * np.linalg.norm([np.linalg.norm(a - b, 2) for a, b in zip(moved, levels[2])])
+        multipliers, vectors, error = product_spectrum(*levels, moved=off)
+    vectors = vectors / scale[:, None]
     conserves = known.rate == 0
     verdict, outcome = decide(multipliers, error, known.expected, conserves, resolution)
     signature = krein(multipliers, vectors, known.mass, np.maximum(error, 1e-12))
     signature[np.argsort(np.abs(multipliers - 1))[: known.expected]] *= 0.0  # those of symmetry have none
     return Floquet(
-        monodromy, multipliers, vectors, error, signature,
-        defect(monodromy, known.mass, known.rate, float(period)), float(np.abs(monodromy - rough).max()),
+        monodromy * scale / scale[:, None], multipliers, vectors, error, signature,
+        defect(monodromy, known.rate, float(period)), uncertain(*map(_product, levels)),
         known.expected, verdict, outcome, float(period), int(steps), known.rate, state,
     )
 
@@ -214,7 +292,7 @@ def _factors(flow, state, t0, period, segments, args):
         times = jnp.asarray(t0 + i * length), jnp.asarray(t0 + (i + 1) * length)
         state, factor = _derivative(flow, state, *times, args)
         found.append(np.asarray(factor))
-    return found
+    return found, np.asarray(ravel_pytree(state)[0])
 
 
 def _product(factors):
@@ -250,20 +328,21 @@ def leading(
     For more than about 1000 beads, where the matrix itself costs n^2. Ask for no more than stand out: of many on the
     unit circle none leads, and the method then ends without them and names those that it has.
 
-    **Returns:** multipliers (count,), the largest first, and their vectors (2n, count). **Raises** ValueError in a
-    sonic vacuum without `steps`; RuntimeError where Arnoldi's method does not converge. Source: Lehoucq, Sorensen,
-    Yang, ARPACK Users' Guide (SIAM, 1998).
+    **Returns:** multipliers (count,), the largest first, and their vectors (2n, count), normalised as in `Floquet`.
+    **Raises** ValueError in a sonic vacuum without `steps`, for a period or steps not above zero; RuntimeError where
+    Arnoldi's method does not converge. Source: Lehoucq, Sorensen, Yang, ARPACK Users' Guide (SIAM, 1998).
     """
-    count, state = whole("count", count, 1), checked_state(lattice, state)
-    steps = steps or default_steps(lattice, period)
+    count, period, state = whole("count", count, 1), _checked(lattice, period), checked_state(lattice, state)
+    steps = default_steps(lattice, period) if steps is None else whole("steps", steps, 1)
     flow = Flow(jnp.asarray(steps), fixed_step_solver(lattice, solver, KahanLi8()))
-    times = jnp.asarray(float(t0)), jnp.asarray(float(period))
-    size = ravel_pytree(state)[0].size
+    times = jnp.asarray(float(t0)), jnp.asarray(period)
+    scale = weights(structure(lattice).mass, period)
+    size = len(scale)
     if count > size - 2:
         refuse("count", f"at most {size - 2}, two below the size", repr(count), "gx.floquet.floquet gives them all.")
 
     def product(x):
-        return np.asarray(_push(flow, state, *times, lattice, jnp.asarray(x.ravel())))
+        return scale * np.asarray(_push(flow, state, *times, lattice, jnp.asarray(x.ravel() / scale)))
 
     start = np.random.default_rng(0).normal(size=size)
     try:
@@ -278,4 +357,4 @@ def leading(
     except ArpackError as error:
         raise RuntimeError(f"Arnoldi's method: {error}. Perhaps no multiplier leads: all on the circle.") from None
     order = np.argsort(-np.abs(values))
-    return values[order], vectors[:, order]
+    return values[order], vectors[:, order] / scale[:, None]

@@ -22,7 +22,7 @@ from .orbit import FRAMES, checked_free, prepared
 from .problems import Family, Symmetry, checked_state, checked_symmetry, period_at
 from .spectrum import spectrum
 from .steps import fixed_step_solver, flow_over, history
-from .structure import structure
+from .structure import structure, weights
 
 # of dp along the first tangent, so that a branch that begins near a fold does not count as endlessly steep
 LEAST_SLOPE = 1e-2
@@ -92,9 +92,11 @@ def forced_branch(
         longest_arclength=longest_arclength or 5 * arclength, points=points, **settings)
     z = np.column_stack([curve.x, curve.p])
     looked = [_examined(family, flow, point, response) for point in z]
-    maps = [[np.asarray(x) for x in found[-2:]] for found in looked]
+    known = structure(lattice)
+    scales = [weights(known.mass, found[1]) for found in looked]
+    maps = [[np.asarray(x) * scale[:, None] / scale for x in found[-3:]] for found, scale in zip(looked, scales)]
     spectra = [spectrum(*pair)[::2] for pair in maps]
-    multipliers, errors, verdicts = verdicts_of(spectra, structure(lattice).expected, False)
+    multipliers, errors, verdicts = verdicts_of(spectra, known.expected, False)
     states, periods, energies, responses = (
         jax.tree.map(lambda *x: np.stack(x), *part) for part in list(zip(*looked))[:4])
 
@@ -107,20 +109,20 @@ def forced_branch(
     outcome = f"p reached {p[-1]:.6g}." if curve.outcome.startswith("p reached") else curve.outcome
     return Branch(
         p, periods, states, energies, responses, multipliers, errors,
-        np.array([np.abs(fine - coarse).max() for fine, coarse in maps]), verdicts, found, outcome, float(t0), flow,
-        family, curve)
+        np.array([np.abs(fine - coarser).max() for fine, _, coarser in maps]), verdicts, found, outcome, float(t0),
+        flow, family, curve)
 
 
 @eqx.filter_jit
 def _examined(family, flow, z, response):
-    """State, period, energy, response and two monodromy matrices of an orbit, the finer flow's first."""
+    """State, period, energy, response and monodromy matrices of an orbit by the flow's steps, 3/4 and 1/2 of them."""
     (lattice, period), state = family.scene(z[-1]), family.shooting.state(z[:-1])
     t0 = family.shooting.t0
     _, ts, ys = history(flow, lattice, state, t0, period, FRAMES)
     number = response(lattice, ys.u, ys.v, ts)
-    counts = jnp.stack([flow.steps, flow.steps // 2])
-    fine, coarse = jax.lax.map(lambda n: Flow(n, flow.solver).derivative(state, t0, t0 + period, lattice)[1], counts)
-    return state, jnp.asarray(period), lattice.energy(t0, *state), number, fine, coarse
+    counts = jnp.stack([flow.steps, 3 * flow.steps // 4, flow.steps // 2])
+    maps = jax.lax.map(lambda n: Flow(n, flow.solver).derivative(state, t0, t0 + period, lattice)[1], counts)
+    return state, jnp.asarray(period), lattice.energy(t0, *state), number, *maps
 
 
 def _bifurcations(family, look, z, folds, multipliers, settings):

@@ -6,35 +6,65 @@ from scipy.linalg import eig
 from scipy.optimize import linear_sum_assignment
 
 from ..tuning import one_thread
+from ..types import Scalar
 
-ROUNDING, SAFETY = 8, 2
+# of a norm: rounding of a product of many steps; of a difference between two flows, of three, of two alone
+ROUNDING, SAFETY, ALONE = 500, 4, 8
+# changes of three flows in this ratio and direction are those of a smooth one of order 6 or more
+REGULAR, ALIGNED = 10, 0.95
+
+Map = Float[np.ndarray, "n n"]
 
 
 @one_thread
 def spectrum(
-    fine: Float[np.ndarray, "n n"], coarse: Float[np.ndarray, "n n"] | None = None,
+    fine: Map, coarse: Map | None = None, coarser: Map | None = None, *, moved: Scalar = 0.0,
 ) -> tuple[Inexact[np.ndarray, " n"], Inexact[np.ndarray, "n n"], Float[np.ndarray, " n"]]:
-    """Eigenvalues (largest modulus first), unit right eigenvectors, and an error of each, of a matrix.
+    """Eigenvalues (largest modulus first), unit right eigenvectors, and an error of each, of a matrix without units.
 
-    The error is twice the bound |dM|/|y^H x| of the first-order effect of dM = fine - coarse (y, x left and right unit
-    eigenvectors) or, if more, the distance to the nearest eigenvalue of `coarse` in a one-to-one matching; plus the
-    rounding of M by the eigenvalue's condition. At a double multiplier the condition makes it a square root. The effect
-    y^H dM x itself may be small by accident, above all where contacts open and steps do not converge evenly.
+    `coarse`, `coarser`: the matrix by 3/4 and 1/2 of the steps, or the former alone by half. The error is the bound
+    |dM|/|y^H x| of the first-order effect of a change dM (y, x left and right unit eigenvectors) or, if more, the
+    distance to the nearest eigenvalue of `coarse` in a one-to-one matching; plus the rounding of M by the eigenvalue's
+    condition. At a double multiplier the condition makes it a square root. |dM| is `uncertain`, plus `moved`: what else
+    M is not known to. The effect y^H dM x itself may be small by accident, above all where contacts open.
     """
     values, left, right = eig(fine, left=True)
     order = np.lexsort((-np.angle(values), -np.abs(values).round(9)))
     values, left, right = values[order], left[:, order], right[:, order]
     overlap = np.abs(np.sum(np.conj(left) * right, axis=0))
     overlap = np.maximum(overlap, np.finfo(float).eps)
-    error = ROUNDING * np.finfo(float).eps * np.linalg.norm(fine, 2) / overlap
+    error = (ROUNDING * np.finfo(float).eps * np.linalg.norm(fine, 2) + moved) / overlap
     if coarse is not None:
-        first = SAFETY * np.linalg.norm(fine - coarse, 2) / overlap
         distance = np.abs(values[:, None] - np.linalg.eigvals(coarse)[None])
         rows, columns = linear_sum_assignment(distance)
         matched = np.empty(len(values))
         matched[rows] = distance[rows, columns]
-        error = error + np.maximum(first, matched)
+        error = error + np.maximum(uncertain(fine, coarse, coarser) / overlap, matched)
     return values, right, error
+
+
+def uncertain(fine: Map, coarse: Map, coarser: Map | None = None) -> float:
+    """The norm to which a matrix is known by those with 3/4 and with 1/2 of the steps, or with 1/2 alone.
+
+    Four times that of `change`; of two flows alone eight times that of their difference.
+    """
+    if coarser is None:
+        return ALONE * float(np.linalg.norm(fine - coarse, 2))
+    return SAFETY * float(np.linalg.norm(change(fine, coarse, coarser), 2))
+
+
+def change(fine: np.ndarray, coarse: np.ndarray, coarser: np.ndarray) -> np.ndarray:
+    """Of the differences between three flows, by n, 3n/4 and n/2 steps, the one that tells the error of the first.
+
+    Where contacts open errors fall unevenly, with an order of 3/2 to 5/2: the difference of two flows is small by
+    accident, up to eightfold as a rule, all three are not. So the largest; where they fall as those of a smooth flow of
+    high order do, the smallest.
+    """
+    near, far = fine - coarse, fine - coarser
+    sizes = np.linalg.norm(near), np.linalg.norm(far)
+    if sizes[1] >= REGULAR * sizes[0] and np.vdot(near, far) >= ALIGNED * sizes[0] * sizes[1]:
+        return near
+    return max(near, far, coarse - coarser, key=np.linalg.norm)
 
 
 @one_thread
@@ -53,9 +83,9 @@ def product_multipliers(factors: list | Float[np.ndarray, "m n n"]) -> Inexact[n
     return np.array([(roots[copies] ** m).mean() for copies in _copies(roots, m)])
 
 
-def product_spectrum(fine: list, coarse: list) -> tuple:
+def product_spectrum(fine: list, coarse: list, coarser: list, *, moved: Scalar = 0.0) -> tuple:
     """`spectrum` of the product M_m ... M_1 by way of its cyclic matrix: what it keeps, see `product_multipliers`."""
-    roots, vectors, error = spectrum(_cyclic(fine), _cyclic(coarse))
+    roots, vectors, error = spectrum(_cyclic(fine), _cyclic(coarse), _cyclic(coarser), moved=moved)
     m, size = len(fine), len(fine[0])
     copies = _copies(roots, m)
     values = np.array([(roots[c] ** m).mean() for c in copies])
@@ -85,7 +115,7 @@ def _copies(roots, m):
 
 
 @one_thread
-def reversible_multipliers(half: np.ndarray, coarse: np.ndarray | None = None) -> tuple:
+def reversible_multipliers(half: Map, coarse: Map | None = None, coarser: Map | None = None) -> tuple:
     r"""Multipliers of a time-reversible orbit from the tangent map of half a period between rests, with errors.
 
     With half = [[A, B], [C, D]] over (u, p = m v) symplectic and the reversal R, M = R half^{-1} R half has
@@ -96,7 +126,7 @@ def reversible_multipliers(half: np.ndarray, coarse: np.ndarray | None = None) -
     """
     n = len(half) // 2
     stiff = lambda h: np.eye(n) + 2 * h[:n, n:].T @ h[n:, :n]
-    mu, _, error = spectrum(stiff(half), None if coarse is None else stiff(coarse))
+    mu, _, error = spectrum(stiff(half), *(None if h is None else stiff(h) for h in (coarse, coarser)))
     root = np.sqrt(mu.astype(complex) ** 2 - 1)
     rho = mu + np.where(np.real(np.conj(mu) * root) >= 0, root, -root)
     spread = error * np.abs(rho) / np.maximum(np.abs(root), np.sqrt(2 * error))

@@ -54,18 +54,23 @@ def structure(lattice: Lattice) -> Structure:
     return Structure(np.asarray(mass), rate, expected, autonomous)
 
 
-def form(mass: Float[np.ndarray, " n"]) -> Float[np.ndarray, "two_n two_n"]:
-    """The symplectic form of (u, v) with momenta m v, (2n, 2n)."""
-    zero, m = np.zeros((len(mass),) * 2), np.diag(mass)
-    return np.block([[zero, m], [-m, zero]])
+def weights(mass: Float[np.ndarray, " n"], period: Scalar) -> Float[np.ndarray, " two_n"]:
+    """D = sqrt(m/m_mean) (1, T/2 pi) over the raveled (u, v), which turns both into lengths of one size, (2n,).
+
+    D M D^-1 of a tangent map M has no units: norms, condition numbers and errors are taken of it. m_mean is the
+    geometric mean, so that masses and moments of inertia may stand side by side.
+    """
+    root = np.sqrt(mass / np.exp(np.mean(np.log(mass))))
+    return np.concatenate([root, root * float(period) / (2 * np.pi)])
 
 
-def defect(monodromy: np.ndarray, mass: np.ndarray | None, rate: float | None, period: Scalar) -> float:
-    """max |M^T J M - exp(-gamma T) J|/max |J|: rounding for a (conformally) symplectic map, whatever its time error."""
-    if mass is None or rate is None:
+def defect(monodromy: np.ndarray, rate: float | None, period: Scalar) -> float:
+    """max |M^T J M - exp(-gamma T) J| of D M D^-1: rounding for a (conformally) symplectic map, whatever its error."""
+    if rate is None:
         return float("nan")
-    J = form(mass)
-    return float(np.abs(monodromy.T @ J @ monodromy - np.exp(-rate * period) * J).max() / np.abs(J).max())
+    one = np.eye(len(monodromy) // 2)
+    J = np.block([[0 * one, one], [-one, 0 * one]])
+    return float(np.abs(monodromy.T @ J @ monodromy - np.exp(-rate * period) * J).max())
 
 
 def krein(
