@@ -474,3 +474,9 @@ def test_an_opening_that_no_law_tells_of_is_unknown():
         assert run.opening == "unknown" and "contact opened unknown (Bond)" in repr(run)
     assert ring(gx.Toda()).opening == ring(gx.Hertz(1.0, 0.5)).opening == "no"
     assert ring(gx.Hertz() + spline).opening == ring(gx.Hertz()).opening == "yes"
+
+
+def test_a_state_with_lanes_first_is_told_where_they_belong():
+    lattice = jax.vmap(lambda r: gx.scenes.dimer(5, ratio=r), out_axes=-1)(jnp.array([0.5, 1.0]))
+    with pytest.raises(ValueError, match="state.u: expected shape .* Lanes come last"):
+        gx.simulate(lattice, (np.zeros((2, 5)), np.zeros((2, 5))), 1.0)

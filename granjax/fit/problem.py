@@ -17,6 +17,7 @@ from ..flow.dispatch import facts
 from ..flow.inputs import checked_state
 from ..flow.method import STEP_FRACTION
 from ..lattice import Lattice, State
+from ..lattice.outside import Outside
 from ..measures import contact_force
 from ..parameters import Bounds, Coordinates
 from ..solvers import SRKN11b
@@ -48,6 +49,7 @@ class Problem(eqx.Module):
     t1: Float[AnyArray, ""]
     step: Float[AnyArray, ""]
     solver: diffrax.AbstractSolver
+    outside: Outside = Outside()
 
     @property
     def dtype(self) -> jnp.dtype:
@@ -180,7 +182,8 @@ def prepared(
         solver = SRKN11b() if facts(lattice).splits else diffrax.Dopri8()
     t0, unknown = jnp.asarray(t0, dtype), jnp.ones((), dtype)
     make_state = state if given is None else None
-    problem = Problem(scene, make_state, given, coordinates, traces, t0, unknown, unknown, solver)
+    problem = Problem(scene, make_state, given, coordinates, traces, t0, unknown, unknown, solver,
+                      Outside((scene, make_state)))
     times = problem.times(parameters)
     if not problem.moving and times.min() < t0 - 1e-9 * np.ptp(times):
         refuse("times", f"samples from t0 = {t0} on", f"{times.min()}", "Give offset=, or an earlier t0.")

@@ -46,7 +46,8 @@ class Facts(NamedTuple):
     """What every call asks of a lattice, and what only its terms and shapes decide.
 
     `traced`: whether a parameter is; `reads_velocity`: whether some force does; `splits`: whether none does but linear
-    damping; `known`: a dict for what is worked out when it is first asked for.
+    damping; `outside`: what functions of the user's read; `known`: a dict for what is worked out when it is first asked
+    for.
     """
 
     template: object
@@ -54,6 +55,7 @@ class Facts(NamedTuple):
     traced: bool
     reads_velocity: bool
     splits: bool
+    outside: tuple
     known: dict
 
 
@@ -61,10 +63,10 @@ _FACTS = {}
 
 
 def facts(lattice: Lattice) -> Facts:
-    """The `Facts` of a lattice, kept as long as the lattice lives: its parameters never change."""
+    """The `Facts` of a lattice, kept while it lives and its functions read the same: its parameters never change."""
     key = id(lattice)
     owner, found = _FACTS.get(key, (None, None))
-    if owner is None or owner() is not lattice:
+    if owner is None or owner() is not lattice or found.outside != lattice._outside.values():
         found = _found(lattice)
         _FACTS[key] = weakref.ref(lattice, lambda _: _FACTS.pop(key, None)), found
     return found
@@ -74,7 +76,7 @@ def _found(lattice):
     velocity = [term for term in lattice.terms if reads(term, lattice).velocity]
     return Facts(
         lattice.template(), lattice.dtype, traced(lattice), bool(velocity),
-        all(term.exact_damping() is not None for term in velocity), {},
+        all(term.exact_damping() is not None for term in velocity), lattice._outside.values(), {},
     )
 
 

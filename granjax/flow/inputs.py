@@ -42,7 +42,9 @@ def _checked_array(name, x, shape, dtype):
     if x.dtype.kind != "f":
         refuse(name, f"floating numbers ({dtype})", f"{x.dtype}", "Write 0.0 instead of 0, or .astype(float).")
     if x.shape != shape:
-        refuse(name, f"shape {shape}, that of the lattice", f"shape {x.shape}", "Start from lattice.zeros().")
+        turned = len(shape) > 1 and sorted(x.shape) == sorted(shape)
+        remedy = "Lanes come last: out_axes=-1 in the vmap that made it." if turned else "Start from lattice.zeros()."
+        refuse(name, f"shape {shape}, that of the lattice", f"shape {x.shape}", remedy)
     if x.dtype != dtype:
         refuse(
             name, f"{dtype}, the lattice's type", f"{x.dtype}",

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from ..lattice import Lattice, vector_field
+from ..lattice.outside import Outside
 from ..solvers import AbstractNystrom
 from ..types import Displacements, Number, Numbers, Scalar, StateLike, Times
 from .control import Scales, StepControl
@@ -22,11 +23,12 @@ KEPT = 100
 def integrate(
     lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, dt: Number | None, tolerance: Number | None,
     save_ts: Times | None, records: dict, solver: diffrax.AbstractSolver, adjoint: diffrax.AbstractAdjoint,
-    max_steps: int | None, every: bool, progress: bool, watch: bool = False,
+    max_steps: int | None, every: bool, progress: bool, watch: bool = False, outside: Outside | None = None,
 ) -> Run:
     """Integrate and reduce; everything checked, everything chosen. A `Run` without its names.
 
-    `watch`: follow every compression, for the highest frequency that the run reaches.
+    `watch`: follow every compression, for the highest frequency that the run reaches. `outside`: what the records'
+    functions read, of which only the structure counts.
     """
     records = {**records, CLOSEST: Lowest(_smallest_overlap)} if _overlaps(lattice, t0, state.u) else records
     records = {**records, EXTREMES: Extremes(_compressions)} if watch else records

@@ -42,7 +42,8 @@ def checked_method(lattice: Lattice, solver: Any, step: Any, tolerance: Any) -> 
         remedy = "gx.VelocityVerlet() splits by itself."
         refuse("solver", "one for a single vector field", type(solver).__name__, remedy)
     step, tolerance = checked_size("step", step), checked_size("tolerance", tolerance)
-    _, dtype, _, velocity, splits, _ = facts(lattice)
+    found = facts(lattice)
+    dtype, velocity, splits = found.dtype, found.reads_velocity, found.splits
     if solver is None:
         if tolerance is not None:
             solver = _GENERAL if velocity else _ADAPTIVE
@@ -216,8 +217,9 @@ def _ceil(x):
 
 
 def _refuse_unstable(lattice, state, t0, t1, step, solver, limit):
-    _, dtype, constant, _, _, known = facts(lattice)
-    if constant or traced((state, t0, t1, step)):
+    found = facts(lattice)
+    dtype, known = found.dtype, found.known
+    if found.traced or traced((state, t0, t1, step)):
         return
     if step < 4 * jnp.finfo(dtype).eps * max(abs(t0), abs(t1)):
         refuse("step", "a step that changes the time", f"{step}", f"At t = {t1} {dtype} does not resolve it.")

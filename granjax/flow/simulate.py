@@ -11,6 +11,7 @@ import numpy as np
 
 from ..checks import one_of, refuse, show, whole
 from ..lattice import Lattice
+from ..lattice.outside import Outside
 from ..types import Count, Parameter, Scalar, StateLike
 from .dispatch import facts, traced
 from .inputs import checked_records, checked_save_at, checked_state, checked_times
@@ -82,6 +83,7 @@ def simulate(
     solver, step, tolerance = checked_method(lattice, solver, step, tolerance)
     save_ts, frames, every = checked_save_at(save_at, t0, t1)
     records = checked_records(record, lattice, state)
+    outside = Outside(tuple(records.values())) if records else None
     if tolerance is None:
         dt, steps, choice, remark, watch = fixed_step(lattice, state, t0, t1, step, solver, frames)
     else:
@@ -99,14 +101,14 @@ def simulate(
     save_ts = None if save_ts is None else jnp.asarray(save_ts, dtype)
     watch = watch and not unknown
     if backwards is None:
-        rest = records, solver, adjoint, limit, every, progress, watch
+        rest = records, solver, adjoint, limit, every, progress, watch, outside
         run = integrate(lattice, state, *span, dt, tolerance, save_ts, *rest)
         again = passed(solver, run, dt) if watch else None
         if again is not None:
             dt, steps, choice, remark, _ = fixed_step(lattice, state, t0, t1, None, solver, frames, again)
             choice += ", taken again: energy gathered beyond the bound at the start"
             dt, limit = number(dt, dtype), None if limit is None else max(limit, steps)
-            rest = records, solver, adjoint, limit, every, progress, watch
+            rest = records, solver, adjoint, limit, every, progress, watch, outside
             run = integrate(lattice, state, *span, dt, tolerance, save_ts, *rest)
     else:
         run = reversible((lattice, state, backwards), span, dt, save_ts, solver, limit, progress)

@@ -1,6 +1,7 @@
 """The lattice: masses and terms, and the equation of motion that they make."""
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -12,6 +13,7 @@ from ..checks import positive, refuse, whole
 from ..terms import Term
 from ..terms.tracing import reads, traced
 from ..types import Count, Displacements, Number, Parameter
+from .outside import Outside
 
 
 class State(NamedTuple):
@@ -42,6 +44,8 @@ class Lattice(eqx.Module):
 
     mass: object
     terms: tuple[Term, ...]
+    _mark: jax.Array
+    _outside: Outside
     _sites: object = eqx.field(static=True)
     _per_site: object = eqx.field(static=True)
     dimension: int | None = eqx.field(static=True)
@@ -64,6 +68,8 @@ class Lattice(eqx.Module):
         if not isinstance(terms, (tuple, list)):
             refuse("terms", "a tuple of terms, such as (Bond(Shift(1), Hertz()), Damping(0.1))", repr(terms))
         self.terms = tuple(terms)
+        self._mark = _one(self.axes + (self.dimension is not None))
+        self._outside = Outside(self.terms)
         if self.dimension is not None:
             self.terms = tuple(_per_vector(term, self.axes) for term in self.terms)
         self._check_terms()
@@ -120,14 +126,22 @@ class Lattice(eqx.Module):
 
     @property
     def lanes(self):
-        """Trailing shape of a batch of lattices; () for one."""
+        """Trailing shape of a batch of lattices; () for one.
+
+        **Raises** ValueError for lanes that are leading axes, as `jax.vmap` makes them without `out_axes=-1`.
+        """
         if isinstance(self.mass, dict):
-            name, per_site = self._per_site[0]
+            (name, per_site), (_, sites) = self._per_site[0], self._sites[0]
             mass = self.mass[name]
         else:
-            mass, per_site = self.mass, self._per_site
-        own = self.axes + (self.dimension is not None) if per_site else 0
-        return mass.shape[own:]
+            mass, per_site, sites = self.mass, self._per_site, self._sites
+        own = self.axes + (self.dimension is not None)
+        # as many sites as lanes: the masses do not tell which is which
+        shape = mass.shape
+        if self._mark.shape[:own] != (1,) * own or per_site and shape[: len(sites)] != sites:
+            refuse("lattice", "lanes behind the sites", f"masses of shape {shape} on sites of shape {sites}",
+                   "Write jax.vmap(make, out_axes=-1).")
+        return shape[own if per_site else 0 :]
 
     @property
     def shape(self):
@@ -140,7 +154,7 @@ class Lattice(eqx.Module):
     @property
     def dtype(self):
         """Floating type of the lattice's parameters."""
-        arrays = [x for x in jax.tree.leaves(self) if hasattr(x, "dtype")]
+        arrays = [x for x in jax.tree.leaves((self.mass, self.terms)) if hasattr(x, "dtype")]
         kinds = {x.dtype for x in arrays if jnp.issubdtype(x.dtype, jnp.floating)}
         return kinds.pop() if len(kinds) == 1 else jnp.result_type(*kinds)
 
@@ -165,21 +179,9 @@ class Lattice(eqx.Module):
 
     def force(self, t: Number, u: Displacements, v: Displacements) -> Displacements:
         """Sum of the forces on the sites, of the structure of `u`: of the lattice's shape, lanes or tangents behind."""
-        self._check_shape("u", u)
-        self._check_shape("v", v)
+        _check_shape(self, "u", u)
+        _check_shape(self, "v", v)
         return self.sum_forces(t, u, v, self.terms)
-
-    def _check_shape(self, name, x):
-        """That displacements or velocities have an entry for every site; more axes may follow."""
-        shape = self.shape
-        if isinstance(shape, dict) != isinstance(x, dict) or isinstance(x, dict) and set(x) != set(shape):
-            refuse(name, f"fields {sorted(shape)}" if isinstance(shape, dict) else "an array",
-                   f"fields {sorted(x)}" if isinstance(x, dict) else "an array", "Start from lattice.zeros().")
-        for field in shape if isinstance(shape, dict) else (None,):
-            wanted, got = (shape, jnp.shape(x)) if field is None else (shape[field], jnp.shape(x[field]))
-            if got[: len(wanted)] != wanted:
-                refuse(name if field is None else f"{name}[{field!r}]", f"shape {wanted}, that of the lattice",
-                       f"shape {got}", "Start from lattice.zeros().")
 
     def sum_forces(self, t: Number, u: Displacements, v: Displacements, terms: Sequence) -> Displacements:
         """Sum of the forces of some terms, of the structure of `u`."""
@@ -198,7 +200,7 @@ class Lattice(eqx.Module):
 
     def potential_energy(self, t: Number, u: Displacements) -> Number:
         """Potential energy of the whole lattice, from equilibrium; shape of the lanes."""
-        self._check_shape("u", u)
+        _check_shape(self, "u", u)
         total = 0.0
         for term in self.terms:
             energy = term.energy(t, u)
@@ -209,7 +211,7 @@ class Lattice(eqx.Module):
 
     def kinetic_energy(self, v: Displacements) -> Number:
         """Sum of m v^2/2; shape of the lanes."""
-        self._check_shape("v", v)
+        _check_shape(self, "v", v)
 
         def kinetic(m, v):
             return (m * v * v / 2).sum(tuple(range(v.ndim - len(self.lanes))))
@@ -247,6 +249,26 @@ class Lattice(eqx.Module):
         """
         u = self.zeros()
         return self.total([term.preload_force(u) for term in self.terms], u)
+
+
+@lru_cache
+def _one(axes):
+    """A number with an axis for each of a site's, which shows where `jax.vmap` puts its lanes; nothing reads it."""
+    with jax.ensure_compile_time_eval():
+        return jnp.zeros((1,) * axes)
+
+
+def _check_shape(lattice, name, x):
+    """That displacements or velocities have an entry for every site; more axes may follow."""
+    shape = lattice.shape
+    if isinstance(shape, dict) != isinstance(x, dict) or isinstance(x, dict) and x.keys() != shape.keys():
+        refuse(name, f"fields {sorted(shape)}" if isinstance(shape, dict) else "an array",
+               f"fields {sorted(x)}" if isinstance(x, dict) else "an array", "Start from lattice.zeros().")
+    pairs = [(shape, x)] if not isinstance(x, dict) else [(shape[field], x[field]) for field in x]
+    for wanted, array in pairs:
+        got = np.shape(array)
+        if got[: len(wanted)] != wanted:
+            refuse(name, f"shape {wanted}, that of the lattice", f"shape {got}", "Start from lattice.zeros().")
 
 
 def _per_vector(term, axes):

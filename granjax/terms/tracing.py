@@ -38,7 +38,7 @@ class Dependence(NamedTuple):
 
 def traced(term: Any, lattice: Any):
     """(shapes of the force, `Dependence`) of a term on a lattice, found once for each structure."""
-    return _used_by_force((term, time_of(lattice), lattice.template(), lattice.mass))
+    return _used_by_force((term, time_of(lattice), lattice.template(), lattice.mass, lattice._outside))
 
 
 def reads(term: Any, lattice: Any) -> Dependence:
@@ -66,7 +66,7 @@ def _used_by_force(arguments):
 
 @lru_cache(maxsize=1024)
 def _traced_force(structure, leaves):
-    term, t, u, mass = jax.tree.unflatten(structure, leaves)
+    term, t, u, mass, _ = jax.tree.unflatten(structure, leaves)
 
     def force(term, t, u, v, mass):
         return term.force(t, u, v, mass)

@@ -14,7 +14,8 @@ from ..types import Parameter
 class Function(eqx.Module):
     """A plain Python function of time, held as static: two equal functions compile once, another compiles anew.
 
-    It must not close over values that are swept or differentiated; write those as a Module, like `Harmonic`.
+    What it reads from outside (closures, globals) counts as it stands at each run: another number compiles anew. Values
+    that are swept or differentiated belong in a Module, like `Harmonic`.
     """
 
     function: Callable = eqx.field(static=True)

@@ -1,0 +1,178 @@
+"""What functions of the user's read from outside: closures and globals, whose values a compiled program has kept."""
+
+import dis
+import functools
+import sys
+import types
+from collections.abc import Iterator
+from functools import lru_cache
+from typing import Any
+
+import equinox as eqx
+import jax
+import numpy as np
+
+# what changes as a function runs, such as a list that counts its calls, is its own affair
+MUTATORS = {"append", "add", "extend", "update", "insert", "setdefault", "pop", "remove"}
+DEPTH = 6
+SMALL = 4096
+LIBRARIES = frozenset(sys.stdlib_module_names) - {"__main__"} | {
+    "granjax", "jax", "jaxlib", "jaxtyping", "numpy", "scipy", "equinox", "diffrax", "optimistix", "lineax", "optax",
+    "beartype",
+}
+
+
+class Outside:
+    """A pytree without leaves whose structure holds what some functions read from outside, as it stands now.
+
+    JAX compiles anew where the structure of its arguments is another. A function in that structure counts as the same
+    for ever, though a global number that it reads may have changed: with this beside it, another number is another
+    program. Where nothing is a function of the user's, there is nothing to look at.
+    """
+
+    def __init__(self, tree: Any = (), readers: tuple | None = None):
+        self.readers = tuple(dict.fromkeys(_readers(tree, DEPTH))) if readers is None else readers
+
+    def values(self) -> tuple:
+        """What is read, hashable: equal as long as it means the same."""
+        return tuple(_read(function, frozenset(), DEPTH) for function in self.readers) if self.readers else ()
+
+
+jax.tree_util.register_pytree_node(
+    Outside, lambda x: ((), (x.readers, x.values())), lambda known, _: Outside(readers=known[0])
+)
+
+
+def _readers(x, depth) -> Iterator[Any]:
+    """The functions of the user's in a tree of modules: methods of their classes, and functions that they hold."""
+    if not depth or isinstance(x, (str, int, float, type(None), jax.Array, np.ndarray, type)):
+        return
+    if isinstance(x, (tuple, list)):
+        for part in x:
+            yield from _readers(part, depth - 1)
+    elif isinstance(x, dict):
+        yield from _readers(list(x.values()), depth - 1)
+    elif isinstance(x, eqx.Module):
+        yield from _methods(type(x))
+        yield from _readers(list(vars(x).values()), depth - 1)
+    elif isinstance(x, functools.partial) or callable(x) and not _of_library(x):
+        yield x
+
+
+@lru_cache(maxsize=1024)
+def _methods(kind):
+    """The functions that a class of the user's is made of, inherited ones included."""
+    own = [klass for klass in kind.__mro__ if not _known(klass.__module__)]
+    found = [_plain(x) for klass in own for x in vars(klass).values()]
+    return tuple(x for x in found if isinstance(x, types.FunctionType) and not _of_library(x))
+
+
+def _plain(x):
+    """The function in a method, a property or a wrapper."""
+    for name in ("fget", "method", "__func__", "__wrapped__"):
+        inner = getattr(x, name, None) if not isinstance(x, type) else None
+        if isinstance(inner, types.FunctionType):
+            return _plain(inner)
+    return x
+
+
+@lru_cache(maxsize=1024)
+def _known(module):
+    return str(module).partition(".")[0] in LIBRARIES
+
+
+def _of_library(x):
+    return _known(getattr(x, "__module__", None) or getattr(type(x), "__module__", ""))
+
+
+def _read(function, seen, depth):
+    """What a callable reads from outside, hashable."""
+    if isinstance(function, functools.partial):
+        return tuple(_value(x, seen, depth - 1) for x in (function.func, function.args, function.keywords))
+    if isinstance(function, types.MethodType):
+        return _read(function.__func__, seen, depth), _value(function.__self__, seen, depth - 1)
+    function = _plain(function)
+    if not isinstance(function, types.FunctionType):
+        own = _value(getattr(function, "__dict__", None), seen, depth - 1)
+        return own, *(_read(method, seen, depth - 1) for method in _methods(type(function)))
+    code = function.__code__
+    if code in seen or not depth:
+        return ()
+    seen, found = seen | {code}, []
+    cells = dict(zip(code.co_freevars, function.__closure__ or ()))
+    for name, *attributes in _names(code):
+        try:
+            x = cells[name].cell_contents if name in cells else function.__globals__[name]
+        except (KeyError, ValueError):  # a builtin, or not bound yet
+            continue
+        for attribute in attributes:
+            if isinstance(x, types.ModuleType) and not _known(x.__name__) or _holds(x, attribute):
+                x = vars(x).get(attribute)
+        if not isinstance(x, types.ModuleType):
+            found.append(_value(x, seen, depth - 1))
+    return tuple(found) + ((_value(function.__defaults__, seen, depth - 1),) if function.__defaults__ else ())
+
+
+def _holds(x, attribute):
+    return not isinstance(x, (type, types.FunctionType)) and attribute in getattr(x, "__dict__", ())
+
+
+@lru_cache(maxsize=1024)
+def _names(code):
+    """(name, attribute, ...) of all that a code, and what is defined in it, reads from outside and does not write."""
+    found, written, path = [], set(), None
+    own = set(code.co_varnames) | set(code.co_cellvars)
+    for step in dis.get_instructions(code):
+        if step.opname in ("LOAD_GLOBAL", "LOAD_NAME", "LOAD_DEREF", "LOAD_CLASSDEREF") and step.argval not in own:
+            path = [step.argval]
+            found.append(path)
+        elif step.opname in ("LOAD_ATTR", "LOAD_METHOD") and path:
+            path.append(step.argval)
+        elif step.opname in ("STORE_GLOBAL", "STORE_DEREF"):
+            written.add(step.argval)
+        elif step.opname not in ("CACHE", "PUSH_NULL", "PRECALL", "COPY_FREE_VARS"):
+            path = None
+    for inner in code.co_consts:
+        if isinstance(inner, types.CodeType):
+            found += [names for names in _names(inner) if names[0] not in own]
+    kept = [tuple(names) for names in found if names[0] not in written and not MUTATORS & set(names)]
+    return tuple(dict.fromkeys(kept))
+
+
+class _Same:
+    """Something that is equal to itself alone; it is kept alive, so that nothing else takes its place."""
+
+    def __init__(self, x):
+        self.x = x
+
+    def __eq__(self, other):
+        return isinstance(other, _Same) and self.x is other.x
+
+    def __hash__(self):
+        return id(self.x)
+
+
+def _value(x, seen, depth):
+    """A value, hashable and equal as long as it means the same."""
+    if x is None or isinstance(x, (bool, int, str, bytes)):
+        return type(x), x
+    if isinstance(x, (float, complex, np.generic)):
+        return type(x), x if x == x else "nan"
+    if isinstance(x, np.ndarray):
+        return x.shape, x.dtype, x.tobytes()
+    if isinstance(x, jax.Array):
+        tiny = not isinstance(x, jax.core.Tracer) and x.size <= SMALL and x.dtype.kind in "fiubc"
+        return _value(np.asarray(x), seen, depth) if tiny else _Same(x)
+    if not depth or isinstance(x, (type, types.ModuleType)):
+        return _Same(x)
+    if isinstance(x, (tuple, list)):
+        return type(x), *(_value(part, seen, depth - 1) for part in x)
+    if isinstance(x, dict):
+        return dict, *((_value(k, seen, depth - 1), _value(part, seen, depth - 1)) for k, part in x.items())
+    if callable(x) and _of_library(x) and not isinstance(x, (eqx.Module, functools.partial)):
+        return _Same(x)
+    if isinstance(x, (types.FunctionType, types.MethodType, functools.partial)) or hasattr(x, "__wrapped__"):
+        # a function that is made anew is another one for JAX, whatever it reads
+        return _Same(_plain(x)), _read(x, seen, depth)
+    own = getattr(x, "__dict__", None)
+    return _Same(x) if own is None else (type(x), _value(own, seen, depth - 1))

@@ -1,0 +1,198 @@
+"""Lanes that stand before the sites, and numbers that change outside of a function after it was compiled."""
+
+import functools
+import types
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import granjax as gx
+from granjax.lattice.outside import Outside
+
+SIZE, TABLE = 1.0, np.ones(3)
+SETTINGS = types.SimpleNamespace(size=1.0, other="x")
+SHIFT = gx.Shift(1, "fixed")
+
+
+def make(k, sites=4):
+    return gx.Lattice(jnp.linspace(1.0, 2.0, sites), (gx.Bond(SHIFT, gx.Linear(k)), gx.Damping(0.1)))
+
+
+@pytest.mark.parametrize("lanes", [1, 3, 4, 5])
+@pytest.mark.parametrize("use", [
+    lambda lattice: gx.simulate(lattice, (np.zeros((4, 4)),) * 2, 1.0),
+    lambda lattice: gx.states.impact(lattice),
+    lambda lattice: gx.linear.normal_modes(lattice),
+    lambda lattice: lattice.zeros(),
+], ids=["simulate", "impact", "modes", "zeros"])
+def test_lanes_before_the_sites_are_refused_however_many(lanes, use):
+    with pytest.raises(ValueError, match=r"lattice: expected lanes behind the sites.*out_axes=-1"):
+        use(jax.vmap(make)(jnp.linspace(1.0, 2.0, lanes)))
+
+
+def test_lanes_behind_the_sites_and_a_vmap_of_everything_pass():
+    ks = jnp.linspace(1.0, 2.0, 4)
+    behind, before = jax.vmap(make, out_axes=-1)(ks), jax.vmap(make)(ks)
+    last = lambda lattice: lattice.acceleration(0.0, jnp.eye(4)[0], jnp.zeros(4))
+    expected = np.stack([last(make(k)) for k in ks])
+    assert behind.lanes == (4,) and behind.zeros().shape == (4, 4)
+    np.testing.assert_array_equal(jax.vmap(last)(before), expected)
+    np.testing.assert_array_equal(jax.vmap(last, in_axes=-1)(behind), expected)
+    assert jax.tree.map(lambda x: x[..., 0], behind).lanes == ()
+    stacked = jax.tree.map(lambda *x: jnp.stack(x, -1), *(make(k) for k in ks))
+    np.testing.assert_array_equal(stacked.mass, behind.mass)
+    nested = jax.vmap(jax.vmap(make, out_axes=-1), out_axes=-1)(jnp.ones((2, 3)))
+    assert stacked.lanes == (4,) and nested.lanes == (3, 2)
+
+
+def test_lanes_between_the_axes_of_a_grid_are_refused():
+    bonds = gx.Bond(gx.Shift((1, 0), "fixed"), gx.Linear(jnp.ones((3, 2))))
+    lattice = jax.vmap(lambda m: gx.Lattice(m * jnp.ones((2, 2)), bonds), out_axes=1)
+    with pytest.raises(ValueError, match="lanes behind"):
+        lattice(jnp.ones(2)).zeros()
+
+
+def test_the_mark_costs_a_program_nothing():
+    lattice = make(1.0)
+    program = jax.make_jaxpr(lambda lattice, u: lattice.force(0.0, u, u))(lattice, jnp.ones(4)).jaxpr
+    mark = program.invars[[leaf is lattice._mark for leaf in jax.tree.leaves(lattice)].index(True)]
+    assert mark.aval.shape == (1,) and not any(mark is x for eqn in program.eqns for x in eqn.invars)
+    assert lattice.astype(jnp.float32).dtype == jnp.float32
+
+
+def wave(t):
+    return SIZE * jnp.cos(t)
+
+
+def caller(t):
+    return wave(t)
+
+
+def of_settings(t):
+    return SETTINGS.size * jnp.cos(t)
+
+
+def of_table(t):
+    return TABLE[0] * jnp.cos(t)
+
+
+class Swing:
+    def __init__(self):
+        self.size = 1.0
+
+    def __call__(self, t):
+        return SIZE * self.size * jnp.cos(t)
+
+
+SWING = Swing()
+
+
+def closed_over():
+    size = 1.0
+
+    def set_size(x):
+        nonlocal size
+        size = x
+
+    return (lambda t: size * jnp.cos(t)), set_size
+
+
+def set_global(x):
+    global SIZE
+    SIZE = x
+
+
+def driven(f):
+    lattice = gx.Lattice(np.ones(3), (gx.Bond(SHIFT, gx.Linear(1.0)), gx.Drive(f)))
+    return lambda: float(gx.simulate(lattice, gx.states.rest(lattice), 0.4, step=0.1).final.u[0])
+
+
+CLOSED, SET_CLOSED = closed_over()
+READS = {
+    "global": (wave, set_global), "a function that it calls": (caller, set_global), "closure": (CLOSED, SET_CLOSED),
+    "attribute": (of_settings, lambda x: setattr(SETTINGS, "size", x)),
+    "array": (of_table, lambda x: TABLE.fill(x)),
+    "partial": (functools.partial(lambda f, t: f(t), wave), set_global),
+    "object": (SWING, lambda x: setattr(SWING, "size", x)), "object's global": (Swing(), set_global),
+}
+
+
+@pytest.mark.parametrize("f, change", READS.values(), ids=READS)
+def test_what_a_waveform_reads_counts_as_it_stands(f, change):
+    """A drive twice as large moves a linear chain twice as far; back again is what it was."""
+    run = driven(f)
+    try:
+        first = run()
+        change(2.0)
+        assert run() == pytest.approx(2 * first, rel=1e-12)
+    finally:
+        change(1.0)
+    assert run() == first
+
+
+class Spring(gx.Law):
+    def force(self, e):
+        return SIZE * e
+
+    def energy(self, e):
+        return SIZE * e**2 / 2
+
+
+def test_what_the_force_of_a_law_and_a_record_read_counts_as_it_stands():
+    lattice = gx.Lattice(np.ones(3), gx.Bond(SHIFT, Spring()))
+    state = gx.states.impact(lattice)
+    record = {"peak": gx.Peak(lambda t, y, lattice: SIZE * y.v)}
+
+    def run():
+        found = gx.simulate(lattice, state, 0.4, step=0.1, record=record)
+        return float(found.final.v[0]), float(found.recorded["peak"][0])
+
+    first = run()
+    try:
+        set_global(2.0)
+        softer = gx.Lattice(np.ones(3), gx.Bond(SHIFT, gx.Linear(2.0)))
+        expected = gx.simulate(softer, state, 0.4, step=0.1).final.v[0]
+        speed, peak = run()
+    finally:
+        set_global(1.0)
+    assert speed == pytest.approx(float(expected), rel=1e-12) and peak == pytest.approx(2 * first[1], rel=1e-12)
+    assert run() == first
+
+
+def test_nothing_is_compiled_again_where_nothing_changed():
+    """What a function writes itself, such as a count of its calls, is not what it reads."""
+    calls, numbers = [], {"size": 1.0, "list": [1, 2]}
+
+    def counted(t):
+        calls.append(t)
+        return numbers["size"] * jnp.cos(t)
+
+    run = driven(counted)
+    run()
+    once = len(calls)
+    run()
+    assert len(calls) == once
+    numbers["size"] = 2.0
+    run()
+    assert len(calls) > once
+    assert not gx.scenes.dimer(4)._outside.readers and Outside((counted,)).values() == Outside((counted,)).values()
+
+
+def test_what_a_scene_reads_counts_in_a_fit():
+    times = np.linspace(0.1, 2.0, 12)
+
+    def scene(p):
+        return gx.Lattice(SIZE * jnp.ones(3), gx.Bond(SHIFT, gx.Linear(p["k"])))
+
+    start = gx.states.impact(scene({"k": 1.0}))
+    run = gx.simulate(scene({"k": 1.0}), start, 2.0, save_at=times)
+    traces = gx.Traces(times, velocity=np.asarray(run.vs)[:, :1], sites=[0], sigma=0.01)
+    found = lambda: float(gx.fit(scene, {"k": 0.9}, traces, state=start).parameters["k"])
+    assert found() == pytest.approx(1.0, rel=1e-6)
+    try:
+        set_global(2.0)  # twice the mass wants twice the stiffness
+        assert found() == pytest.approx(2.0, rel=1e-6)
+    finally:
+        set_global(1.0)
