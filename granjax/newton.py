@@ -20,8 +20,9 @@ FLAT = 1e-6
 class Root(Result):
     """Where Newton's method ended: its best iterate, whatever came of it.
 
-    **Fields:** `x`: the iterate (n,). `jacobian`: dF/dx there (n, n). `residual`: max |F(x)|. `first`: that of the
-    guess. `iterations`: Jacobians evaluated. `code`: 0 converged, 1 stalled, 2 steps spent, 3 not finite.
+    **Fields:** `x`: the iterate (n,). `jacobian`: dF/dx there (n, n). `residual`: max |F(x)|, of a root that converged
+    before the last step, for which no more Jacobian was needed. `first`: that of the guess. `iterations`: Jacobians
+    evaluated. `code`: 0 converged, 1 stalled, 2 steps spent, 3 not finite.
     """
 
     held: ClassVar[dict[str, Held]] = {"x": Held("unknown"), "jacobian": Held("equation unknown")}
@@ -59,7 +60,8 @@ class Root(Result):
 
 
 def newton(residual: Callable, guess: Parameter, args: Pytree = None, *, tolerance: Scalar = 1e-10,
-           max_steps: Count = 20, linearise: Callable | None = None, throw: bool | None = None) -> Root:
+           max_steps: Count = 20, linearise: Callable | None = None, throw: bool | None = None,
+           finish: bool = True) -> Root:
     r"""A root of F(x, args) = 0 by Newton's method with halved steps.
 
     x <- x - lambda J^{-1} F with lambda = 1, 1/2, ... until max |F| falls. Where the full step fails, J^{-1} is that of
@@ -73,6 +75,7 @@ def newton(residual: Callable, guess: Parameter, args: Pytree = None, *, toleran
     - `tolerance`: of max |F|, in the units of F. `max_steps`: the most Jacobians.
     - `linearise`: (x, args) -> (F, J), where that is cheaper than `jax.jacfwd`.
     - `throw`: raise where it does not converge; `None` does so outside of transformations.
+    - `finish`: from a root that converged take the step that the derivative there gives, which costs nothing more.
 
     **Returns:** `Root`, with the best iterate. **Raises** RuntimeError where `throw` and it did not converge: the
     sentence says how far it came.
@@ -81,7 +84,7 @@ def newton(residual: Callable, guess: Parameter, args: Pytree = None, *, toleran
     x0 = x0.astype(jnp.result_type(x0, float)) if not jnp.issubdtype(x0.dtype, jnp.floating) else x0
     # a plain number is an input of what is compiled, not a part of it
     args = jax.tree.map(lambda leaf: jnp.asarray(leaf) if isinstance(leaf, float) else leaf, args)
-    inputs = residual, linearise, x0, args, jnp.asarray(tolerance, x0.dtype), jnp.asarray(max_steps)
+    inputs = residual, linearise, x0, args, jnp.asarray(tolerance, x0.dtype), jnp.asarray(max_steps), finish
     # without tracers nobody differentiates; a function may hide some, which the result then shows
     root = None if _traced(inputs) else _plain(*inputs)
     if root is None or _traced(root):
@@ -96,19 +99,19 @@ def _traced(tree):
 
 
 @eqx.filter_jit
-def _plain(residual, linearise, x0, args, tolerance, max_steps):
+def _plain(residual, linearise, x0, args, tolerance, max_steps, finish):
     both = _by_forward_mode(residual) if linearise is None else linearise
-    x, (jacobian, size, first, steps, code) = _iterate(both, x0, args, tolerance, max_steps)
+    x, (jacobian, size, first, steps, code) = _iterate(both, x0, args, tolerance, max_steps, finish)
     return Root(x, jacobian, size, first, steps, code, tolerance)
 
 
 @eqx.filter_jit
-def _differentiable(residual, linearise, x0, args, tolerance, max_steps):
+def _differentiable(residual, linearise, x0, args, tolerance, max_steps, finish):
     both = _by_forward_mode(residual) if linearise is None else linearise
 
     def solve(f, x0):
         del f
-        x, rest = _iterate(both, x0, jax.lax.stop_gradient(args), tolerance, max_steps)
+        x, rest = _iterate(both, x0, jax.lax.stop_gradient(args), tolerance, max_steps, finish)
         # whole numbers have no tangents of a kind that `custom_root` could give them
         return x, tuple(jnp.asarray(part, x0.dtype) for part in rest)
 
@@ -139,7 +142,7 @@ def _gentle(jacobian, f):
     return -jnp.linalg.solve(jacobian.T @ jacobian + damping, jacobian.T @ f)
 
 
-def _iterate(both, x0, args, tolerance, max_steps):
+def _iterate(both, x0, args, tolerance, max_steps, finish):
     """(x, (jacobian, residual, first, steps, code)) after the loop, whose first turn looks at the guess."""
     def going(carry):
         size, steps = carry["size"], carry["steps"]
@@ -173,4 +176,13 @@ def _iterate(both, x0, args, tolerance, max_steps):
     code = jnp.where(end["fraction"] < LEAST_FRACTION, STALLED, SPENT)
     code = jnp.where(jnp.isfinite(end["last"]), code, NOT_FINITE)
     code = jnp.where(end["size"] <= tolerance, CONVERGED, code)
-    return end["x"], (end["jacobian"], end["size"], end["first"], end["steps"], code)
+    x = end["x"]
+    if finish:
+        moved = nearby(x, -jnp.linalg.solve(end["jacobian"], end["f"]))
+        x = jnp.where(code == CONVERGED, moved, x)
+    return x, (end["jacobian"], end["size"], end["first"], end["steps"], code)
+
+
+def nearby(x: Numbers, step: Numbers) -> Numbers:
+    """x + step where that is a small part of x, and x where it is not (or not finite)."""
+    return jnp.where(jnp.max(jnp.abs(step)) <= FLAT * jnp.max(jnp.abs(x)), x + step, x)

@@ -144,8 +144,14 @@ def dimers():
     return gx.breathers.family(chain, until=0.97 * 3**0.5, stability=False)
 
 
+# frequencies of the breathers with these largest displacements
+FREQUENCY = {0.25: 1.7603620260708719, 0.7358: 1.7266932371119086}
+
+
 def nearest(branch, amplitude):
-    return branch.orbit(int(np.argmin(np.abs(branch.amplitude - amplitude))))
+    near = branch.orbit(int(np.argmin(np.abs(branch.amplitude - amplitude))))
+    omega = FREQUENCY.get(amplitude)
+    return near if omega is None else gx.breathers.breather(near.lattice, omega, near, check=False)
 
 
 def unpaired(fl, product=1.0):

@@ -106,7 +106,7 @@ def test_input_that_cannot_be_meant_is_refused():
         forced_orbit(lattice, 1.0, steps=32, segments=3)
     with pytest.raises(ValueError, match="lattice: expected one Lattice, got a batch"):
         forced_orbit(jax.vmap(duffing, out_axes=-1)(jnp.array([0.8, 0.9])), 1.0)
-    with pytest.raises(ValueError, match="Nothing is stiff at rest"):
+    with pytest.raises(ValueError, match="guess: expected a state that moves.*, got rest"):
         forced_orbit(gx.scenes.monomer(4), 1.0)
     with pytest.raises(ValueError, match="period: expected one after which the forces repeat, got 7.0"):
         forced_orbit(lattice, 7.0)

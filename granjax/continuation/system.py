@@ -132,7 +132,7 @@ class System:
     def _newton(self, guess, border, predicted, most):
         arguments = self.args, jnp.asarray(border), jnp.asarray(predicted)
         return newton(self.augmented.residual, jnp.asarray(guess), arguments, tolerance=self.tolerance,
-                      max_steps=most, linearise=self.augmented.linearise, throw=False)
+                      max_steps=most, linearise=self.augmented.linearise, throw=False, finish=False)
 
     def _point(self, root, before):
         jacobian = np.asarray(root.jacobian)[:-1]

@@ -9,7 +9,8 @@ from ..lattice import State
 from ..tuning import one_thread
 from ..types import Scalar
 from .branch import Bifurcation, Branch
-from .families import TOLERANCE, Spectrum, energy_slope, spectra_of
+from .confirm import MOST_LEFT
+from .families import Spectrum, energy_slope, spectra_of
 
 KINDS = ("real pair at +1", "period doubling", "Krein collision", "extremum of energy")
 HALVINGS = 40
@@ -44,7 +45,7 @@ def bifurcations(branch: Branch, kinds: tuple[str, ...] = KINDS, *, accuracy: Sc
                 continue
             point = _locate(branch, i, kind, ends, accuracy)
             state = branch._family.shooting.state(jnp.asarray(point.z[:-1]))
-            found.append(Bifurcation(kind, float(point.z[-1]), i, State(*state), None, *counts))
+            found.append(Bifurcation(kind, float(point.z[-1] * branch._family.span), i, State(*state), None, *counts))
     return found
 
 
@@ -88,7 +89,7 @@ def _at(branch, i, s):
         j = i if s == 0 else i + 1
         return _Point(branch, np.append(curve.x[j], curve.p[j]), curve.tangents[j])
     near = continuation(family.residual, curve.x[i], curve.p[i], direction=curve.tangents[i], arclength=s, points=1,
-                        tolerance=TOLERANCE, linearise=family.linearise)
+                        tolerance=MOST_LEFT, linearise=family.linearise)
     return _Point(branch, np.append(near.x[0], near.p[0]), near.tangents[0])
 
 

@@ -16,6 +16,7 @@ from ..lattice import State
 from ..newton import Root
 from ..results import Held, Result
 from ..types import Count, Displacements
+from .confirm import OrbitError
 from .floquet import decide
 from .orbit import Orbit
 from .problems import Family
@@ -58,15 +59,17 @@ class Branch(Result):
     r"""Orbits along a parameter, P of them, in the order in which they were found, by `family` or `forced_branch`.
 
     **Fields:** `p` (P,): the parameter, of a family of breathers their frequency. `periods` (P,). `states` at t0, a
-    `State` of (P, N). `energy` (P,) at t0. `response` (P,): the chosen number, of a forced branch. `multipliers`
-    (P, 2n), the largest modulus first, and `error` of each. `step_error` (P,): change of the tangent map when the steps
-    are doubled. `verdict`: P words "stable", "unstable", "undecided", or "" where they were not computed.
+    `State` of (P, N). `energy` (P,) at t0. `response` (P,): the chosen number, of a forced branch. `state_error`,
+    `energy_error`: estimated distances from the truth, of what states and energies are in. `multipliers` (P, 2n), the
+    largest modulus first, and `error` of each. `step_error` (P,): change of the tangent map when the steps are doubled.
+    `verdict`: P words "stable", "unstable", "undecided", or "" where they were not computed.
     `bifurcations`: a tuple of `Bifurcation` in the order of the branch. `outcome`: why it ended. `t0`.
     """
 
     held: ClassVar[dict[str, Held]] = {
         "p": Held("point"), "periods": Held("point", "s", "period"), "states": Held("point site", "", "state"),
         "energy": Held("point", "J"), "response": Held("point"),
+        "state_error": Held("point site", "", "state_error"), "energy_error": Held("point", "J"),
         "multipliers": Held("point multiplier", "1", "multiplier"),
         "error": Held("point multiplier", "1"), "step_error": Held("point", "1"), "verdict": Held("point"),
         "bifurcations": Held("bifurcation"), "omega": Held("point", "rad/s"), "amplitude": Held("point"),
@@ -77,6 +80,8 @@ class Branch(Result):
     states: State
     energy: Float[np.ndarray, " P"]
     response: Float[np.ndarray, " P"] | None
+    state_error: State
+    energy_error: Float[np.ndarray, " P"]
     multipliers: Inexact[np.ndarray, "P two_n"]
     error: Float[np.ndarray, "P two_n"]
     step_error: Float[np.ndarray, " P"]
@@ -135,8 +140,9 @@ class Branch(Result):
         none = jnp.zeros((), int)
         root = Root(x, jnp.full((x.size,) * 2, jnp.nan), residual, residual, none, none, residual)
         state = jax.tree.map(lambda y: jnp.asarray(y[i]), self.states)
+        apart, exact = jax.tree.map(lambda e: jnp.asarray(e[i]), (self.state_error, self.energy_error)), jnp.zeros(())
         return Orbit(state, jnp.asarray(self.periods[i]), lattice, root, self._flow, jnp.asarray(self.t0),
-                     self._family.shooting.symmetry)
+                     self._family.shooting.symmetry, OrbitError(*apart, exact, exact))
 
 
 @eqx.filter_jit

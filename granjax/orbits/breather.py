@@ -9,16 +9,16 @@ from jaxtyping import Float
 
 from ..checks import one_of, positive, refuse
 from ..flow import Flow
-from ..lattice import Lattice
+from ..lattice import Lattice, State
 from ..linear import bands, normal_modes
-from ..newton import newton
 from ..solvers import KahanLi8
 from ..tuning import one_thread
 from ..types import Count, Numbers, Scalar, StateLike
-from .families import TOLERANCE, checked_lattice, family, half_steps
+from .confirm import TOLERANCE, confirmed, error_of
+from .families import checked_lattice, family, half_steps
 from .guesses import bright_guess, cell_of, dark_guess, edge_of, edges_beside, refuse_bright, supports_bright
 from .orbit import Orbit, checked_orbit
-from .problems import Family, Shooting, checked_state, over_omega
+from .problems import Family, Shooting, checked_state, largest, over_omega
 
 # relative distance to a frequency of the finite lattice that is a resonance by itself
 MEETS = 1e-9
@@ -48,8 +48,8 @@ def breather(
       `"dark"`: the envelope's soliton of a periodic chain, centred on `centre` (a site, or 3.5 for a bond; `None` the
       middle); dark with the ends that the chain has (free: constant force; walls or a ring: fixed length). Another
       breather, or a `State`, such as that of `guesses.single_site` or a simulated one, whose velocities are dropped.
-    - `steps`: time steps in a period, an even number; `None` takes h omega_max = 0.3, or the family's.
-      `tolerance`: of max |v(T/2)|.
+    - `steps`: time steps in a period, an even number; `None` doubles them until a second step size confirms the orbit.
+    - `tolerance`: of that, relative to the guess's largest displacement; Newton's method goes on to a thousandth of it.
     - `check`: refuse a frequency of which a harmonic meets a band, or whose gap has no bright breathers.
     - `throw`: raise where Newton's method does not converge; `None` does so outside of transformations.
 
@@ -59,7 +59,9 @@ def breather(
     **Returns:** `Orbit`; `throw=False` returns the best iterate. **Raises** ValueError for a frequency that has no
     such breather, with the reason; RuntimeError where Newton's method does not converge.
     """
-    guess = guess.state if isinstance(guess, Orbit) else guess
+    first = None
+    if isinstance(guess, Orbit):
+        guess, first = guess.state, int(guess.flow.steps)
     traced = any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves((lattice, omega, guess, energy)))
     if not traced:
         checked_lattice(lattice)
@@ -80,56 +82,75 @@ def breather(
         found = family(lattice, float(omega), stability=False, points=400, steps=steps, solver=solver)
         if "reached" not in found.outcome:
             raise RuntimeError(f"The family did not reach omega = {float(omega):.6g}: {found.outcome}")
-        guess, steps = found.orbit(-1).state, int(found._flow.steps)
-    count = half_steps(lattice, 2 * np.pi / omega, steps)
-    half = Shooting.half(lattice, Flow(count if traced else jnp.asarray(count), solver or KahanLi8()))
+        guess, first = found.orbit(-1).state, int(found._flow.steps)
+    known = guess if isinstance(guess, State) else None
+    count = half_steps(lattice, 2 * np.pi / omega, first if steps is None else steps, known)
+    flow = Flow(count if traced else jnp.asarray(count), solver or KahanLi8())
     if isinstance(guess, str):
-        guess = _from_envelope(lattice, half, float(omega), guess, centre, tolerance)
+        guess = _from_envelope(lattice, flow, float(omega), guess, centre, tolerance)
+    settings = {"tolerance": tolerance, "max_steps": max_steps, "refine": steps is None}
     if energy is None:
-        return _solve(lattice, half, guess, omega, tolerance, max_steps, throw)
+        return _solve(lattice, flow, guess, omega, throw=throw, **settings)
     if not traced:  # a step of its own to omega: the guess's energy may be far off
-        guess = _solve(lattice, half, guess, omega, tolerance, max_steps, throw).state
-    problem, x = AtEnergy(half), jnp.append(half.guess(guess), omega)
-    root = newton(problem.residual, x, (lattice, jnp.asarray(energy, float)), tolerance=tolerance,
-                  max_steps=max_steps, linearise=problem.linearise, throw=throw)
-    return _orbit(half, lattice, guess, root, root.x[:-1], 2 * jnp.pi / root.x[-1], throw)
+        found = _solve(lattice, flow, guess, omega, throw=throw, **settings | {"refine": False})
+        guess = found.state
+    half = _half(lattice, flow, guess, omega)
+    problem, x = AtEnergy(half, jax.lax.stop_gradient(omega)), jnp.append(half.guess(guess), 1.0)
+    problem, root, error = confirmed(problem, x, (lattice, jnp.asarray(energy, float)), throw=throw, **settings)
+    period = 2 * jnp.pi / (root.x[-1] * problem.omega)
+    return _orbit(problem.half, lattice, guess, root, period, error[:-1], error[-1] * problem.omega, throw)
 
 
-def _from_envelope(lattice, half, omega, kind, centre, tolerance):
+def _half(lattice, flow, guess, omega):
+    """Half a period in the units of the guess."""
+    length, omega = jax.lax.stop_gradient((largest(guess[0]), omega))
+    return Shooting.half(lattice, flow, length=jnp.where(length > 0, length, 1), omega=omega)
+
+
+def _from_envelope(lattice, flow, omega, kind, centre, tolerance):
     """A State to start at: the envelope's soliton, or one nearer to the edge followed to omega."""
     make = dark_guess if kind == "dark" else bright_guess
     guess = make(lattice, omega, centre)
-    found = _solve(lattice, half, guess, omega, tolerance, 20, False)
+    settings = {"tolerance": tolerance, "refine": False, "throw": False}
+    found = _solve(lattice, flow, guess, omega, max_steps=20, **settings)
     if found.converged:
         return found.state
     edge = edge_of(lattice, omega, kind)
     for fraction in NEARER:
         near = edge + fraction * (omega - edge)
-        found = _solve(lattice, half, make(lattice, near, centre), near, tolerance, 30, False)
+        found = _solve(lattice, flow, make(lattice, near, centre), near, max_steps=30, **settings)
         if found.converged:
-            branch = family(lattice, omega, guess=found, stability=False, points=400, steps=2 * int(half.flow.steps))
+            branch = family(lattice, omega, guess=found, stability=False, points=400, steps=2 * int(flow.steps))
             return branch.orbit(-1).state
     return guess
 
 
-def _solve(lattice, half, guess, omega, tolerance, max_steps, throw):
-    period = 2 * jnp.pi / omega
-    root = newton(half.residual, half.guess(guess), (lattice, period), tolerance=tolerance, max_steps=max_steps,
-                  linearise=half.linearise, throw=throw)
-    return _orbit(half, lattice, guess, root, root.x, period, throw)
+def _solve(lattice, flow, guess, omega, *, throw, **settings):
+    half, period = _half(lattice, flow, guess, omega), 2 * jnp.pi / omega
+    half, root, error = confirmed(half, half.guess(guess), (lattice, period), throw=throw, **settings)
+    return _orbit(half, lattice, guess, root, period, error, jnp.zeros(()), throw)
 
 
-def _orbit(half, lattice, guess, root, x, period, throw):
+def _orbit(half, lattice, guess, root, period, apart, in_omega, throw):
     flow = Flow(2 * half.flow.steps, half.flow.solver)
-    period = jnp.asarray(period, lattice.dtype)
-    orbit = Orbit(half.state(x), period, lattice, root, flow, jnp.zeros((), lattice.dtype))
+    period, state = jnp.asarray(period, lattice.dtype), half.state(root.x[: half.unknowns])
+    error = error_of(lattice, 0.0, state, half.apart(apart), 2 * jnp.pi / period, in_omega)
+    orbit = Orbit(state, period, lattice, root, flow, jnp.zeros((), lattice.dtype), error=error)
     return checked_orbit(orbit, half.state(half.guess(guess)), throw)
 
 
 class AtEnergy(eqx.Module):
-    """F(x, omega; lattice, energy) = 0: half a period from rest to rest, and the energy's relative error."""
+    """F(x, q; lattice, energy) = 0: half a period from rest to rest at q omega, and the energy's relative error."""
 
     half: Shooting
+    omega: Scalar
+
+    def doubled(self) -> "AtEnergy":
+        """The same with twice the time steps."""
+        return AtEnergy(self.half.doubled(), self.omega)
+
+    def _family(self, lattice):
+        return Family(self.half, lattice, over_omega, 0.0, self.omega)
 
     def _excess(self, x, scene):
         lattice, energy = scene
@@ -137,14 +158,14 @@ class AtEnergy(eqx.Module):
         return lattice.energy(0.0, state.u, state.v) / energy - 1
 
     def residual(self, z: Numbers, scene: tuple) -> Numbers:
-        """The half period's gaps at the frequency that is the last unknown, and the energy's."""
-        gaps = Family(self.half, scene[0], over_omega).residual(z[:-1], z[-1])
+        """The half period's gaps at the last unknown times omega, and the energy's."""
+        gaps = self._family(scene[0]).residual(z[:-1], z[-1])
         return jnp.append(gaps, self._excess(z[:-1], scene))
 
     def linearise(self, z: Numbers, scene: tuple) -> tuple:
         """The residual and its derivative."""
         x = z[:-1]
-        gaps, in_x, in_omega = Family(self.half, scene[0], over_omega).linearise(x, z[-1])
+        gaps, in_x, in_omega = self._family(scene[0]).linearise(x, z[-1])
         excess, gradient = jax.value_and_grad(self._excess)(x, scene)
         return jnp.append(gaps, excess), jnp.block([[in_x, in_omega[:, None]], [gradient, jnp.zeros(1, x.dtype)]])
 

@@ -1,6 +1,7 @@
 """Families of breathers by continuation from a linear mode or from a breather, and what is computed at each member."""
 
 from collections.abc import Callable, Iterator
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -10,27 +11,30 @@ from diffrax import AbstractSolver
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Complex, Float, Inexact
 
-from ..checks import refuse, whole
+from ..checks import positive, refuse, whole
 from ..continuation import continuation
 from ..flow import Flow
-from ..lattice import Lattice, spread_mass
+from ..lattice import Lattice, State, spread_mass
 from ..linear import normal_modes
+from ..newton import nearby
 from ..solvers import KahanLi8
 from ..tuning import one_thread
-from ..types import Count, Numbers, Scalar
+from ..types import Count, Numbers, Scalar, StateLike
 from .branch import Branch, special_of, verdicts_of
+from .confirm import BRANCH, ROUNDING, SAFETY, error_of, newtons
 from .orbit import Orbit
-from .problems import Family, Shooting, over_omega
+from .problems import Family, Shooting, largest, over_omega
+from .scales import nonlinear_length
 from .spectrum import reversible_multipliers
 from .steps import default_steps
 
-# the error of half a period that is let pass, and how often the steps are doubled for it
-LET_PASS, DOUBLINGS = 1e-8, 5
-TOLERANCE = 1e-11
-# of the first orbit beside a linear mode, in units of the largest amplitude that a step may add
-FIRST = 0.1
+# change of the tangent map between two step sizes that is let pass, and how often the steps are doubled
+LET_PASS, DOUBLINGS = 1e-8, 8
+# along the branch, in the lattice's own length and the first frequency; of the first orbit beside a linear mode
+ARCLENGTH, LONGEST, FIRST = 0.05, 7.5, 0.1
 PROBE = 4
-# a doubling that lowers the error by less has met a contact that opens
+EQUAL = 1e-6
+# a doubling that lowers the change of the tangent map by less has met a contact that opens
 SLOW = 20
 
 
@@ -39,7 +43,7 @@ def family(
     lattice: Lattice, until: Scalar | None = None, *, guess: Orbit | None = None, amplitude: Scalar | None = None,
     mode: Count | None = None, arclength: Scalar | None = None, longest_arclength: Scalar | None = None,
     points: Count = 200, steps: Count | None = None, solver: AbstractSolver | None = None,
-    tolerance: Scalar = TOLERANCE, stability: bool = True, veto: Callable | None = None, stop: Callable | None = None,
+    tolerance: Scalar = BRANCH, stability: bool = True, stop: Callable | None = None,
 ) -> Branch:
     r"""A family of time-reversible breathers, followed in (u, omega) with its stability.
 
@@ -52,12 +56,13 @@ def family(
     - `until`: the frequency at which to end; `amplitude`: the largest |u| at which to end. One of them, or `points`.
     - `guess`: a breather (an `Orbit`) to begin at. `mode`: index of the linear mode; `None` takes the one next to
       `until` whose frequency moves towards it, and without `until` the highest.
-    - `arclength`, `longest_arclength`: steps along the branch in (u, omega), in the unit of u; first 0.02 and at most
-      7.5 times the first.
-    - `points`: the most breathers. `steps`: time steps in a period, an even number; `None` takes h omega_max = 0.3 and
-      doubles them where the tangent map at the end still changes by more than 1e-8.
-    - `tolerance`: of max |v(T/2)|. `stability`: also the multipliers. `veto`, `stop`: as in `continuation`, on
-      (x, omega).
+    - `arclength`, `longest_arclength`: steps along the branch, first and longest (7.5 times the first), in (u, omega)
+      with omega in units of the first frequency and u in those of `scales.nonlinear_length`: the amplitude at which
+      a contact's stiffness has changed by a half (3/8 of the overlap for Hertz and neighbours in opposite phase).
+    - `points`: the most breathers. `steps`: time steps in a period, an even number; `None` begins at h omega_max = 0.3
+      and doubles them until the largest breather is known to `tolerance`, relative to its amplitude, and its tangent
+      map to 1e-8, or as well as contacts that open allow.
+    - `stability`: also the multipliers. `stop(u, omega)`: a reason to end the family there, or `None`.
 
     **Returns:** `Branch`. **Raises** ValueError for lattices that are damped, driven or in lanes, a mode that is not
     there, and both `mode` and `guess`; RuntimeError where the first breather is not found.
@@ -69,51 +74,67 @@ def family(
     if guess is not None and not isinstance(guess, Orbit):
         refuse("guess", "a breather, an Orbit", f"a {type(guess).__name__}", "gx.breathers.breather finds one.")
     modes = normal_modes(lattice) if guess is None else None
-    ways = [_from(guess)] if guess is not None else _modes(modes, until, mode)
-    unit = 1.0 if arclength is None else arclength / 0.02
-    arclength = 0.02 * unit
-    longest_arclength = 0.15 * unit if longest_arclength is None else longest_arclength
+    ways = [_from(guess)] if guess is not None else _modes(lattice, modes, until, mode)
+    arclength = ARCLENGTH if arclength is None else positive("arclength", arclength)
+    longest_arclength = LONGEST * arclength if longest_arclength is None else longest_arclength
 
     def follow(way, count, most):
-        problem = over_frequency(lattice, count, solver)
-        x0, omega, direction = way(problem.shooting)
-        grown = None if amplitude is None else _grown(problem.shooting, amplitude)
+        problem = over_frequency(lattice, count, solver, way.length, way.omega)
+        x0, direction = way.start(problem.shooting, until)
         return problem, continuation(
-            problem.residual, x0, omega, until=until, direction=direction(until), points=most,
-            arclength=arclength if guess is not None else FIRST * arclength, longest_arclength=longest_arclength,
-            least_arclength=1e-6 * arclength, linearise=problem.linearise, tolerance=tolerance, veto=veto,
-            stop=_both(grown, stop))
+            problem.residual, x0, 1.0, until=None if until is None else until / way.omega, direction=direction,
+            points=most, arclength=arclength if guess is not None else FIRST * arclength,
+            longest_arclength=longest_arclength, least_arclength=1e-6 * arclength, linearise=problem.linearise,
+            tolerance=newtons(tolerance), stop=_ends(problem, amplitude, stop))
 
-    count = half_steps(lattice, 2 * np.pi / ways[0](over_frequency(lattice, 8).shooting)[1], steps, doubled=True)
+    count = half_steps(lattice, 2 * np.pi / ways[0].omega, steps or ways[0].steps)
     chosen = ways[0] if len(ways) == 1 else _towards(ways, until, lambda way: follow(way, count, PROBE)[1])
     problem, curve = follow(chosen, count, points)
-    enough = count if steps else _enough(problem, curve, count)
+    enough = count if steps else _enough(problem, curve, count, tolerance, stability)
     if enough > count:
         problem, curve = follow(chosen, enough, points)
     return _branch(problem, curve, stability)
 
 
-def _enough(problem, curve, count):
-    """Steps for which the last tangent map is known well enough, or from which on more help little (open contacts)."""
-    before = np.inf
+def _enough(problem, curve, count, tolerance, stability):
+    """Steps for which the largest breather is known well enough, and its tangent map too, or more would help little."""
+    before, i = np.inf, np.argmax(np.abs(curve.x).max(1))
+    x = curve.x[i]
     for doubled in count * 2 ** np.arange(DOUBLINGS):
         problem = eqx.tree_at(lambda p: p.shooting.flow.steps, problem, jnp.asarray(doubled, int))
-        error = next(spectra_of(problem, curve.x[-1:], curve.p[-1:])).step_error
-        if error <= LET_PASS or error > before / SLOW:
+        found = next(spectra_of(problem, x[None], curve.p[[i]], False))
+        passes = not stability or found.step_error <= LET_PASS or found.step_error > before / SLOW
+        if passes and found.apart.max() <= tolerance * np.abs(x).max():
             break
-        before = error
+        before = found.step_error
     return int(doubled)
 
 
+class _Way(NamedTuple):
+    """Where a family begins: beside a linear mode, or at a breather. `length`, `omega`: its units; `steps`: known."""
+
+    omega: float
+    length: float
+    shape: np.ndarray | None
+    state: State | None
+    steps: int | None = None
+
+    def start(self, half, until):
+        """The first unknowns, and the direction in which to go."""
+        if self.state is not None:
+            return np.asarray(half.guess(self.state)), np.sign((until or np.inf) - self.omega) or 1.0
+        free = half.moves.shape[1]
+        return np.zeros(len(self.shape) + free), np.concatenate([self.shape, np.zeros(free + 1)])
+
+
 def _from(guess):
-    def way(half):
-        x0 = np.asarray(half.guess(guess.state))
-        return x0, float(guess.omega), lambda until: np.sign((until or np.inf) - float(guess.omega)) or 1.0
+    u, size = guess.state.u, float(largest(guess.state.u))
+    length = nonlinear_length(guess.lattice, u)
+    length = max(size, length) if np.isfinite(length) else size
+    return _Way(float(guess.omega), length, None, guess.state, int(guess.flow.steps))
 
-    return way
 
-
-def _modes(modes, until, mode):
+def _modes(lattice, modes, until, mode):
     """Ways to begin at a linear mode, those to try in their order."""
     omega = np.asarray(modes.omega)
     shapes = np.concatenate([np.asarray(x).reshape(-1, len(omega)) for x in jax.tree.leaves(modes.modes)])
@@ -130,61 +151,72 @@ def _modes(modes, until, mode):
     if not chosen or not omega[chosen[0]] > 0:
         refuse("lattice", "a linear mode that oscillates", "none (a sonic vacuum?)",
                "Give guess=, from gx.breathers.breather.")
-    return [_beside(float(omega[i]), shapes[:, i]) for i in chosen]
+    return [_beside(lattice, float(omega[i]), shapes[:, i], jax.tree.map(lambda x: x[..., i], modes.modes))
+            for i in chosen]
 
 
-def _beside(omega, shape):
-    peak = np.argmax(np.abs(shape))
-    shape = shape / shape[peak]
-
-    def way(half):
-        free = half.moves.shape[1]
-        tangent = np.concatenate([shape, np.zeros(free + 1)])
-        return np.zeros(len(shape) + free), omega, lambda until: tangent
-
-    return way
+def _beside(lattice, omega, shape, mode):
+    # the first of equal ones, whichever rounding makes the largest
+    peak = shape[np.argmax(np.abs(shape) > (1 - EQUAL) * np.abs(shape).max())]
+    length = nonlinear_length(lattice, jax.tree.map(lambda w: w / peak, mode))
+    if not 0 < length < np.inf:
+        refuse("lattice", "a mode that is neither linear to all amplitudes nor without any stiffness at rest",
+               f"one of length {length}", "Give guess=, from gx.breathers.breather.")
+    return _Way(omega, length, shape / peak, None)
 
 
 def _towards(ways, until, probe):
     """The first way whose frequency moves towards `until`."""
+    said = []
     for way in ways:
         try:
             found = probe(way)
-        except RuntimeError:
+        except RuntimeError as failed:
+            said.append(f"the family from the mode at {way.omega:.6g} was not found ({failed})")
             continue
-        if (found.p[-1] - found.p[0]) * (until - found.p[0]) > 0 or "reached" in found.outcome:
+        if (found.p[-1] - found.p[0]) * (until / way.omega - found.p[0]) > 0 or "reached" in found.outcome:
             return way
-    refuse("until", "a frequency that a family moves to", f"{until:.6g}",
-           "The linear modes next to it shift away from it with amplitude: give mode= or guess=.")
+        said.append(f"the frequency of the mode at {way.omega:.6g} moves away from it with amplitude")
+    refuse("until", "a frequency that a family moves to", f"{until:.6g}", f"Give mode= or guess=: {'; '.join(said)}.")
 
 
-def _grown(half, amplitude):
-    def stop(x, omega):
-        size = float(np.abs(x[: half.size]).max())
-        return f"the amplitude is {size:.4g}" if size >= amplitude else None
+def _ends(problem, amplitude, stop):
+    """Why a family ends before its time, asked in the lattice's own units."""
+    half = problem.shooting
 
-    return stop
+    def why(x, q):
+        u = half.state(jnp.asarray(x)).u
+        if amplitude is not None and float(largest(u)) >= amplitude:
+            return f"the amplitude is {float(largest(u)):.4g}"
+        return None if stop is None else stop(u, q * problem.span)
 
-
-def _both(first, second):
-    if first is None or second is None:
-        return first or second
-    return lambda x, omega: first(x, omega) or second(x, omega)
+    return None if amplitude is None and stop is None else why
 
 
 def _branch(problem, curve, stability):
+    found = list(spectra_of(problem, curve.x, curve.p, stability))
+    curve = eqx.tree_at(lambda c: c.x, curve, np.stack([s.x for s in found]))
     states, energy = _states(problem, jnp.asarray(curve.x))
-    found = list(spectra_of(problem, curve.x, curve.p)) if stability else []
     none = np.full((len(curve.p), 2 * problem.shooting.count), np.nan)
     multipliers, error, verdict = none.astype(complex), none, np.array([""] * len(curve.p))
     if stability:
         multipliers, error, verdict = verdicts_of([(s.multipliers, s.error) for s in found], found[0].expected, True)
-    step_error = np.array([s.step_error for s in found]) if found else none[:, 0]
-    half = problem.shooting.flow
+    # one that is small by accident is as large as its neighbours
+    apart = np.stack([s.apart for s in found])
+    apart[1:-1] = np.max([apart[:-2], apart[1:-1], apart[2:]], axis=0)
+    state_error, energy_error = _errors(problem, jnp.asarray(curve.x), jnp.asarray(apart))
+    half, p = problem.shooting.flow, curve.p * float(problem.span)
     return Branch(
-        curve.p, 2 * np.pi / curve.p, jax.tree.map(np.asarray, states), np.asarray(energy), None, multipliers, error,
-        step_error, verdict, tuple(special_of(problem, curve)), curve.outcome, 0.0, Flow(2 * half.steps, half.solver),
-        problem, curve)
+        p, 2 * np.pi / p, jax.tree.map(np.asarray, states), np.asarray(energy), None,
+        jax.tree.map(np.asarray, state_error), np.asarray(energy_error), multipliers, error,
+        np.array([s.step_error for s in found]), verdict, tuple(special_of(problem, curve)), _said(curve, problem), 0.0,
+        Flow(2 * half.steps, half.solver), problem, curve)
+
+
+def _said(curve, problem):
+    # continuation knows the share alone
+    reached = curve.outcome.startswith("p reached")
+    return f"p reached {curve.p[-1] * problem.span:.6g}." if reached else curve.outcome
 
 
 def checked_lattice(lattice: Lattice) -> Lattice:
@@ -201,17 +233,25 @@ def checked_lattice(lattice: Lattice) -> Lattice:
     return lattice
 
 
-def half_steps(lattice: Lattice, period: Scalar, steps: Count | None = None, *, doubled: bool = False) -> Count:
-    """Steps of half a period, from those of a whole one or by default; `doubled`: as in `default_steps`."""
-    steps = default_steps(lattice, period, 2, doubled=doubled) if steps is None else whole("steps", steps, 2)
+def half_steps(
+    lattice: Lattice, period: Scalar, steps: Count | None = None, guess: StateLike | None = None,
+) -> Count:
+    """Steps of half a period, from those of a whole one or by default; `guess`: as in `default_steps`."""
+    steps = default_steps(lattice, period, 2, doubled=True, guess=guess) if steps is None else whole("steps", steps, 2)
     if steps % 2:
         refuse("steps", "an even number, of which half a period takes half", repr(steps))
     return steps // 2
 
 
-def over_frequency(lattice: Lattice, steps: Count, solver: AbstractSolver | None = None) -> Family:
-    """The breathers of a lattice over omega; the steps of half a period may change without compiling anew."""
-    return Family(Shooting.half(lattice, Flow(jnp.asarray(steps, int), solver or KahanLi8())), lattice, over_omega)
+def over_frequency(
+    lattice: Lattice, steps: Count, solver: AbstractSolver | None, length: Scalar, omega: Scalar,
+) -> Family:
+    """The breathers of a lattice over its frequency in units of omega, their displacements in units of a length.
+
+    The steps of half a period may change without compiling anew.
+    """
+    half = Shooting.half(lattice, Flow(jnp.asarray(steps, int), solver or KahanLi8()), length=length, omega=omega)
+    return Family(half, lattice, over_omega, jnp.zeros(()), jnp.asarray(omega))
 
 
 @eqx.filter_jit
@@ -229,42 +269,75 @@ def energy_slope(problem: Family, z: Numbers, tangent: Numbers) -> Numbers:
 
 
 @eqx.filter_jit
-def _half_maps(problem, x, omega):
-    """Tangent maps over half a period by the problem's flow and by twice its steps, in (u, m v)."""
-    y, flow, lattice = problem.shooting.state(x), problem.shooting.flow, problem.make
+def _errors(problem, xs, aparts):
+    """Errors of states and energies from those of the unknowns."""
+    def one(pair):
+        x, apart = pair
+        state = problem.shooting.state(x)
+        found = error_of(problem.make, 0.0, state, problem.shooting.apart(apart), problem.span, 0.0)
+        return found.state, found.energy
+
+    return jax.lax.map(one, (xs, aparts))
+
+
+@eqx.filter_jit
+def _half_maps(problem, x, q):
+    """Tangent maps over half a period by the problem's flow and by twice its steps, and how far x moves between them.
+
+    With them x itself at this frequency, as far as the derivative tells beyond Newton's tolerance.
+
+    Over u and m v, in the mean mass and the frequency, so that all entries are numbers.
+    """
+    shooting, (lattice, period) = problem.shooting, problem.scene(q)
+    y, flow, n, moves = shooting.state(x), shooting.flow, shooting.count, shooting.moves
     mass = ravel_pytree(spread_mass(lattice))[0]
-    weight = jnp.concatenate([jnp.ones_like(mass), mass])
+    weight = jnp.concatenate([jnp.ones_like(mass), mass / mass.mean() * period])
 
-    def scaled(steps):
-        _, map_ = Flow(steps, flow.solver, flow.field).derivative(y, 0.0, jnp.pi / omega, lattice)
-        return map_ * weight[:, None] / weight
+    def mapped(steps):
+        end, map_ = Flow(steps, flow.solver, flow.field).derivative(y, 0.0, period / 2, lattice)
+        return map_ * weight[:, None] / weight, ravel_pytree(end.v)[0]
 
-    return jax.lax.map(scaled, flow.steps * jnp.array([1, 2]))
+    maps, ends = jax.lax.map(mapped, flow.steps * jnp.array([1, 2]))
+    # the velocities at the end are zero, and the mean displacement, but for what an idle unknown adds
+    unit = shooting.scale[:n, None] / shooting.scale[n:, None]
+    slope = maps[1][n:, :n] * unit / weight[n:, None]
+    joined = jnp.block([[slope, moves], [moves.T * mass / mass.sum(), jnp.zeros((moves.shape[1],) * 2)]])
+    inverse = jnp.linalg.inv(joined)
+    change = jnp.abs(inverse[:, :n] @ ((ends[1] - ends[0]) / shooting.scale[n:]))
+    rounding = ROUNDING * jnp.finfo(x.dtype).eps * jnp.max(jnp.sum(jnp.abs(inverse), 1))
+    x = nearby(x, -inverse[:, :n] @ (ends[0] / shooting.scale[n:]))
+    return x, maps, SAFETY * jnp.maximum(change, jnp.max(change) / 10) + rounding
 
 
 class Spectrum(eqx.Module):
-    """Half-traces (n,), multipliers (2n,) and their errors, the error of a step, the symmetries' multipliers."""
+    """Half-traces (n,), multipliers (2n,) and their errors, the error of a step, the symmetries' multipliers.
+
+    `apart`: error of the unknowns `x`.
+    """
 
     half_traces: Inexact[np.ndarray, " n"]
     multipliers: Complex[np.ndarray, " two_n"]
     error: Float[np.ndarray, " two_n"]
     step_error: float
     expected: int
+    apart: Float[np.ndarray, " unknowns"]
+    x: Float[np.ndarray, " unknowns"]
 
 
-def spectra_of(problem: Family, xs: np.ndarray, omegas: np.ndarray) -> Iterator[Spectrum]:
+def spectra_of(problem: Family, xs: np.ndarray, qs: np.ndarray, stability: bool = True) -> Iterator[Spectrum]:
     """The `Spectrum` of each of several orbits, from half a period with the problem's steps and with twice as many.
 
     While one is decomposed the next one's maps are on their way.
     """
     expected = 2 + 2 * problem.shooting.moves.shape[1]
+    none = (np.zeros(0), np.zeros(0, complex), np.zeros(0))
 
     def launched(i):
-        return _half_maps(problem, jnp.asarray(xs[i]), jnp.asarray(omegas[i]))
+        return _half_maps(problem, jnp.asarray(xs[i]), jnp.asarray(qs[i]))
 
     coming = launched(0)
     for i in range(len(xs)):
-        maps, coming = coming, launched(i + 1) if i + 1 < len(xs) else None
+        (x, maps, apart), coming = coming, launched(i + 1) if i + 1 < len(xs) else None
         coarse, fine = np.asarray(maps)
-        traces, multipliers, error = reversible_multipliers(fine, coarse)
-        yield Spectrum(traces, multipliers, error, float(np.abs(fine - coarse).max()), expected)
+        found = reversible_multipliers(fine, coarse) if stability else none
+        yield Spectrum(*found, float(np.abs(fine - coarse).max()), expected, np.asarray(apart), np.asarray(x))

@@ -1,12 +1,14 @@
 """Branches of forced orbits over a parameter, with their stability and bifurcations."""
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from diffrax import AbstractSolver
+from jax.flatten_util import ravel_pytree
 from scipy.optimize import brentq
 
 from ..checks import parameter, positive, refuse
@@ -14,12 +16,14 @@ from ..continuation import continuation
 from ..flow import Flow
 from ..lattice import State
 from ..measures import rms_velocity
+from ..newton import nearby
 from ..solvers import SRKN14a
 from ..tuning import one_thread
-from ..types import Count, Scalar, StateLike
+from ..types import Count, Numbers, Scalar, StateLike
 from .branch import BRANCH_POINT, DOUBLING, FOLD, TORUS, Bifurcation, Branch, verdicts_of
+from .confirm import BRANCH, DOUBLINGS, ROUNDING, OrbitError, error_of, newtons
 from .orbit import FRAMES, checked_free, prepared
-from .problems import Family, Symmetry, checked_state, checked_symmetry, period_at
+from .problems import Family, Symmetry, checked_state, checked_symmetry, largest, period_at
 from .spectrum import spectrum
 from .steps import fixed_step_solver, flow_over, history
 from .structure import structure, weights
@@ -34,7 +38,7 @@ LOCATED, APART = 1e-10, 1e-7
 def forced_branch(
     make: Callable, start: Scalar, until: Scalar, *, period: Callable | Scalar, guess: StateLike | None = None,
     transient: Count = 0, t0: Scalar = 0.0, steps: Count | None = None, segments: Count = 1,
-    solver: AbstractSolver | None = None, tolerance: Scalar = 1e-10, arclength: Scalar = 0.02,
+    solver: AbstractSolver | None = None, tolerance: Scalar = BRANCH, arclength: Scalar = 0.02,
     longest_arclength: Scalar | None = None, points: Count = 400, response: Callable = rms_velocity,
 ) -> Branch:
     r"""Follow the periodic orbits of a forced lattice over a parameter, through folds, stable or not.
@@ -50,8 +54,9 @@ def forced_branch(
       The same function again compiles nothing; a Module with arrays may change them too.
     - `start`, `until`: the branch begins at p = `start` towards `until`, and ends at either.
     - `period`: T, a number, or a function of p such as `lambda f: 1 / f`.
-    - `guess`, `transient`, `t0`, `segments`, `solver`, `tolerance`: of the first orbit, as in `forced_orbit`.
-    - `steps`: per period, the same all along; `None` is the most that `start` or `until` asks for.
+    - `guess`, `transient`, `t0`, `segments`, `solver`: of the first orbit, as in `forced_orbit`.
+    - `steps`: per period, the same all along; `None` begins with the most that `start` or `until` asks for, and doubles
+      them until half as many confirm every orbit to `tolerance`, relative to its size.
     - `arclength`, `longest_arclength`: first and longest (5 arclength) step along the branch, in which the
       way from `start` to `until` counts 1, and so does a change of the state by the first orbit's size, or by what its
       slope in p makes over the whole way, if that is more.
@@ -69,60 +74,109 @@ def forced_branch(
     period = period if callable(period) else positive("period", period)
     scenes = [(make(jnp.asarray(p)), period_at(period, p)) for p in (start, until)]
     solver = fixed_step_solver(scenes[0][0], solver, SRKN14a())
-    flows = [flow_over(lattice, T, steps, solver, segments) for lattice, T in scenes]
-    # an array, whose value compiles nothing anew
-    flow = Flow(jnp.asarray(max(int(f.steps) for f in flows)), solver)
     lattice, T = scenes[0]
     guess = State(lattice.zeros(), lattice.zeros()) if guess is None else checked_state(lattice, guess, "guess")
+    flows = [flow_over(lattice, T, steps, solver, segments, guess) for lattice, T in scenes]
+    # an array, whose value compiles nothing anew
+    flow = Flow(jnp.asarray(max(int(f.steps) for f in flows)), solver)
     for lattice, T in scenes[::-1]:
         if checked_free(lattice):
             refuse("make", "a lattice under forcing", "none", "Breathers over their frequency: gx.breathers.family.")
         checked_symmetry(lattice, Symmetry(), guess, t0, T)
     shooting, x = prepared(lattice, T, guess, flow, jnp.asarray(t0, lattice.dtype), segments, jnp.asarray(transient))
     family = Family(shooting, make, period, jnp.asarray(start), jnp.asarray(until - start))
-    settings = {"tolerance": tolerance, "find": ("fold",)}
+    settings = {"tolerance": newtons(tolerance), "find": ("fold",)}
     first = continuation(family.residual, x, 0.0, linearise=family.linearise, points=1, **settings)
     # the unit of length: the first orbit, or where its slope over the whole way leads, if that is more
     slope = np.linalg.norm(first.tangents[0, :-1]) / max(abs(first.tangents[0, -1]), LEAST_SLOPE)
     unit = max(np.linalg.norm(first.x[0]), slope) or 1.0
     family = eqx.tree_at(lambda f: f.shooting.scale, family, unit * shooting.scale)
-    settings["linearise"] = family.linearise
-    curve = continuation(
-        family.residual, first.x[0] / unit, 0.0, until=(0.0, 1.0), arclength=arclength,
-        longest_arclength=longest_arclength or 5 * arclength, points=points, **settings)
-    z = np.column_stack([curve.x, curve.p])
-    looked = [_examined(family, flow, point, response) for point in z]
+    x0, settings["linearise"] = first.x[0] / unit, family.linearise
+    while True:
+        curve = continuation(
+            family.residual, x0, 0.0, until=(0.0, 1.0), arclength=arclength,
+            longest_arclength=longest_arclength or 5 * arclength, points=points, **settings)
+        z = np.column_stack([curve.x, curve.p])
+        looked = [_examined(family, flow, point, response) for point in z]
+        if steps is not None:
+            break
+        enough = _enough(family, flow, z, looked, response, tolerance)
+        if enough == flow.steps:
+            break
+        flow = Flow(jnp.asarray(enough), solver)
+        family = eqx.tree_at(lambda f: f.shooting.flow.steps, family, jnp.asarray(enough // segments))
+        x0, settings["linearise"] = curve.x[0], family.linearise
     known = structure(lattice)
-    scales = [weights(known.mass, found[1]) for found in looked]
-    maps = [[np.asarray(x) * scale[:, None] / scale for x in found[-3:]] for found, scale in zip(looked, scales)]
-    spectra = [spectrum(*pair)[::2] for pair in maps]
+    scales = [weights(known.mass, found.period) for found in looked]
+    maps = [np.asarray(found.maps) * scale[:, None] / scale for found, scale in zip(looked, scales)]
+    spectra = [spectrum(*three)[::2] for three in maps]
     multipliers, errors, verdicts = verdicts_of(spectra, known.expected, False)
-    states, periods, energies, responses = (
-        jax.tree.map(lambda *x: np.stack(x), *part) for part in list(zip(*looked))[:4])
+    states, periods, energies, responses, errors_of_orbits, _ = (
+        jax.tree.map(lambda *x: np.stack(x), *part) for part in zip(*looked))
 
     def look(point):
-        return np.linalg.eigvals(np.asarray(_examined(family, flow, point, response)[4]))
+        return np.linalg.eigvals(np.asarray(_examined(family, flow, point, response).maps[0]))
 
     found = _bifurcations(family, look, z, curve.special, multipliers, settings)
     p = start + curve.p * (until - start)
     # continuation knows the share of the way alone
     outcome = f"p reached {p[-1]:.6g}." if curve.outcome.startswith("p reached") else curve.outcome
     return Branch(
-        p, periods, states, energies, responses, multipliers, errors,
-        np.array([np.abs(fine - coarser).max() for fine, _, coarser in maps]), verdicts, found, outcome, float(t0),
-        flow, family, curve)
+        p, periods, states, energies, responses, errors_of_orbits.state, errors_of_orbits.energy, multipliers, errors,
+        np.array([np.abs(fine - coarser).max() for fine, _, coarser in maps]), verdicts, found, outcome, float(t0), flow,
+        family, curve)
+
+
+class Examined(NamedTuple):
+    """An orbit of the branch, its errors, and monodromy matrices by the flow's steps, 3/4 and 1/2 of them."""
+
+    state: State
+    period: Numbers
+    energy: Numbers
+    response: Numbers
+    error: OrbitError
+    maps: Numbers
 
 
 @eqx.filter_jit
 def _examined(family, flow, z, response):
-    """State, period, energy, response and monodromy matrices of an orbit by the flow's steps, 3/4 and 1/2 of them."""
+    """What there is to say of an orbit; its error is what the step from half as many steps has changed."""
     (lattice, period), state = family.scene(z[-1]), family.shooting.state(z[:-1])
-    t0 = family.shooting.t0
+    t0, period = family.shooting.t0, jnp.asarray(period, lattice.dtype)
     _, ts, ys = history(flow, lattice, state, t0, period, FRAMES)
     number = response(lattice, ys.u, ys.v, ts)
-    counts = jnp.stack([flow.steps, 3 * flow.steps // 4, flow.steps // 2])
-    maps = jax.lax.map(lambda n: Flow(n, flow.solver).derivative(state, t0, t0 + period, lattice)[1], counts)
-    return state, jnp.asarray(period), lattice.energy(t0, *state), number, *maps
+
+    def mapped(n):
+        end, map_ = Flow(n, flow.solver).derivative(state, t0, t0 + period, lattice)
+        return ravel_pytree(end)[0], map_
+
+    ends, maps = jax.lax.map(mapped, jnp.stack([flow.steps, 3 * flow.steps // 4, flow.steps // 2]))
+    # in one unit for displacements and one for velocities
+    flat, unravel = ravel_pytree(state)
+    scale = jnp.where(jnp.arange(flat.size) < flat.size // 2, period, 2 * jnp.pi)
+    inverse = jnp.linalg.inv(jnp.eye(flat.size) - maps[0] * scale[:, None] / scale)
+    change, size = jnp.abs(inverse @ ((ends[2] - ends[0]) * scale)), jnp.max(jnp.abs(flat * scale))
+    rounding = ROUNDING * jnp.finfo(flat.dtype).eps * size * jnp.max(jnp.sum(jnp.abs(inverse), 1))
+    state = unravel(nearby(flat * scale, inverse @ ((ends[0] - flat) * scale)) / scale)
+    apart = unravel((jnp.maximum(change, jnp.max(change) / 10) + rounding) / scale)
+    error = error_of(lattice, t0, state, apart, 2 * jnp.pi / period, jnp.zeros(()))
+    return Examined(state, period, lattice.energy(t0, *state), number, error, maps)
+
+
+def _enough(family, flow, z, looked, response, tolerance):
+    """Steps for which the orbit that is known worst is known well enough."""
+    def share(found):
+        y, e = found.state, found.error.state
+        omega = 2 * np.pi / found.period
+        return float(jnp.maximum(largest(e.u), largest(e.v) / omega) / jnp.maximum(largest(y.u), largest(y.v) / omega))
+
+    shares = [share(found) for found in looked]
+    worst, steps = int(np.argmax(shares)), int(flow.steps)
+    at, most = shares[worst], 2**DOUBLINGS * steps
+    while at > tolerance and steps < most:
+        steps *= 2
+        at = share(_examined(family, Flow(jnp.asarray(steps), flow.solver), z[worst], response))
+    return steps
 
 
 def _bifurcations(family, look, z, folds, multipliers, settings):

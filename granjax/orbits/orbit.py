@@ -14,11 +14,12 @@ from jax.flatten_util import ravel_pytree
 from ..checks import positive, refuse, whole
 from ..flow import Flow
 from ..lattice import Lattice, State, vector_field
-from ..newton import CONVERGED, Root, newton
+from ..newton import CONVERGED, Root
 from ..results import Held, Result
 from ..solvers import SRKN14a
 from ..tuning import one_thread
 from ..types import Count, Counts, Displacements, Flags, Number, Numbers, Scalar, StateLike, Times
+from .confirm import TOLERANCE, OrbitError, confirmed, error_of
 from .floquet import Floquet, floquet
 from .problems import Shooting, Symmetry, checked_state, checked_symmetry, largest, phases
 from .steps import fixed_step_solver, flow_over, history
@@ -52,11 +53,13 @@ class Orbit(Result):
 
     **Fields:** `state`: at `t0`; a breather is at rest there. `period`: T. `lattice`. `root`: how Newton's method
     ended. `flow`: steps and solver over a period. `symmetry`: S; after T times its order the state itself returns.
+    `error`: estimated distance from the true orbit, from two step sizes, with `state`, `energy`, `omega`, `period`.
     """
 
     held: ClassVar[dict[str, Held]] = {
         "state": Held("site"), "period": Held(unit="s"), "omega": Held(unit="rad/s"), "energy": Held(unit="J"),
-        "t0": Held(unit="s"),
+        "t0": Held(unit="s"), "state_error": Held("site", "", "state_error"), "omega_error": Held(unit="rad/s"),
+        "energy_error": Held(unit="J"),
     }
     state: State
     period: Number
@@ -65,12 +68,16 @@ class Orbit(Result):
     flow: Flow
     t0: Number
     symmetry: Symmetry = Symmetry()
+    error: OrbitError | None = None
 
     def _fields(self) -> Iterator[tuple[str, object]]:
         yield "state", self.state
         # of a batch neither energy nor steps is one number
-        one = ("period", "omega", "energy", "t0") if jnp.ndim(self.period) == 0 else ("period", "omega", "t0")
-        yield from ((name, getattr(self, name)) for name in one)
+        one = ("period", "omega", "energy") if jnp.ndim(self.period) == 0 else ("period", "omega")
+        yield from ((name, getattr(self, name)) for name in (*one, "t0"))
+        if self.error is not None:
+            yield "state_error", self.error.state
+            yield from ((f"{name}_error", getattr(self.error, name)) for name in one[1:3])
         yield "steps", self.flow.steps
         if not self.symmetry.trivial:
             yield "symmetry", repr(self.symmetry)
@@ -164,7 +171,7 @@ class Orbit(Result):
 def orbit(
     lattice: Lattice, guess: StateLike, period: Scalar, *, symmetry: Symmetry = Symmetry(), t0: Scalar = 0.0,
     steps: Count | None = None, segments: Count = 1, transient: Count = 0, solver: AbstractSolver | None = None,
-    tolerance: Scalar = 1e-10, max_steps: Count = 20, throw: bool | None = None,
+    tolerance: Scalar = TOLERANCE, max_steps: Count = 20, throw: bool | None = None,
 ) -> Orbit:
     r"""An orbit of a lattice that returns after a time, up to a symmetry: y(t0 + T) = S y(t0), by Newton's method.
 
@@ -183,17 +190,18 @@ def orbit(
     - `period`: T > 0. A multiple of the drive's gives orbits after a period doubling.
     - `symmetry`: S, made of `Translation(cells)`, `Mirror()` and `Sign()`; by default the identity.
     - `t0`: phase of the drive at which the state is taken.
-    - `steps` per period; `None` takes h omega_max <= 0.3, with omega_max the highest linear frequency, which gives
-      displacements to about 1e-9; scenes whose contacts open need more.
+    - `steps` per period; `None` begins at h omega_max <= 0.3, with omega_max the highest linear frequency, and doubles
+      them until a second step size confirms the orbit (under a transformation it stays there).
     - `segments`: of multiple shooting, for long or strongly unstable orbits. `solver`: at a fixed step; `None` takes
       SRKN14a, or diffrax's Dopri8 where a force reads velocities other than by `Damping`.
-    - `tolerance`: of the residual, relative to the amplitude (of the guess, or what a period makes of it).
+    - `tolerance`: of the orbit, relative to the amplitude (of the guess, or what a period makes of it); Newton's method
+      goes on to a thousandth of it.
     - `max_steps`: the most Jacobians. `throw`: raise where it does not converge; `None` does so outside of
       transformations.
 
     **Returns:** `Orbit`. **Raises** ValueError for a period that is not positive, or none of the forcing, a batch of
-    lattices, steps that the segments do not divide, what is no symmetry of the lattice, or a sonic vacuum without
-    `steps`; RuntimeError where `throw` and it did not converge, or fell to rest where nothing moves what is at rest.
+    lattices, steps that the segments do not divide, what is no symmetry of the lattice, or a guess at rest where
+    nothing moves it; RuntimeError where `throw` and it did not converge, or fell to such rest.
     """
     if not isinstance(lattice, Lattice) or lattice.lanes:
         refuse("lattice", "one Lattice", "a batch" if isinstance(lattice, Lattice) else repr(lattice),
@@ -201,15 +209,19 @@ def orbit(
     period, segments = positive("period", period), whole("segments", segments, 1)
     transient = whole("transient", transient, 0)
     guess = checked_state(lattice, guess, "guess")
-    flow = flow_over(lattice, period, steps, fixed_step_solver(lattice, solver, SRKN14a()), segments)
+    flow = flow_over(lattice, period, steps, fixed_step_solver(lattice, solver, SRKN14a()), segments, guess)
     checked_symmetry(lattice, symmetry, guess, t0, period)
     t0 = jnp.asarray(t0, lattice.dtype)
     free = checked_free(lattice)
+    traced = any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((lattice, period, guess)))
+    if free and not traced and not largest(vector_field(t0, guess, lattice)):
+        refuse("guess", "a state that moves, since nothing drives the lattice", "rest")
     shooting, x = prepared(lattice, period, guess, flow, t0, segments, jnp.asarray(transient), symmetry, free)
-    root = newton(shooting.residual, x, (lattice, period), tolerance=tolerance, max_steps=max_steps,
-                  linearise=shooting.linearise, throw=throw)
-    state = shooting.state(root.x)
-    return checked_orbit(Orbit(state, period, lattice, root, flow, t0, symmetry), guess, throw)
+    shooting, root, apart = confirmed(shooting, x, (lattice, period), tolerance=tolerance, max_steps=max_steps,
+                                      throw=throw, refine=steps is None and not traced)
+    state, flow = shooting.state(root.x), Flow(segments * shooting.flow.steps, shooting.flow.solver)
+    error = error_of(lattice, t0, state, shooting.apart(apart), 2 * jnp.pi / period, jnp.zeros(()))
+    return checked_orbit(Orbit(state, period, lattice, root, flow, t0, symmetry, error), guess, throw)
 
 
 def forced_orbit(lattice: Lattice, period: Scalar, guess: StateLike | None = None, **keywords: Any) -> Orbit:

@@ -12,14 +12,11 @@ from jaxtyping import Float
 from ..checks import refuse, whole
 from ..flow import Flow
 from ..lattice import Lattice, State, spread_mass, vector_field
-from ..terms.tracing import reads
 from ..types import AnyArray, Count, Numbers, Pytree, Scalar, StateLike
 from .symmetry import shifts
 
 # where in a period forces are compared: at no simple fraction, where waveforms have their zeros and jumps
-PHASES, MORE = ((0.1 + 0.618034 * np.arange(count)) % 1 for count in (4, 32))
-# displacements at which a modulation is looked for where the state has none
-SIZES = (1e-9, 1e-6, 1e-3, 1.0)
+PHASES = (0.1 + 0.618034 * np.arange(4)) % 1
 
 
 class Symmetry(eqx.Module):
@@ -89,25 +86,15 @@ def checked_state(lattice: Lattice, state: StateLike, argument: str = "state") -
     return jax.tree.map(lambda x: jnp.asarray(x, lattice.dtype), State(*state))
 
 
-def one_lattice(lattice: Lattice) -> Lattice:
-    """Refuse a batch of lattices."""
-    if not isinstance(lattice, Lattice) or lattice.lanes:
-        got = f"a batch with lanes {lattice.lanes}" if isinstance(lattice, Lattice) else f"a {type(lattice).__name__}"
-        refuse("lattice", "one Lattice", got, "Ask for one lane at a time.")
-    return lattice
-
-
 def checked_symmetry(lattice: Lattice, symmetry: Symmetry, state: State, t0: Scalar, period: Scalar) -> Symmetry:
     """Refuse what is no symmetry of the lattice, as its forces at a state and at its image a period later say.
 
-    Of the identity: a period after which the forces do not repeat.
+    Where forces depend on time that holds for the identity too: they must repeat after the period.
     """
     if not isinstance(symmetry, Symmetry):
         refuse("symmetry", "a Symmetry, such as Translation(1)", f"a {type(symmetry).__name__}")
-    if symmetry.trivial:
-        checked_period(lattice, state, t0, period)
-        return symmetry
-    if any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves((lattice, state, t0, period))):
+    traced = any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves((lattice, state, t0, period)))
+    if traced or symmetry.trivial and not lattice.reads_time:
         return symmetry
     if symmetry.mirror and lattice.dimension is not None:
         refuse("symmetry", "translations and signs in the plane", repr(symmetry))
@@ -127,51 +114,14 @@ def checked_symmetry(lattice: Lattice, symmetry: Symmetry, state: State, t0: Sca
     change, eps = float(largest(jax.tree.map(lambda a: a - a[0], there))), float(jnp.finfo(lattice.dtype).eps)
     if off <= 1e3 * eps * max(float(largest(there)), size * omega**2) + 100 * eps**0.5 * change:
         return symmetry
+    if symmetry.trivial:
+        refuse("period", "one after which the forces repeat", repr(float(period)), "Give the drive's, or a multiple.")
     refuse("symmetry", "a symmetry of the lattice", repr(symmetry), "Its image has other accelerations.")
 
 
-def checked_period(lattice: Lattice, state: StateLike, t0: Scalar, period: Scalar) -> None:
-    """Refuse a period after which the forces do not repeat, as the terms that read time say.
-
-    At rest, where drives and walls show however little they do, and at displacements of the state's size, where
-    modulations do; of a state at rest at those of several sizes.
-    """
-    traced = any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves((lattice, state, t0, period)))
-    if traced or not lattice.reads_time:
-        return
-    eps, rng, own = float(jnp.finfo(lattice.dtype).eps), np.random.default_rng(0), float(largest(state[0]))
-    shape = [rng.uniform(-1, 1, x.shape) for x in jax.tree.leaves(lattice.template())]
-    shape = jax.tree.unflatten(jax.tree.structure(lattice.template()), shape)
-    for size in (0.0, own) if own > 0 else (0.0, *SIZES):
-        u, v = (jax.tree.map(lambda x: jnp.asarray(size * scale * x, lattice.dtype), shape)
-                for scale in (1.0, 2 * np.pi / float(period)))
-        found = _repeated(lattice, u, v, jnp.asarray(t0, float), jnp.asarray(period, float))
-        off, change, there = map(float, found)
-        # more than by the rounding of times and of the static force beside; a size may be beyond a law's range
-        if np.isfinite(there) and off > 100 * (eps**0.5 * change + eps * there):
-            refuse("period", "one after which the forces repeat", repr(float(period)),
-                   "Give the drive's, or a multiple.")
-
-
-@eqx.filter_jit
-def _repeated(lattice, u, v, t0, period):
-    """By how much the forces that read time differ a period later, by how much they change, how large they are."""
-    terms = [term for term in lattice.terms if reads(term, lattice).time]
-
-    def force(t):
-        found = lattice.sum_forces(t, u, v, terms)
-        contact = [largest(contact.force) for term in terms for contact in term.compressions(t, u)]
-        return found, jnp.max(jnp.stack([largest(found), *contact]))
-
-    ts = phases(t0, period, MORE)
-    (now, size), (later, _) = (jax.lax.map(force, x) for x in (ts, ts + period))
-    change = jax.tree.map(lambda a: a - a[0], now)
-    return largest(jax.tree.map(jnp.subtract, now, later)), largest(change), jnp.max(size)
-
-
-def phases(t0: Scalar, period: Scalar, shares: Float[np.ndarray, " m"] = PHASES) -> Numbers:
-    """Times within a period, by default four."""
-    return t0 + period * jnp.asarray(shares)
+def phases(t0: Scalar, period: Scalar) -> Numbers:
+    """Four times within a period."""
+    return t0 + period * jnp.asarray(PHASES)
 
 
 def largest(x: Pytree) -> Numbers:
@@ -228,11 +178,22 @@ class Shooting(eqx.Module):
         return cls(flow, like, scale, moves, reference, t0, symmetry, segments)
 
     @classmethod
-    def half(cls, lattice: Lattice, flow: Flow, segments: Count = 1) -> "Shooting":
-        """Over half a period between two rests."""
+    def half(
+        cls, lattice: Lattice, flow: Flow, segments: Count = 1, *, length: Scalar = 1.0, omega: Scalar = 1.0,
+    ) -> "Shooting":
+        """Over half a period between two rests, displacements counted in `length` and velocities in length * omega."""
         moves = shifts(lattice)
-        like = State(lattice.zeros(), lattice.zeros())
-        return cls(flow, like, jnp.ones(2 * len(moves), moves.dtype), moves, segments=segments, reversible=True)
+        like, unit = State(lattice.zeros(), lattice.zeros()), jnp.ones(len(moves), moves.dtype)
+        scale = jnp.concatenate([length * unit, length * omega * unit])
+        return cls(flow, like, scale, moves, segments=segments, reversible=True)
+
+    def doubled(self) -> "Shooting":
+        """The same with twice the time steps."""
+        return eqx.tree_at(lambda s: s.flow, self, Flow(2 * self.flow.steps, self.flow.solver, self.flow.field))
+
+    def apart(self, change: Numbers) -> State:
+        """The state that a change of the unknowns makes, in the lattice's own units."""
+        return State(*ravel_pytree(self.like)[1](self._parts(change)[0][0] * self.scale))
 
     @property
     def count(self) -> int:
@@ -243,6 +204,12 @@ class Shooting(eqx.Module):
     def size(self) -> int:
         """Unknowns of the first state: 2n, or n of a reversible orbit."""
         return self.count if self.reversible else 2 * self.count
+
+    @property
+    def unknowns(self) -> int:
+        """Length of the vector of unknowns."""
+        conditions = self.moves.shape[1] + (self.reference is not None)
+        return (self.segments - 1) * 2 * self.count + self.size + conditions
 
     def guess(self, state: StateLike, scene: tuple | None = None) -> Numbers:
         """The unknowns of a state at t0: it is run through the period for the beginnings of later segments."""

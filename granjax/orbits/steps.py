@@ -4,10 +4,11 @@ import math
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from diffrax import AbstractSolver, Dopri8
 
 from ..checks import concrete, refuse, whole
-from ..flow import Flow, linear_frequency
+from ..flow import Flow, frequency_bound, linear_frequency
 from ..flow.dispatch import facts
 from ..lattice import Lattice, State
 from ..types import Count, Scalar, StateLike, Times
@@ -25,31 +26,36 @@ def fixed_step_solver(lattice: Lattice, solver: AbstractSolver | None, otherwise
 
 def default_steps(
     lattice: Lattice, period: Scalar, multiple: Count = 1, *, fineness: float = FINE, doubled: bool = False,
+    guess: StateLike | None = None,
 ) -> Scalar:
     """Steps of a period such that h omega_max <= fineness, with omega_max the highest linear frequency; at least 16.
 
-    A multiple of `multiple`; a number, or an array where the lattice or the period is traced. **Raises** ValueError in
-    a sonic vacuum, where that frequency is zero, unless the steps are `doubled` by the caller as need be.
+    A multiple of `multiple`; a number, or an array where the lattice or the period is traced. In a sonic vacuum, where
+    that frequency is zero, omega_max is the bound at the energy of a `guess`. **Raises** ValueError there without one,
+    unless the steps are `doubled` by the caller as need be.
     """
     turned = period * linear_frequency(lattice)
     known = concrete(turned)
     least = -(-LEAST_STEPS // multiple)
     if known is None:
         return multiple * jnp.maximum(jnp.ceil(turned / fineness / multiple).astype(int), least)
-    if not (doubled or known > 0):
+    if not known > 0 and guess is not None:
+        known = np.asarray(period * frequency_bound(lattice, guess, 0.0, period))
+    elif not (doubled or known > 0):
         refuse("steps", "steps per period", "None", "Nothing is stiff at rest (a sonic vacuum): give steps=.")
     return multiple * max(math.ceil(known / fineness / multiple), least)
 
 
 def flow_over(
     lattice: Lattice, period: Scalar, steps: Count | None, solver: AbstractSolver, multiple: Count = 1,
+    guess: StateLike | None = None,
 ) -> Flow:
     """The flow over a period; a given number of steps is static, the default one an array.
 
     `multiple`: segments that must divide them.
     """
     if steps is None:
-        return Flow(jnp.asarray(default_steps(lattice, period, multiple)), solver)
+        return Flow(jnp.asarray(default_steps(lattice, period, multiple, guess=guess)), solver)
     if whole("steps", steps, multiple) % multiple:
         refuse("steps", f"a multiple of the {multiple} segments", repr(steps))
     return Flow(int(steps), solver)
