@@ -33,8 +33,9 @@ class Reversible(eqx.Module):
     and velocities each for themselves. `return_error`: leave it at zero; the derivative with respect to it *is* the
     return error, the way in which a gradient reports it: `jax.grad(f, (0, 1))(x, gx.Reversible())[1].return_error`.
 
-    Wants a splitting solver at a fixed step and no records; gives derivatives of what is saved and of the end (NaN for
-    those of `energy_error`) with respect to lattice and state, not with respect to times. Takes 3 to 6 times the run.
+    Wants a splitting solver at a fixed step and no records, and refuses forward mode; gives derivatives of what is
+    saved and of the end (NaN for those of `energy_error`) with respect to lattice and state, not with respect to times.
+    Takes 3 to 6 times the run.
     **Raises** ValueError for a tolerance that is not above zero.
     """
 
@@ -54,6 +55,18 @@ def checked_reversible(solver: diffrax.AbstractSolver, records: dict, every: boo
     if records or every:
         refuse("adjoint", "no records and no save_at='steps' with Reversible", "record=" if records else "'steps'",
                "Save frames and reduce them, or use diffrax.RecursiveCheckpointAdjoint().")
+
+
+def refuse_forward_mode(adjoint: eqx.Module, error: TypeError) -> None:
+    """A sentence in the place of JAX's, where an adjoint of reverse mode meets forward mode; other errors pass on.
+
+    JAX speaks itself where the program was traced first and differentiated then: `jax.jacfwd(jax.jit(f))`.
+    """
+    if "forward-mode" not in str(error):
+        raise error
+    name = type(adjoint).__name__
+    refuse("adjoint", f"reverse mode with {name} (jax.grad, jax.vjp, jax.jacrev)", "forward mode (jax.jvp, jax.jacfwd)",
+           "Leave adjoint= out, which serves both, or give diffrax.ForwardMode().")
 
 
 @compiled

@@ -18,7 +18,7 @@ from .inputs import checked_records, checked_save_at, checked_state, checked_tim
 from .integrate import integrate
 from .method import checked_method, doubts, fixed_step, number, passed
 from .record import Record
-from .reversible import Reversible, checked_reversible, reversible
+from .reversible import Reversible, checked_reversible, refuse_forward_mode, reversible
 from .run import COMPLETED, NOT_FINITE, Run, named
 
 # bounds a traced run whose number of steps is not known; a bound that is not reached costs nothing
@@ -100,18 +100,21 @@ def simulate(
     dt = None if dt is None else number(dt, dtype)
     save_ts = None if save_ts is None else jnp.asarray(save_ts, dtype)
     watch = watch and not unknown
-    if backwards is None:
+    rest = records, solver, adjoint, limit, every, progress, watch, outside
+    try:
+        if backwards is None:
+            run = integrate(lattice, state, *span, dt, tolerance, save_ts, *rest)
+        else:
+            run = reversible((lattice, state, backwards), span, dt, save_ts, solver, limit, progress)
+    except TypeError as error:
+        refuse_forward_mode(backwards or adjoint, error)
+    again = passed(solver, run, dt) if watch and backwards is None else None
+    if again is not None:
+        dt, steps, choice, remark, _ = fixed_step(lattice, state, t0, t1, None, solver, frames, again)
+        choice += ", taken again: energy gathered beyond the bound at the start"
+        dt, limit = number(dt, dtype), None if limit is None else max(limit, steps)
         rest = records, solver, adjoint, limit, every, progress, watch, outside
         run = integrate(lattice, state, *span, dt, tolerance, save_ts, *rest)
-        again = passed(solver, run, dt) if watch else None
-        if again is not None:
-            dt, steps, choice, remark, _ = fixed_step(lattice, state, t0, t1, None, solver, frames, again)
-            choice += ", taken again: energy gathered beyond the bound at the start"
-            dt, limit = number(dt, dtype), None if limit is None else max(limit, steps)
-            rest = records, solver, adjoint, limit, every, progress, watch, outside
-            run = integrate(lattice, state, *span, dt, tolerance, save_ts, *rest)
-    else:
-        run = reversible((lattice, state, backwards), span, dt, save_ts, solver, limit, progress)
     run = named(run, type(solver).__name__, choice, remark)
     code = run.code
     if isinstance(code, jax.core.Tracer):
