@@ -1,5 +1,6 @@
 """Error against time: the measure, the table, its orders, its advice, on plain functions and on scenes."""
 
+import dataclasses
 import json
 import math
 import time
@@ -273,6 +274,43 @@ def test_advice_takes_the_faster(order):
     ladders = VERLET._replace(values=STEPS[:4]), Ladder("slow", "step", STEPS[:4], slow)
     wp = measure([ladders[i] for i in order], EXACT, FLOOR, repeats=1)
     assert wp.advice(1e-2).method == "verlet"
+
+
+def solved(factor, pause=0.0):
+    """A method of first order: an error of `factor` times the step, in a time that falls with the step."""
+    def call(step):
+        time.sleep(pause + 1e-4 / step)
+        return (EXACT[0] * (1 + factor * step), EXACT[1]), None
+
+    return call
+
+
+@pytest.mark.parametrize("asked", [0.05, 1e-2])
+def test_advice_is_never_worse_than_the_default(asked):
+    """Where no choice at all is better and faster, that is the advice."""
+    steps = [0.5, 0.1, 0.02, 0.004]
+    ladders = [Ladder("slow", "step", steps, solved(0.1, 0.03)),
+               Ladder("default", "step", (np.nan,), lambda _: solved(0.1)(0.02))]
+    wp = measure(ladders, EXACT, repeats=2)
+    advice = wp.advice(asked)
+    assert advice.method == "default" and advice.keywords == {} and advice.error == advice.default_error
+    assert str(advice) == f"For {asked:.3g}: the default, {str(advice).split('default, ')[1]}"
+    worse = measure([ladders[0], ladders[1]._replace(call=lambda _: solved(1.0)(0.5))], EXACT, repeats=2)
+    assert worse.advice(asked).method == "slow" and "the default would give" in str(worse.advice(asked))
+
+
+def test_advice_is_never_worse_than_another_point(seeds=range(20)):
+    for seed in seeds:
+        random = np.random.default_rng(seed)
+        wp = measure([Ladder(name, "step", STEPS, lambda step: (EXACT, None)) for name in "abc"], EXACT, repeats=1)
+        errors = 10.0 ** random.uniform(-6, -1, len(wp.error))
+        seconds = np.sort(random.uniform(1, 2, (3, len(STEPS)))).ravel()
+        wp = dataclasses.replace(
+            wp, error=errors, seconds=seconds, drawn=errors > 0, note=("",) * len(errors), ladders=())
+        for asked in (1e-1, 1e-2, 1e-3):
+            advice = wp.advice(asked)
+            assert advice.error <= asked
+            assert not np.any((errors <= advice.error) & (seconds < advice.seconds))
 
 
 def test_advice_below_the_floor_is_refused(table):
