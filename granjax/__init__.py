@@ -27,6 +27,7 @@ from .solvers import (  # noqa: E402
 from .strains import Pairs, Shift, StrainMap, Stretch  # noqa: E402
 from .terms import (  # noqa: E402
     Bond,
+    Breaks,
     Damping,
     Dashpot,
     Drag,

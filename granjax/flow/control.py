@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from ..types import Number, StateLike
+from .breaks import cut
 
 SAFETY = 0.8
 SHRINK, GROW = 0.2, 3.0
@@ -46,30 +47,40 @@ class StepControl(diffrax.AbstractAdaptiveStepSizeController):
     `first` tolerance^(1/q), and no force is spent to choose it.
 
     **Arguments:** `atol`: the tolerance, dimensionless. `norm`: of a state, in scales of the scene. `first`: a time.
-    `longest`: no step is longer; `None` for no such bound.
+    `longest`: no step is longer; `None` for no such bound. `breaks`: those of a lattice; steps end there, and what
+    follows one is as long as was meant before it.
     """
 
     atol: jax.Array
     norm: Scales
     first: jax.Array
     longest: jax.Array | None = None
+    breaks: tuple = ()
     rtol: float = 0.0
 
     def wrap(self, direction):
         return self
 
     def init(self, terms, t0, t1, y0, dt0, args, func, error_order):
-        return t0 + self._bounded(self.first * self.atol ** (1 / error_order)), jnp.asarray(False)
+        step = self._bounded(self.first * self.atol ** (1 / error_order))
+        if self.breaks:
+            end, meant = cut(self.breaks, t0, step)
+            return end, (jnp.asarray(False), meant)
+        return t0 + step, jnp.asarray(False)
 
     def adapt_step_size(self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state):
         error = jax.lax.stop_gradient(self.norm(y_error) / self.atol)
         keep = error < 1
-        most = jnp.where(controller_state | ~keep, 1.0, GROW)
+        failed, meant = controller_state if self.breaks else (controller_state, 0)
+        most = jnp.where(failed | ~keep, 1.0, GROW)
         factor = jnp.clip(SAFETY * error ** (-1 / error_order), SHRINK, most)
         step = self._bounded((t1 - t0) * factor.astype(t1.dtype))
         start = jnp.where(keep, t1, t0)
         stuck = ~(start + step > start)
         result = diffrax.RESULTS.where(stuck, diffrax.RESULTS.dt_min_reached, diffrax.RESULTS.successful)
+        if self.breaks:
+            end, meant = cut(self.breaks, start, jnp.where(keep, jnp.maximum(step, meant), step))
+            return keep, start, end, False, (~keep, meant), result
         return keep, start, start + step, False, ~keep, result
 
     def _bounded(self, step):

@@ -9,6 +9,7 @@ from ..lattice import Lattice, vector_field
 from ..lattice.outside import Outside
 from ..solvers import AbstractNystrom
 from ..types import Displacements, Number, Numbers, Scalar, StateLike, Times
+from .breaks import Landing, one_sided
 from .control import Scales, StepControl
 from .dispatch import compiled
 from .record import CLOSEST, EXTREMES, Extremes, Lowest, Recorded
@@ -32,10 +33,10 @@ def integrate(
     """
     records = {**records, CLOSEST: Lowest(_smallest_overlap)} if _overlaps(lattice, t0, state.u) else records
     records = {**records, EXTREMES: Extremes(_compressions)} if watch else records
-    stepper = _ready(solver, adjoint)
+    stepper = one_sided(_ready(solver, adjoint), lattice)
     stepper = Recorded(stepper, records) if records else stepper
     if tolerance is None:
-        controller = _FixedStep(dt)
+        controller = Landing(lattice.breaks, dt, t1) if lattice.breaks else _FixedStep(dt)
     else:
         controller = _controller(lattice, state, t0, t1, tolerance, dt, solver, save_ts)
     subs = [diffrax.SubSaveAt(t1=True)]
@@ -163,7 +164,7 @@ def _controller(lattice, state, t0, t1, tolerance, longest, solver, save_ts):
     furthest = jnp.max(jnp.stack([jnp.max(jnp.abs(u)) for u in jax.tree.leaves(state.u)]))
     velocity = jnp.maximum(fastest, omega * furthest)
     velocity = jax.lax.stop_gradient(jnp.where(velocity > 0, velocity, 1.0))
-    controller = StepControl(tolerance, Scales(velocity / omega, velocity), 1 / omega, longest)
+    controller = StepControl(tolerance, Scales(velocity / omega, velocity), 1 / omega, longest, lattice.breaks)
     if save_ts is not None and not isinstance(solver, AbstractNystrom):
         controller = diffrax.ClipStepSizeController(controller, step_ts=save_ts)
     return controller

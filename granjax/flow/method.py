@@ -12,6 +12,7 @@ from ..lattice import Lattice, acceleration_only, split_system
 from ..solvers import RKN86, AbstractNystrom, AbstractSplitting, SRKN11b
 from ..solvers.stability import refused_from
 from ..terms.tracing import reads
+from ..terms.waveforms import count_breaks
 from ..types import Number, Scalar, StateLike
 from .dispatch import facts, traced
 from .inputs import checked_size
@@ -132,6 +133,9 @@ def fixed_step(
     span = _known((t1 - t0) / frames)
     count = _ceil(span / step)
     steps = None if isinstance(count, jax.core.Tracer) else int(count) * frames
+    if steps is not None and lattice.breaks:
+        more = count_breaks(lattice.breaks, t0, t1)
+        steps = None if isinstance(more, jax.core.Tracer) else steps + int(more)
     return (t1 - t0) / (count * frames), steps, choice, remark, beyond
 
 

@@ -47,8 +47,11 @@ class Reversible(eqx.Module):
         self.tolerance = float(positive("tolerance", tolerance))
 
 
-def checked_reversible(solver: diffrax.AbstractSolver, records: dict, every: bool) -> None:
+def checked_reversible(lattice: Lattice, solver: diffrax.AbstractSolver, records: dict, every: bool) -> None:
     """That a run is one that can be undone."""
+    if lattice.breaks:
+        refuse("adjoint", "equal steps with Reversible", "a lattice with breaks, at which steps end",
+               "Use diffrax.RecursiveCheckpointAdjoint().")
     if not isinstance(solver, AbstractSplitting):
         refuse("adjoint", "a splitting solver at a fixed step, such as SRKN11b, with Reversible",
                type(solver).__name__, "Use diffrax.RecursiveCheckpointAdjoint().")

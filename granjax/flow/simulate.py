@@ -91,7 +91,7 @@ def simulate(
         choice += "" if step is None else f", none longer than {_shown(step)}"
     backwards = adjoint if isinstance(adjoint, Reversible) else None
     if backwards is not None:
-        checked_reversible(solver, records, every)
+        checked_reversible(lattice, solver, records, every)
         adjoint = _FORWARD
     adjoint, limit = _adjoint(adjoint, unknown, every, steps, max_steps)
 

@@ -12,6 +12,7 @@ from jax.flatten_util import ravel_pytree
 from ..lattice import vector_field
 from ..solvers import SRKN14a
 from ..types import Number, Numbers, Pytree, Scalar
+from .breaks import OneSided, breaks_of, shared_out
 
 # numbers that go through a processor at once, at most: rows of tangents that are a multiple of it are up to 1.2x faster
 VECTOR = 8
@@ -25,7 +26,8 @@ class Flow(eqx.Module):
 
     **Arguments:** `steps`: how many from t0 to t1; a whole number, or an array, whose value compiles nothing anew but
     has no reverse mode. `solver`: any of granjax's or diffrax's, used at a fixed step. `field`: f(t, y, args), by
-    default that of a lattice, with the lattice as `args` and `State(u, v)` as y.
+    default that of a lattice, with the lattice as `args` and `State(u, v)` as y. Where its forces jump in time, at
+    `Breaks`, the steps are shared out to the stretches between.
     """
 
     steps: Number
@@ -34,14 +36,15 @@ class Flow(eqx.Module):
 
     def __call__(self, y: Pytree, t0: Scalar, t1: Scalar, args: Any) -> Pytree:
         """The state at t1 of what is `y` at t0."""
-        return _march(self.solver, self.field, self.steps, y, t0, t1, args)
+        return _march(self.solver, self.field, self.steps, y, t0, t1, args, breaks_of(self.field, args))
 
     def tangents(self, y: Pytree, tangents: Pytree, t0: Scalar, t1: Scalar, args: Any) -> tuple:
         """(phi(y), D phi(y) tangents), with `tangents` like `y` plus a trailing axis."""
         count = jax.tree.leaves(tangents)[0].shape[-1]
         idle = -count % VECTOR if count > VECTOR else 0
         tangents = jax.tree.map(lambda x: jnp.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, idle)]), tangents)
-        ends = _march(self.solver, _variational(self.field, y), self.steps, _join(y, tangents), t0, t1, args)
+        field, breaks = _variational(self.field, y), breaks_of(self.field, args)
+        ends = _march(self.solver, field, self.steps, _join(y, tangents), t0, t1, args, breaks)
         end, moved = _part(y, ends)
         return end, jax.tree.map(lambda x: x[..., :count], moved)
 
@@ -64,11 +67,14 @@ def columns(like: Pytree, vectors: Numbers) -> Pytree:
     return jax.vmap(unravel, in_axes=-1, out_axes=-1)(vectors)
 
 
-def _march(solver, field, steps, y, t0, t1, args):
+def _march(solver, field, steps, y, t0, t1, args, breaks):
     terms = diffrax.ODETerm(field)
     if getattr(solver, "scan_kind", "own") is None:  # diffrax's loop over stages, in the kind with both modes
         solver = eqx.tree_at(lambda s: s.scan_kind, solver, "bounded", is_leaf=lambda x: x is None)
     flat = jnp.result_type(*jax.tree.leaves(y))
+    if breaks:
+        return _march_to_breaks(OneSided(solver), terms, steps, y, jnp.asarray(t0, flat), jnp.asarray(t1, flat), args,
+                                breaks)
     t0, h = jnp.asarray(t0, flat), jnp.asarray((t1 - t0) / steps, flat)
     state = solver.init(terms, t0, t0 + h, y, args)
 
@@ -79,6 +85,18 @@ def _march(solver, field, steps, y, t0, t1, args):
         return y, state
 
     return jax.lax.fori_loop(0, steps, step, (y, state))[0]
+
+
+def _march_to_breaks(solver, terms, steps, y, t0, t1, args, breaks):
+    """The same by steps that end at breaks; time runs forwards in `t * sign`."""
+    sign = jnp.where(t1 < t0, -1, 1).astype(t0.dtype)
+
+    def step(i, carry):
+        y, t = carry
+        end = shared_out(breaks, t, (steps - i).astype(t.dtype), t1 * sign, sign).astype(t.dtype)
+        return solver.step(terms, t * sign, end * sign, y, args, None, False)[0], end
+
+    return jax.lax.fori_loop(0, steps, step, (y, t0 * sign))[0]
 
 
 def _is_pair(y):

@@ -241,6 +241,15 @@ class Lattice(eqx.Module):
         """Whether some force depends on velocities."""
         return any(reads(term, self).velocity for term in self.terms)
 
+    @property
+    def breaks(self):
+        """The `Breaks` of all terms, where time steps end."""
+        return tuple(b for term in self.terms for b in term.jumps())
+
+    def between(self, low: Number, high: Number) -> Any:
+        """The lattice for the times from `low` to `high`: functions of time with breaks are held beyond them."""
+        return eqx.tree_at(lambda x: x.terms, self, tuple(term.between(low, high) for term in self.terms))
+
     def unbalanced(self) -> Displacements:
         """Force on each site at rest, from the total contact forces (preloads included).
 

@@ -224,6 +224,7 @@ def vector_field(t: Number, y: StateLike, lattice: Lattice) -> StateLike:
 
 vector_field.split_system = split_system
 vector_field.acceleration_only = acceleration_only
+vector_field.breaks = lambda lattice: lattice.breaks
 
 
 def damped_flight(u, v, rate, ah):

@@ -10,9 +10,9 @@ from .reach import Reach, Reached
 from .sites import Drive, OnSite
 from .tracing import Dependence
 from .walls import Wall
-from .waveforms import Function, Harmonic
+from .waveforms import Breaks, Function, Harmonic
 
 __all__ = [
-    "Bond", "Compression", "Damping", "Dashpot", "Dependence", "Drag", "Drive", "Excitation", "Function", "Harmonic",
-    "Modulated", "OnSite", "Reach", "Reached", "Term", "ViscousContact", "Wall",
+    "Bond", "Breaks", "Compression", "Damping", "Dashpot", "Dependence", "Drag", "Drive", "Excitation", "Function",
+    "Harmonic", "Modulated", "OnSite", "Reach", "Reached", "Term", "ViscousContact", "Wall",
 ]

@@ -136,6 +136,14 @@ class Term(Dimensional):
         """The term as it stands at time t, where its parameters change in time."""
         return self
 
+    def jumps(self) -> tuple:
+        """The `Breaks` of its functions of time, where steps end."""
+        return ()
+
+    def between(self, low: Number, high: Number) -> Any:
+        """The term with its functions of time, where they have breaks, held beyond two times at what they are there."""
+        return self
+
     def undriven(self) -> Any:
         """The term with what moves it from outside held still."""
         return self
@@ -313,6 +321,12 @@ class Multiplied(Term):
     def span(self):
         return self.term.span()
 
+    def jumps(self):
+        return self.term.jumps()
+
+    def between(self, low, high):
+        return eqx.tree_at(lambda x: x.term, self, self.term.between(low, high))
+
     def opens(self, lattice):
         return self.term.opens(lattice)
 
@@ -341,6 +355,13 @@ class InOtherUnits(Term):
         found = self.term.compressions(t * self.units.time, _times(u, self.units.length))
         return tuple(c._replace(law=c.law.in_units(self.units), compression=c.compression / self.units.length)
                      for c in found)
+
+    def jumps(self):
+        return tuple(b.in_units(self.units) for b in self.term.jumps())
+
+    def between(self, low, high):
+        inner = self.term.between(low * self.units.time, high * self.units.time)
+        return eqx.tree_at(lambda x: x.term, self, inner)
 
     def span(self):
         return self.term.span()

@@ -10,12 +10,12 @@ import numpy as np
 from ..checks import refuse
 from ..laws import Law, Linear, Scaled, checked_law
 from ..strains import Shift, StrainMap, checked_map
-from ..types import Number, Waveform
+from ..types import Number, Parameter, Waveform
 from ..units import PART, Signal
 from .base import Compression, Term, wider
 from .reach import largest_eigenvalue
 from .tracing import RESISTS, Dependence, stand_in
-from .waveforms import checked_waveform
+from .waveforms import Breaks, checked_breaks, checked_waveform, held
 
 _strain = eqx.filter_jit(lambda strain_map, move: strain_map.strain(move))
 
@@ -129,17 +129,29 @@ class Modulated(Term):
     **Arguments:** `term`: any term that stores energy or dissipates it: a `Bond`, an `OnSite`, a `Wall`, a `Dashpot`,
     one of your own; `modulation`: g(t), a function or Module such as `Harmonic(0.1, omega, mean=1.0)`; it may return
     an array over the bonds (a travelling modulation).
-    **Raises** ValueError for no term, or a modulation that cannot be called.
+    `breaks`: the times at which g or a derivative of it jumps, a list or `Breaks(times, period)`; steps end there, and
+    see g from one side. Without them every method is of order 2 at best there.
+    **Raises** ValueError for no term, a modulation that cannot be called, or breaks that are not finite.
     """
 
-    dimensions = {"term": PART, "modulation": Signal((0, 0, 0))}
+    dimensions = {"term": PART, "modulation": Signal((0, 0, 0)), "breaks": PART}
     term: Term
     modulation: Callable
+    breaks: Breaks | None
 
-    def __init__(self, term: Term, modulation: Waveform):
+    def __init__(self, term: Term, modulation: Waveform, breaks: Parameter | Breaks | None = None):
         if not isinstance(term, Term):
             refuse("term", "a term, such as a Bond", repr(term))
         self.term, self.modulation = term, checked_waveform("modulation", modulation)
+        self.breaks = checked_breaks(breaks)
+
+    def jumps(self):
+        own = () if self.breaks is None else (self.breaks,)
+        return own + self.term.jumps()
+
+    def between(self, low, high):
+        inner = eqx.tree_at(lambda x: x.term, self, self.term.between(low, high))
+        return inner if self.breaks is None else held(inner, "modulation", low, high)
 
     def at(self, t):
         """The term with the stiffness it has at time t."""
@@ -167,7 +179,7 @@ class Modulated(Term):
         return self.at(t).linearised(lattice, t, u, v)
 
     def undriven(self):
-        return Modulated(self.term.undriven(), self.modulation)
+        return Modulated(self.term.undriven(), self.modulation, self.breaks)
 
     def check(self, name, lattice):
         self.term.check(name, lattice)

@@ -10,12 +10,12 @@ import numpy as np
 
 from ..checks import refuse
 from ..laws import Law, Scaled, checked_law
-from ..types import Waveform
+from ..types import Parameter, Waveform
 from ..units import PART, Signal
 from .base import Compression, Excitation, Term, get, put
 from .bonds import spring
 from .tracing import Dependence
-from .waveforms import checked_waveform
+from .waveforms import Breaks, checked_breaks, checked_waveform, held
 
 
 class OnSite(Term):
@@ -74,22 +74,32 @@ class Drive(Term):
     """A force on one site: F_site = f(t).
 
     **Arguments:** `waveform`: a function of time, `Harmonic(amplitude, omega)` or any callable Module; in the plane
-    it returns a vector. `site`: index (a tuple on a grid), negative from the end. `field`: as in `OnSite`.
+    it returns a vector. `site`: index (a tuple on a grid), negative from the end. `field`: as in `OnSite`. `breaks`:
+    times at which it jumps, as in `Modulated`.
     **Raises** ValueError where `waveform` cannot be called.
     """
 
-    dimensions = {"waveform": Signal((1, 0, 0))}
+    dimensions = {"waveform": Signal((1, 0, 0)), "breaks": PART}
     waveform: Callable
+    breaks: Breaks | None
     site: tuple = eqx.field(static=True)
     field: str | None = eqx.field(static=True)
 
-    def __init__(self, waveform: Waveform, site: Any = 0, field: str | None = None):
+    def __init__(
+        self, waveform: Waveform, site: Any = 0, field: str | None = None, breaks: Parameter | Breaks | None = None,
+    ):
         self.waveform = checked_waveform("waveform", waveform)
         self.site = tuple(site) if isinstance(site, (tuple, list)) else (site,)
-        self.field = field
+        self.field, self.breaks = field, checked_breaks(breaks)
 
     def dependence(self, lattice):
         return Dependence(time=True)
+
+    def jumps(self):
+        return () if self.breaks is None else (self.breaks,)
+
+    def between(self, low, high):
+        return self if self.breaks is None else held(self, "waveform", low, high)
 
     def force(self, t, u, v, mass):
         x = get(u, self.field)

@@ -14,7 +14,7 @@ from ..units import PART, Signal
 from .base import Compression, Excitation, Term, get, put
 from .bonds import spring
 from .tracing import Dependence
-from .waveforms import checked_waveform
+from .waveforms import Breaks, checked_breaks, checked_waveform, held
 
 
 class Wall(Term):
@@ -26,24 +26,32 @@ class Wall(Term):
     **Arguments:** `law`: the contact with the wall (a sphere on a plane of another material:
     `Hertz(materials.hertz_coefficient(...), F0)`). `side`: `"left"` or `"right"`. `motion`: the wall's displacement
     w(t), a function or Module, `None` for a wall at rest. `support`: stiffness of a linear spring behind the wall
-    [N/m], for a wall that yields; `None` for none. `field`: as in `OnSite`.
+    [N/m], for a wall that yields; `None` for none. `field`: as in `OnSite`. `breaks`: times at which the motion or its
+    speed jumps, as in `Modulated`.
     **Raises** ValueError for another side, a motion that cannot be called, support <= 0.
     """
 
-    dimensions = {"law": PART, "motion": Signal((0, 1, 0))}
+    dimensions = {"law": PART, "motion": Signal((0, 1, 0)), "breaks": PART}
     law: Law
     motion: Callable | None
+    breaks: Breaks | None
     side: str = eqx.field(static=True)
     field: str | None = eqx.field(static=True)
 
     def __init__(
         self, law: Law, side: str = "right", motion: Waveform | None = None, support: Parameter | None = None,
-        field: str | None = None,
+        field: str | None = None, breaks: Parameter | Breaks | None = None,
     ):
         self.law = checked_law(law) if support is None else Yielding(checked_law(law), support)
         self.side = one_of("side", side, ("left", "right"))
         self.motion = None if motion is None else checked_waveform("motion", motion)
-        self.field = field
+        self.field, self.breaks = field, checked_breaks(breaks)
+
+    def jumps(self):
+        return () if self.breaks is None or self.motion is None else (self.breaks,)
+
+    def between(self, low, high):
+        return held(self, "motion", low, high) if self.jumps() else self
 
     def check(self, name, lattice):
         if lattice.axes != 1 or lattice.dimension is not None:
@@ -85,7 +93,7 @@ class Wall(Term):
         return self._still(self.law)
 
     def _still(self, law):
-        return eqx.tree_at(lambda x: (x.law, x.motion), self, (law, None), is_leaf=lambda x: x is None)
+        return eqx.tree_at(lambda x: (x.law, x.motion, x.breaks), self, (law, None, None), is_leaf=lambda x: x is None)
 
     def scaled(self, factor):
         return eqx.tree_at(lambda term: term.law, self, Scaled(self.law, factor))

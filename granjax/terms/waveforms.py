@@ -7,8 +7,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ..checks import parameter, refuse
-from ..types import Parameter
+from ..checks import parameter, positive, refuse
+from ..types import Number, Numbers, Parameter
+from ..units import Dimensional
+
+# rounding units by which a function may miss the time at which it jumps
+ULPS = 16
 
 
 class Function(eqx.Module):
@@ -42,6 +46,78 @@ class Harmonic(eqx.Module):
 
     def __call__(self, t):
         return self.mean + self.amplitude * jnp.cos(self.omega * t + self.phase)
+
+
+class Breaks(Dimensional):
+    """Times at which a function of time jumps, itself or a derivative: time steps end there and look to one side alone.
+
+    **Arguments:** `times` [s]: a number or a list, in any order; `period` [s]: those and all that lie whole periods
+    away, `None` for those alone. **Raises** ValueError for no time, times that are not finite, period <= 0.
+    """
+
+    dimensions = {"times": (0, 0, 1), "period": (0, 0, 1)}
+    times: jax.Array
+    period: jax.Array | None
+
+    def __init__(self, times: Parameter, period: Parameter | None = None):
+        self.times = jnp.atleast_1d(parameter("breaks", times))
+        if self.times.size == 0:
+            refuse("breaks", "times at which the function jumps", "none", "Leave breaks out.")
+        self.period = None if period is None else positive("period", period)
+
+    def _wrapped(self, units):
+        raise NotImplementedError
+
+    def after(self, t: Number, sign: Number = 1) -> Numbers:
+        """The first break after t, later than it by more than rounding; infinity where there is none.
+
+        `sign`: -1 for a time that runs backwards, t and the result being those of that time.
+        """
+        times, slack = sign * self.times, ULPS * jnp.finfo(self.times.dtype).eps
+        if self.period is not None:
+            count = jnp.floor((t - times) / self.period + slack * (1 + jnp.abs(t) / self.period)) + 1
+            times = times + count * self.period
+        return jnp.min(jnp.where(times > t + slack * jnp.abs(t), times, jnp.inf))
+
+    def between(self, t0: Number, t1: Number, sign: Number = 1) -> Numbers:
+        """How many breaks lie after t0 and before t1; those of different lanes count each."""
+        times, slack = sign * self.times, ULPS * jnp.finfo(self.times.dtype).eps
+        low, high = t0 + slack * jnp.abs(t0), t1 - slack * jnp.abs(t1)
+        if self.period is None:
+            return jnp.sum((times > low) & (times < high)).astype(times.dtype)
+        before, until = jnp.ceil((high - times) / self.period) - 1, jnp.floor((low - times) / self.period)
+        return jnp.sum(jnp.maximum(before - until, 0))
+
+
+def next_break(breaks: tuple, t: Number, sign: Number = 1) -> Number:
+    """The first of some `Breaks` after t."""
+    return jnp.min(jnp.stack([b.after(t, sign) for b in breaks]))
+
+
+def count_breaks(breaks: tuple, t0: Number, t1: Number, sign: Number = 1) -> Number:
+    """How many of some `Breaks` lie between two times."""
+    return sum(b.between(t0, t1, sign) for b in breaks)
+
+
+class Between(eqx.Module):
+    """A function of time for the times from `low` to `high` alone: beyond them it is what it is there."""
+
+    function: Callable
+    low: jax.Array
+    high: jax.Array
+
+    def __call__(self, t):
+        return self.function(jnp.clip(t, self.low, self.high))
+
+
+def held(term: Any, name: str, low: Number, high: Number) -> Any:
+    """A term with one of its functions of time taken `Between` two times."""
+    return eqx.tree_at(lambda x: getattr(x, name), term, Between(getattr(term, name), low, high))
+
+
+def checked_breaks(breaks: Any) -> Breaks | None:
+    """`Breaks` from a list of times; `None` stays."""
+    return breaks if breaks is None or isinstance(breaks, Breaks) else Breaks(breaks)
 
 
 def checked_waveform(name: str, f: Any):

@@ -1,0 +1,150 @@
+"""Forces that jump in time: steps end at the breaks and see them from one side, so that methods keep their order."""
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+import granjax as gx
+
+N, T, PUSH = 4, 1.1, 1.7
+DUTY = 0.4 * T
+START = gx.State(jnp.asarray([0.3, -0.2, 0.1, 0.4]), jnp.asarray([0.0, 0.1, 0.0, -0.2]))
+
+
+class Square(eqx.Module):
+    """1 and 1.6 in turn."""
+
+    period: jax.Array
+
+    def __call__(self, t):
+        return jnp.where(jnp.mod(t, self.period) < 0.4 * self.period, 1.0, 1.6)
+
+
+def push(t):
+    return jnp.where(t < PUSH, 0.0, 0.5)
+
+
+def make(told=True, period=T):
+    """Linear springs that jump with a period, a wall and a push that jump once."""
+    period = jnp.asarray(period)
+    stiff = gx.Breaks(jnp.stack([0 * period, 0.4 * period]), period=period)
+    once = [PUSH] if told else None
+    return gx.Lattice(1.0, (
+        gx.Modulated(gx.Bond(gx.Shift(1, "free"), gx.Linear(1.0)), Square(period), stiff if told else None),
+        gx.Wall(gx.Linear(0.7), "left", motion=push, breaks=once), gx.OnSite(gx.Linear(0.3)),
+        gx.Drive(push, 2, breaks=once),
+    ), sites=N)
+
+
+def matrix(factor, pushed):
+    """y' = A y for y = (u, v, 1)."""
+    d = np.eye(N - 1, N) - np.eye(N - 1, N, 1)
+    K = factor * d.T @ d + 0.3 * np.eye(N)
+    K[0, 0] += 0.7
+    A = np.zeros((2 * N + 1, 2 * N + 1))
+    A[:N, N : 2 * N], A[N : 2 * N, :N] = np.eye(N), -K
+    A[N, -1], A[N + 2, -1] = 0.7 * pushed, pushed
+    return A
+
+
+def exact(t1, period=T):
+    """The state at t1 by matrix exponentials, stretch by stretch."""
+    cuts = sorted({0.0, PUSH, t1, *(k * period + x for k in range(9) for x in (0.0, 0.4 * period))})
+    cuts = [t for t in cuts if t <= t1]
+    y = np.concatenate([START.u, START.v, [1.0]])
+    for a, b in zip(cuts, cuts[1:]):
+        middle = (a + b) / 2
+        y = expm((b - a) * matrix(float(Square(period)(middle)), float(push(middle)))) @ y
+    return y[:-1]
+
+
+def error(state, t1=4.0):
+    return np.abs(np.concatenate(state) - exact(t1)).max()
+
+
+def orders(errors):
+    return np.log2(np.asarray(errors[:-1]) / errors[1:])
+
+
+def test_a_splitting_method_keeps_its_order():
+    """SRKN11b, order 6: errors 1e-4 of those without breaks and less."""
+    steps = (0.22, 0.11, 0.055)
+    without, found = ([error(gx.simulate(make(told), START, 4.0, step=h, solver=gx.SRKN11b()).final) for h in steps]
+                      for told in (False, True))
+    assert orders(without).mean() < 2.2 and min(without) > 1e-4
+    assert orders(found).mean() > 5 and found[0] < 1e-8
+
+
+def test_a_flow_keeps_its_order_and_runs_back():
+    flow = jax.jit(lambda n, y, a, b: gx.flow.Flow(n, gx.SRKN11b())(y, a, b, make()))
+    ends = [flow(n, START, 0.0, 4.0) for n in (20, 40, 80)]
+    assert orders([error(end) for end in ends]).min() > 5
+    back = flow(40, ends[1], 4.0, 0.0)
+    np.testing.assert_allclose(back.u, START.u, atol=1e-14)
+
+
+@pytest.mark.parametrize("solver", [gx.RKN86(), diffrax.Tsit5()], ids=["RKN86", "Tsit5"])
+def test_adaptive_steps_land_on_breaks(solver):
+    run = gx.simulate(make(), START, 4.0, tolerance=1e-8, solver=solver, save_at="steps")
+    assert error(run.final) < 1e-7 and int(run.stats["rejected"]) < 6
+    for t in (DUTY, T, T + DUTY, PUSH, 3 * T):
+        assert np.abs(np.asarray(run.ts) - t).min() < 1e-12
+    if isinstance(solver, gx.RKN86):
+        blind = gx.simulate(make(False), START, 4.0, tolerance=1e-8, solver=solver)
+        assert int(blind.stats["steps"]) > 5 * int(run.stats["steps"])
+
+
+def test_frames_between_breaks():
+    run = gx.simulate(make(), START, 4.0, step=0.11, save_at=[0.7, 2.3, 4.0])
+    for t, u, v in zip((0.7, 2.3, 4.0), run.us, run.vs):
+        assert error((u, v), t) < 1e-7
+
+
+def test_the_derivative_with_respect_to_the_period():
+    """The breaks move, and the steps with them."""
+    def last(period):
+        return gx.simulate(make(period=period), START, 4.0, step=0.1).final.u[2]
+
+    h = 1e-4
+    want = (exact(4.0, T + h)[2] - exact(4.0, T - h)[2]) / (2 * h)
+    assert float(jax.jit(jax.jacfwd(last))(T)) == pytest.approx(want, abs=1e-6)
+
+
+def test_multipliers_of_a_lattice_whose_stiffness_jumps():
+    lattice = gx.Lattice(1.0, tuple(t for i, t in enumerate(make().terms) if i in (0, 2)), sites=N)
+    found = gx.floquet.floquet(lattice, gx.states.rest(lattice), T)
+    wall = np.zeros((2 * N, 2 * N))
+    wall[N, 0] = 0.7
+    one, two = (matrix(f, 0.0)[:-1, :-1] + wall for f in (1.0, 1.6))
+    want = np.linalg.eigvals(expm((T - DUTY) * two) @ expm(DUTY * one))
+    gap = np.abs(np.asarray(found.multipliers)[:, None] - want).min(1)
+    assert gap.max() < 1e-9 and (gap <= np.asarray(found.error) + 1e-13).all()
+
+
+def test_breaks_in_other_units_and_in_lanes():
+    units = gx.scenes.Units(3e-3, 2e-6, 5e-5)
+    scaled = gx.scenes.scaled(make(), units=units).lattice
+    run = gx.simulate(scaled, units.state_from_si(START), 4.0 / 5e-5, step=0.11 / 5e-5)
+    assert error(units.state_to_si(run.final)) < 1e-7
+    periods = jnp.asarray([T, 1.3])
+    both = jax.vmap(lambda period: make(period=period), out_axes=-1)(periods)
+    run = gx.simulate(both, jax.tree.map(lambda x: jnp.stack([x, x], -1), START), 4.0, step=0.11)
+    for lane, period in enumerate((T, 1.3)):
+        got = np.concatenate([run.final.u[:, lane], run.final.v[:, lane]])
+        assert np.abs(got - exact(4.0, period)).max() < 1e-7
+
+
+def test_what_no_break_can_be():
+    bond = gx.Bond(gx.Shift(1, "free"), gx.Linear(1.0))
+    for breaks, said in (([], "breaks: expected times"), ([np.nan], "breaks: expected finite"),
+                         ("a", "breaks: expected real numbers")):
+        with pytest.raises(ValueError, match=said):
+            gx.Modulated(bond, push, breaks=breaks)
+    with pytest.raises(ValueError, match="period: expected numbers above zero"):
+        gx.Breaks([0.1], period=0.0)
+    with pytest.raises(ValueError, match="breaks, at which steps end"):
+        gx.simulate(make(), START, 1.0, step=0.1, adjoint=gx.Reversible())
