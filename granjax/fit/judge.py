@@ -65,7 +65,7 @@ def judged(
         held = coordinates.at_bounds(parameters)
         if held:
             remarks.append(f"At its bound, and beyond it if it could: {', '.join(held)}.")
-        seen = np.abs(slopes) > EXACT
+        seen = np.abs(slopes) > EXACT * np.abs(sizes)
         by_parameter = np.where(seen, jacobian / np.where(seen, slopes, 1), 0.0)
         found_directions = tuple(directions(by_parameter, sizes, noise))
         matrix = covariance(found_directions, sizes)

@@ -25,11 +25,11 @@ def profile(
 
     - `x`: places (X,); `y`: values (X,), or (X, C) for C curves; `labels`: one per curve, for a legend.
     - `points`: a pair (places, values), such as lattice nodes, drawn as dots; `points_label`: theirs.
-    - `inset`: `"log"` or `"none"`; `floor` > 0: lowest decade of the inset.
+    - `inset`: `"log"` or `"none"`; `floor` in (0, 1): lowest decade of the inset, a share of the largest value.
     - `x_label`, `y_label`: of the axes.
 
     **Returns:** the Axes; the inset is `ax.child_axes[0]`, the curves `ax.lines`.
-    **Raises** ValueError for another inset, shapes that do not fit, a floor that is not above zero.
+    **Raises** ValueError for another inset, shapes that do not fit, a floor outside (0, 1).
     """
     inset = one_of("inset", "none" if inset is None else inset, INSETS)
     x, y = numbers("x", x, 1), numbers("y", y, finite=False)
@@ -40,7 +40,7 @@ def profile(
         labels = [labels]
     if labels is not None and len(labels) != y.shape[1]:
         refuse("labels", f"{y.shape[1]} names, one per curve", f"{len(labels)}")
-    floor = float(within("floor", floor, 0, np.inf, open_low=True))
+    floor = float(within("floor", floor, 0, 1, open_low=True, open_high=True))
     if points is not None:
         points = _points(points)
     ax = axes_or_new(ax)
@@ -55,7 +55,8 @@ def profile(
         _curves(small, x, np.abs(y), points and (points[0], np.abs(points[1])), None, None, 0.7)
         small.set_yscale("log")
         top = np.nanmax(np.abs(y))
-        small.set_ylim(floor, 10 * top if top > floor else 10 * floor)
+        top = top if top > 0 else 1.0
+        small.set_ylim(floor * top, 10 * top)
         small.set_xlim(x.min(), x.max())
         small.xaxis.set_major_locator(MaxNLocator(3))
         small.tick_params(labelsize=7)
