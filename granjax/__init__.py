@@ -11,7 +11,19 @@ _tuning.prepare_import()
 from . import laws, strains, terms  # noqa: E402
 from .design import Design, design, smooth_peak  # noqa: E402
 from .fit import Fit, Traces, fit  # noqa: E402
-from .flow import Arrival, Flow, Integral, Lowest, Peak, Record, Reversible, Run, simulate  # noqa: E402
+from .flow import (  # noqa: E402
+    Arrival,
+    Derivative,
+    Flow,
+    Integral,
+    Lowest,
+    Peak,
+    Record,
+    Reversible,
+    Run,
+    derivative,
+    simulate,
+)
 from .lattice import Lattice, State, vector_field  # noqa: E402
 from .laws import Hertz, Law, Linear, Network, Polynomial, PowerLaw, Sine, Spline, Toda, Yielding  # noqa: E402
 from .solvers import (  # noqa: E402

@@ -1,5 +1,6 @@
 """Flow: integrating a lattice in time."""
 
+from .derivative import Derivative, derivative
 from .record import Arrival, Integral, Lowest, Peak, Record
 from .reversible import Reversible, return_error
 from .run import Run
@@ -8,6 +9,6 @@ from .stepping import Flow
 from .stiffness import frequency_bound, linear_frequency
 
 __all__ = [
-    "Arrival", "Flow", "Integral", "Lowest", "Peak", "Record", "Reversible", "Run", "frequency_bound",
-    "linear_frequency", "return_error", "simulate",
+    "Arrival", "Derivative", "Flow", "Integral", "Lowest", "Peak", "Record", "Reversible", "Run", "derivative",
+    "frequency_bound", "linear_frequency", "return_error", "simulate",
 ]

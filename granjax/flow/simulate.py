@@ -66,6 +66,10 @@ def simulate(
     - `progress`: a progress bar. `throw`: raise where the run does not complete; `None` does so outside of
       transformations. `max_steps`: the most steps of an adaptive or traced run.
 
+    A derivative is that of the discrete steps. Where a force has a kink (a slope that jumps: a bilinear spring, an
+    exponent 1) it converges with the first power of the step, erratically, and at the default step tens of per cent
+    may be missing, with nothing to be seen: `gx.derivative(function, x, step)` gives its error.
+
     **Returns:** `Run`.
 
     **Raises** ValueError for input that cannot be meant (a sentence says argument, expected, got, remedy);
