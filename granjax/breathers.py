@@ -5,8 +5,9 @@ from .orbits.bifurcations import bifurcations
 from .orbits.breather import bands_of, breather, resonant_harmonic
 from .orbits.families import family
 from .orbits.guesses import bright_guess, dark_guess
+from .orbits.localised import Localisation, localisation
 
 __all__ = [
-    "Bifurcation", "Branch", "Orbit", "bands_of", "bifurcations", "breather", "bright_guess", "dark_guess", "family",
-    "guesses", "resonant_harmonic",
+    "Bifurcation", "Branch", "Localisation", "Orbit", "bands_of", "bifurcations", "breather", "bright_guess",
+    "dark_guess", "family", "guesses", "localisation", "resonant_harmonic",
 ]

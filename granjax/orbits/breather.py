@@ -17,6 +17,8 @@ from ..types import Count, Numbers, Scalar, StateLike
 from .confirm import TOLERANCE, confirmed, error_of
 from .families import checked_lattice, family, half_steps
 from .guesses import bright_guess, cell_of, dark_guess, edge_of, edges_beside, refuse_bright, supports_bright
+from .guesses.sites import local_guesses
+from .localised import checked_localised, localisation
 from .orbit import Orbit, checked_orbit
 from .problems import Family, Shooting, checked_state, largest, over_omega
 
@@ -25,8 +27,6 @@ MEETS = 1e-9
 # neighbouring extended modes this much closer than the spectrum's width belong to one band
 SPACING = 8
 GUESSES = ("bright", "dark")
-# share of the sites over which a state must spread (as a participation) to count as a background
-FILLS = 0.4
 # of the distance from the edge, where the envelope is a better guess
 NEARER = (0.5, 0.2, 0.1)
 
@@ -44,20 +44,24 @@ def breather(
     - `lattice`: a conservative, autonomous `Lattice`. `omega`: [rad/s].
     - `energy`: where given, the breather of this energy, above zero, is sought from the one at omega on, and has its
       own frequency, which is then differentiable too: d omega/d parameter at constant energy.
-    - `guess`: where Newton's method starts. `None`: the family from the linear mode next to omega. `"bright"`,
+    - `guess`: where Newton's method starts. `None`: the family from the linear mode next to omega, or where that is a
+      wave (on a ring) or none (a sonic vacuum), the envelope's breather or one about a site. `"bright"`,
       `"dark"`: the envelope's soliton of a periodic chain, centred on `centre` (a site, or 3.5 for a bond; `None` the
       middle); dark with the ends that the chain has (free: constant force; walls or a ring: fixed length). Another
       breather, or a `State`, such as that of `guesses.single_site` or a simulated one, whose velocities are dropped.
     - `steps`: time steps in a period, an even number; `None` doubles them until a second step size confirms the orbit.
     - `tolerance`: of that, relative to the guess's largest displacement; Newton's method goes on to a thousandth of it.
-    - `check`: refuse a frequency of which a harmonic meets a band, or whose gap has no bright breathers.
+    - `check`: refuse a frequency of which a harmonic meets a band, or whose gap has no bright breathers, and an orbit
+      that is no breather: one that more than 0.6 of the cells share (participation number of their energies at rest;
+      a wave between walls has 2/3), or 0.4 and twice what the guess had; of a dark one, no background or no dip in it.
     - `throw`: raise where Newton's method does not converge; `None` does so outside of transformations.
 
     With a `State` and `steps` it works inside `jit` and `vmap`, and its state and energy are differentiable in every
     parameter of the lattice and in omega, by the implicit function theorem.
 
-    **Returns:** `Orbit`; `throw=False` returns the best iterate. **Raises** ValueError for a frequency that has no
-    such breather, with the reason; RuntimeError where Newton's method does not converge.
+    **Returns:** `Orbit`, which says how many cells share its energy; `throw=False` returns the best iterate.
+    **Raises** ValueError for a frequency that has no such breather, with the reason; RuntimeError where Newton's method
+    does not converge, or leads to rest or to a wave, with the participation number.
     """
     first = None
     if isinstance(guess, Orbit):
@@ -65,24 +69,23 @@ def breather(
     traced = any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves((lattice, omega, guess, energy)))
     if not traced:
         checked_lattice(lattice)
+    kind = "bright"
     if isinstance(guess, str):
-        one_of("guess", guess, GUESSES)
+        kind = one_of("guess", guess, GUESSES)
     elif guess is not None:
         guess = checked_state(lattice, guess, "guess")
+        kind = kind if traced else _kind(lattice, guess)
     if not traced:
         if not omega > 0:
             refuse("omega", "a frequency above zero", repr(omega))
         if energy is not None:
             positive("energy", energy)
         if check:
-            _check(lattice, float(omega), guess)
+            _check(lattice, float(omega), guess, kind)
     elif guess is None or isinstance(guess, str) or steps is None:
         refuse("guess", "a State, and steps=, under a transformation", repr(guess), "Find one outside first.")
     if guess is None:
-        found = family(lattice, float(omega), stability=False, points=400, steps=steps, solver=solver)
-        if "reached" not in found.outcome:
-            raise RuntimeError(f"The family did not reach omega = {float(omega):.6g}: {found.outcome}")
-        guess, first = found.orbit(-1).state, int(found._flow.steps)
+        guess, first = _unguessed(lattice, float(omega), steps, solver, tolerance, check)
     known = guess if isinstance(guess, State) else None
     count = half_steps(lattice, 2 * np.pi / omega, first if steps is None else steps, known)
     flow = Flow(count if traced else jnp.asarray(count), solver or KahanLi8())
@@ -90,7 +93,8 @@ def breather(
         guess = _from_envelope(lattice, flow, float(omega), guess, centre, tolerance)
     settings = {"tolerance": tolerance, "max_steps": max_steps, "refine": steps is None}
     if energy is None:
-        return _solve(lattice, flow, guess, omega, throw=throw, **settings)
+        found = _solve(lattice, flow, guess, omega, throw=throw, **settings)
+        return checked_localised(found, kind, guess, throw) if check else found
     if not traced:  # a step of its own to omega: the guess's energy may be far off
         found = _solve(lattice, flow, guess, omega, throw=throw, **settings | {"refine": False})
         guess = found.state
@@ -98,7 +102,33 @@ def breather(
     problem, x = AtEnergy(half, jax.lax.stop_gradient(omega)), jnp.append(half.guess(guess), 1.0)
     problem, root, error = confirmed(problem, x, (lattice, jnp.asarray(energy, float)), throw=throw, **settings)
     period = 2 * jnp.pi / (root.x[-1] * problem.omega)
-    return _orbit(problem.half, lattice, guess, root, period, error[:-1], error[-1] * problem.omega, throw)
+    found = _orbit(problem.half, lattice, guess, root, period, error[:-1], error[-1] * problem.omega, throw)
+    return checked_localised(found, kind, guess, throw) if check else found
+
+
+def _unguessed(lattice, omega, steps, solver, tolerance, check):
+    """(a State to start at, steps): the family's, or where that is a wave or none, a breather about a site."""
+    start, failed = None, None
+    try:
+        found = family(lattice, omega, stability=False, points=400, steps=steps, solver=solver)
+        if "reached" not in found.outcome:
+            raise RuntimeError(f"The family did not reach omega = {omega:.6g}: {found.outcome}")
+        start = found.orbit(-1).state, int(found._flow.steps)
+        if not check or localisation(lattice, start[0]).bright:
+            return start
+    except (RuntimeError, ValueError) as error:
+        if not check:
+            raise
+        failed = error
+    for guess in local_guesses(lattice, omega):
+        count = half_steps(lattice, 2 * np.pi / omega, steps, guess)
+        flow = Flow(jnp.asarray(count), solver or KahanLi8())
+        found = _solve(lattice, flow, guess, omega, tolerance=tolerance, max_steps=30, refine=False, throw=False)
+        if found.converged and localisation(lattice, found.state).bright:
+            return found.state, 2 * count
+    if failed is not None:
+        raise failed
+    return start
 
 
 def _half(lattice, flow, guess, omega):
@@ -170,22 +200,20 @@ class AtEnergy(eqx.Module):
         return jnp.append(gaps, excess), jnp.block([[in_x, in_omega[:, None]], [gradient, jnp.zeros(1, x.dtype)]])
 
 
-def _check(lattice, omega, guess):
-    # a State that fills the lattice is a wave with a dip: its first harmonic is in the band by nature
-    fills = isinstance(guess, tuple) and bool(_spread(guess) > FILLS)
-    refuse_resonance(lattice, omega, fills or guess == "dark")
+def _kind(lattice, guess):
+    """What a State may lead to: one that fills the lattice to a bright breather or a dark one."""
+    return "any" if localisation(lattice, guess).fills else "bright"
+
+
+def _check(lattice, omega, guess, kind):
+    # the first harmonic of a wave with a dip is in the band by nature
+    refuse_resonance(lattice, omega, kind != "bright")
     if guess == "dark" or isinstance(guess, tuple) or cell_of(lattice) is None:
         return
     edges = edges_beside(lattice, omega)
     # a finite chain may have modes in a gap, at its ends, from which families leave too
     if edges and not any(supports_bright(edge) for edge in edges) and (guess or len(edges[0].coefficients.mode) == 1):
         refuse_bright(lattice, omega)
-
-
-def _spread(guess):
-    u = np.concatenate([np.ravel(x) for x in jax.tree.leaves(guess[0])])
-    weight = (u - u.mean()) ** 2
-    return weight.sum() ** 2 / max((weight**2).sum() * len(u), np.finfo(float).tiny)
 
 
 def bands_of(lattice: Lattice) -> tuple[Float[np.ndarray, "bands 2"], Float[np.ndarray, " modes"]]:

@@ -25,8 +25,8 @@ from .problems import Shooting, Symmetry, checked_state, checked_symmetry, large
 from .steps import fixed_step_solver, flow_over, history
 
 FRAMES = 32
-# of the guess's size, below which an orbit is none; and its code, beside those of `newton`
-AT_REST, FELL = 1e-6, 4
+# of the guess's size, below which an orbit is none; codes beside those of `newton`: at rest, and no breather
+AT_REST, FELL, SPREAD = 1e-6, 4, 5
 
 
 class OrbitRun(Result):
@@ -54,6 +54,7 @@ class Orbit(Result):
     **Fields:** `state`: at `t0`; a breather is at rest there. `period`: T. `lattice`. `root`: how Newton's method
     ended. `flow`: steps and solver over a period. `symmetry`: S; after T times its order the state itself returns.
     `error`: estimated distance from the true orbit, from two step sizes, with `state`, `energy`, `omega`, `period`.
+    `remark`: what else the outcome says, of a breather how many cells share its energy.
     """
 
     held: ClassVar[dict[str, Held]] = {
@@ -69,6 +70,7 @@ class Orbit(Result):
     t0: Number
     symmetry: Symmetry = Symmetry()
     error: OrbitError | None = None
+    remark: str = eqx.field(static=True, default="")
 
     def _fields(self) -> Iterator[tuple[str, object]]:
         yield "state", self.state
@@ -102,17 +104,18 @@ class Orbit(Result):
 
     @property
     def converged(self) -> Flags:
-        """Whether the residual came below the tolerance, and not at rest."""
+        """Whether the residual came below the tolerance, not at rest, and of a breather not at a wave."""
         return self.root.converged
 
     @property
     def outcome(self) -> str:
         """What became of Newton's method, a sentence."""
         code = self.root.code
-        if isinstance(code, jax.core.Tracer) or not np.any(np.asarray(code) == FELL):
-            return self.root.outcome
-        went = eqx.tree_at(lambda r: r.code, self.root, np.where(np.asarray(code) == FELL, CONVERGED, code)).outcome
-        return f"The guess fell to rest, where every time is a period: {went}"
+        if isinstance(code, jax.core.Tracer) or not np.any(np.asarray(code) >= FELL):
+            return f"{self.root.outcome} {self.remark}".rstrip()
+        went = eqx.tree_at(lambda r: r.code, self.root, np.where(np.asarray(code) >= FELL, CONVERGED, code)).outcome
+        fell = np.any(np.asarray(code) == FELL)
+        return f"The guess fell to rest, where every time is a period: {went}" if fell else f"{self.remark} {went}"
 
     def run(self, frames: Count = FRAMES) -> OrbitRun:
         """The orbit in time, `OrbitRun`."""

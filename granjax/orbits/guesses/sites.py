@@ -1,0 +1,318 @@
+"""Breathers from the anticontinuous side: some sites oscillate, the others stand still or follow."""
+
+from collections.abc import Iterator, Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+from scipy.optimize import brentq
+
+from ...checks import one_of, refuse
+from ...flow import Flow
+from ...lattice import Lattice, State, spread_mass
+from ...newton import newton
+from ...solvers import KahanLi8
+from ...types import Count, Scalar
+from ..families import checked_lattice
+from ..symmetry import shifts
+from .envelope import bright_guess, edges_beside, supports_bright
+
+HALF_STEPS, PARTS = 128, 16
+# binary orders of magnitude of an amplitude that are looked through, and how finely about the one that is found
+ORDERS, ABOUT, GROW = 160, 4.0, 1.25
+# departure of a force from the linear one that is none, and amplitudes next to each other that must have it
+LINEAR, RUN = 1e-5, 4
+# of the oscillating sites' amplitude, from which on the others do not stand still
+CLOSE = 0.25
+# frames of half a period; rounds of the iteration, and the change with which it ends
+FRAMES, ROUNDS, SETTLED = 24, 400, 1e-8
+# by which an amplitude is changed for the degree of the forces, and between which bounds that is believed
+STRETCH, DEGREES = 1.01, (1.2, 5.0)
+# sites beside the middle of a lattice among which different kinds are looked for
+BESIDE = 3
+
+
+def single_site(
+    lattice: Lattice, omega: Scalar, sites: Count | Sequence, *, amplitudes: Sequence | None = None,
+    field: str | None = None,
+) -> State:
+    r"""A breather about the named sites, from the anticontinuous limit where it is near.
+
+    In the limit the named sites oscillate at omega and all others stand still: weakly coupled sites with an on-site
+    potential, and light beads between heavy ones (mass ratio -> 0). With S the named sites,
+
+        m u'' = F(u) in S, u = const elsewhere;  v_S(0) = v_S(pi/omega) = 0,  mean of F over a period = 0 outside S:
+
+    an asymmetric bond of a moving site pushes its neighbours to another place, by an amount that does not vanish with
+    the mass ratio. Each site alone between neighbours at rest is the first guess; Newton's method does the rest.
+
+    Where the others would follow by more than a quarter of the amplitude (strong coupling; Newton's cradle, whose beads
+    are all in resonance), all of them take part, each in one harmonic about a mean, u_n = x_n + a_n cos(omega t):
+
+        (m omega^2 - K) a = -N(a, x),  mean of F = 0,
+
+    with K the linear stiffness and N the rest of the force's first harmonic, by Petviashvili's iteration.
+
+    **Arguments:** `lattice`: of scalar displacements. `omega`. `sites`: an index or several (on a grid a pair or
+    several pairs). `amplitudes`: signs +-1, one a site, for multibreathers (None: all +1, in phase). `field`: where a
+    cell holds several.
+
+    **Returns:** a `State` at rest. **Raises** ValueError where no amplitude has that frequency (omega is on the wrong
+    side of the site's linear frequency); RuntimeError where neither way converges.
+    Source: MacKay, Aubry, Nonlinearity 7, 1623 (1994); Livi, Spicci, MacKay, Nonlinearity 10, 1421 (1997); for the
+    cradle James, Kevrekidis, Cuevas, Physica D 251, 39 (2013); Pelinovsky, Stepanyants, SIAM J. Numer. Anal. 42, 1110
+    (2004).
+    """
+    checked_lattice(lattice)
+    if lattice.dimension is not None:
+        refuse("lattice", "scalar displacements", f"vectors of {lattice.dimension} components")
+    places = _places(lattice, sites, field)
+    signs = np.ones(len(places)) if amplitudes is None else np.sign(amplitudes)
+    if np.shape(signs) != (len(places),) or not np.all(signs):
+        refuse("amplitudes", f"{len(places)} signs, one for each of the sites", repr(amplitudes))
+    u, limit, failed, alone = np.zeros(_mass(lattice).shape), None, None, []
+    for place, sign in zip(places, signs):
+        size, turns = _amplitude(lattice, omega, int(place), float(sign))
+        u[place] = sign * size
+        alone.append(turns)
+    if all(alone):
+        try:
+            limit = _together(lattice, omega, u)
+        except RuntimeError as error:
+            failed = error
+    if limit is None or _follow(lattice, omega, u != 0, limit) > CLOSE:
+        together = _balanced(lattice, jnp.asarray(omega, u.dtype), jnp.asarray(u))
+        if _about(together, u):
+            limit = sum(together[:2])
+    if limit is None and failed is None:
+        _refuse_alone(omega)
+    if limit is None:
+        raise failed
+    return State(ravel_pytree(lattice.zeros())[1](limit), lattice.zeros())
+
+
+def local_guesses(lattice: Lattice, omega: Scalar) -> Iterator[State]:
+    """The envelope's breather where there is one, then those that `single_site` finds about each kind of site."""
+    if any(supports_bright(edge) for edge in edges_beside(lattice, omega)):
+        yield bright_guess(lattice, omega)
+    if lattice.dimension is not None:
+        return
+    stiffness, mass, seen = _stiffness(lattice), _mass(lattice), []
+    for name in lattice.fields or (None,):
+        shape = lattice.shape[name] if name else lattice.shape
+        for beside in range(BESIDE):
+            site = tuple(min(n // 2 + beside, n - 1) for n in shape)
+            (place,) = _places(lattice, [site] if len(shape) > 1 else site[0], name)
+            kind = np.array([mass[place], stiffness[place, place]])
+            if any(np.allclose(kind, other) for other in seen):
+                continue
+            seen.append(kind)
+            try:
+                yield single_site(lattice, omega, [site] if len(shape) > 1 else site[0], field=name)
+            except (ValueError, RuntimeError):
+                continue
+
+
+def _places(lattice, sites, field):
+    """Where the sites stand in the raveled displacements."""
+    index = ravel_pytree(lattice.zeros())[1](np.arange(_mass(lattice).size))
+    if lattice.fields:
+        index = index[one_of("field", field, tuple(lattice.fields))]
+    elif field is not None:
+        refuse("field", "None where a cell holds one field", repr(field))
+    axes = np.ndim(index)
+    try:
+        places = np.asarray(index)[tuple(np.reshape(sites, (-1, axes)).T)]
+    except (IndexError, ValueError):
+        refuse("sites", f"indices of sites of shape {np.shape(index)}", repr(sites))
+    if len(set(places.tolist())) < len(places):
+        refuse("sites", "each site once", repr(sites))
+    return places.astype(int)
+
+
+def _mass(lattice):
+    return np.asarray(ravel_pytree(spread_mass(lattice))[0])
+
+
+def _forces(lattice, u):
+    """Of raveled displacements, raveled."""
+    back = ravel_pytree(lattice.zeros())[1]
+    mass = ravel_pytree(spread_mass(lattice))[0]
+    return mass * ravel_pytree(lattice.acceleration(jnp.zeros((), u.dtype), back(u), lattice.zeros()))[0]
+
+
+@eqx.filter_jit
+def _stiffness(lattice):
+    """The linear stiffness K over the raveled displacements."""
+    return -jax.jacfwd(lambda u: _forces(lattice, u))(ravel_pytree(lattice.zeros())[0])
+
+
+def _others_held(t, y, scene):
+    """The motion of the sites where `moving` is 1, the others held."""
+    (u, v), (lattice, moving) = y, scene
+    return v, moving * _forces(lattice, u) / ravel_pytree(spread_mass(lattice))[0]
+
+
+@eqx.filter_jit
+def _path(lattice, moving, u, half):
+    """(u, v) from rest at u to the half period, at equal distances, the beginning left out."""
+    flow, part = Flow(HALF_STEPS // PARTS, KahanLi8(), _others_held), half / PARTS
+
+    def go(y, i):
+        y = flow(y, i * part, (i + 1) * part, (lattice, moving))
+        return y, y
+
+    return jax.lax.scan(go, (u, jnp.zeros_like(u)), jnp.arange(PARTS))[1]
+
+
+@eqx.filter_jit
+def _harmonics_of_forces(lattice, u, us):
+    """Mean and first harmonic of every site's force over a period, by the trapezoidal rule over half of it."""
+    forces = jax.vmap(lambda u: _forces(lattice, u))(jnp.concatenate([u[None], us]))
+    weights = jnp.ones(PARTS + 1).at[jnp.array([0, PARTS])].set(0.5) / PARTS
+    return weights @ forces, 2 * (weights * jnp.cos(jnp.pi * jnp.arange(PARTS + 1) / PARTS)) @ forces
+
+
+def _together(lattice, omega, u):
+    """Displacements at rest of the whole limit, from each site alone."""
+    moving = (u != 0).astype(u.dtype)
+    scale, free, half = np.abs(u).max(), np.asarray(shifts(lattice)), np.pi / omega
+    stiff = float(np.max(_mass(lattice) * moving)) * omega**2
+
+    def residual(x, scene):
+        us, vs = _path(scene, jnp.asarray(moving), scale * x, half)
+        rest = jnp.where(moving, vs[-1] / omega, _harmonics_of_forces(scene, scale * x, us)[0] / stiff) / scale
+        # forces say nothing of a uniform displacement: it stays zero
+        return rest + free @ (free.T @ jnp.where(moving, 0, x))
+
+    return scale * newton(residual, jnp.asarray(u / scale), lattice, tolerance=1e-11).x
+
+
+def _follow(lattice, omega, moving, u):
+    """Largest amplitude with which the sites that stand still would answer, over that of the others."""
+    us, _ = _path(lattice, jnp.asarray(moving, u.dtype), u, np.pi / omega)
+    first = np.asarray(_harmonics_of_forces(lattice, u, us)[1])[~moving]
+    if not len(first):
+        return 0.0
+    stiffness = np.asarray(_stiffness(lattice)) - np.diag(_mass(lattice) * omega**2)
+    try:
+        answer = np.abs(np.linalg.solve(stiffness[~moving][:, ~moving], first)).max()
+    except np.linalg.LinAlgError:
+        return np.inf
+    return answer / np.abs(np.asarray(u)[moving]).max()
+
+
+@eqx.filter_jit
+def _balanced(lattice, omega, start):
+    """(mean, amplitude, last relative change) of one harmonic in which every site takes part."""
+    mass = ravel_pytree(spread_mass(lattice))[0]
+    stiffness = _stiffness(lattice)
+    linear = jax.scipy.linalg.lu_factor(jnp.diag(mass * omega**2) - stiffness)
+    free = shifts(lattice)
+    cosines = jnp.cos((jnp.arange(FRAMES) + 0.5) * jnp.pi / FRAMES)
+    stiff = jnp.max(mass) * omega**2
+
+    def motion(a, x):
+        return x + cosines[:, None] * a
+
+    def rest(a, x):
+        """The nonlinear part of the first harmonic."""
+        return 2 / FRAMES * cosines @ jax.vmap(lambda u: _forces(lattice, u))(motion(a, x)) + stiffness @ a
+
+    def centred(a, x):
+        """One step of Newton's method to where the mean forces vanish."""
+        us = motion(a, x)
+        mean = jax.vmap(lambda u: _forces(lattice, u))(us).mean(0)
+        slope = jax.vmap(jax.jacfwd(lambda u: _forces(lattice, u)))(us).mean(0)
+        slope = slope - stiff * (1e-6 * jnp.eye(len(x)) + free @ free.T)
+        return x - jnp.linalg.solve(slope, mean)
+
+    def round(carry):
+        i, a, x, _ = carry
+        x = centred(a, x)
+        pull = rest(a, x)
+        # N(s a) = s^p N(a), the mean being of second order
+        degree = 1 + jnp.log((a @ rest(STRETCH * a, STRETCH**2 * x)) / (STRETCH * (a @ pull))) / jnp.log(STRETCH)
+        degree = jnp.clip(degree, *DEGREES)
+        after = jax.scipy.linalg.lu_solve(linear, -pull)
+        size = (a @ (mass * omega**2 * a - stiffness @ a)) / (a @ -pull)
+        after = size ** (degree / (degree - 1)) * after
+        return i + 1, after, x, jnp.max(jnp.abs(after - a)) / jnp.max(jnp.abs(after))
+
+    def goes_on(carry):
+        i, _, _, change = carry
+        return (i < ROUNDS) & (change > SETTLED)
+
+    _, a, x, change = jax.lax.while_loop(goes_on, round, (0, start, jnp.zeros_like(start), jnp.ones((), start.dtype)))
+    return x, a, change
+
+
+def _about(found, u):
+    """Whether the iteration has settled, and about the sites that oscillate in `u`, with their signs."""
+    x, a, change = (np.asarray(part) for part in found)
+    if not (np.isfinite(x).all() and np.isfinite(a).all() and change <= SETTLED):
+        return False
+    return bool(np.all((a * np.sign(u))[u != 0] > 0.5 * np.abs(a).max()))
+
+
+@eqx.filter_jit
+def _secants(lattice, one, amplitudes):
+    """First harmonic of a site's own force over its amplitude, with the sign of a stiffness."""
+    cosines = jnp.cos((jnp.arange(FRAMES) + 0.5) * jnp.pi / FRAMES)
+
+    def secant(a):
+        forces = jax.vmap(lambda c: one @ _forces(lattice, a * c * one))(cosines)
+        return -2 / FRAMES * (cosines @ forces) / a
+
+    return jax.lax.map(secant, amplitudes)
+
+
+def _amplitude(lattice, omega, place, sign):
+    """(where a site alone turns back, True), by shooting near what one harmonic gives, or (the latter, False)."""
+    half, mass = np.pi / omega, _mass(lattice)
+    one = jnp.asarray(sign * np.eye(len(mass))[place])
+
+    def velocities(a):
+        """On the way, negative until the first return to rest."""
+        return sign * np.asarray(_path(lattice, jnp.abs(one), a * one, half)[1])[:, place]
+
+    def between(low, high):
+        before = velocities(low)[-1]
+        while low < high:
+            now = velocities(GROW * low)[-1]
+            if not np.isfinite(now):
+                return None
+            if before * now <= 0:
+                try:
+                    found = brentq(lambda a: velocities(a)[-1], low, GROW * low, xtol=1e-14 * low, rtol=1e-14)
+                except ValueError:  # not finite on the way
+                    return None
+                # a later return belongs to a faster motion
+                if np.all(velocities(found)[:-1] < 0):
+                    return found
+            low, before = GROW * low, now
+        return None
+
+    grid = 2.0 ** np.arange(-ORDERS, ORDERS + 1)
+    above = np.asarray(_secants(lattice, one, jnp.asarray(grid))) / (mass[place] * omega**2) - 1
+    # below where it is linear a force may be rounding alone
+    small = float(_stiffness(lattice)[place, place]) / (mass[place] * omega**2) - 1
+    linear = np.convolve(np.abs(above - small) <= LINEAR * (1 + abs(small)), np.ones(RUN), "valid") == RUN
+    begin = int(np.argmax(linear))
+    grid, above = grid[begin:], above[begin:]
+    finite = np.isfinite(above)
+    crosses = np.flatnonzero(finite[:-1] & (~finite[1:] | (above[:-1] * np.where(finite[1:], above[1:], 1) <= 0)))
+    for i in crosses:
+        found = between(grid[i] / ABOUT, grid[i + 1] * ABOUT)
+        if found is not None:
+            return found, True
+    if not len(crosses):
+        _refuse_alone(omega)
+    return grid[crosses[0]], False
+
+
+def _refuse_alone(omega):
+    refuse("omega", "a frequency that the site alone can have", f"{omega:.6g}",
+           "It lies on the wrong side of the site's linear frequency: amplitude shifts it the other way.")

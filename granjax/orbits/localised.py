@@ -1,0 +1,114 @@
+"""Whether an orbit is localised: how many cells share its energy, and whether a wave has the dip of a dark breather."""
+
+import dataclasses
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from ..lattice import Lattice, State
+from ..linear.cell import unit_cell
+from ..measures import participation, site_energy
+from .orbit import SPREAD, Orbit
+
+# shares of the cells over which the energy of what is no bright breather spreads: a wave between walls has two thirds;
+# of a background; and of what has left a guess that holds less than half of it
+EXTENDED, BACKGROUND, STRAYED = 0.6, 0.4, 0.4
+# energy in the middle of a dip, over that on either side
+DIP = 0.5
+WAVES = "gx.orbits.orbit finds waves, and check=False tells nothing apart."
+
+
+class Localisation(NamedTuple):
+    """How the energy of a state at rest is spread over the cells of a lattice.
+
+    **Fields:** `participation`: (sum e)^2/sum e^2 over the cells, 1 for one alone, all of them for a uniform
+    oscillation, two thirds for a wave between walls. `cells`: how many there are. `dip`: the least energy of a cell
+    over the largest on the poorer of its sides; 1 or more without a dip.
+    """
+
+    participation: float
+    cells: int
+    dip: float
+
+    @property
+    def bright(self) -> bool:
+        """Whether so few cells share the energy that it is no wave."""
+        return self.participation <= EXTENDED * self.cells
+
+    @property
+    def fills(self) -> bool:
+        """Whether there is a background."""
+        return self.participation > BACKGROUND * self.cells
+
+    @property
+    def dark(self) -> bool:
+        """Whether there is a background, with a dip."""
+        return self.fills and self.dip <= DIP
+
+    def __str__(self) -> str:
+        return f"{self.participation:.3g} of {self.cells} cells share its energy"
+
+    def why_not(self, kind: str, guess: "Localisation") -> str | None:
+        """A sentence on why this is no breather of a kind, "bright", "dark" or "any", or `None` where it is one."""
+        strayed = kind == "bright" and self.participation > max(2 * guess.participation, STRAYED * self.cells)
+        if kind != "dark" and self.bright and not strayed or kind != "bright" and self.dark:
+            return None
+        if kind == "dark":
+            lacks = f"its least energy is {self.dip:.2g} of that beside it" if self.fills else "there is no background"
+            return f"Not a dark breather: {self} (participation number), and {lacks}. {WAVES}"
+        dip = "" if kind == "bright" else ", without the dip of a dark breather"
+        return f"Not localised: {self} (participation number; of the guess {guess.participation:.3g}){dip}. {WAVES}"
+
+
+def localisation(lattice: Lattice, state: State) -> Localisation:
+    """The `Localisation` of a state at rest."""
+    energies = cell_energies(lattice, state)
+    return Localisation(float(participation(energies.ravel())), energies.size, _dip(energies))
+
+
+def checked_localised(orbit: Orbit, kind: str, guess: State, throw: bool | None) -> Orbit:
+    """A breather with a remark on its localisation, or what is none, marked. `kind` as in `why_not`.
+
+    **Raises** RuntimeError with the participation number where it is none and `throw`.
+    """
+    if any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(orbit)) or not orbit.converged:
+        return orbit
+    found = localisation(orbit.lattice, orbit.state)
+    reason = found.why_not(kind, localisation(orbit.lattice, guess))
+    if reason is None:
+        return dataclasses.replace(orbit, remark=f"{found}.")
+    root = dataclasses.replace(orbit.root, code=jnp.full_like(orbit.root.code, SPREAD))
+    orbit = dataclasses.replace(orbit, root=root, remark=reason)
+    if throw is None or throw:
+        raise RuntimeError(orbit.outcome)
+    return orbit
+
+
+def cell_energies(lattice: Lattice, state: State) -> Float[np.ndarray, "..."]:
+    """Energy of each unit cell, over the axes of the lattice; of each site where the lattice has no period."""
+    leaves = [np.asarray(e) for e in jax.tree.leaves(site_energy(lattice, state))]
+    if any(e.shape != leaves[0].shape for e in leaves):
+        return np.concatenate([e.ravel() for e in leaves])
+    total = sum(leaves)
+    try:
+        cell = unit_cell(lattice).cell
+    except ValueError:
+        return total
+    for axis, size in enumerate(cell):
+        total = np.add.reduceat(total, np.arange(0, total.shape[axis], size), axis)
+    return total
+
+
+def _dip(energies):
+    """The least over all axes."""
+    least = np.inf
+    for axis in range(energies.ndim):
+        e = energies.sum(tuple(i for i in range(energies.ndim) if i != axis))
+        if len(e) > 2:
+            left, right = np.maximum.accumulate(e)[:-2], np.maximum.accumulate(e[::-1])[::-1][2:]
+            beside = np.maximum(np.minimum(left, right), np.finfo(e.dtype).tiny)
+            least = min(least, np.min(e[1:-1] / beside))
+    return float(least)

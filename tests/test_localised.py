@@ -1,0 +1,191 @@
+"""A breather is localised or has a dip, and is found where the linear modes lead to waves."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from known_orbits import dimer, hard, reference
+from scipy.integrate import solve_ivp
+
+import granjax as gx
+from granjax.orbits.guesses import dark_guess
+from granjax.orbits.localised import Localisation, checked_localised, localisation
+
+single_site = gx.breathers.guesses.single_site
+
+
+def soft(sites=8, coupling=0.1, boundary="periodic", mass=1.0, length=1.0, time=1.0):
+    """u'' = -u + u^3 + C D2 u, in other units of mass, length and time."""
+    k = mass / time**2
+    terms = (gx.Bond(gx.Shift(1, boundary), gx.Linear(coupling * k)),
+             gx.OnSite(gx.Polynomial(k, 0.0, -k / length**2)))
+    return gx.Lattice(np.full(sites, mass), terms)
+
+
+def cradle(sites=11, mass=1.0, length=1.0, time=1.0):
+    """Newton's cradle: Hertz contacts without precompression, pendulums of frequency 1."""
+    k = mass / time**2
+    terms = gx.Bond(gx.Shift(1, "free"), gx.Hertz(k / length**0.5)), gx.OnSite(gx.Linear(k))
+    return gx.Lattice(np.full(sites, mass), terms)
+
+
+def still(u):
+    return gx.State(jnp.asarray(u, float), jnp.zeros(len(u)))
+
+
+def shared(lattice, u):
+    """Participation number of the cells."""
+    return localisation(lattice, still(u)).participation
+
+
+@pytest.fixture(scope="module")
+def on_a_ring():
+    return gx.breathers.breather(soft(), 0.8)
+
+
+def test_a_ring_whose_uniform_mode_softens_has_a_breather_all_the_same(on_a_ring):
+    found = localisation(soft(), on_a_ring.state)
+    assert found.participation < 2 and found.bright and on_a_ring.converged
+    assert f"{found.participation:.3g} of 8 cells share its energy." in on_a_ring.outcome
+    u = np.asarray(on_a_ring.state.u)
+    assert u[4] == u.max() > 0.8 and u[0] < 0.01
+
+
+def test_a_uniform_oscillation_is_no_breather():
+    uniform = still(np.full(8, 0.685))
+    with pytest.raises(RuntimeError, match="Not localised: 8 of 8 cells .*participation number; of the guess 8"):
+        gx.breathers.breather(soft(), 0.8, uniform)
+    wave = gx.breathers.breather(soft(), 0.8, uniform, throw=False)
+    assert not wave.converged and "without the dip" in wave.outcome
+    assert gx.breathers.breather(soft(), 0.8, uniform, check=False).converged
+
+
+def test_a_localised_guess_that_leads_to_a_wave_is_refused():
+    # too short a ring for a breather this wide: it leaves the uniform oscillation at larger amplitudes alone
+    short = soft(coupling=0.5)
+    bump = still(0.4 * np.exp(-((np.arange(8) - 4) ** 2) / 2))
+    assert localisation(short, bump).bright
+    with pytest.raises(RuntimeError, match=r"Not localised: 8 of 8 cells .*of the guess [1-4]"):
+        gx.breathers.breather(short, 0.98, bump)
+
+
+def test_a_breather_in_other_units_is_the_same_with_the_same_words(on_a_ring):
+    units = {"mass": 3e-4, "length": 2e-7, "time": 5e-6}
+    other = gx.breathers.breather(soft(**units), 0.8 / 5e-6)
+    np.testing.assert_allclose(np.asarray(other.state.u) / 2e-7, on_a_ring.state.u, rtol=0, atol=1e-9)
+    assert other.remark == on_a_ring.remark
+
+
+@pytest.mark.parametrize("omega, sites, signs", [(1.05, 5, None), (1.2, [5, 6], [1, -1])])
+def test_newtons_cradle_has_breathers(omega, sites, signs):
+    lattice = cradle()
+    b = gx.breathers.breather(lattice, omega, single_site(lattice, omega, sites, amplitudes=signs))
+    u = np.asarray(b.state.u)
+    assert b.converged and np.argmax(np.abs(u)) == 5 and shared(lattice, u) < 4
+
+    def field(t, y):
+        s = np.maximum(y[:10] - y[1:11], 0) ** 1.5
+        return np.concatenate([y[11:], np.append(0, s) - np.append(s, 0) - y[:11]])
+
+    end = solve_ivp(field, (0, np.pi / omega), np.append(u, 0 * u), "DOP853", rtol=1e-12, atol=1e-16, max_step=0.02)
+    assert np.abs(end.y[11:, -1]).max() < 1e-5 * np.abs(u).max()
+
+
+def test_a_site_in_other_units():
+    for make, omega, sites, signs in ((cradle, 1.2, [5, 6], [1, -1]), (soft, 0.8, 4, None)):
+        one = single_site(make(), omega, sites, amplitudes=signs)
+        other = single_site(make(mass=3e-4, length=2e-7, time=5e-6), omega / 5e-6, sites, amplitudes=signs)
+        np.testing.assert_allclose(np.asarray(other.u) / 2e-7, one.u, atol=1e-7 * np.abs(one.u).max())
+
+
+def test_a_site_between_soft_ones_need_not_have_the_frequency_alone():
+    # C = 1/2: alone between its neighbours it has sqrt 2 at most, and escapes before 0.8
+    u = np.asarray(single_site(soft(21, 0.5), 0.8, 10).u)
+    assert np.argmax(u) == 10 and shared(soft(21, 0.5), u) < 4 and u[0] < 1e-3
+
+
+@pytest.mark.slow
+def test_a_site_of_a_field_and_of_a_grid():
+    bead, resonator = (gx.OnSite(gx.Polynomial(k, 0.0, b), field=name)
+                       for name, k, b in (("bead", 1.0, 1.0), ("resonator", 2.0, 0.0)))
+    within = gx.Bond(gx.Shift(0, "periodic", fields=("bead", "resonator")), gx.Linear(0.05))
+    along = gx.Bond(gx.Shift(1, "periodic", fields=("bead", "bead")), gx.Linear(0.05))
+    cells = gx.Lattice({"bead": np.ones(8), "resonator": np.full(8, 0.3)}, (along, bead, resonator, within))
+    found = single_site(cells, 1.6, 4, field="bead")
+    assert np.argmax(found.u["bead"]) == 4 and float(localisation(cells, found).participation) < 1.5
+    assert localisation(cells, found).cells == 8
+    with pytest.raises(ValueError, match="field: expected one of 'bead', 'resonator'"):
+        single_site(cells, 1.6, 4)
+    grid = gx.Lattice(np.ones((4, 4)), (gx.Bond(gx.Shift((1, 0), "periodic"), gx.Linear(0.02)),
+                                        gx.Bond(gx.Shift((0, 1), "periodic"), gx.Linear(0.02)),
+                                        gx.OnSite(gx.Polynomial(1.0, 0.0, 1.0))))
+    assert np.argmax(single_site(grid, 1.6, (1, 2)).u) == 6
+    with pytest.raises(ValueError, match="sites: expected indices"):
+        single_site(grid, 1.6, 17)
+
+
+@pytest.mark.parametrize("sites, signs", [([3, 3], None), (9, None), ([2, 4], [1]), ([2, 4], [1, 0])])
+def test_sites_that_are_none_are_refused(sites, signs):
+    with pytest.raises(ValueError, match="sites|amplitudes"):
+        single_site(hard(), 1.4, sites, amplitudes=signs)
+
+
+class Pinned(gx.Term):
+    """A term of one's own: energy u^2/2 + u^4/4 at every site."""
+
+    strength: jax.Array
+
+    def energy(self, t, u):
+        return self.strength * (u**2 / 2 + u**4 / 4)
+
+    def force(self, t, u, v, mass):
+        return -self.strength * (u + u**3)
+
+
+@pytest.mark.slow
+def test_a_term_of_ones_own_has_the_same_site():
+    own = gx.Lattice(np.ones(7), (gx.Bond(gx.Shift(1, "free"), gx.Linear(0.02)), Pinned(jnp.asarray(1.0))))
+    np.testing.assert_allclose(single_site(own, 1.4, 3).u, single_site(hard(), 1.4, 3).u, atol=1e-12)
+
+
+@pytest.mark.parametrize("boundary", ["fixed", "periodic"])
+def test_what_is_bright_dark_or_a_wave(boundary):
+    chain = gx.scenes.monomer(24, precompression=1.0, boundary=boundary)
+    n, omega = np.arange(24), 6**0.5
+    staggered = (-1.0) ** n
+    wave = localisation(chain, still(0.1 * staggered))
+    assert not wave.dark and not wave.bright and wave.dip > 0.9
+    between_walls = localisation(chain, still(0.1 * staggered * np.sin(np.pi * (n + 0.5) / 24)))
+    assert not between_walls.dark and not between_walls.bright and 15 < between_walls.participation < 17
+    dark = localisation(chain, dark_guess(chain, 0.97 * omega))
+    assert dark.dark and dark.dip < 0.1
+    bright = localisation(chain, still(0.1 * staggered / np.cosh((n - 12) / 2)))
+    assert bright.bright and not bright.dark and not bright.fills
+    assert dark.why_not("dark", dark) is None and bright.why_not("bright", bright) is None
+    assert "there is no background" in bright.why_not("dark", dark)
+    assert "its least energy is" in wave.why_not("dark", dark) and "Not localised" in wave.why_not("any", wave)
+    assert "of the guess" in wave.why_not("bright", bright) and dark.why_not("any", wave) is None
+
+
+def test_what_strays_far_from_a_localised_guess_is_refused():
+    guess, found = Localisation(2.0, 40, 3.0), Localisation(20.0, 40, 3.0)
+    assert found.bright and "20 of 40 cells" in found.why_not("bright", guess)
+    assert found.why_not("any", guess) is None and found.why_not("bright", found) is None
+
+
+def test_the_measure_counts_cells_and_no_shifts():
+    known = reference("light_centred")
+    lattice, state = dimer(41), still(known.u)
+    # displaced by a third on either side, at rest there: energy says where the breather is
+    assert np.abs(known.u[[0, -1]]).min() > 0.3 and localisation(lattice, state).participation < 3
+    assert localisation(lattice, state).cells == 21
+    assert localisation(lattice, still(known.u + 5.0)).participation == pytest.approx(shared(lattice, known.u))
+
+
+def test_a_dark_word_that_leads_to_a_bright_orbit_is_refused(on_a_ring):
+    orbit = dataclasses.replace(on_a_ring, remark="")
+    with pytest.raises(RuntimeError, match="Not a dark breather: .* of 8 cells .* no background"):
+        checked_localised(orbit, "dark", on_a_ring.state, None)
+    assert checked_localised(orbit, "bright", on_a_ring.state, None).remark == on_a_ring.remark
