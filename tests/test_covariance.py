@@ -765,8 +765,10 @@ row("structure", closed, mixed, slow=AUTONOMOUS[1:])(
     lambda s: (lambda x: [Of(x.mass, 1, -1, 2), x.expected, x.autonomous])(gx.floquet.structure(s.lattice)))
 row("default_steps", closed, hard)(lambda s: default_steps(s.lattice, s.s(5.0)))
 row("bright_guess", dimer)(lambda s: state(gx.breathers.bright_guess(s.lattice, 0.99 * optical(s))))
+row("localisation", dimer, slow=(hard,))(
+    lambda s: list(gx.breathers.localisation(s.lattice, gx.State(s.state.u, 0 * s.state.u))))
 row("dark_guess", uniform)(lambda s: state(gx.breathers.dark_guess(s.lattice, 0.99 * top(s))))
-row("single_site", hard, marks=LATER)(lambda s: state(gx.breathers.guesses.single_site(
+row("single_site", hard)(lambda s: state(gx.breathers.guesses.single_site(
     s.lattice, 1.3 * upper_edge(s), [2])))
 
 
@@ -886,8 +888,7 @@ def _(s):
 ELSEWHERE = {
     "split_system": "a solver's working form of the same forces: `simulate`", "variational": "`floquet`",
     "Record.value": "`simulate`", "Problem.state": "`fit`", "return_error": "rounding alone; `fit` and `Reversible`",
-    "checked_lattice": "an input check", "cell_of": "`bright_guess`",
-    "edges_beside": "`bright_guess`", "edge_of": "`breather`", "steps_per_period": "`settle`, `sweep`",
+    "cell_of": "`bright_guess`", "edges_beside": "`bright_guess`", "edge_of": "`breather`", "steps_per_period": "`settle`, `sweep`",
     "dark_by_interference": "an experiment in SI: its numbers are of one laboratory",
 }
 

@@ -65,7 +65,7 @@ class Localisation(NamedTuple):
 
 def localisation(lattice: Lattice, state: State) -> Localisation:
     """The `Localisation` of a state at rest."""
-    energies = cell_energies(lattice, state)
+    energies = _cell_energies(lattice, state)
     return Localisation(float(participation(energies.ravel())), energies.size, _dip(energies))
 
 
@@ -87,7 +87,7 @@ def checked_localised(orbit: Orbit, kind: str, guess: State, throw: bool | None)
     return orbit
 
 
-def cell_energies(lattice: Lattice, state: State) -> Float[np.ndarray, "..."]:
+def _cell_energies(lattice: Lattice, state: State) -> Float[np.ndarray, "..."]:
     """Energy of each unit cell, over the axes of the lattice; of each site where the lattice has no period."""
     leaves = [np.asarray(e) for e in jax.tree.leaves(site_energy(lattice, state))]
     if any(e.shape != leaves[0].shape for e in leaves):
