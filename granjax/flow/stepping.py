@@ -80,8 +80,8 @@ def _march(solver, field, steps, y, t0, t1, args, breaks):
 
     def step(i, carry):
         y, state = carry
-        start = t0 + i * h
-        y, _, _, state, _ = solver.step(terms, start, start + h, y, args, state, False)
+        # each step ends where the next begins: lengths that are rounded alike would add up
+        y, _, _, state, _ = solver.step(terms, t0 + i * h, t0 + (i + 1) * h, y, args, state, False)
         return y, state
 
     return jax.lax.fori_loop(0, steps, step, (y, state))[0]

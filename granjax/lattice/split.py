@@ -235,7 +235,8 @@ def damped_flight(u, v, rate, ah):
     x = rate * ah
     small = jnp.abs(x) < 1e-8
     weight = jnp.where(small, 1 - x / 2, -jnp.expm1(-x) / jnp.where(small, 1, x))
-    return u + ah * weight * v, jnp.exp(-x) * v
+    # the factor itself, so near to 1, is rounded alike in every step
+    return u + ah * weight * v, v + jnp.expm1(-x) * v
 
 
 def _without_velocity(lattice):

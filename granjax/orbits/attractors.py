@@ -11,7 +11,6 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
 from ..checks import positive, whole
-from ..checks import tolerance as checked_tolerance
 from ..flow import Flow
 from ..lattice import Lattice, State
 from ..measures import contacts
@@ -95,7 +94,7 @@ def settle(
     Typical: 200 to 2000 periods near a band edge with gamma T = 0.03.
     """
     period = float(positive("period", period))
-    tolerance = float(checked_tolerance("tolerance", tolerance))
+    tolerance = float(positive("tolerance", tolerance, "Typical: 1e-8."))
     periods = whole("periods", periods, 8)
     steps = steps_per_period(lattice, period) if steps is None else whole("steps", steps, 1)
     solver = fixed_step_solver(lattice, solver, SRKN11b())

@@ -175,9 +175,9 @@ class AtEnergy(eqx.Module):
     half: Shooting
     omega: Scalar
 
-    def doubled(self) -> "AtEnergy":
-        """The same with twice the time steps."""
-        return AtEnergy(self.half.doubled(), self.omega)
+    def finer(self, by: Scalar) -> "AtEnergy":
+        """The same with so many times the time steps."""
+        return AtEnergy(self.half.finer(by), self.omega)
 
     def _family(self, lattice):
         return Family(self.half, lattice, over_omega, 0.0, self.omega)

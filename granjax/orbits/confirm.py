@@ -7,7 +7,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import tolerance as checked_tolerance
 from ..lattice import Lattice, State
 from ..newton import Root, newton
 from ..types import Count, Number, Numbers, Pytree, Scalar
@@ -18,9 +17,12 @@ TOLERANCE, BRANCH = 1e-8, 1e-7
 LEFT, FLOOR, MOST_LEFT = 1e-3, 1e-12, 1e-11
 # most doublings of the steps, of those that Newton's method alone may want
 DOUBLINGS, TRIALS = 10, 4
-# of the change between two step sizes: for steps that are not halved, and against one that is small by accident
-SAFETY, ACCIDENT = 2, 32
+# of a change that other steps make, where they are not half as many; and finer ones that are looked at, since
+# where contacts open the change between two is small by accident
+SAFETY, FINER = 2, (1.25, 1.5)
 ROUNDING = 16
+# of the largest, below which no unknown is known
+SHARED = 0.1
 
 
 class OrbitError(eqx.Module):
@@ -37,22 +39,22 @@ class OrbitError(eqx.Module):
 
 
 def newtons(tolerance: Scalar) -> Scalar:
-    """What Newton's method may leave of the residual for an orbit of this tolerance, which is refused where none is."""
-    tolerance = checked_tolerance("tolerance", tolerance)
+    """What Newton's method may leave of the residual for an orbit of this tolerance."""
     return jnp.clip(LEFT * jnp.asarray(tolerance), jnp.minimum(tolerance, FLOOR), MOST_LEFT)
 
 
-def correction(problem: Any, root: Root, scene: Pytree) -> Numbers:
-    """The change of the unknowns that twice the steps would make: one Newton step with the derivative that is there."""
-    problem, root, scene = jax.lax.stop_gradient((problem, root, scene))
-    inverse = jnp.linalg.inv(root.jacobian)
-    size = jnp.max(jnp.sum(jnp.abs(inverse), 1))
-    change = jnp.abs(inverse @ problem.doubled().residual(root.x, scene))
-    rounding = ROUNDING * jnp.finfo(change.dtype).eps * size
-    return jnp.where(root.converged, SAFETY * change + rounding, jnp.nan)
+def corrected(problem: Any, root: Root, scene: Pytree) -> Numbers:
+    """The change of the unknowns that finer steps would make, by Newton's step with the derivative that is there."""
+    return jnp.where(root.converged, _corrected(problem, root.x, root.jacobian, scene), jnp.nan)
 
 
-_correction = eqx.filter_jit(correction)
+@eqx.filter_jit
+def _corrected(problem, x, jacobian, scene):
+    problem, x, jacobian, scene = jax.lax.stop_gradient((problem, x, jacobian, scene))
+    inverse = jnp.linalg.inv(jacobian)
+    rounding = ROUNDING * jnp.finfo(inverse.dtype).eps * jnp.max(jnp.sum(jnp.abs(inverse), 1))
+    changes = jax.lax.map(lambda by: jnp.abs(inverse @ problem.finer(by).residual(x, scene)), jnp.asarray(FINER))
+    return SAFETY * jnp.max(changes, 0) + rounding
 
 
 def confirmed(
@@ -61,21 +63,22 @@ def confirmed(
 ) -> tuple[Any, Root, Numbers]:
     """(problem, root, error of the unknowns): solved, and solved again with twice the steps until nothing changes.
 
-    `problem` has `residual`, `linearise` and `doubled()`. Without `refine` its steps stay, and the error alone is
+    `problem` has `residual`, `linearise` and `finer(by)`. Without `refine` its steps stay, and the error alone is
     estimated. Where Newton's method fails with the first steps it is tried with more.
     """
     def solve(problem, x, throw=False):
         return newton(problem.residual, x, scene, tolerance=newtons(tolerance), max_steps=max_steps,
                       linearise=problem.linearise, throw=throw)
 
+    problem = problem.finer(1) if refine else problem
     root = solve(problem, x, False if refine else throw)
     # a function may hide tracers, which the root then shows
     if not refine or isinstance(root.code, jax.core.Tracer):
-        return problem, root, _correction(problem, root, scene)
+        return problem, root, corrected(problem, root, scene)
     for _ in range(TRIALS):
         if root.converged:
             break
-        finer = problem.doubled()
+        finer = problem.finer(2)
         found = solve(finer, x)
         if found.converged or found.residual < root.residual:
             problem, root = finer, found
@@ -83,21 +86,19 @@ def confirmed(
         if throw is None or throw:
             raise RuntimeError(root.outcome)
         return problem, root, jnp.full_like(root.x, jnp.nan)
-    first, iterations, before = root.first, root.iterations, 0.0
+    first, iterations = root.first, root.iterations
     for _ in range(DOUBLINGS):
-        finer = problem.doubled()
+        finer = problem.finer(2)
         found = solve(finer, root.x)
         if not found.converged:
-            return problem, root, _correction(problem, root, scene)
-        iterations = iterations + found.iterations
-        found = eqx.tree_at(lambda r: (r.first, r.iterations), found, (first, iterations))
-        change = np.abs(np.asarray(found.x - root.x))
-        problem, root, size = finer, found, change.max()
-        error = np.maximum(size, before / ACCIDENT)
-        if error <= tolerance:
-            break
-        before = size
-    return problem, root, jnp.asarray(np.maximum(change, 0.1 * error))
+            return problem, root, corrected(problem, root, scene)
+        change, iterations = np.abs(np.asarray(found.x - root.x)), iterations + found.iterations
+        problem, root = finer, eqx.tree_at(lambda r: (r.first, r.iterations), found, (first, iterations))
+        if change.max() <= tolerance:
+            change = np.maximum(change, corrected(problem, root, scene))
+            if change.max() <= tolerance:
+                break
+    return problem, root, jnp.asarray(np.maximum(change, SHARED * change.max()))
 
 
 @eqx.filter_jit

@@ -12,7 +12,6 @@ from jaxtyping import Complex, Float, Inexact, Integer
 from scipy.sparse.linalg import ArpackError, ArpackNoConvergence, LinearOperator, eigs
 
 from ..checks import refuse, whole
-from ..checks import tolerance as checked_tolerance
 from ..flow import Flow, linear_frequency
 from ..lattice import Lattice, vector_field
 from ..results import Held, Result
@@ -163,7 +162,6 @@ def floquet(
     another shape, and segments that do not divide the steps.
     """
     period, segments = _checked(lattice, period), whole("segments", segments, 1)
-    tolerance = checked_tolerance("tolerance", tolerance)
     if steps is not None and whole("steps", steps, 1) % (2 * segments):
         refuse("steps", f"a multiple of {2 * segments}, twice the segments", repr(steps))
     known = NOTHING
@@ -336,7 +334,6 @@ def leading(
     """
     count, period, state = whole("count", count, 1), _checked(lattice, period), checked_state(lattice, state)
     steps = default_steps(lattice, period) if steps is None else whole("steps", steps, 1)
-    tolerance = checked_tolerance("tolerance", tolerance)
     flow = Flow(jnp.asarray(steps), fixed_step_solver(lattice, solver, KahanLi8()))
     times = jnp.asarray(float(t0)), jnp.asarray(period)
     scale = weights(structure(lattice).mass, period)

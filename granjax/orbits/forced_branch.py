@@ -123,8 +123,8 @@ def forced_branch(
     outcome = f"p reached {p[-1]:.6g}." if curve.outcome.startswith("p reached") else curve.outcome
     return Branch(
         p, periods, states, energies, responses, errors_of_orbits.state, errors_of_orbits.energy, multipliers, errors,
-        np.array([np.abs(fine - coarser).max() for fine, _, coarser in maps]), verdicts, found, outcome, float(t0), flow,
-        family, curve)
+        np.array([np.abs(fine - coarser).max() for fine, _, coarser in maps]), verdicts, found, outcome, float(t0),
+        flow, family, curve)
 
 
 class Examined(NamedTuple):

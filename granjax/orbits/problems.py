@@ -187,9 +187,10 @@ class Shooting(eqx.Module):
         scale = jnp.concatenate([length * unit, length * omega * unit])
         return cls(flow, like, scale, moves, segments=segments, reversible=True)
 
-    def doubled(self) -> "Shooting":
-        """The same with twice the time steps."""
-        return eqx.tree_at(lambda s: s.flow, self, Flow(2 * self.flow.steps, self.flow.solver, self.flow.field))
+    def finer(self, by: Scalar) -> "Shooting":
+        """The same with so many times the time steps."""
+        steps = jnp.ceil(by * self.flow.steps).astype(int)
+        return eqx.tree_at(lambda s: s.flow, self, Flow(steps, self.flow.solver, self.flow.field))
 
     def apart(self, change: Numbers) -> State:
         """The state that a change of the unknowns makes, in the lattice's own units."""

@@ -10,7 +10,6 @@ from diffrax import AbstractSolver
 from jaxtyping import Float, Integer
 
 from ..checks import concrete, parameter, positive, refuse, whole
-from ..checks import tolerance as checked_tolerance
 from ..flow import Flow
 from ..lattice import State
 from ..measures import rms_velocity
@@ -122,7 +121,7 @@ def sweep(
     if values.ndim != 1 or len(values) < 2 or not (np.diff(values) > 0).all():
         refuse("values", "at least two, ascending", f"shape {values.shape}", "The sweep itself goes down again.")
     jump, accuracy = float(positive("jump", jump)), float(positive("accuracy", accuracy))
-    tolerance, periods = float(checked_tolerance("tolerance", tolerance)), whole("periods", periods, 8)
+    tolerance, periods = float(positive("tolerance", tolerance)), whole("periods", periods, 8)
     watch = whole("watch", watch, 1)
     first = make(jnp.asarray(values[0]))
     if steps is None:

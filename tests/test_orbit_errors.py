@@ -1,0 +1,104 @@
+"""What an orbit says of its own error, against orbits that granjax did not compute."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from known_orbits import LATTICES, reference
+
+import granjax as gx
+from granjax.driven import driven_chain
+from granjax.forced import forced_branch, forced_orbit
+from granjax.orbits.scales import nonlinear_length
+
+BREATHERS = [name for name in LATTICES if not name.startswith("forced")]
+
+
+def ask(known, **keywords):
+    guess = gx.State(jnp.asarray(known.u), jnp.asarray(known.v))
+    if known.lattice.reads_time:
+        return forced_orbit(known.lattice, 2 * np.pi / known.omega, guess, **keywords)
+    return gx.breathers.breather(known.lattice, known.omega, guess, check=False, **keywords)
+
+
+def covers(orbit, known):
+    """Every displacement, velocity and the energy lie within the stated error of the truth."""
+    for x, error, truth in zip(orbit.state, orbit.error.state, (known.u, known.v)):
+        assert np.all(np.abs(x - truth) <= error + 2 * known.error)
+    assert abs(orbit.energy - known.energy) <= orbit.error.energy + known.energy_error
+
+
+@pytest.mark.parametrize("name", ("light_centred", "hard_pair", "forced_branch_upper"))
+def test_the_stated_error_covers_the_truth_and_is_what_was_asked_for(name):
+    known = reference(name)
+    size = np.abs(known.u).max()
+    for tolerance in (1e-8, 1e-4, 1e-6):
+        orbit = ask(known, tolerance=tolerance)
+        covers(orbit, known)
+        assert orbit.error.state.u.max() <= tolerance * 3 * size and orbit.error.omega == 0
+    # by steps of one's own: nothing is refined, the error is stated all the same
+    orbit = ask(known, steps=64)
+    covers(orbit, known)
+    assert orbit.flow.steps == 64 and (orbit.error.state.u.max() > 1e-7 * size) == known.opened
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [name for name in LATTICES if name not in ("light_centred", "hard_pair")])
+def test_other_orbits_too(name):
+    known = reference(name)
+    for keywords in ({}, {"tolerance": 1e-5}, {"tolerance": 1e-10}, {"steps": 48}, {"steps": 64}, {"steps": 200}):
+        covers(ask(known, **keywords), known)
+
+
+def test_the_light_centred_breather_from_its_family():
+    known = reference("light_centred")
+    family = gx.breathers.family(known.lattice, until=known.omega, stability=False)
+    at_the_end = family.orbit(-1)
+    covers(at_the_end, known)
+    assert family.energy[-1] == pytest.approx(2.341574, abs=1e-6) and family.energy_error[-1] < 1e-6
+    # what starts from the family is no coarser than it
+    covers(gx.breathers.breather(known.lattice, known.omega, at_the_end, check=False), known)
+
+
+def test_a_branch_of_forced_orbits_states_its_error():
+    known, chain = reference("forced_branch_upper"), gx.scenes.monomer(3, precompression=1.0)
+    branch = forced_branch(
+        lambda w: driven_chain(chain, 0.03, w, damping=0.02, phase=(0.0, np.pi)), known.omega, 1.685,
+        period=lambda w: 2 * jnp.pi / w, guess=gx.State(jnp.asarray(known.u), jnp.asarray(known.v)), points=4)
+    covers(branch.orbit(0), known)
+    assert np.all(branch.state_error.u < 1e-6) and np.all(branch.energy_error < 1e-5)
+
+
+def test_at_a_given_energy_the_frequency_has_an_error():
+    known = reference("family")
+    guess = gx.State(jnp.asarray(known.u), jnp.asarray(known.v))
+    orbit = gx.breathers.breather(known.lattice, 1.001 * known.omega, guess, energy=known.energy, check=False)
+    assert abs(orbit.omega - known.omega) <= orbit.error.omega < 1e-7
+    assert float(orbit.error.period) == pytest.approx(2 * np.pi / known.omega**2 * float(orbit.error.omega), rel=1e-6)
+
+
+# units ---------------------------------------------------------------------------------------------------------------
+
+
+def test_the_length_at_which_a_lattice_is_no_longer_linear():
+    zigzag = jnp.asarray([1.0, -1.0] * 3)
+    chain = lambda law: gx.Lattice(np.ones(6), (gx.Bond(gx.Shift(1, "periodic"), law),))
+    # F' = 1.5 sqrt(1 + e) halves at e = -3/4, with e = 2 u
+    assert nonlinear_length(chain(gx.Hertz(1.0, 1.0)), zigzag) == pytest.approx(0.375, rel=1e-9)
+    # F' = 1 + 3 e^2 is half as much again at e = 1/sqrt6
+    assert nonlinear_length(chain(gx.Polynomial(1.0, 0.0, 1.0)), zigzag) == pytest.approx(6**-0.5 / 2, rel=1e-9)
+    assert nonlinear_length(chain(gx.Linear()), zigzag) == np.inf
+    assert nonlinear_length(chain(gx.Hertz(1.0)), zigzag) == 0
+
+
+@pytest.mark.parametrize("material", ("aluminium 6061-T6", "PTFE"))
+def test_a_family_in_metres_is_the_scaled_one(material):
+    chain = gx.scenes.beads(["steel 440C", material] * 5 + ["steel 440C"], 9.53e-3, 10.0, boundary="free")
+    scaled, units = gx.scenes.scaled(chain)
+    top = float(np.max(gx.linear.normal_modes(chain).omega[5:7]))
+    metres = gx.breathers.family(chain, until=0.96 * top)
+    numbers = gx.breathers.family(scaled, until=0.96 * top * float(units.time))
+    assert len(metres) == len(numbers) > 5 and metres.outcome.startswith("p reached")
+    assert list(metres.verdict) == list(numbers.verdict)
+    np.testing.assert_allclose(metres.omega * float(units.time), numbers.omega, rtol=1e-9)
+    np.testing.assert_allclose(metres.energy / float(units.energy), numbers.energy, atol=1e-9 * numbers.energy.max())
+    np.testing.assert_allclose(metres.u / float(units.length), numbers.u, atol=1e-9 * numbers.amplitude.max())
