@@ -152,7 +152,10 @@ def test_a_sonic_vacuum_asks_for_steps():
 
 
 def folds(force, damping, K4):
-    """Where the curve of one harmonic, [(1 + 3 K4 a^2/4 - w^2)^2 + g^2 w^2] a^2 = f^2, turns back: its right branch."""
+    """Where the curve of one harmonic, [(1 + 3 K4 a^2/4 - w^2)^2 + g^2 w^2] a^2 = f^2, turns back: its right branch.
+
+    Frequencies and, for two sites of which one moves, root mean square velocities.
+    """
     a = np.linspace(0.05, force / damping, 400001)
     stiff = 1 + 0.75 * K4 * a**2
     middle = stiff - damping**2 / 2
@@ -160,7 +163,7 @@ def folds(force, damping, K4):
     real = squared > 0
     right = np.sqrt(middle[real] + np.sqrt(squared[real]))
     turns = np.flatnonzero(np.diff(np.sign(np.diff(right)))) + 1
-    return right[turns]
+    return right[turns], right[turns] * a[real][turns] / 2
 
 
 @pytest.mark.slow
@@ -168,10 +171,11 @@ def test_jumps_and_hysteresis_of_a_duffing_oscillator():
     values = np.linspace(0.98, 1.06, 17)
     found = driven.sweep(lambda w: duffing(0.01, w, K4=0.4), values, lambda w: 2 * jnp.pi / w, accuracy=1e-4)
     (up,), (down,) = found.up.jumps, found.down.jumps
-    lower, upper = folds(0.01, 0.02, 0.4)
-    # 1.02601 and 1.03516 with one harmonic; found 1.02605 and 1.03527
-    assert isinstance(up, driven.Jump) and up.value == pytest.approx(upper, rel=2e-4) and up.before > 3 * up.after
-    assert down.value == pytest.approx(lower, rel=2e-4) and down.before < down.after / 1.7
+    (lower, upper), speeds = folds(0.01, 0.02, 0.4)
+    # 1.02601 and 1.03516 with one harmonic; found 1.02602 and 1.03524
+    assert isinstance(up, driven.Jump) and up.value == pytest.approx(upper, rel=1e-4) and up.before > 3 * up.after
+    assert down.value == pytest.approx(lower, rel=1e-5) and down.before < down.after / 1.6
+    np.testing.assert_allclose([down.before, up.before], speeds, rtol=3e-2)
     assert found.hysteresis == [(down.value, up.value)]
     assert (found.up.multiple == 1).all() and found.up.velocity.shape == (17, 2)
     outside = (values < down.value) | (values > up.value)
@@ -191,6 +195,19 @@ def test_a_period_doubling_is_located_from_either_side():
     assert data.up_jumps_value.shape == (0,) and data.up_response.dims == data.down_response.dims == ("value",)
     alone = driven.Sweep(found.values, found.up, None, [])
     assert "down" not in repr(alone).lower() and "down_response" not in alone.to_xarray()
+
+
+@pytest.mark.parametrize("values, damping", [([0.95, 1.01], 0.01), ([0.9, 0.97, 0.998], 0.004)])
+def test_neither_a_steep_flank_nor_slow_settling_is_a_jump(values, damping):
+    # an oscillator without nonlinearity has one attractor, which moves steadily; the budget is too small for the second
+    found = driven.sweep(lambda w: duffing(0.01, w, damping=damping), values, lambda w: 2 * jnp.pi / w, accuracy=1e-2,
+                         periods=800)
+    for way in (found.up, found.down):
+        assert way.jumps == way.bifurcations == () and (way.multiple == 1).all()
+    w = np.asarray(values)
+    speed = 0.01 * w / np.hypot(1 - w**2, damping * w) / 2  # of two sites one moves; mean square of a cosine
+    np.testing.assert_allclose(found.up.response, speed, rtol=2e-4)
+    np.testing.assert_allclose(found.down.response, speed, rtol=2e-4)
 
 
 # ------------------------------------------------------------------------------------------------------------- lyapunov

@@ -25,6 +25,10 @@ from .steps import fixed_step_solver, history
 WATCHED = 12
 # of the largest response: a change below it is no jump
 SMALLEST = 1e-6
+# budgets more for what does not repeat, periods whose change is compared for that, and the least tolerance
+LONGER, LAST, LEAST = 3, 8, 1e-12
+# of the tolerance, to which a jump settles, and halvings beyond the accuracy for which it must last
+TIGHT, NARROW = 1e-2, 10
 
 
 class Jump(NamedTuple):
@@ -96,12 +100,14 @@ def sweep(
 ) -> Sweep:
     r"""Follow the attractor of a forced lattice while one parameter goes up its values, and then down again.
 
-    Each value starts from the state that the one before left at phase 0, and runs until it repeats (`settle`) or has
-    spent its budget; the response is then taken over twelve periods more. A change of the response between two values
-    by more than `jump`, relative to the larger, is halved, each time from the state before it, until it is known to
-    `accuracy`; it is a jump if by then more than half of it is left. Changes between two motions that do not repeat
-    are none, nor those below 1e-6 of the largest response. A change of the period is halved in the same way; beside a
-    bifurcation the motion settles slowly, so that a small budget places it where settling first takes longer.
+    Each value starts from the state that the one before left at phase 0, and runs until it repeats (`settle`); what has
+    spent its budget runs on for another one, and for three as long as it still settles, before it counts as not
+    repeating. The response is then taken over twelve periods more. A change of the response between two values by more
+    than `jump`, relative to the larger, is halved, each time from the state before it, until it is known to `accuracy`.
+    It is a jump if more than half of it is left when both sides have settled to a hundredth of `tolerance`, and still
+    is when it is known a thousand times better: a steep flank is none. Changes between two motions that do not repeat
+    are none, nor those below 1e-6 of the largest response. A change of the repetition is halved in the same way; beside
+    a bifurcation the motion settles slowly, so that a small budget places it where settling first takes longer.
 
     **Arguments:**
 
@@ -132,10 +138,24 @@ def sweep(
         refuse("state", "numbers known before tracing", "a traced state", "A sweep runs outside of transformations.")
 
     @jax.jit
-    def attractor(value, y):
+    def run(value, y, tolerance):
         lattice, T = make(value), period_at(period, value)
-        y, used, multiple, _ = follow(flow, lattice, y, T, periods, tolerance)
-        return _response(flow, lattice, y, T, response, watch, multiple, used)
+        y, used, multiple, changes = follow(flow, lattice, y, T, periods, tolerance)
+        last = jnp.mean(jax.lax.dynamic_slice_in_dim(changes[:, 0], used - LAST, LAST))
+        return _response(flow, lattice, y, T, response, watch, multiple, used), last
+
+    def attractor(value, y, share=1.0):
+        """What is settled to a share of the tolerance, run longer than the budget if need be."""
+        found, change = run(value, y, max(share * tolerance, LEAST))
+        for _ in range(LONGER):
+            if found["multiple"]:
+                break
+            before, used = change, found["periods"]
+            found, change = run(value, found["states"], max(share * tolerance, LEAST))
+            found["periods"] = found["periods"] + used
+            if not change < before / 2:
+                break
+        return found
 
     up = _way(attractor, values, state, jump, accuracy, 1)
     if not down:
@@ -174,39 +194,54 @@ def _apart(a, b):
     return abs(_number(a) - _number(b))
 
 
-def _halved(attractor, step, accuracy, belongs):
+def _halved(attractor, step, accuracy, belongs, share=1.0):
     """A step between two values, halved to an accuracy: a middle that belongs to the start becomes the start."""
     low, a, high, b = step
     while abs(high - low) > accuracy * max(abs(low), abs(high)):
         middle = (low + high) / 2
-        c = attractor(middle, a["states"])
+        if middle in (low, high):
+            break
+        c = attractor(middle, a["states"], share)
         if belongs(a, c, b):
             low, a = middle, c
         else:
             high, b = middle, c
-    return float((low + high) / 2), a, b
+    return low, a, high, b
 
 
 def _jump(attractor, step, accuracy, share, floor):
     def is_jump(a, b):
         return _apart(a, b) > max(share * max(abs(_number(a)), abs(_number(b))), floor)
 
+    def left(step):
+        _, a, _, b = step
+        return is_jump(a, b) and _apart(a, b) >= first / 2
+
+    def nearer(a, c, b):
+        return _apart(a, c) < _apart(c, b)
+
     _, a, _, b = step
+    first = _apart(a, b)
     if not is_jump(a, b) or a["multiple"] == b["multiple"] == 0:
         return None
-    first = _apart(a, b)
-    value, a, b = _halved(attractor, step, accuracy, lambda a, c, b: _apart(a, c) < _apart(c, b))
-    if _apart(a, b) < first / 2 or not is_jump(a, b):
+    step = _halved(attractor, step, accuracy, nearer)
+    if not left(step):
         return None
-    return Jump(value, _number(a), _number(b))
+    low, a, high, b = step
+    step = low, attractor(low, a["states"], TIGHT), high, attractor(high, b["states"], TIGHT)
+    for halvings in range(NARROW + 1):
+        if not left(step):
+            return None
+        low, a, high, b = step = _halved(attractor, step, accuracy / 2**halvings, nearer, TIGHT)
+    return Jump(float((low + high) / 2), _number(a), _number(b)) if left(step) else None
 
 
 def _bifurcation(attractor, step, accuracy, i):
     _, a, _, b = step
     if a["multiple"] == b["multiple"]:
         return None
-    value, _, _ = _halved(attractor, step, accuracy, lambda a, c, b: a["multiple"] == c["multiple"])
-    return Bifurcation("repetition", value, i, None, None, int(a["multiple"]), int(b["multiple"]))
+    low, _, high, _ = _halved(attractor, step, accuracy, lambda a, c, b: a["multiple"] == c["multiple"])
+    return Bifurcation("repetition", float((low + high) / 2), i, None, None, int(a["multiple"]), int(b["multiple"]))
 
 
 def _hysteresis(values, up, down, share):
