@@ -159,27 +159,55 @@ def family():
     )
 
 
-def test_a_family_is_drawn_in_parts_of_one_verdict(axes, family):
+def near(ax, points):
+    """The largest distance of points from what the solid and dashed lines draw."""
+    drawn = np.concatenate([line.get_xydata() for line in ax.lines])
+    return np.abs(np.asarray(points)[:, None] - drawn[None]).sum(-1).min(1).max()
+
+
+def test_a_family_is_drawn_in_smooth_parts_of_one_verdict(axes, family):
     pair = axes[0]
     assert plots.branch(family, pair)[0] is pair[0]
     for ax, height in zip(pair, (family.energy, family.amplitude)):
-        whole = np.column_stack([family.omega, height])
-        parts = [line.get_xydata() for line in ax.lines]
-        # each part reaches to where the next one begins
-        assert [len(part) for part in parts] == [3, 3, 1]
-        for part, first in zip(parts, (0, 2, 4)):
-            np.testing.assert_array_equal(part, whole[first : first + 3])
-        assert [to_hex(line.get_color()) for line in ax.lines] == [BLUE.lower(), RED.lower(), BLUE.lower()]
-        assert [line.get_linestyle() for line in ax.lines] == ["-", "--", "-"]
+        assert near(ax, np.column_stack([family.omega, height])) < 1e-12  # through every point
+        # each part ends at the last point of its verdict: what lies between is dotted, since nobody knows
+        ends = [tuple(line.get_xdata()[[0, -1]]) for line in ax.lines]
+        np.testing.assert_allclose(ends, [(1.0, 0.9), (0.9, 0.8), (0.8, 0.7), (0.7, 0.6), (0.6, 0.6)], rtol=1e-12)
+        assert [line.get_linestyle() for line in ax.lines] == ["-", ":", "--", ":", "-"]
+        tones = [to_hex(line.get_color()) for line in ax.lines]
+        assert tones[::2] == [BLUE.lower(), RED.lower(), BLUE.lower()] and tones[1] == tones[3]
         assert labels(ax) == ["stable", "unstable"]
+        assert min(len(line.get_xdata()) for line in ax.lines[:4]) > 10
     assert [ax.get_ylabel() for ax in pair] == ["energy", r"amplitude $\max_n |u_n|$"]
+
+
+@pytest.mark.parametrize("given", ["marks", "bifurcations", "numbers"])
+def test_a_part_ends_at_the_bifurcation_that_was_located(axes, family, given):
+    event = lambda kind, p, after: SimpleNamespace(kind=kind, p=p, after=after)
+    events = [event(*x) for x in (("real pair at +1", 0.86, 1), ("extremum of energy", 0.83, 1),
+                                  ("Krein collision", 0.63, 3))]
+    if given == "bifurcations":
+        family.bifurcations = tuple(events)
+    marks = {"marks": events, "bifurcations": None, "numbers": [0.86, 0.63]}[given]
+    plots.branch(family, axes[0], marks=marks)
+    for ax in axes[0]:
+        parts = [line for line in ax.lines if len(line.get_xdata()) > 2]
+        ends = [line.get_xdata()[[0, -1]] for line in parts]
+        np.testing.assert_allclose(ends, [(1.0, 0.86), (0.86, 0.63), (0.63, 0.6)], atol=2e-4)
+        assert [line.get_linestyle() for line in parts] == ["-", "--", "-"]
+    if given == "marks":
+        assert [line.get_xdata()[0] for line in axes[0, 0].lines[3:]] == [0.86, 0.83, 0.63]
+    # two in one step: which of them it is nobody knows
+    plots.branch(family, axes[1], marks=[0.86, 0.82, 0.63])
+    ends = [line.get_xdata()[[0, -1]] for line in axes[1, 0].lines[:3]]
+    np.testing.assert_allclose(ends, [(1.0, 0.86), (0.86, 0.82), (0.82, 0.63)], atol=2e-4)
 
 
 def test_bands_are_shaded_and_bifurcations_marked(axes, family):
     plots.branch(family, axes[0], bands=[[0.0, 0.65], [0.95, 1.2]], marks=[0.75, 0.85], omega_label="f (Hz)")
     for ax in axes[0]:
         np.testing.assert_allclose(spans(ax), [(0.0, 0.65), (0.95, 1.2)], rtol=1e-15)
-        marks = [line for line in ax.lines if line.get_linestyle() == ":"]
+        marks = [line for line in ax.lines if line.get_linestyle() == ":" and to_hex(line.get_color()) == GREEN.lower()]
         assert [line.get_xdata()[0] for line in marks] == [0.75, 0.85]
         assert labels(ax).count("bifurcation") == 1
         np.testing.assert_allclose(ax.get_xlim(), (0.6 - 0.024, 1.0 + 0.024))
@@ -190,7 +218,7 @@ def test_a_family_without_stability_is_one_line(axes, family):
     family.verdict = np.array([""] * 5)
     plots.branch(family, axes[0])
     (line,) = axes[0, 0].lines
-    np.testing.assert_array_equal(line.get_xdata(), family.omega)
+    assert line.get_xdata()[[0, -1]].tolist() == [1.0, 0.6] and near(axes[0, 0], line.get_xydata()[::12]) == 0
     assert labels(axes[0, 0]) == [] and axes[0, 0].get_legend() is None
 
 
@@ -241,12 +269,17 @@ def test_arrays_will_do_and_one_way_is_enough(ax, sweep):
 def test_orbits_lie_behind_with_unstable_parts_dashed(ax, sweep):
     orbits = SimpleNamespace(p=np.array([1.0, 2.4, 1.6, 4.0]), response=np.array([1.0, 3.0, 4.0, 6.0]),
                              verdict=np.array(["stable", "unstable", "undecided", "stable"]))
+    orbits.bifurcations = (SimpleNamespace(kind="fold", p=2.45, after=0), SimpleNamespace(kind="fold", p=1.55, after=2))
     plots.hysteresis(sweep, ax, orbits=orbits, scale=10.0)
-    dashes = [(line.get_linestyle(), line.get_label()) for line in ax.lines[:4]]
-    assert [dash for dash, _ in dashes] == ["-", "--", ":", "-"]
-    assert [name for _, name in dashes][:3] == ["orbit, stable", "orbit, unstable", "orbit, undecided"]
-    np.testing.assert_array_equal(ax.lines[1].get_xydata(), [[2.4, 30.0], [1.6, 40.0]])
-    assert max(line.get_zorder() for line in ax.lines[:4]) <= min(line.get_zorder() for line in ax.lines[4:])
+    parts = ax.lines[:-2]
+    assert [line.get_linestyle() for line in parts] == ["-", "--", ":", ":", "-"]
+    assert [parts[i].get_label() for i in (0, 1, 3)] == ["orbit, stable", "orbit, unstable", "orbit, undecided"]
+    # stable up to where the curve turns, and unstable from there
+    turn = parts[0].get_xydata()[-1]
+    np.testing.assert_allclose(turn, [2.4, 30.0], rtol=1e-12)
+    np.testing.assert_array_equal(parts[1].get_xydata()[0], turn)
+    np.testing.assert_allclose(parts[2].get_xydata()[[0, -1]], [[2.4, 30.0], [1.6, 40.0]])
+    assert max(line.get_zorder() for line in parts) <= min(line.get_zorder() for line in ax.lines[-2:])
 
 
 @pytest.mark.parametrize("given, message", [

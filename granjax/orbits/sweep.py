@@ -26,7 +26,7 @@ WATCHED = 12
 # of the largest response: a change below it is no jump
 SMALLEST = 1e-6
 # budgets more for what does not repeat, periods whose change is compared for that, and the least tolerance
-LONGER, LAST, LEAST = 3, 8, 1e-12
+LONGER, LAST, LEAST = 8, 8, 1e-12
 # of the tolerance, to which a jump settles, and halvings beyond the accuracy for which it must last
 TIGHT, NARROW = 1e-2, 10
 
@@ -101,7 +101,7 @@ def sweep(
     r"""Follow the attractor of a forced lattice while one parameter goes up its values, and then down again.
 
     Each value starts from the state that the one before left at phase 0, and runs until it repeats (`settle`); what has
-    spent its budget runs on for another one, and for three as long as it still settles, before it counts as not
+    spent its budget runs on for another one, and for up to eight as long as it still settles, before it counts as not
     repeating. The response is then taken over twelve periods more. A change of the response between two values by more
     than `jump`, relative to the larger, is halved, each time from the state before it, until it is known to `accuracy`.
     It is a jump if more than half of it is left when both sides have settled to a hundredth of `tolerance`, and still

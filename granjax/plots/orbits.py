@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from scipy.interpolate import Akima1DInterpolator
 
 from ..checks import refuse
 from ..types import Count, Scalar
@@ -18,6 +19,8 @@ _VERDICTS = {
     "stable": (COLOURS[0], "-", "stable"), "unstable": (COLOURS[1], "--", "unstable"),
     "undecided": (FAINT, ":", "undecided"), "": (COLOURS[0], "-", None),
 }
+# between two verdicts; points of a line in a step
+UNKNOWN, FINE = (FAINT, ":"), 12
 _ORBITS = {
     "stable": ("0.2", "-", "orbit, stable"), "unstable": ("0.2", "--", "orbit, unstable"),
     "undecided": ("0.2", ":", "orbit, undecided"),
@@ -157,12 +160,16 @@ def branch(
 ) -> np.ndarray:
     """A family of breathers: energy and amplitude over frequency, stable and unstable parts, bands, bifurcations.
 
+    Smooth curves through the points. A part of one stability ends at the bifurcation between two points, of
+    `br.bifurcations` or `marks`; where none is known (or several are) the curve between the two points is dotted.
+
     **Arguments:**
 
     - `br`: a `Branch`, or anything with `omega`, `energy`, `amplitude`, (P,) each, and `verdict`: P words "stable",
-      "unstable", "undecided", or "".
+      "unstable", "undecided", or ""; `p` (P,) and `bifurcations` count where it has them.
     - `axes`: two Axes; by default those of a new figure. `bands`: intervals (B, 2) of the linear spectrum to shade,
-      such as `gx.breathers.bands_of(chain)[0]`; `marks`: frequencies to mark, such as those of `bifurcations`.
+      such as `gx.breathers.bands_of(chain)[0]`; `marks`: bifurcations to mark, those of
+      `gx.breathers.bifurcations(br)`, or frequencies.
     - `omega_label`: of the frequencies' axis.
 
     **Returns:** the two Axes. **Raises** ValueError for shapes that do not fit, or other than two Axes.
@@ -170,16 +177,18 @@ def branch(
     omega = numbers("br.omega", br.omega, 1)
     heights = [numbers(f"br.{name}", getattr(br, name), 1) for name in ("energy", "amplitude")]
     bands = np.zeros((0, 2)) if bands is None else numbers("bands", bands, 2)
+    marks = [] if marks is None else list(np.atleast_1d(np.asarray(marks, object)))
     if bands.shape[1:] != (2,):
         refuse("bands", "intervals, shape (B, 2)", f"shape {bands.shape}")
     axes = _axes(axes, 1, 2, 8.4, 3.4)
     room = 0.06 * (np.ptp(omega) or omega[0])
     for ax, height, name in zip(axes.ravel(), heights, ("energy", r"amplitude $\max_n |u_n|$")):
-        _line(ax, omega, height, br.verdict, _VERDICTS)
+        _line(ax, omega, height, br, _VERDICTS, marks)
         for low, high in bands:
             ax.axvspan(low, high, color=FAINT, alpha=0.3, lw=0, zorder=0)
-        for i, mark in enumerate(np.atleast_1d([] if marks is None else marks)):
-            ax.axvline(mark, color=COLOURS[2], ls=":", lw=1.0, zorder=1, label=None if i else "bifurcation")
+        for i, mark in enumerate(marks):
+            name = None if i else "bifurcation"
+            ax.axvline(getattr(mark, "p", mark), color=COLOURS[2], ls=":", lw=1.0, zorder=1, label=name)
         ax.set_xlim(omega.min() - room, omega.max() + room)
         ax.set_ylim(0, 1.06 * height.max())
         ax.set_xlabel(omega_label)
@@ -189,17 +198,46 @@ def branch(
     return axes
 
 
-def _line(ax, x, y, verdict, looks):
-    """A line in parts of one verdict each; a step looks like the point where it begins."""
-    verdict = np.asarray(verdict)
+def _line(ax, x, y, br, looks, marks=()):
+    """A smooth line through points in parts of one verdict each, cut where a located bifurcation changes it.
+
+    Where the verdict changes and nothing is located in between, or several bifurcations are, nobody knows which one the
+    orbits between have: dotted.
+    """
+    verdict, p = np.asarray(br.verdict), np.asarray(getattr(br, "p", x), float)
     if len(x) != len(verdict):
         refuse("verdict", f"{len(x)} words, one a point", f"{len(verdict)}")
-    named = set()
-    for own in np.split(np.arange(len(x)), np.flatnonzero(verdict[1:] != verdict[:-1]) + 1):
-        tone, dash, name = looks[str(verdict[own[0]])]
-        reach = slice(own[0], own[-1] + 2)
-        ax.plot(x[reach], y[reach], dash, color=tone, lw=1.4, zorder=2, label=None if name in named else name)
+    curve = np.column_stack([x, y, p])
+    step = np.linalg.norm(np.diff(curve[:, :2], axis=0) / (np.ptp(curve[:, :2], axis=0) + np.finfo(float).tiny), axis=1)
+    s = np.concatenate([[0.0], np.cumsum(np.maximum(step, np.finfo(float).eps))])
+    at = Akima1DInterpolator(s, curve) if len(s) > 1 else lambda s: curve[[0] * len(s)]
+    events = [*getattr(br, "bifurcations", ()), *marks]
+    begin, named = 0.0, set()
+
+    def part(low, high, tone, dash, name=None):
+        inner = np.concatenate([np.linspace(a, b, FINE, endpoint=False) for a, b in zip(s[:-1], s[1:])] + [s[-1:]])
+        drawn = at(np.unique(np.concatenate([[low], inner[(inner > low) & (inner < high)], [high]])))
+        ax.plot(drawn[:, 0], drawn[:, 1], dash, color=tone, lw=1.4, zorder=2, label=None if name in named else name)
         named.add(name)
+
+    for i in [*np.flatnonzero(verdict[1:] != verdict[:-1]), len(s) - 1]:
+        found = [_within(at, s[i], s[i + 1], event, i) for event in events] if i < len(s) - 1 else []
+        found = [place for place in found if place is not None]
+        end, resumed = (min(found), max(found)) if found else s[[i, min(i + 1, len(s) - 1)]]
+        part(begin, end, *looks[str(verdict[i])])
+        if resumed > end:
+            part(end, resumed, *UNKNOWN)
+        begin = resumed
+
+
+def _within(at, low, high, event, i):
+    """Where in the i-th step an event lies, a `Bifurcation` or a value of the parameter; `None` where it does not."""
+    if getattr(event, "kind", "") == "extremum of energy":  # changes nothing by itself
+        return None
+    places = np.linspace(low, high, 1001)
+    away = at(places)[:, 2] - getattr(event, "p", event)
+    inside = away.min() <= 0 <= away.max() if getattr(event, "after", None) is None else event.after == i
+    return places[np.argmin(np.abs(away))] if inside else None
 
 
 def hysteresis(
@@ -212,7 +250,8 @@ def hysteresis(
 
     - `sweep`: a `gx.driven.Sweep`, or arrays (values, up, down), (P,) each, values ascending; `down` may be `None`.
     - `orbits`: a `Branch`, or anything with `p`, `response` and `verdict` (P,), drawn behind, unstable parts
-      dashed. `x_label`, `y_label`: of the axes. `scale`: what responses are multiplied with, such as 1e3 for mm/s.
+      dashed, in smooth curves that change where its `bifurcations` are. `x_label`, `y_label`: of the axes. `scale`:
+      what responses are multiplied with, such as 1e3 for mm/s.
 
     **Returns:** the Axes. **Raises** ValueError for shapes that do not fit, or values that do not ascend.
     """
@@ -222,7 +261,7 @@ def hysteresis(
         ax.axvspan(low, high, color=FAINT, alpha=0.2, lw=0, zorder=0)
     if orbits is not None:
         p, response = numbers("orbits.p", orbits.p, 1), numbers("orbits.response", orbits.response, 1)
-        _line(ax, p, scale * response, orbits.verdict, _ORBITS)
+        _line(ax, p, scale * response, orbits, _ORBITS)
     ax.plot(values, scale * up, ">-", color=COLOURS[0], ms=5, lw=1.2, mec="white", mew=0.3, label="up")
     if down is not None:
         ax.plot(values, scale * down, "<--", color=COLOURS[1], ms=5, lw=1.2, mec="white", mew=0.3, label="down")
