@@ -148,6 +148,32 @@ def test_a_sonic_vacuum_asks_for_steps():
         driven.settle(lattice, rest(lattice), 1.0)
 
 
+def test_a_period_that_is_not_the_drive_s_is_refused():
+    # in SI too, where the forces of a displacement of a metre drown those of the drive
+    chain = gx.scenes.monomer(3, 28.2e-3, 1.0114e10, precompression=10.0)
+    lattice, period = driven.driven_chain(chain, 0.05e-6, 2 * np.pi * 6740.0, damping=200.0), 1 / 6740.0
+    far = gx.State(jnp.ones(3), jnp.zeros(3))
+    for wrong in (1.37 * period, 0.5 * period, period / (2 * np.pi), 1e-3 * period, 1.0001 * period, 0.50001):
+        for ask in (driven.settle, driven.lyapunov, gx.floquet.floquet, gx.floquet.leading):
+            for start in (rest(lattice), far):
+                with pytest.raises(ValueError, match="period: expected one after which the forces repeat"):
+                    ask(lattice, start, wrong)
+        with pytest.raises(ValueError, match="period: expected one after which the forces repeat"):
+            gx.forced.forced_orbit(lattice, wrong, far)
+    with pytest.raises(ValueError, match="period: expected one after which"):
+        driven.sweep(lambda a: driven.driven_chain(chain, a, 1e4), [1e-8, 2e-8], 1e-4)
+    wave = gx.Modulated(gx.Bond(gx.Shift(1, "fixed"), gx.Linear(1.0)), gx.Harmonic(0.2, 2.0, mean=1.0))
+    with pytest.raises(ValueError, match="period: expected one after which"):
+        gx.floquet.floquet(gx.Lattice(np.ones(3), (wave,)), rest(lattice), 3.0)
+
+
+def test_a_batch_is_not_taken_for_one_lattice():
+    lanes = jax.vmap(lambda r: gx.scenes.dimer(4, r, precompression=1.0), out_axes=-1)(jnp.array([0.4, 0.7]))
+    for ask in (driven.settle, driven.lyapunov):
+        with pytest.raises(ValueError, match="lattice: expected one Lattice, got a batch with lanes"):
+            ask(lanes, rest(lanes), 1.0)
+
+
 # ---------------------------------------------------------------------------------------------------------------- sweep
 
 

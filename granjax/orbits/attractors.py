@@ -17,6 +17,7 @@ from ..measures import contacts
 from ..results import Held, Result
 from ..solvers import SRKN11b
 from ..types import Count, Displacements, Numbers, Scalar, StateLike, Times
+from .problems import checked_period, checked_state, one_lattice
 from .steps import default_steps, fixed_step_solver, history
 
 # h omega of the default step, with omega the highest linear frequency
@@ -84,19 +85,21 @@ def settle(
 
     **Arguments:**
 
-    - `lattice`: forced with period T, `driven_chain(...)` or one of your own. `state`: at t = 0, where it starts.
+    - `lattice`: one forced with period T, `driven_chain(...)` or one of your own. `state`: at t = 0, where it starts.
     - `period`: T > 0. `periods`: the budget, at least 8. `tolerance`: of the relative change.
     - `steps`: per period; `None` takes h omega_max <= 0.4, with omega_max the highest linear frequency (a fixed mesh:
       what repeats is the orbit of the discrete map). `solver`: any at a fixed step.
 
-    **Returns:** `Attractor`. **Raises** ValueError for T, a tolerance or numbers that are not above zero, or a lattice
-    without a linear frequency (a sonic vacuum) where `steps` is not given.
+    **Returns:** `Attractor`. **Raises** ValueError for a T after which the forces do not repeat, a batch of lattices,
+    T, a tolerance or numbers that are not above zero, or a lattice without a linear frequency (a sonic vacuum) where
+    `steps` is not given.
     Typical: 200 to 2000 periods near a band edge with gamma T = 0.03.
     """
-    period = float(positive("period", period))
+    state, period = checked_state(one_lattice(lattice), state), float(positive("period", period))
     tolerance = float(positive("tolerance", tolerance, "Typical: 1e-8."))
     periods = whole("periods", periods, 8)
     steps = steps_per_period(lattice, period) if steps is None else whole("steps", steps, 1)
+    checked_period(lattice, state, 0.0, period)
     solver = fixed_step_solver(lattice, solver, SRKN11b())
     end, used, multiple, changes = _follow(Flow(steps, solver), lattice, state, period, periods, tolerance)
     used, multiple = int(used), int(multiple)

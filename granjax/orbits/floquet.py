@@ -17,7 +17,7 @@ from ..lattice import Lattice, vector_field
 from ..results import Held, Result
 from ..solvers import KahanLi8
 from ..types import Count, Pytree, Scalar, StateLike
-from .problems import Symmetry, checked_state, free_moves
+from .problems import Symmetry, checked_period, checked_state, free_moves, one_lattice
 from .spectrum import change, product_spectrum, spectrum, uncertain
 from .steps import default_steps, fixed_step_solver
 from .structure import NOTHING, defect, krein, structure, weights
@@ -158,8 +158,9 @@ def floquet(
       `Flow`: give 1 for a limit cycle of an autonomous one.
     - `resolution`: what an undetected instability may be; an error above it leaves the verdict open.
 
-    **Returns:** `Floquet`. **Raises** ValueError for a period that is not positive, a batch of lattices, a state of
-    another shape, and segments that do not divide the steps.
+    **Returns:** `Floquet`. **Raises** ValueError for a period that is not positive or after which the forces do not
+    repeat, a batch of lattices, a state of another shape or one that does not return, segments that do not divide the
+    steps, and steps too few for a finite motion.
     """
     period, segments = _checked(lattice, period), whole("segments", segments, 1)
     if steps is not None and whole("steps", steps, 1) % (2 * segments):
@@ -167,6 +168,8 @@ def floquet(
     known = NOTHING
     if isinstance(lattice, Lattice):
         state, known, args = checked_state(lattice, state), structure(lattice), lattice
+        if symmetry.trivial:
+            checked_period(lattice, state, t0, period)
         if known.autonomous and _rests(lattice, state, t0):  # has neither phase nor energy
             known = known._replace(expected=known.expected - (2 if known.rate == 0 else 1))
         turned = shifts(lattice).shape[1] - free_moves(lattice, symmetry).shape[1]
@@ -236,10 +239,9 @@ def _refuse_open(start, away, fine, coarse):
 
 
 def _checked(lattice, period):
-    """The period, of one lattice."""
-    if isinstance(lattice, Lattice) and lattice.lanes:
-        refuse("lattice", "one Lattice", f"a batch with lanes {lattice.lanes}",
-               "Ask for each, or use jax.vmap(..., in_axes=-1) over gx.floquet.multipliers.")
+    """The period, of one lattice or another flow."""
+    if not isinstance(lattice, Flow):
+        one_lattice(lattice)
     if not 0 < period < np.inf:
         refuse("period", "a time above zero", repr(period))
     return float(period)
@@ -333,6 +335,7 @@ def leading(
     Arnoldi's method does not converge. Source: Lehoucq, Sorensen, Yang, ARPACK Users' Guide (SIAM, 1998).
     """
     count, period, state = whole("count", count, 1), _checked(lattice, period), checked_state(lattice, state)
+    checked_period(lattice, state, t0, period)
     steps = default_steps(lattice, period) if steps is None else whole("steps", steps, 1)
     flow = Flow(jnp.asarray(steps), fixed_step_solver(lattice, solver, KahanLi8()))
     times = jnp.asarray(float(t0)), jnp.asarray(period)

@@ -18,6 +18,7 @@ from ..results import Held, Result
 from ..solvers import SRKN11b
 from ..types import Count, Scalar, StateLike
 from .attractors import steps_per_period
+from .problems import checked_period, checked_state, one_lattice
 from .steps import fixed_step_solver
 
 
@@ -63,18 +64,20 @@ def lyapunov(
 
     **Arguments:**
 
-    - `lattice`, `state` at t = 0; forced or not. `period`: T of the forcing, or any time between two
-      orthonormalisations, short against 1/lambda.
+    - `lattice`, `state` at t = 0; forced or not. `period`: T of the forcing, or of a lattice that no time drives any
+      time between two orthonormalisations, short against 1/lambda.
     - `periods`: P, that count; `transient`: that do not, while state and tangents turn to where they belong.
     - `number`: k, from 1 to twice the number of displacements. `windows`: for the uncertainty, at least 4.
     - `steps`, `solver`: as in `settle`. `seed`: of the first tangents.
 
-    **Returns:** `Lyapunov`. **Raises** ValueError for numbers that do not fit.
+    **Returns:** `Lyapunov`. **Raises** ValueError for numbers that do not fit, a period after which the forces do not
+    repeat, or a batch of lattices.
     An exponent below ln(P)/(P T) is not told from zero: near-by orbits of an integrable lattice part linearly in time.
     Source: Benettin, Galgani, Giorgilli, Strelcyn, Meccanica 15, 9 (1980); pairing: Dressler, Phys. Rev. A 38, 2103
     (1988).
     """
-    period = float(positive("period", period))
+    state, period = checked_state(one_lattice(lattice), state), float(positive("period", period))
+    checked_period(lattice, state, 0.0, period)
     size = ravel_pytree(state)[0].size
     number, windows = whole("number", number, 1), whole("windows", windows, 4)
     if number > size:
@@ -83,7 +86,7 @@ def lyapunov(
     steps = steps_per_period(lattice, period) if steps is None else whole("steps", steps, 1)
     solver = fixed_step_solver(lattice, solver, SRKN11b())
     start = np.random.default_rng(seed).normal(size=(size, number))
-    end, logs = _grow(Flow(steps, solver), lattice, State(*state), jnp.asarray(start), period, transient + periods)
+    end, logs = _grow(Flow(steps, solver), lattice, state, jnp.asarray(start), period, transient + periods)
     rates = np.asarray(logs)[transient:] / period
     order = np.argsort(-rates.mean(0), kind="stable")
     rates = rates[:, order]

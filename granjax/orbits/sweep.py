@@ -18,7 +18,7 @@ from ..solvers import SRKN11b
 from ..types import Count, Displacements, Parameter, Scalar, StateLike
 from .attractors import follow, steps_per_period
 from .branch import Bifurcation
-from .problems import period_at
+from .problems import checked_period, checked_state, one_lattice, period_at
 from .steps import fixed_step_solver, history
 
 # periods over which a response is taken: a multiple of those after which a motion may repeat
@@ -121,7 +121,7 @@ def sweep(
       repeat. `periods`, `tolerance`, `steps`, `solver`: as in `settle`; the first or last value sets the steps.
 
     **Returns:** `Sweep`; without `down` its `down` is `None`, and no hysteresis. **Raises** ValueError for fewer than
-    two values, or values that do not ascend.
+    two values, values that do not ascend, a batch of lattices, or a period after which the forces do not repeat.
     """
     values = np.asarray(parameter("values", values), float)
     if values.ndim != 1 or len(values) < 2 or not (np.diff(values) > 0).all():
@@ -129,11 +129,14 @@ def sweep(
     jump, accuracy = float(positive("jump", jump)), float(positive("accuracy", accuracy))
     tolerance, periods = float(positive("tolerance", tolerance)), whole("periods", periods, 8)
     watch = whole("watch", watch, 1)
-    first = make(jnp.asarray(values[0]))
+    scenes = [(make(jnp.asarray(w)), float(period_at(period, w))) for w in values[[0, -1]]]
+    first = one_lattice(scenes[0][0])
     if steps is None:
-        steps = max(steps_per_period(make(jnp.asarray(w)), float(period_at(period, w))) for w in values[[0, -1]])
+        steps = max(steps_per_period(*scene) for scene in scenes)
     flow = Flow(whole("steps", steps, 1), fixed_step_solver(first, solver, SRKN11b()))
-    state = State(first.zeros(), first.zeros()) if state is None else State(*state)
+    state = State(first.zeros(), first.zeros()) if state is None else checked_state(first, state)
+    for lattice, T in scenes:
+        checked_period(lattice, state, 0.0, T)
     if concrete(jax.tree.leaves(state)[0]) is None:
         refuse("state", "numbers known before tracing", "a traced state", "A sweep runs outside of transformations.")
 
