@@ -70,6 +70,8 @@ def confirmed(
         return newton(problem.residual, x, scene, tolerance=newtons(tolerance), max_steps=max_steps,
                       linearise=problem.linearise, throw=throw)
 
+    # plain numbers are inputs of what is compiled, not a part of it
+    scene = jax.tree.map(lambda leaf: jnp.asarray(leaf) if isinstance(leaf, float) else leaf, scene)
     problem = problem.finer(1) if refine else problem
     root = solve(problem, x, False if refine else throw)
     # a function may hide tracers, which the root then shows
