@@ -469,14 +469,54 @@ def test_an_opening_that_no_law_tells_of_is_unknown():
         return gx.simulate(lattice, gx.states.impact(lattice, velocity=0.1), 0.5, step=0.1)
 
     spline = gx.laws.Spline([-1.0, 0.0, 1.0], [0.5, 1.0, 1.0, 1.5])
-    for law in (spline, gx.Hertz(1.0, 0.5) + spline, gx.laws.Network(2)):
-        run = ring(law)
-        assert run.opening == "unknown" and "contact opened unknown (Bond)" in repr(run)
-    assert ring(gx.Toda()).opening == ring(gx.Hertz(1.0, 0.5)).opening == "no"
-    assert ring(gx.Hertz() + spline).opening == ring(gx.Hertz()).opening == "yes"
+    unknown = (spline, gx.Hertz(1.0, 0.5) + spline, gx.laws.Network(2), gx.Yielding(spline, 2.0))
+    assert [law.opens for law in unknown] == [None] * 4
+    assert not (gx.Toda() + gx.Linear()).opens and (gx.Toda() + gx.Hertz()).opens
+    run = ring(unknown[1])
+    assert run.opening == "unknown" and "contact opened unknown (Bond)" in repr(run)
+    assert ring(gx.Toda()).opening == "no" and ring(gx.Hertz(1.0, 0.0) + spline).opening == "yes"
 
 
 def test_a_state_with_lanes_first_is_told_where_they_belong():
     lattice = jax.vmap(lambda r: gx.scenes.dimer(5, ratio=r), out_axes=-1)(jnp.array([0.5, 1.0]))
     with pytest.raises(ValueError, match="state.u: expected shape .* Lanes come last"):
         gx.simulate(lattice, (np.zeros((2, 5)), np.zeros((2, 5))), 1.0)
+
+
+def deepest(chain, state, t1):
+    """The smallest overlap of a chain between walls, d0 = 1, from many frames of a run at 1e-12."""
+    u = np.pad(gx.simulate(chain, state, t1, tolerance=1e-12, save_at=2001).us, ((0, 0), (1, 1)))
+    return (1 + u[:, :-1] - u[:, 1:]).min()
+
+
+def test_a_contact_that_opens_between_steps_is_seen():
+    """Random starts, scaled until the closest approach is a little off zero; default step and a loose tolerance."""
+    chain = gx.scenes.monomer(4, precompression=1.0)
+    missed = 0
+    for seed in range(5):
+        start = gx.states.random(chain, seed, velocity=1.0)
+        low, high = 0.01, 3.0
+        for _ in range(14):
+            middle = (low + high) / 2
+            opens = deepest(chain, gx.State(start.u, middle * start.v), 4.0) < 0
+            low, high = (low, middle) if opens else (middle, high)
+        for off in (-2e-3, 2e-3):
+            state = gx.State(start.u, (1 + off) * middle * start.v)
+            want = deepest(chain, state, 4.0) < 0
+            for how in ({}, {"tolerance": 1e-5}):
+                run = gx.simulate(chain, state, 4.0, **how)
+                missed += want and not bool(run._margin < 0)
+                assert bool(run.contact_opened) == want and run.opening == ("yes" if want else "no")
+                assert "smallest overlap" in repr(run)
+    assert missed > 3  # by the ends of the steps alone
+
+
+def test_an_opening_within_the_error_is_unsure(closed):
+    """A single spring-like contact whose least overlap is zero to rounding: u = sin t about d0 = 1."""
+    lattice = gx.Lattice(1.0, (gx.Wall(gx.PowerLaw(1.0, 1.0, 1.0), "left"), gx.OnSite(gx.Linear(1e-9))), sites=2)
+    state = gx.State(jnp.zeros(2), jnp.asarray([1.0, 0.0]))
+    run = gx.simulate(lattice, state, 3.0, step=0.3)
+    assert run.opening == "unsure" and "contact opened unsure" in repr(run)
+    far = gx.simulate(*closed, 2.0)
+    assert far.opening == "no" and "_found" not in vars(far)
+    assert jax.tree.map(lambda x: x, run).opening == "unsure"  # what a transformation leaves

@@ -5,7 +5,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ..lattice import Lattice, vector_field
+from ..lattice import Lattice, State, vector_field
 from ..lattice.outside import Outside
 from ..solvers import AbstractNystrom
 from ..types import Displacements, Number, Numbers, Scalar, StateLike, Times
@@ -31,7 +31,7 @@ def integrate(
     `watch`: follow every compression, for the highest frequency that the run reaches. `outside`: what the records'
     functions read, of which only the structure counts.
     """
-    records = {**records, CLOSEST: Lowest(_smallest_overlap)} if _overlaps(lattice, t0, state.u) else records
+    records = {**records, CLOSEST: Lowest(smallest_overlap)} if _overlaps(lattice, t0, state.u) else records
     records = {**records, EXTREMES: Extremes(_compressions)} if watch else records
     stepper = one_sided(_ready(solver, adjoint), lattice)
     stepper = Recorded(stepper, records) if records else stepper
@@ -55,7 +55,7 @@ def integrate(
     carried = solution.solver_state[1] if records else {}
     recorded = {name: records[name].finish(carried[name]) for name in records}
     closest, extremes = recorded.pop(CLOSEST, None), recorded.pop(EXTREMES, None)
-    opened = jnp.zeros(lattice.lanes, bool) if closest is None else _any_below_zero(closest, lattice)
+    margin = jnp.full(lattice.lanes, jnp.inf) if closest is None else _margin(lattice, t0, closest)
     steps = solution.stats["num_steps"]
     evaluations = type(solver).evaluations() if hasattr(type(solver), "evaluations") else jnp.nan
     stats = {
@@ -72,7 +72,8 @@ def integrate(
     if lattice.conserves:
         gap = jnp.maximum(energy_gap(lattice, t0, state.u), energy_gap(lattice, t1, final.u))
         energy_error = jnp.where(gap > KEPT * jnp.sqrt(jnp.finfo(gap.dtype).eps), jnp.nan, energy_error)
-    return Run(ts, ys.u, ys.v, final, recorded, energy_error, opened, code, stats, None, "", "", "", unseen(lattice))
+    names = "", "", "", unseen(lattice), 0.0
+    return Run(ts, ys.u, ys.v, final, recorded, energy_error, margin, code, stats, None, *names)
 
 
 def _ready(solver, adjoint):
@@ -88,7 +89,8 @@ def _overlaps(lattice, t, u):
     return [overlap for overlap in found if overlap is not None]
 
 
-def _smallest_overlap(t, y, lattice):
+def smallest_overlap(t: Number, y: StateLike, lattice: Lattice) -> Numbers:
+    """The overlaps of all contacts that can open, one array."""
     overlaps = _overlaps(lattice, t, y.u)
     if len(overlaps) == 1:
         return overlaps[0]
@@ -100,8 +102,12 @@ def _compressions(t, y, lattice):
     return compressions(lattice, t, y.u)
 
 
-def _any_below_zero(smallest, lattice):
-    return jnp.any(smallest < 0, axis=tuple(range(smallest.ndim - len(lattice.lanes))))
+def _margin(lattice, t0, smallest):
+    """The least overlap over how far it came from rest, of all contacts, per lane: below zero where one opened."""
+    smallest = jax.lax.stop_gradient(smallest)
+    moved = smallest_overlap(t0, State(lattice.zeros(), None), lattice) - smallest
+    margin = jnp.where(moved > 0, smallest / jnp.where(moved > 0, moved, 1), jnp.where(smallest < 0, -1.0, jnp.inf))
+    return jnp.min(margin, axis=tuple(range(smallest.ndim - len(lattice.lanes))), initial=jnp.inf)
 
 
 def _meant(t0, t1, size):

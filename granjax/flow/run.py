@@ -14,6 +14,8 @@ from ..results import Held, Result
 from ..types import Counts, Displacements, Flags, Number, Numbers, Pytree, Times
 
 COMPLETED, NOT_FINITE, TOO_MANY_STEPS, STEP_TOO_SMALL, FAILED, NOTHING = range(6)
+# how far beyond touch, over how far it came from rest, a contact is certainly open
+OPENED = 0.05
 
 
 class Run(Result):
@@ -23,8 +25,8 @@ class Run(Result):
     - `final`: `State` at the last time; `recorded`: dict of the records' results.
     - `energy_error`: largest |E - E0|/max(|E0|, kinetic energy) over the saved times, NaN where a term does not keep
       the energy (says so, or its force is not the slope of its energy); shape of the lanes.
-    - `contact_opened`: whether any contact was open at the end of any step, one that never closed included;
-      `opening`: the same in a word. `unseen`: the terms that may have contacts of which that is not known.
+    - `contact_opened`: whether any contact was open, one that never closed included; `opening`: the same in a word,
+      with "unsure" and "unknown". `unseen`: the terms that may have contacts of which nobody knows whether they opened.
     - `outcome`: a sentence; `completed`: whether the run reached t1 with finite numbers, in every lane.
     - `stats`: dict of `steps`, `accepted`, `rejected`, `step` (the fixed one, or the mean of adaptive ones),
       `force_evaluations` (NaN for diffrax's own solvers), and where energy might gather beyond the default step's
@@ -41,7 +43,7 @@ class Run(Result):
     final: State
     recorded: dict[str, Numbers]
     energy_error: Numbers
-    contact_opened: Flags
+    _margin: Numbers
     code: Counts
     stats: dict[str, Number]
     failed_at: tuple[float, float, tuple[int, ...]] | None
@@ -49,6 +51,7 @@ class Run(Result):
     choice: str = eqx.field(static=True)
     remark: str = eqx.field(static=True)
     unseen: str = eqx.field(static=True)
+    _zone: float = eqx.field(static=True)
 
     @property
     def completed(self) -> Flags:
@@ -74,9 +77,49 @@ class Run(Result):
         return f"{sentence} {self.remark}".strip()
 
     @property
+    def contact_opened(self) -> Flags:
+        """Whether a contact was open at any time, per lane; `opening` says how sure that is.
+
+        Where at the ends of the steps a contact came near it, two more runs decide when this is first read: between
+        steps, by steps of half the length. Not under a transformation.
+        """
+        found = self._approach
+        return self._margin < 0 if found is None else jnp.where(self._near, found[0] < 0, self._margin < 0)
+
+    @property
     def opening(self) -> str:
-        """Whether a contact opened, in a word: yes, no, or unknown, where a law or a term does not say when it does."""
-        return "yes" if np.any(self.contact_opened) else "unknown" if self.unseen else "no"
+        """Whether a contact opened, in a word: yes, no, unsure, unknown.
+
+        Unsure where the closest approach is within its error of zero, or could not be looked at between steps; unknown
+        where a law or a term does not say when its contacts open.
+        """
+        closest, error = (0.0, np.inf) if self._approach is None else self._approach
+        sure = np.where(self._near, np.abs(closest) > error, True)
+        if np.any(sure & np.asarray(self.contact_opened)):
+            return "yes"
+        return "unsure" if not np.all(sure) else "unknown" if self.unseen else "no"
+
+    @property
+    def _near(self):
+        return (self._margin > -OPENED) & (self._margin < self._zone)
+
+    @property
+    def _approach(self):
+        """(the closest approach, its error), per lane; `None` where no contact came near, or nothing can be run."""
+        look = self.__dict__.get("_look")
+        if look is None or not np.any(self._near):
+            return None
+        if "_found" not in self.__dict__:
+            object.__setattr__(self, "_found", jax.tree.map(np.asarray, look()))
+        return self.__dict__["_found"]
+
+    def _approach_in_words(self):
+        if self.opening == "unknown":
+            return f" ({self.unseen})"
+        if self._approach is None:
+            return ""
+        closest, error = (np.ravel(x)[np.argmin(self._approach[0])] for x in self._approach)
+        return f" (smallest overlap {closest:.3g}, known to {error:.1g})"
 
     def _where(self):
         if self.failed_at is None:
@@ -93,7 +136,7 @@ class Run(Result):
         yield "step", f"{float(np.max(self.stats['step'])):.6g}"
         lost = float(np.max(self.energy_error))
         yield "energy error", "no energy is kept" if np.isnan(lost) else f"{lost:.2g}"
-        yield "contact opened", self.opening + (f" ({self.unseen})" if self.opening == "unknown" else "")
+        yield "contact opened", self.opening + self._approach_in_words()
         yield "saved", f"{self.ts.shape[-1]} times" + (f", records {', '.join(self.recorded)}" if self.recorded else "")
         yield "outcome", self.outcome
 
@@ -108,12 +151,12 @@ class Run(Result):
         yield from self.recorded.items()
 
 
-def named(run: Run, solver: str, choice: str, remark: str) -> Run:
+def named(run: Run, solver: str, choice: str, remark: str, zone: float = 0.0) -> Run:
     """A run that a compiled function has just returned, with its names.
 
     Written into it, which nobody else holds yet: making a Module anew takes longer than a short run.
     """
-    for field, value in (("solver", solver), ("choice", choice), ("remark", remark)):
+    for field, value in (("solver", solver), ("choice", choice), ("remark", remark), ("_zone", zone or run._zone)):
         object.__setattr__(run, field, value)
     return run
 

@@ -1,6 +1,7 @@
 """`simulate`: from a lattice and a state to a run, over diffrax."""
 
 import dataclasses
+from functools import partial
 from typing import Any
 
 import diffrax
@@ -17,6 +18,7 @@ from .dispatch import facts, traced
 from .inputs import checked_records, checked_save_at, checked_state, checked_times
 from .integrate import integrate
 from .method import checked_method, doubts, fixed_step, number, passed
+from .opening import approach
 from .record import Record
 from .reversible import Reversible, checked_reversible, refuse_forward_mode, reversible
 from .run import COMPLETED, NOT_FINITE, Run, named
@@ -24,6 +26,9 @@ from .run import COMPLETED, NOT_FINITE, Run, named
 # bounds a traced run whose number of steps is not known; a bound that is not reached costs nothing
 TRACED_STEPS = 2**24
 SAVED_STEPS = 2**16
+# a contact that kept more than this part of how far it came, at the ends of steps, did not open between them: at the
+# default step it may dip by 1/32 of that, and what is more covers the error of the run
+NEAR, FAR = 0.25, 1.0
 # built once: making a module takes longer than a short run
 _ADJOINTS = (diffrax.DirectAdjoint, diffrax.ForwardMode, diffrax.RecursiveCheckpointAdjoint)
 _FORWARD, _BOTH_MODES = diffrax.ForwardMode(), diffrax.DirectAdjoint()
@@ -119,7 +124,8 @@ def simulate(
         dt, limit = number(dt, dtype), None if limit is None else max(limit, steps)
         rest = records, solver, adjoint, limit, every, progress, watch, outside
         run = integrate(lattice, state, *span, dt, tolerance, save_ts, *rest)
-    run = named(run, type(solver).__name__, choice, remark)
+    zone = NEAR if tolerance is None and step is None else FAR
+    run = named(run, type(solver).__name__, choice, remark, zone)
     code = run.code
     if isinstance(code, jax.core.Tracer):
         return run
@@ -134,6 +140,9 @@ def simulate(
             run = _located(run, lattice, state, span, dt, tolerance, solver)
         if throw is None or throw:
             raise RuntimeError(run.outcome)
+    elif not unknown:
+        # no field: what goes through a transformation has lost it
+        object.__setattr__(run, "_look", partial(approach, lattice, state, *span, dt, tolerance, solver))
     return run
 
 
