@@ -14,7 +14,13 @@ import xarray as xr  # noqa: E402
 
 import granjax as gx  # noqa: E402
 from granjax import reproduce  # noqa: E402
-from granjax.studies.reproduce import dimer_pulse, dimer_transmission, making, monomer_pulse  # noqa: E402
+from granjax.studies.reproduce import (  # noqa: E402
+    breather_figures,
+    dimer_pulse,
+    dimer_transmission,
+    making,
+    monomer_pulse,
+)
 
 LABELS = [
     "fig1.2", "fig1.3", "fig1.4", "fig1.5", "fig2.2", "fig2.3", "fig2.4", "fig2.5", "breather.1", "breather.2",
@@ -169,6 +175,24 @@ def test_the_resonant_chain_has_its_ratio_and_keeps_its_energy(data_of):
     # no contact pushes harder than one that holds all the energy: (2/5) A x^{5/2} = m v^2/2
     bound = (5 / 4) ** 0.6 * data.attrs["force_unit"]
     assert 0 < data["force"].values[: dimer_pulse.CONTACT + 1].min() and data["force"].values.max() < bound
+    # what the pulse has lost it does not gain again, and less than 30 % of the striker's energy makes it through
+    share = data["passed"].values[1 : dimer_pulse.CONTACT + 1 : 2] / data.attrs["striker_energy"]
+    assert 0 < share.min() and share.max() < 1 and (np.diff(share) < 0).all() and share[-1] < 0.3
+
+
+def test_the_energy_of_a_pulse_that_is_not_scattered_goes_on():
+    """Hertz, free ends, equal beads: 99.366 % of the striker's energy runs ahead of every later contact."""
+    chain = gx.scenes.monomer(24, boundary="free")
+    run = gx.simulate(chain, gx.states.impact(chain), 25.0, save_at=501)
+    share = dimer_pulse.passed_energy(chain, run) / 0.5
+    np.testing.assert_allclose(share[10:16], 0.99366, rtol=0, atol=2e-5)
+    assert np.isnan(share[-1]) or share[-1] > 0.9
+
+
+@pytest.mark.slow
+def test_the_driven_chain_settles_on_newtons_orbit(data_of):
+    data = data_of("breather.2")
+    assert breather_figures.disagreement(data) < 1e-6 and not breather_figures.swing(data) == 0
 
 
 @pytest.mark.slow

@@ -114,6 +114,11 @@ def driven(amplitude: Scalar, frequency: Scalar) -> xr.Dataset:
     )
 
 
+def swing(data: xr.Dataset) -> float:
+    """Root mean square of the velocities of all beads over a period, after settling from rest [mm/s]."""
+    return 1e3 * float(np.sqrt((data["velocity"].values ** 2).mean()))
+
+
 def disagreement(data: xr.Dataset) -> float:
     """Largest difference of the velocities of the chain from rest and of Newton's orbit, over the largest velocity."""
     v, exact = data["velocity"].values, data["orbit_velocity"].values
@@ -209,15 +214,17 @@ FIGURES = (
         "more slowly.",
         compute=driven,
         draw=_draw_driven,
-        number=disagreement,
-        quantity="largest difference of velocity, from rest and by Newton's method, relative",
-        expected=0.0,
+        number=swing,
+        quantity="root mean square of all velocities, settled from rest [mm/s]",
+        expected=6.69536459,
         tolerance=1e-6,
-        source="both describe one orbit",
+        source="harmonic balance in NumPy (benchmarks/references/harmonic_balance.py), 12 and 20 harmonics agreeing to "
+        "1e-10; SciPy's DOP853 closes the orbit to 1e-13",
         chosen={
             "amplitude": Choice(0.2e-6, "m", "of the walls"),
             "frequency": Choice(7290.0, "Hz", "of the walls; the infinite chain's cut-off is 7369 Hz"),
         },
+        binding=("amplitude", "frequency"),
         size=(9.2, 3.8),
     ),
     Figure(
