@@ -117,6 +117,8 @@ def design(
     tolerance = jnp.asarray(checked_tolerance("tolerance", tolerance))
     if not callable(objective):
         refuse("objective", "a function of the dict of parameters", repr(objective))
+    if coordinates.sizeless:
+        coordinates = coordinates.sized(*_first(objective, coordinates, mode))
     ends = [_solve(objective, start, optimiser, max_steps, tolerance, bool(maximise), mode)
             for start in (coordinates, *_others(coordinates, bounds, starts, seed))]
     every = np.array([end.value if end.code < NO_GRADIENT else np.nan for end in ends])
@@ -187,6 +189,12 @@ def _with_gradient(objective, coordinates, maximise, mode):
         return jax.vmap(lambda w: jax.jvp(cost, (x,), (w,)), out_axes=(None, 0))(unit)
 
     return cost, forward if mode == "forward" else jax.value_and_grad(cost)
+
+
+@eqx.filter_jit
+def _first(objective, coordinates, mode):
+    """The objective and its gradient in the free coordinates, at the start."""
+    return _with_gradient(objective, coordinates, False, mode)[1](jnp.zeros(coordinates.size))
 
 
 @eqx.filter_jit

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .checks import concrete, one_of, parameter, refuse, show
-from .types import AnyArray, Numbers, Parameter
+from .types import AnyArray, Numbers, Parameter, Scalar
 
 Bounds: TypeAlias = dict[str, tuple | list | None] | None
 """From name to (low, high), numbers or arrays, `None` for no bound; names that are left out are free."""
@@ -21,8 +21,8 @@ NEAR = 1e-4
 class Coordinates(eqx.Module):
     r"""Free coordinates x (P,) of a dict of parameters, with x = 0 at the start and changes of order one.
 
-    Without bounds theta = start + scale x, scale = |start| (its largest entry, or 1 where that is zero); above a lower
-    bound theta = low + (start - low) e^x, below an upper one its mirror image; between two
+    Without bounds theta = start + scale x, scale = |start| (its largest entry; where that is zero 1, or what `sized`
+    makes of it); above a lower bound theta = low + (start - low) e^x, below an upper one its mirror image; between two
     theta = low + (high - low) s, log(s/(1 - s)) = x + its value at the start. Bounds are approached, and in
     floating point touched, but never passed.
 
@@ -63,6 +63,24 @@ class Coordinates(eqx.Module):
             else:
                 names += [f"{name}[{', '.join(map(str, index))}]" for index in np.ndindex(value.shape)]
         return names
+
+    @property
+    def sizeless(self) -> list[str]:
+        """Names of the parameters that start at zero without a bound, which says nothing of how far they may move."""
+        return [name for name, x in self.start.items() if self.low[name] is None and self.high[name] is None
+                and concrete(x) is not None and not np.any(x)]
+
+    def sized(self, value: Scalar, slopes: Float[AnyArray, " P"]) -> "Coordinates":
+        """The same with a scale for what is `sizeless`: the change that moves a value by its own size.
+
+        `slopes`: of the value in the free coordinates, (P,). Without it a start at zero would count in units of 1.
+        """
+        scale, slopes = dict(self.scale), self.unflat(jnp.asarray(slopes))
+        for name in self.sizeless:
+            change = jnp.abs(value) / jnp.max(jnp.abs(slopes[name]))
+            fits = jnp.isfinite(change) & (change > 0)
+            scale[name] = jnp.where(fits, change, 1.0).astype(scale[name].dtype) * scale[name]
+        return eqx.tree_at(lambda c: c.scale, self, scale)
 
     @property
     def size(self) -> int:

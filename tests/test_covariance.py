@@ -569,6 +569,18 @@ row("fit", closed)(lambda s: fitting(s))
 row("fit_noise_unknown", slow=(closed,))(lambda s: fitting(s, known=False))
 row("fit_bounds", slow=(closed,))(
     lambda s: fitting(s, bounds={"stiffness": (0, None), "damping": (0, s.hertz(1.0))}, starts=2))
+
+
+@row("fit_from_zero", closed)
+def _(s):
+    """What starts at zero has no size of its own; with a second start, which is drawn about it."""
+    scene, y0, traces = measured(s)
+    late = gx.Traces(traces.times + s.s(0.3), velocity=traces.data, sites=[2, 4], sigma=traces.sigma, offset="delay")
+    start = {"stiffness": s.w(1.2, 1, -1.5, 0), "damping": s.hertz(0.0), "delay": s.s(0.0)}
+    found = gx.fit(scene, start, late, state=y0, starts=2, spread=0.05)
+    return fit_of(found, units={**OF_FIT, "delay": (0, 0, 1)})
+
+
 row("fit_gradient", slow=(closed,), agree=1e-6)(lambda s: fitting(s, method="gradient", max_steps=8, throw=False))
 row("fit_windows", slow=(closed,))(lambda s: fitting(s, windows=3))
 
@@ -660,23 +672,25 @@ class Highest(eqx.Module):
 
     def __call__(self, p):
         law = gx.Hertz(p["stiffness"], self.load)
-        chain = gx.Lattice(p["mass"], gx.Bond(gx.Shift(1, "fixed"), law), sites=SITES)
+        on_site = gx.OnSite(gx.Linear(p["spring"])) if "spring" in p else gx.Damping(0.0)
+        chain = gx.Lattice(p["mass"], (gx.Bond(gx.Shift(1, "fixed"), law), on_site), sites=SITES)
         return (gx.linear.normal_modes(chain).omega[-1] - self.wanted) ** 2
 
 
-def designed(s, **options):
-    start = {"stiffness": s.w(near(s.rng, 1.3), 1, -1.5, 0), "mass": s.kg(near(s.rng, 1.0))}
+def designed(s, more=None, **options):
+    start = {"stiffness": s.w(near(s.rng, 1.3), 1, -1.5, 0), "mass": s.kg(near(s.rng, 1.0)), **(more or {})}
     found = gx.design(Highest(s.hertz(jnp.asarray(1.4)), s.newton(near(s.rng, 0.7))), start, max_steps=12, **options)
     square = lambda x: Of(x, 0, 0, -2)
     known = np.flatnonzero(np.asarray(found.history) > 1e-12 * np.asarray(found.history)[0])
     return {
         "parameters": [Of(found.parameters["stiffness"], 1, -1.5, 0), Of(found.parameters["mass"], 1, -1, 2)],
-        "start": square([found.start_value, found.start_gradient]), "history": square(found.history[known]),
+        "start": square([found.start_value, found.start_gradient[:2]]), "history": square(found.history[known]),
         "code": found.code,
     }
 
 
 row("design", closed, agree=1e-7)(lambda s: designed(s))
+row("design_from_zero", slow=(closed,), agree=1e-7)(lambda s: designed(s, {"spring": s.w(0.0, 1, -1, 0)}))
 row("design_bounds", slow=(closed,), agree=1e-7)(
     lambda s: designed(s, bounds={"stiffness": (0, None), "mass": (s.kg(0.5), s.kg(2.0))}, starts=1))
 

@@ -17,7 +17,7 @@ from ..types import Count, Parameter, Scalar, Scene
 from .fitted import Fit
 from .judge import judged, looked_at, way_back
 from .problem import Problem, Start, prepared
-from .solve import gradient_descent, least_squares
+from .solve import evaluated, gradient_descent, least_squares
 from .traces import Traces
 from .windows import cut
 
@@ -78,6 +78,7 @@ def fit(
     if windows > 1:
         problem = cut(problem, windows)
         x0 = np.concatenate([x0, np.zeros((starts, problem.starts.size))], axis=1)
+    problem = _sized(problem, x0[0])
     failed = looked_at(problem, x0[0])
     if failed is not None:
         return _ended(failed, throw)
@@ -97,6 +98,17 @@ def fit(
         # windows know their times
         problem = eqx.tree_at(lambda p: p.t1, problem, plain.end(parameters)) if later else problem
     return _ended(judged(problem, best, reached, adjoint), throw)
+
+
+def _sized(problem, x):
+    """The problem with a scale for what starts at zero: the change that moves the residuals by their own size."""
+    coordinates = problem.plain.coordinates
+    if not coordinates.sizeless:
+        return problem
+    value, jacobian = evaluated(problem, x)
+    slopes = np.linalg.norm(jacobian[:, : coordinates.size], axis=0)
+    scale = coordinates.sized(np.linalg.norm(value), slopes).scale
+    return eqx.tree_at(lambda p: p.plain.coordinates.scale, problem, scale)
 
 
 def _minimised(problem, x0, method, optimiser, tolerance, max_steps):
