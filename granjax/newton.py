@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from .checks import refuse, unmasked
 from .results import Held, Result
 from .types import Count, Counts, Flags, Numbers, Parameter, Pytree, Scalar
 
@@ -77,10 +78,14 @@ def newton(residual: Callable, guess: Parameter, args: Pytree = None, *, toleran
     - `throw`: raise where it does not converge; `None` does so outside of transformations.
     - `finish`: from a root that converged take the step that the derivative there gives, which costs nothing more.
 
-    **Returns:** `Root`, with the best iterate. **Raises** RuntimeError where `throw` and it did not converge: the
-    sentence says how far it came.
+    **Returns:** `Root`, with the best iterate. **Raises** ValueError for complex or masked numbers, a tolerance that is
+    infinite or below zero; RuntimeError where `throw` and it did not converge: the sentence says how far it came.
     """
-    x0 = jnp.asarray(guess)
+    x0 = jnp.asarray(unmasked("guess", guess))
+    if jnp.issubdtype(x0.dtype, jnp.complexfloating):
+        refuse("guess", "real numbers", f"{x0.dtype}", "Write real and imaginary parts as unknowns of their own.")
+    if not isinstance(tolerance, jax.core.Tracer) and not 0 <= float(tolerance) < np.inf:
+        refuse("tolerance", "one finite number not below zero", repr(tolerance))
     x0 = x0.astype(jnp.result_type(x0, float)) if not jnp.issubdtype(x0.dtype, jnp.floating) else x0
     # a plain number is an input of what is compiled, not a part of it
     args = jax.tree.map(lambda leaf: jnp.asarray(leaf) if isinstance(leaf, float) else leaf, args)

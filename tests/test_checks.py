@@ -216,3 +216,20 @@ def test_traced_values_pass_the_checks():
     np.testing.assert_allclose(got, 2 * 0.5**1.5, rtol=1e-15)
     slope = jax.grad(lambda m: gx.Lattice(m * np.ones(3), (BOND,)).kinetic_energy(jnp.ones(3)))(2.0)
     assert float(slope) == 1.5
+
+
+def test_every_tolerance_that_asks_for_nothing_is_refused():
+    """One place says what a tolerance is; orbits, multipliers and settling ask it."""
+    chain = gx.scenes.monomer(3, precompression=1.0)
+    driven, rest = gx.driven.driven_chain(chain, 0.01, 2.0, damping=0.1), gx.states.rest(chain)
+    uses = (
+        lambda x: gx.forced.forced_orbit(driven, np.pi, tolerance=x),
+        lambda x: gx.driven.settle(driven, rest, np.pi, tolerance=x), lambda x: gx.breathers.family(chain, tolerance=x),
+        lambda x: gx.floquet.floquet(chain, rest, 1.0, tolerance=x),
+        lambda x: gx.floquet.leading(chain, rest, 1.0, 1, tolerance=x),
+        lambda x: gx.design(lambda p: p["x"] ** 2, {"x": 1.0}, tolerance=x),
+    )
+    for use in uses:
+        for bad in (INF, -1.0, True, NAN, 1.0):
+            with pytest.raises(ValueError, match="^tolerance: expected"):
+                use(bad)

@@ -161,3 +161,12 @@ def test_another_number_compiles_nothing_anew():
     once = len(traces)
     assert newton(f, [1.0], 3.0).x[0] == pytest.approx(3**0.5, abs=1e-10)
     assert once > 0 and len(traces) == once
+
+
+@pytest.mark.parametrize("bad, named", [
+    (dict(tolerance=np.inf), "tolerance"), (dict(tolerance=np.nan), "tolerance"), (dict(tolerance=-1.0), "tolerance"),
+    (dict(guess=[1j]), "guess"), (dict(guess=np.ma.array([1.0, 2.0], mask=[0, 1])), "guess"),
+])
+def test_what_cannot_be_meant_is_refused(bad, named):
+    with pytest.raises(ValueError, match=f"^{named}: expected"):
+        newton(lambda x, args: x - 1, **{"guess": [2.0]} | bad)

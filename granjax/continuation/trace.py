@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..checks import one_of, refuse
+from ..checks import one_of, real, refuse
 from ..types import Count, Parameter, Pytree, Scalar
 from .curve import Curve
 from .locate import bound_met, located
@@ -51,7 +51,7 @@ def continuation(
     least_arclength, longest_arclength = least_arclength or arclength * 1e-4, longest_arclength or arclength * 10
     bounds = () if until is None else tuple(np.atleast_1d(np.asarray(until, float)))
     system = System(residual, linearise, args, tolerance)
-    here = system.first(np.asarray(x0, float), float(p0), direction, arclength)
+    here = system.first(real("x0", x0), float(p0), direction, arclength)
     trace, special, outcome = [here], [], f"The {points} points that were asked for."
     iterations, reason = here.iterations, ""
     while len(trace) < points:

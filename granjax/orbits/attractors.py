@@ -11,6 +11,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
 from ..checks import positive, whole
+from ..checks import tolerance as checked_tolerance
 from ..flow import Flow
 from ..lattice import Lattice, State
 from ..measures import contacts
@@ -96,7 +97,7 @@ def settle(
     Typical: 200 to 2000 periods near a band edge with gamma T = 0.03.
     """
     state, period = checked_state(one_lattice(lattice), state), float(positive("period", period))
-    tolerance = float(positive("tolerance", tolerance, "Typical: 1e-8."))
+    tolerance = float(checked_tolerance("tolerance", tolerance))
     periods = whole("periods", periods, 8)
     steps = steps_per_period(lattice, period) if steps is None else whole("steps", steps, 1)
     checked_period(lattice, state, 0.0, period)

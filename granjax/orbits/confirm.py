@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..checks import tolerance as checked_tolerance
 from ..lattice import Lattice, State
 from ..newton import Root, newton
 from ..types import Count, Number, Numbers, Pytree, Scalar
@@ -39,7 +40,8 @@ class OrbitError(eqx.Module):
 
 
 def newtons(tolerance: Scalar) -> Scalar:
-    """What Newton's method may leave of the residual for an orbit of this tolerance."""
+    """What Newton's method may leave of the residual for an orbit of this tolerance, which is refused where none is."""
+    tolerance = checked_tolerance("tolerance", tolerance)
     return jnp.clip(LEFT * jnp.asarray(tolerance), jnp.minimum(tolerance, FLOOR), MOST_LEFT)
 
 

@@ -12,6 +12,7 @@ from jaxtyping import Complex, Float, Inexact, Integer
 from scipy.sparse.linalg import ArpackError, ArpackNoConvergence, LinearOperator, eigs
 
 from ..checks import refuse, whole
+from ..checks import tolerance as checked_tolerance
 from ..flow import Flow, linear_frequency
 from ..lattice import Lattice, vector_field
 from ..results import Held, Result
@@ -163,6 +164,7 @@ def floquet(
     steps, and steps too few for a finite motion.
     """
     period, segments = _checked(lattice, period), whole("segments", segments, 1)
+    tolerance = checked_tolerance("tolerance", tolerance)
     if steps is not None and whole("steps", steps, 1) % (2 * segments):
         refuse("steps", f"a multiple of {2 * segments}, twice the segments", repr(steps))
     known = NOTHING
@@ -337,6 +339,7 @@ def leading(
     count, period, state = whole("count", count, 1), _checked(lattice, period), checked_state(lattice, state)
     checked_period(lattice, state, t0, period)
     steps = default_steps(lattice, period) if steps is None else whole("steps", steps, 1)
+    tolerance = checked_tolerance("tolerance", tolerance)
     flow = Flow(jnp.asarray(steps), fixed_step_solver(lattice, solver, KahanLi8()))
     times = jnp.asarray(float(t0)), jnp.asarray(period)
     scale = weights(structure(lattice).mass, period)

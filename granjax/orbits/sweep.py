@@ -10,6 +10,7 @@ from diffrax import AbstractSolver
 from jaxtyping import Float, Integer
 
 from ..checks import concrete, parameter, positive, refuse, whole
+from ..checks import tolerance as checked_tolerance
 from ..flow import Flow
 from ..lattice import State
 from ..measures import rms_velocity
@@ -127,7 +128,7 @@ def sweep(
     if values.ndim != 1 or len(values) < 2 or not (np.diff(values) > 0).all():
         refuse("values", "at least two, ascending", f"shape {values.shape}", "The sweep itself goes down again.")
     jump, accuracy = float(positive("jump", jump)), float(positive("accuracy", accuracy))
-    tolerance, periods = float(positive("tolerance", tolerance)), whole("periods", periods, 8)
+    tolerance, periods = float(checked_tolerance("tolerance", tolerance)), whole("periods", periods, 8)
     watch = whole("watch", watch, 1)
     scenes = [(make(jnp.asarray(w)), float(period_at(period, w))) for w in values[[0, -1]]]
     first = one_lattice(scenes[0][0])
