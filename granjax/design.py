@@ -13,6 +13,7 @@ from jaxtyping import Float, Integer
 from .checks import one_of, parameter, refuse, whole, within
 from .checks import tolerance as checked_tolerance
 from .descent import CONVERGED, NO_GRADIENT, NO_START, NOT_FINITE, SPENT, STALLED, descend
+from .outside import Outside
 from .parameters import Bounds, Coordinates
 from .results import Held, Result
 from .types import AnyArray, Count, Numbers, Parameter, Scalar
@@ -117,9 +118,10 @@ def design(
     tolerance = jnp.asarray(checked_tolerance("tolerance", tolerance))
     if not callable(objective):
         refuse("objective", "a function of the dict of parameters", repr(objective))
+    outside = Outside(objective)
     if coordinates.sizeless:
-        coordinates = coordinates.sized(*_first(objective, coordinates, mode))
-    ends = [_solve(objective, start, optimiser, max_steps, tolerance, bool(maximise), mode)
+        coordinates = coordinates.sized(*_first(objective, coordinates, mode, outside))
+    ends = [_solve(objective, start, optimiser, max_steps, tolerance, bool(maximise), mode, outside)
             for start in (coordinates, *_others(coordinates, bounds, starts, seed))]
     every = np.array([end.value if end.code < NO_GRADIENT else np.nan for end in ends])
     best = ends[int(np.argmin(np.nan_to_num(-every if maximise else every, nan=np.inf)))]
@@ -192,13 +194,13 @@ def _with_gradient(objective, coordinates, maximise, mode):
 
 
 @eqx.filter_jit
-def _first(objective, coordinates, mode):
+def _first(objective, coordinates, mode, outside):
     """The objective and its gradient in the free coordinates, at the start."""
     return _with_gradient(objective, coordinates, False, mode)[1](jnp.zeros(coordinates.size))
 
 
 @eqx.filter_jit
-def _solve(objective, coordinates, optimiser, max_steps, tolerance, maximise, mode):
+def _solve(objective, coordinates, optimiser, max_steps, tolerance, maximise, mode, outside):
     cost, both = _with_gradient(objective, coordinates, maximise, mode)
     found = descend(cost, both, coordinates.size, optimiser, max_steps, tolerance)
     sign = -1.0 if maximise else 1.0

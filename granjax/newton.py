@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .checks import refuse, unmasked
+from .outside import Outside
 from .results import Held, Result
 from .types import Count, Counts, Flags, Numbers, Parameter, Pytree, Scalar
 
@@ -90,6 +91,7 @@ def newton(residual: Callable, guess: Parameter, args: Pytree = None, *, toleran
     # a plain number is an input of what is compiled, not a part of it
     args = jax.tree.map(lambda leaf: jnp.asarray(leaf) if isinstance(leaf, float) else leaf, args)
     inputs = residual, linearise, x0, args, jnp.asarray(tolerance, x0.dtype), jnp.asarray(max_steps), finish
+    inputs = *inputs, Outside((residual, linearise))
     # without tracers nobody differentiates; a function may hide some, which the result then shows
     root = None if _traced(inputs) else _plain(*inputs)
     if root is None or _traced(root):
@@ -104,14 +106,14 @@ def _traced(tree):
 
 
 @eqx.filter_jit
-def _plain(residual, linearise, x0, args, tolerance, max_steps, finish):
+def _plain(residual, linearise, x0, args, tolerance, max_steps, finish, outside):
     both = _by_forward_mode(residual) if linearise is None else linearise
     x, (jacobian, size, first, steps, code) = _iterate(both, x0, args, tolerance, max_steps, finish)
     return Root(x, jacobian, size, first, steps, code, tolerance)
 
 
 @eqx.filter_jit
-def _differentiable(residual, linearise, x0, args, tolerance, max_steps, finish):
+def _differentiable(residual, linearise, x0, args, tolerance, max_steps, finish, outside):
     both = _by_forward_mode(residual) if linearise is None else linearise
 
     def solve(f, x0):

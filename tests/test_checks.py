@@ -224,7 +224,7 @@ def test_every_tolerance_that_asks_for_nothing_is_refused():
     driven, rest = gx.driven.driven_chain(chain, 0.01, 2.0, damping=0.1), gx.states.rest(chain)
     uses = (
         lambda x: gx.forced.forced_orbit(driven, np.pi, tolerance=x),
-        lambda x: gx.driven.settle(driven, rest, np.pi, tolerance=x), lambda x: gx.breathers.family(chain, tolerance=x),
+        lambda x: gx.driven.settle(driven, rest, np.pi, tolerance=x),
         lambda x: gx.floquet.floquet(chain, rest, 1.0, tolerance=x),
         lambda x: gx.floquet.leading(chain, rest, 1.0, 1, tolerance=x),
         lambda x: gx.design(lambda p: p["x"] ** 2, {"x": 1.0}, tolerance=x),

@@ -10,7 +10,7 @@ import granjax
 ROOT = Path(granjax.__file__).parent
 
 FLOORS = (
-    {"checks", "tuning", "types"},
+    {"checks", "outside", "tuning", "types"},
     {"results", "split_system", "units"},
     {"laws", "strains", "materials", "solvers", "newton", "parameters", "descent", "theory", "plots"},
     {"terms", "continuation"},

@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 import granjax as gx
-from granjax.lattice.outside import Outside
+from granjax.continuation import continuation
+from granjax.newton import newton
+from granjax.outside import Outside
 
 SIZE, TABLE = 1.0, np.ones(3)
 SETTINGS = types.SimpleNamespace(size=1.0, other="x")
@@ -45,6 +47,17 @@ def test_lanes_behind_the_sites_and_a_vmap_of_everything_pass():
     np.testing.assert_array_equal(stacked.mass, behind.mass)
     nested = jax.vmap(jax.vmap(make, out_axes=-1), out_axes=-1)(jnp.ones((2, 3)))
     assert stacked.lanes == (4,) and nested.lanes == (3, 2)
+
+
+def test_lanes_of_single_numbers_have_but_one_place():
+    scene = lambda k: gx.scenes.monomer(3, stiffness=k)
+    before, behind = jax.vmap(scene)(jnp.ones(3)), jax.vmap(scene, out_axes=-1)(jnp.ones(3))
+    assert before.lanes == behind.lanes == (3,) and before.zeros().shape == (3, 3)
+    assert jax.tree.map(lambda x: x[..., 0], before).lanes == ()
+    cell = lambda k: gx.Lattice({"bead": jnp.ones(3), "resonator": k}, (), sites=3)
+    with pytest.raises(ValueError, match="lanes behind"):
+        jax.vmap(cell)(jnp.ones(3)).zeros()
+    assert jax.vmap(cell, out_axes=-1)(jnp.ones(3)).lanes == (3,)
 
 
 def test_lanes_between_the_axes_of_a_grid_are_refused():
@@ -196,3 +209,25 @@ def test_what_a_scene_reads_counts_in_a_fit():
         assert found() == pytest.approx(2.0, rel=1e-6)
     finally:
         set_global(1.0)
+
+
+def test_what_objectives_and_residuals_read_counts_as_it_stands():
+    found = (
+        lambda: float(gx.design(goal, {"x": 3.0}).parameters["x"]),
+        lambda: float(newton(left, [3.0]).x[0]),
+        lambda: float(continuation(lambda x, p, args: left(x, args) * p, [3.0], 1.0, until=2.0).x[-1, 0]),
+    )
+    try:
+        for size in (1.0, 2.0, 1.0):
+            set_global(size)
+            assert [f() for f in found] == pytest.approx([size] * 3, abs=1e-5)
+    finally:
+        set_global(1.0)
+
+
+def goal(parameters):
+    return (parameters["x"] - SIZE) ** 2
+
+
+def left(x, args):
+    return x - SIZE

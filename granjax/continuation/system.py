@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..newton import CONVERGED, newton
+from ..outside import Outside
 from ..types import Numbers, Parameter, Pytree, Scalar
 
 MOST_NEWTON = 10
@@ -44,6 +45,7 @@ class Bordered(eqx.Module):
 
     function: Callable
     slopes: Callable | None
+    outside: Outside
 
     def residual(self, z: Numbers, args: Pytree) -> Numbers:
         """F and what is missing along the border."""
@@ -94,7 +96,8 @@ class System:
     """Corrector and tangents of one problem."""
 
     def __init__(self, residual, linearise, args, tolerance):
-        self.augmented, self.args, self.tolerance = Bordered(residual, linearise), args, tolerance
+        self.augmented = Bordered(residual, linearise, Outside((residual, linearise)))
+        self.args, self.tolerance = args, tolerance
         self.scale = None
 
     def first(self, x0: np.ndarray, p0: float, direction: Parameter, arclength: Scalar) -> Point:

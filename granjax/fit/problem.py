@@ -17,7 +17,7 @@ from ..flow.dispatch import facts
 from ..flow.inputs import checked_state
 from ..flow.method import STEP_FRACTION
 from ..lattice import Lattice, State
-from ..lattice.outside import Outside
+from ..outside import Outside
 from ..measures import contact_force
 from ..parameters import Bounds, Coordinates
 from ..solvers import SRKN11b

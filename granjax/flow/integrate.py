@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from ..lattice import Lattice, State, vector_field
-from ..lattice.outside import Outside
+from ..outside import Outside
 from ..solvers import AbstractNystrom
 from ..types import Displacements, Number, Numbers, Scalar, StateLike, Times
 from .breaks import Landing, one_sided

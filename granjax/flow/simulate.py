@@ -12,7 +12,7 @@ import numpy as np
 
 from ..checks import one_of, refuse, show, whole
 from ..lattice import Lattice
-from ..lattice.outside import Outside
+from ..outside import Outside
 from ..types import Count, Parameter, Scalar, StateLike
 from .dispatch import facts, traced
 from .inputs import checked_records, checked_save_at, checked_state, checked_times

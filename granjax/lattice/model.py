@@ -10,10 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import positive, refuse, whole
+from ..outside import Outside
 from ..terms import Term
 from ..terms.tracing import reads, traced
 from ..types import Count, Displacements, Number, Parameter
-from .outside import Outside
 
 
 class State(NamedTuple):
@@ -138,7 +138,7 @@ class Lattice(eqx.Module):
         own = self.axes + (self.dimension is not None)
         # as many sites as lanes: the masses do not tell which is which
         shape = mass.shape
-        if self._mark.shape[:own] != (1,) * own or per_site and shape[: len(sites)] != sites:
+        if self._mark.shape[:own] != (1,) * own and _has_sites(self, own) or per_site and shape[: len(sites)] != sites:
             refuse("lattice", "lanes behind the sites", f"masses of shape {shape} on sites of shape {sites}",
                    "Write jax.vmap(make, out_axes=-1).")
         return shape[own if per_site else 0 :]
@@ -265,6 +265,11 @@ def _one(axes):
     """A number with an axis for each of a site's, which shows where `jax.vmap` puts its lanes; nothing reads it."""
     with jax.ensure_compile_time_eval():
         return jnp.zeros((1,) * axes)
+
+
+def _has_sites(lattice, own):
+    """Whether some parameter has more axes than lanes: for single numbers the place of the lanes is no question."""
+    return any(np.ndim(x) > lattice._mark.ndim - own for x in jax.tree.leaves((lattice.mass, lattice.terms)))
 
 
 def _check_shape(lattice, name, x):

@@ -12,6 +12,7 @@ from jaxtyping import Float
 from ..checks import refuse, whole
 from ..flow import Flow
 from ..lattice import Lattice, State, spread_mass, vector_field
+from ..outside import Outside
 from ..terms.tracing import reads
 from ..types import AnyArray, Count, Numbers, Pytree, Scalar, StateLike
 from .symmetry import shifts
@@ -378,6 +379,7 @@ class Family(eqx.Module):
     period: Callable | Scalar
     start: Scalar = 0.0
     span: Scalar = 1.0
+    outside: Outside = Outside()
 
     def scene(self, q: Scalar) -> tuple:
         """(lattice, period) at q."""
