@@ -17,8 +17,8 @@ from ..flow.dispatch import facts
 from ..flow.inputs import checked_state
 from ..flow.method import STEP_FRACTION
 from ..lattice import Lattice, State
-from ..outside import Outside
 from ..measures import contact_force
+from ..outside import Outside
 from ..parameters import Bounds, Coordinates
 from ..solvers import SRKN11b
 from ..types import AnyArray, Numbers, Parameter, Scalar, Scene
