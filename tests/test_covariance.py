@@ -902,7 +902,8 @@ def _(s):
 ELSEWHERE = {
     "split_system": "a solver's working form of the same forces: `simulate`", "variational": "`floquet`",
     "Record.value": "`simulate`", "Problem.state": "`fit`", "return_error": "rounding alone; `fit` and `Reversible`",
-    "cell_of": "`bright_guess`", "edges_beside": "`bright_guess`", "edge_of": "`breather`", "steps_per_period": "`settle`, `sweep`",
+    "cell_of": "`bright_guess`", "edges_beside": "`bright_guess`", "edge_of": "`breather`",
+    "steps_per_period": "`settle`, `sweep`",
     "dark_by_interference": "an experiment in SI: its numbers are of one laboratory",
 }
 

@@ -93,10 +93,14 @@ def test_newtons_cradle_has_breathers(omega, sites, signs):
     assert np.abs(end.y[11:, -1]).max() < 1e-5 * np.abs(u).max()
 
 
-def test_a_site_in_other_units():
+def test_a_site_in_other_units(caplog):
     for make, omega, sites, signs in ((cradle, 1.2, [5, 6], [1, -1]), (soft, 0.8, 4, None)):
         one = single_site(make(), omega, sites, amplitudes=signs)
-        other = single_site(make(mass=3e-4, length=2e-7, time=5e-6), omega / 5e-6, sites, amplitudes=signs)
+        lattice = make(mass=3e-4, length=2e-7, time=5e-6)
+        with jax.log_compiles(), caplog.at_level("WARNING"):
+            caplog.clear()
+            other = single_site(lattice, omega / 5e-6, sites, amplitudes=signs)
+            assert "Compiling" not in caplog.text
         np.testing.assert_allclose(np.asarray(other.u) / 2e-7, one.u, atol=1e-7 * np.abs(one.u).max())
 
 
@@ -104,6 +108,16 @@ def test_a_site_between_soft_ones_need_not_have_the_frequency_alone():
     # C = 1/2: alone between its neighbours it has sqrt 2 at most, and escapes before 0.8
     u = np.asarray(single_site(soft(21, 0.5), 0.8, 10).u)
     assert np.argmax(u) == 10 and shared(soft(21, 0.5), u) < 4 and u[0] < 1e-3
+
+
+def test_a_site_of_an_uneven_potential_turns_where_its_energy_says():
+    # V = u^2/2 - u^3/3 and two bonds: one harmonic about zero has the linear frequency at every amplitude
+    lattice = gx.Lattice(np.ones(8), (gx.Bond(gx.Shift(1, "periodic"), gx.Linear(0.02)),
+                                      gx.OnSite(gx.Polynomial(1.0, -1.0, 0.0))))
+    (beside, right), (_, left) = (map(float, single_site(lattice, 0.8, 4, amplitudes=[a]).u[3:5]) for a in (1, -1))
+    assert left < 0 < beside < right < 1 and right > -left
+    energy = lambda u: u**2 / 2 - u**3 / 3 + 0.02 * (u - beside) ** 2
+    assert energy(right) == pytest.approx(energy(left), rel=1e-9)
 
 
 @pytest.mark.slow

@@ -28,6 +28,8 @@ LINEAR, RUN = 1e-5, 4
 CLOSE = 0.25
 # frames of half a period; rounds of the iteration, and the change with which it ends
 FRAMES, ROUNDS, SETTLED = 24, 400, 1e-8
+# Newton steps to the mean of one site
+CENTRED = 12
 # by which an amplitude is changed for the degree of the forces, and between which bounds that is believed
 STRETCH, DEGREES = 1.01, (1.2, 5.0)
 # sites beside the middle of a lattice among which different kinds are looked for
@@ -175,24 +177,32 @@ def _harmonics_of_forces(lattice, u, us):
     return weights @ forces, 2 * (weights * jnp.cos(jnp.pi * jnp.arange(PARTS + 1) / PARTS)) @ forces
 
 
+class _Limit(eqx.Module):
+    """What vanishes for the displacements at rest over `scale`: velocities half a period later, and mean forces."""
+
+    moving: jax.Array
+    scale: jax.Array
+    omega: jax.Array
+    free: jax.Array
+
+    def __call__(self, x, scene):
+        us, vs = _path(scene, self.moving, self.scale * x, jnp.pi / self.omega)
+        stiff = jnp.max(ravel_pytree(spread_mass(scene))[0] * self.moving) * self.omega**2
+        means = _harmonics_of_forces(scene, self.scale * x, us)[0]
+        rest = jnp.where(self.moving, vs[-1] / self.omega, means / stiff) / self.scale
+        # forces say nothing of a uniform displacement: it stays zero
+        return rest + self.free @ (self.free.T @ jnp.where(self.moving, 0, x))
+
+
 def _together(lattice, omega, u):
     """Displacements at rest of the whole limit, from each site alone."""
-    moving = (u != 0).astype(u.dtype)
-    scale, free, half = np.abs(u).max(), np.asarray(shifts(lattice)), np.pi / omega
-    stiff = float(np.max(_mass(lattice) * moving)) * omega**2
-
-    def residual(x, scene):
-        us, vs = _path(scene, jnp.asarray(moving), scale * x, half)
-        rest = jnp.where(moving, vs[-1] / omega, _harmonics_of_forces(scene, scale * x, us)[0] / stiff) / scale
-        # forces say nothing of a uniform displacement: it stays zero
-        return rest + free @ (free.T @ jnp.where(moving, 0, x))
-
-    return scale * newton(residual, jnp.asarray(u / scale), lattice, tolerance=1e-11).x
+    moving, scale, omega = (jnp.asarray(x, u.dtype) for x in (u != 0, np.abs(u).max(), omega))
+    return scale * newton(_Limit(moving, scale, omega, shifts(lattice)), u / scale, lattice, tolerance=1e-11).x
 
 
 def _follow(lattice, omega, moving, u):
     """Largest amplitude with which the sites that stand still would answer, over that of the others."""
-    us, _ = _path(lattice, jnp.asarray(moving, u.dtype), u, np.pi / omega)
+    us, _ = _path(lattice, jnp.asarray(moving, u.dtype), u, jnp.asarray(np.pi / omega))
     first = np.asarray(_harmonics_of_forces(lattice, u, us)[1])[~moving]
     if not len(first):
         return 0.0
@@ -259,19 +269,26 @@ def _about(found, u):
 
 @eqx.filter_jit
 def _secants(lattice, one, amplitudes):
-    """First harmonic of a site's own force over its amplitude, with the sign of a stiffness."""
+    """First harmonic of a site's own force, about where its mean vanishes, over its amplitude; a stiffness."""
     cosines = jnp.cos((jnp.arange(FRAMES) + 0.5) * jnp.pi / FRAMES)
 
+    def forces(x, a):
+        return jax.vmap(lambda c: one @ _forces(lattice, (x + a * c) * one))(cosines)
+
     def secant(a):
-        forces = jax.vmap(lambda c: one @ _forces(lattice, a * c * one))(cosines)
-        return -2 / FRAMES * (cosines @ forces) / a
+        def centred(_, x):
+            mean, slope = jax.jvp(lambda x: forces(x, a).mean(), (x,), (jnp.ones_like(x),))
+            return x - jnp.where(slope < 0, mean / slope, 0)
+
+        x = jax.lax.fori_loop(0, CENTRED, centred, jnp.zeros_like(a))
+        return -2 / FRAMES * (cosines @ forces(x, a)) / a
 
     return jax.lax.map(secant, amplitudes)
 
 
 def _amplitude(lattice, omega, place, sign):
     """(where a site alone turns back, True), by shooting near what one harmonic gives, or (the latter, False)."""
-    half, mass = np.pi / omega, _mass(lattice)
+    half, mass = jnp.asarray(np.pi / omega), _mass(lattice)
     one = jnp.asarray(sign * np.eye(len(mass))[place])
 
     def velocities(a):
