@@ -47,8 +47,9 @@ def test_a_defect_beside_the_driver_rectifies():
     amplitudes = np.linspace(0.05e-6, 0.35e-6, 7)
     found = studies.rectifier(amplitudes)
     assert found.cutoff < found.frequency < found.defect
-    # from the defect's side the motion ceases to be periodic at 0.16 um, from the other it always is
-    assert found.threshold_near == pytest.approx(0.16e-6, rel=0.05) and found.threshold_far == np.inf
+    # from the defect's side the motion ceases to be periodic at 0.177 um (at 0.175 it settles after 7165 periods, and
+    # from their numbers at 0.155 ... 0.17 the rate vanishes at 0.178), from the other it always is
+    assert found.threshold_near == pytest.approx(0.177e-6, rel=0.02) and found.threshold_far == np.inf
     assert (found.far.up.multiple == 1).all()
     # milliwatts against femtowatts
     assert found.near.up.response[-2:].min() > 1e-4 and found.far.up.response.max() < 1e-13

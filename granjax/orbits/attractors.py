@@ -17,7 +17,7 @@ from ..lattice import Lattice, State
 from ..measures import contacts
 from ..results import Held, Result
 from ..solvers import SRKN11b
-from ..types import Count, Displacements, Numbers, Scalar, StateLike, Times
+from ..types import Count, Counts, Displacements, Numbers, Scalar, StateLike, Times
 from .problems import checked_period, checked_state, one_lattice
 from .steps import default_steps, fixed_step_solver, history
 
@@ -102,7 +102,7 @@ def settle(
     steps = steps_per_period(lattice, period) if steps is None else whole("steps", steps, 1)
     checked_period(lattice, state, 0.0, period)
     solver = fixed_step_solver(lattice, solver, SRKN11b())
-    end, used, multiple, changes = _follow(Flow(steps, solver), lattice, state, period, periods, tolerance)
+    end, used, multiple, changes, _ = _follow(Flow(steps, solver), lattice, state, period, periods, tolerance)
     used, multiple = int(used), int(multiple)
     ts, us, vs, amplitude, force, energy = _watch(solver, lattice, end, period, multiple or KEPT, steps)
     seen = np.asarray(changes)[:used]
@@ -120,11 +120,14 @@ def steps_per_period(lattice: Lattice, period: Scalar) -> Scalar:
 
 def follow(
     flow: Flow, lattice: Lattice, state: StateLike, period: Scalar, periods: Count, tolerance: Scalar,
+    most: Counts | None = None,
 ) -> tuple:
-    """From phase 0 on until a state repeats, twice: (state, periods used, multiple or 0, changes (periods, 4)).
+    """From phase 0 on until a state repeats, twice: (state, periods used, multiple or 0, changes (periods, 4), once).
 
-    For use inside of `jax.jit`; `periods` is a Python integer.
+    `once`: whether it has repeated before it was disturbed. For use inside of `jax.jit`; `periods` is a Python integer,
+    how many changes are kept, and unless there is `most`, which may be traced, also the most that are run.
     """
+    most = periods if most is None else most
     flat, unravel = ravel_pytree(State(*state))
     half = flat.size // 2
     weight = jnp.concatenate([jnp.full(half, 2 * jnp.pi / period), jnp.ones(half)])
@@ -139,7 +142,7 @@ def follow(
 
     def going(carry):
         i, _, _, multiple, changes = carry
-        return (i < periods) & (multiple == 0) & jnp.isfinite(changes[jnp.maximum(i - 1, 0), 0])
+        return (i < most) & (multiple == 0) & jnp.isfinite(changes[jnp.maximum(i - 1, 0) % periods, 0])
 
     def run(y, begin, changes):
         def one(carry):
@@ -149,18 +152,18 @@ def follow(
             size = jnp.max(jnp.abs(x))
             change = jnp.max(jnp.abs(x - last), 1) / jnp.where(size > 0, size, 1)
             multiple = jnp.where(i >= begin + max(MULTIPLES), repeats(change), 0)
-            return i + 1, y, jnp.concatenate([x[None], last[:-1]]), multiple, changes.at[i].set(change)
+            return i + 1, y, jnp.concatenate([x[None], last[:-1]]), multiple, changes.at[i % periods].set(change)
 
         x = weight * ravel_pytree(y)[0]
         start = begin, y, jnp.broadcast_to(x, (max(MULTIPLES), x.size)), 0, changes
         return jax.lax.while_loop(going, one, start)
 
     begin = jnp.zeros((), int)
-    used, y, _, _, changes = run(State(*state), begin, jnp.zeros((periods, len(MULTIPLES)), flat.dtype))
+    used, y, _, before, changes = run(State(*state), begin, jnp.zeros((periods, len(MULTIPLES)), flat.dtype))
     x = ravel_pytree(y)[0]
     y = unravel(x + DISTURBANCE * tolerance * jnp.max(jnp.abs(weight * x)) * noise)
     used, y, _, multiple, changes = run(y, used, changes)
-    return y, used, multiple, changes
+    return y, used, multiple, changes, before > 0
 
 
 def forces(lattice: Lattice, y: StateLike, t: Scalar) -> Numbers:

@@ -26,8 +26,8 @@ from .steps import fixed_step_solver, history
 WATCHED = 12
 # of the largest response: a change below it is no jump
 SMALLEST = 1e-6
-# budgets more for what does not repeat, periods whose change is compared for that, and the least tolerance
-LONGER, LAST, LEAST = 8, 8, 1e-12
+# budgets more for what does not repeat, the second where it settles still; and the least tolerance
+LONGER, LEAST = (1, 8), 1e-12
 # of the tolerance, to which a jump settles, and halvings beyond the accuracy for which it must last
 TIGHT, NARROW = 1e-2, 10
 
@@ -102,7 +102,7 @@ def sweep(
     r"""Follow the attractor of a forced lattice while one parameter goes up its values, and then down again.
 
     Each value starts from the state that the one before left at phase 0, and runs until it repeats (`settle`); what has
-    spent its budget runs on for another one, and for up to eight as long as it still settles, before it counts as not
+    spent its budget runs on for another one, and for up to eight more where it settles still, before it counts as not
     repeating. The response is then taken over twelve periods more. A change of the response between two values by more
     than `jump`, relative to the larger, is halved, each time from the state before it, until it is known to `accuracy`.
     It is a jump if more than half of it is left when both sides have settled to a hundredth of `tolerance`, and still
@@ -142,22 +142,25 @@ def sweep(
         refuse("state", "numbers known before tracing", "a traced state", "A sweep runs outside of transformations.")
 
     @jax.jit
-    def run(value, y, tolerance):
+    def run(value, y, tolerance, most):
+        """What is found at a value, and whether it settles still."""
         lattice, T = make(value), period_at(period, value)
-        y, used, multiple, changes = follow(flow, lattice, y, T, periods, tolerance)
-        last = jnp.mean(jax.lax.dynamic_slice_in_dim(changes[:, 0], used - LAST, LAST))
-        return _response(flow, lattice, y, T, response, watch, multiple, used), last
+        y, used, multiple, changes, once = follow(flow, lattice, y, T, periods, tolerance, most)
+        part, change = max(1, periods // 8), changes[:, 0]
+        early, late = jnp.median(change[periods // 2 - part : periods // 2]), jnp.median(change[-part:])
+        return _response(flow, lattice, y, T, response, watch, multiple, used), once | (late < early / 2)
 
     def attractor(value, y, share=1.0):
         """What is settled to a share of the tolerance, run longer than the budget if need be."""
-        found, change = run(value, y, max(share * tolerance, LEAST))
-        for _ in range(LONGER):
-            if found["multiple"]:
+        tight = max(share * tolerance, LEAST)
+        found, _ = run(value, y, tight, periods)
+        for budgets in LONGER:
+            if found["multiple"] or not np.isfinite(_number(found)):
                 break
-            before, used = change, found["periods"]
-            found, change = run(value, found["states"], max(share * tolerance, LEAST))
+            used = found["periods"]
+            found, settles = run(value, found["states"], tight, budgets * periods)
             found["periods"] = found["periods"] + used
-            if not change < before / 2:
+            if not settles:
                 break
         return found
 

@@ -67,7 +67,7 @@ def rectifier(
     `tolerance`: as in `sweep`.
 
     **Returns:** `Rectifier`. **Raises** ValueError as `sweep` does.
-    Typical: amplitudes of 0.02 to 0.4 um. Measured: from the defect's side the motion ceases to be periodic at 0.16
+    Typical: amplitudes of 0.02 to 0.4 um. Measured: from the defect's side the motion ceases to be periodic at 0.177
     um and transmits 4 to 12 mW from 0.2 um on; from the other side it stays periodic to 0.48 um and transmits 1e-14 W
     there, an asymmetry of 1e12 in the absence of noise.
     Source: Boechler, Theocharis, Daraio, Nature Materials 10, 665 (2011).
