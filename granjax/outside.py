@@ -44,7 +44,7 @@ jax.tree_util.register_pytree_node(
 
 
 def _readers(x, depth) -> Iterator[Any]:
-    """The functions of the user's in a tree of modules: methods of their classes, and functions that they hold."""
+    """What reads, of the user's, in a tree of modules: their classes with all methods, and functions that they hold."""
     if not depth or isinstance(x, (str, int, float, type(None), jax.Array, np.ndarray, type)):
         return
     if isinstance(x, (tuple, list)):
@@ -54,6 +54,8 @@ def _readers(x, depth) -> Iterator[Any]:
         yield from _readers(list(x.values()), depth - 1)
     elif isinstance(x, eqx.Module):
         yield from _methods(type(x))
+        if not _known(type(x).__module__):
+            yield type(x)
         yield from _readers(list(vars(x).values()), depth - 1)
     elif isinstance(x, functools.partial) or callable(x) and not _of_library(x):
         yield x
@@ -89,6 +91,9 @@ def _read(function, seen, depth):
     """What a callable reads from outside, hashable."""
     if isinstance(function, functools.partial):
         return tuple(_value(x, seen, depth - 1) for x in (function.func, function.args, function.keywords))
+    if isinstance(function, type):  # constants of a class of the user's, its methods read them by `self`
+        own = [vars(kind) for kind in function.__mro__ if not _known(kind.__module__)]
+        return tuple((name, _value(x, seen, 0)) for names in own for name, x in names.items() if _is_number(x))
     if isinstance(function, types.MethodType):
         return _read(function.__func__, seen, depth), _value(function.__self__, seen, depth - 1)
     function = _plain(function)
@@ -111,6 +116,10 @@ def _read(function, seen, depth):
         if not isinstance(x, types.ModuleType):
             found.append(_value(x, seen, depth - 1))
     return tuple(found) + ((_value(function.__defaults__, seen, depth - 1),) if function.__defaults__ else ())
+
+
+def _is_number(x):
+    return isinstance(x, (int, float, complex, np.generic, np.ndarray, jax.Array))
 
 
 def _holds(x, attribute):
