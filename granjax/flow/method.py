@@ -133,7 +133,9 @@ def fixed_step(
     span = _known((t1 - t0) / frames)
     count = _ceil(span / step)
     steps = None if isinstance(count, jax.core.Tracer) else int(count) * frames
-    if steps is not None and lattice.breaks:
+    if "breaks" not in known:
+        known["breaks"] = bool(lattice.breaks)
+    if steps is not None and known["breaks"]:
         more = count_breaks(lattice.breaks, t0, t1)
         steps = None if isinstance(more, jax.core.Tracer) else steps + int(more)
     return (t1 - t0) / (count * frames), steps, choice, remark, beyond
