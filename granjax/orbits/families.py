@@ -21,7 +21,7 @@ from ..solvers import KahanLi8
 from ..tuning import one_thread
 from ..types import Count, Numbers, Scalar, StateLike
 from .branch import Branch, special_of, verdicts_of
-from .confirm import BRANCH, ROUNDING, SAFETY, error_of, newtons
+from .confirm import BRANCH, ROUNDING, SAFETY, SHARED, error_of, newtons
 from .orbit import Orbit
 from .problems import Family, Shooting, largest, over_omega
 from .scales import nonlinear_length
@@ -306,7 +306,7 @@ def _half_maps(problem, x, q):
     change = jnp.abs(inverse[:, :n] @ ((ends[1] - ends[0]) / shooting.scale[n:]))
     rounding = ROUNDING * jnp.finfo(x.dtype).eps * jnp.max(jnp.sum(jnp.abs(inverse), 1))
     x = nearby(x, -inverse[:, :n] @ (ends[0] / shooting.scale[n:]))
-    return x, maps, SAFETY * jnp.maximum(change, jnp.max(change) / 10) + rounding
+    return x, maps, SAFETY * jnp.maximum(change, SHARED * jnp.max(change)) + rounding
 
 
 class Spectrum(eqx.Module):

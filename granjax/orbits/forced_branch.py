@@ -22,9 +22,9 @@ from ..solvers import SRKN14a
 from ..tuning import one_thread
 from ..types import Count, Numbers, Scalar, StateLike
 from .branch import BRANCH_POINT, DOUBLING, FOLD, TORUS, Bifurcation, Branch, verdicts_of
-from .confirm import BRANCH, DOUBLINGS, ROUNDING, OrbitError, error_of, newtons
+from .confirm import BRANCH, DOUBLINGS, ROUNDING, SHARED, OrbitError, error_of, newtons
 from .orbit import FRAMES, checked_free, prepared
-from .problems import Family, Symmetry, checked_state, checked_symmetry, largest, period_at
+from .problems import Family, Symmetry, checked_state, checked_symmetry, period_at
 from .spectrum import spectrum
 from .steps import fixed_step_solver, flow_over, history
 from .structure import structure, weights
@@ -94,6 +94,7 @@ def forced_branch(
     unit = max(np.linalg.norm(first.x[0]), slope) or 1.0
     family = eqx.tree_at(lambda f: f.shooting.scale, family, unit * shooting.scale)
     x0, settings["linearise"] = first.x[0] / unit, family.linearise
+    most = 2**DOUBLINGS * int(flow.steps)
     while True:
         curve = continuation(
             family.residual, x0, 0.0, until=(0.0, 1.0), arclength=arclength,
@@ -102,7 +103,7 @@ def forced_branch(
         looked = [_examined(family, flow, point, response) for point in z]
         if steps is not None:
             break
-        enough = _enough(family, flow, z, looked, response, tolerance)
+        enough = _enough(family, flow, curve, looked, response, tolerance, most)
         if enough == flow.steps:
             break
         flow = Flow(jnp.asarray(enough), solver)
@@ -113,8 +114,8 @@ def forced_branch(
     maps = [np.asarray(found.maps) * scale[:, None] / scale for found, scale in zip(looked, scales)]
     spectra = [spectrum(*three)[::2] for three in maps]
     multipliers, errors, verdicts = verdicts_of(spectra, known.expected, False)
-    states, periods, energies, responses, errors_of_orbits, _ = (
-        jax.tree.map(lambda *x: np.stack(x), *part) for part in zip(*looked))
+    states, periods, energies, responses, errors_of_orbits = (
+        jax.tree.map(lambda *x: np.stack(x), *part) for part in list(zip(*looked))[:5])
 
     def look(point):
         return np.linalg.eigvals(np.asarray(_examined(family, flow, point, response).maps[0]))
@@ -130,7 +131,10 @@ def forced_branch(
 
 
 class Examined(NamedTuple):
-    """An orbit of the branch, its errors, and monodromy matrices by the flow's steps, 3/4 and 1/2 of them."""
+    """An orbit of the branch, its errors, and monodromy matrices by the flow's steps, 3/4 and 1/2 of them.
+
+    `change`: of the state, by the step from half as many steps.
+    """
 
     state: State
     period: Numbers
@@ -138,6 +142,7 @@ class Examined(NamedTuple):
     response: Numbers
     error: OrbitError
     maps: Numbers
+    change: Numbers
 
 
 @eqx.filter_jit
@@ -155,29 +160,34 @@ def _examined(family, flow, z, response):
     ends, maps = jax.lax.map(mapped, jnp.stack([flow.steps, 3 * flow.steps // 4, flow.steps // 2]))
     # in one unit for displacements and one for velocities
     flat, unravel = ravel_pytree(state)
-    scale = jnp.where(jnp.arange(flat.size) < flat.size // 2, period, 2 * jnp.pi)
+    scale = jnp.where(jnp.arange(flat.size) < flat.size // 2, 2 * jnp.pi, period)
     inverse = jnp.linalg.inv(jnp.eye(flat.size) - maps[0] * scale[:, None] / scale)
-    change, size = jnp.abs(inverse @ ((ends[2] - ends[0]) * scale)), jnp.max(jnp.abs(flat * scale))
+    change, size = inverse @ ((ends[2] - ends[0]) * scale), jnp.max(jnp.abs(flat * scale))
     rounding = ROUNDING * jnp.finfo(flat.dtype).eps * size * jnp.max(jnp.sum(jnp.abs(inverse), 1))
     state = unravel(nearby(flat * scale, inverse @ ((ends[0] - flat) * scale)) / scale)
-    apart = unravel((jnp.maximum(change, jnp.max(change) / 10) + rounding) / scale)
-    error = error_of(lattice, t0, state, apart, 2 * jnp.pi / period, jnp.zeros(()))
-    return Examined(state, period, lattice.energy(t0, *state), number, error, maps)
+    apart = jnp.maximum(jnp.abs(change), SHARED * jnp.max(jnp.abs(change))) + rounding
+    error = error_of(lattice, t0, state, unravel(apart / scale), 2 * jnp.pi / period, jnp.zeros(()))
+    return Examined(state, period, lattice.energy(t0, *state), number, error, maps, change / scale)
 
 
-def _enough(family, flow, z, looked, response, tolerance):
-    """Steps for which the orbit that is known worst is known well enough."""
-    def share(found):
-        y, e = found.state, found.error.state
-        omega = 2 * np.pi / found.period
-        return float(jnp.maximum(largest(e.u), largest(e.v) / omega) / jnp.maximum(largest(y.u), largest(y.v) / omega))
+def _enough(family, flow, curve, looked, response, tolerance, most):
+    """Steps for which the branch is known well enough where it is known worst.
 
-    shares = [share(found) for found in looked]
+    What moves an orbit along the branch does not count: at a fold that is all.
+    """
+    scale = np.asarray(family.shooting.scale)
+
+    def share(found, i):
+        change, along = np.asarray(found.change) / scale, curve.tangents[i, : len(scale)]
+        change = change - along * (along @ change) / (along @ along)
+        return np.abs(change).max() / np.abs(curve.x[i, : len(scale)]).max()
+
+    shares = [share(found, i) for i, found in enumerate(looked)]
     worst, steps = int(np.argmax(shares)), int(flow.steps)
-    at, most = shares[worst], 2**DOUBLINGS * steps
-    while at > tolerance and steps < most:
+    at, z = shares[worst], np.append(curve.x[worst], curve.p[worst])
+    while at > tolerance and 2 * steps <= most:
         steps *= 2
-        at = share(_examined(family, Flow(jnp.asarray(steps), flow.solver), z[worst], response))
+        at = share(_examined(family, Flow(jnp.asarray(steps), flow.solver), z, response), worst)
     return steps
 
 
