@@ -112,10 +112,16 @@ class Orbit(Result):
         """What became of Newton's method, a sentence."""
         code = self.root.code
         if isinstance(code, jax.core.Tracer) or not np.any(np.asarray(code) >= FELL):
-            return f"{self.root.outcome} {self.remark}".rstrip()
+            return " ".join(said for said in (self.root.outcome, self._known(), self.remark) if said)
         went = eqx.tree_at(lambda r: r.code, self.root, np.where(np.asarray(code) >= FELL, CONVERGED, code)).outcome
         fell = np.any(np.asarray(code) == FELL)
         return f"The guess fell to rest, where every time is a period: {went}" if fell else f"{self.remark} {went}"
+
+    def _known(self):
+        """How well the state is known, a sentence."""
+        if self.error is None or isinstance(self.error.energy, jax.core.Tracer) or not np.all(self.converged):
+            return ""
+        return f"It is known to {float(largest(self.error.state.u) / largest(self.state.u)):.1e} of its displacements."
 
     def run(self, frames: Count = FRAMES) -> OrbitRun:
         """The orbit in time, `OrbitRun`."""
