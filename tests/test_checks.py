@@ -137,7 +137,8 @@ BAD = (
     ("a mode's phase per site", lambda: gx.states.normal_mode(LINEAR, phase=np.ones(6)), "phase"),
     *((f"{what} of another length", lambda f=f: f(LINEAR, np.zeros(7)), "shape (6,), that of the lattice")
       for what, f in (("force", lambda l, x: l.force(0.0, x, x)), ("energy", lambda l, x: l.energy(0.0, x, x)),
-                      ("acceleration", lambda l, x: l.acceleration(0.0, x, x)))),
+                      ("acceleration", lambda l, x: l.acceleration(0.0, x, x)),
+                      ("flow", lambda l, x: gx.Flow(2)((x, x), 0.0, 1.0, l)))),
     ("force of an array for fields", lambda: chain(mass=CELL).force(0.0, np.zeros(6), np.zeros(6)), "fields"),
     *((f"tolerance {x}", lambda x=x: checks.tolerance("tolerance", x), "tolerance")
       for x in (-1, True, INF, 1e308, NAN, 1.0, 0, "fine", 1j, np.ones(2))),

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
 from ..lattice import vector_field
+from ..lattice.model import check_shape
 from ..solvers import SRKN14a
 from ..types import Number, Numbers, Pytree, Scalar
 from .breaks import OneSided, breaks_of, shared_out
@@ -35,7 +36,10 @@ class Flow(eqx.Module):
     field: Callable = eqx.field(static=True, default=vector_field)
 
     def __call__(self, y: Pytree, t0: Scalar, t1: Scalar, args: Any) -> Pytree:
-        """The state at t1 of what is `y` at t0."""
+        """The state at t1 of what is `y` at t0; of a lattice's shape, where that is what moves."""
+        if self.field is vector_field:
+            for name, x in zip(("u", "v"), y):
+                check_shape(args, f"y.{name}", x)
         return _march(self.solver, self.field, self.steps, y, t0, t1, args, breaks_of(self.field, args))
 
     def tangents(self, y: Pytree, tangents: Pytree, t0: Scalar, t1: Scalar, args: Any) -> tuple:

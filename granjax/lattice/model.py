@@ -179,8 +179,8 @@ class Lattice(eqx.Module):
 
     def force(self, t: Number, u: Displacements, v: Displacements) -> Displacements:
         """Sum of the forces on the sites, of the structure of `u`: of the lattice's shape, lanes or tangents behind."""
-        _check_shape(self, "u", u)
-        _check_shape(self, "v", v)
+        check_shape(self, "u", u)
+        check_shape(self, "v", v)
         return self.sum_forces(t, u, v, self.terms)
 
     def sum_forces(self, t: Number, u: Displacements, v: Displacements, terms: Sequence) -> Displacements:
@@ -200,7 +200,7 @@ class Lattice(eqx.Module):
 
     def potential_energy(self, t: Number, u: Displacements) -> Number:
         """Potential energy of the whole lattice, from equilibrium; shape of the lanes."""
-        _check_shape(self, "u", u)
+        check_shape(self, "u", u)
         total = 0.0
         for term in self.terms:
             energy = term.energy(t, u)
@@ -211,7 +211,7 @@ class Lattice(eqx.Module):
 
     def kinetic_energy(self, v: Displacements) -> Number:
         """Sum of m v^2/2; shape of the lanes."""
-        _check_shape(self, "v", v)
+        check_shape(self, "v", v)
 
         def kinetic(m, v):
             return (m * v * v / 2).sum(tuple(range(v.ndim - len(self.lanes))))
@@ -272,7 +272,7 @@ def _has_sites(lattice, own):
     return any(np.ndim(x) > lattice._mark.ndim - own for x in jax.tree.leaves((lattice.mass, lattice.terms)))
 
 
-def _check_shape(lattice, name, x):
+def check_shape(lattice: Any, name: str, x: Displacements) -> None:
     """That displacements or velocities have an entry for every site; more axes may follow."""
     shape = lattice.shape
     if isinstance(shape, dict) != isinstance(x, dict) or isinstance(x, dict) and x.keys() != shape.keys():
