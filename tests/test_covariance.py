@@ -243,6 +243,19 @@ class About(NamedTuple):
     value: object
 
 
+class Within(NamedTuple):
+    """Numbers without a unit that are known to an error."""
+
+    value: np.ndarray
+    error: np.ndarray
+
+
+def moduli(rho, error):
+    """Of multipliers, in their order."""
+    order = np.argsort(np.abs(rho), axis=-1)
+    return Within(np.take_along_axis(np.abs(rho), order, -1), np.take_along_axis(np.asarray(error), order, -1))
+
+
 def length(x):
     return Of(x, 0, 1, 0)
 
@@ -285,9 +298,11 @@ def plain(x, w):
         return plain_lattice(x, w)
     if isinstance(x, dict):
         return {str(k): plain(v, w) for k, v in x.items()}
-    if isinstance(x, (tuple, list)) and not isinstance(x, About):
+    if isinstance(x, (About, Within)):
+        return type(x)(*(plain(part, w) for part in x))
+    if isinstance(x, (tuple, list)):
         return [plain(v, w) for v in x]
-    return x if x is None or isinstance(x, (str, About)) else np.asarray(x)
+    return x if x is None or isinstance(x, str) else np.asarray(x)
 
 
 def plain_lattice(lattice, w):
@@ -314,6 +329,9 @@ def compare(a, b, agree, where=""):
         assert a.keys() == b.keys(), where
         for k in a:
             compare(a[k], b[k], agree, f"{where}.{k}")
+    elif isinstance(a, Within):
+        off = np.abs(a.value - b.value)
+        assert np.all(off <= a.error + b.error + agree), f"{where}: {off.max():.2g}, {a.error.max():.2g}"
     elif isinstance(a, list):
         assert len(a) == len(b), f"{where}: {len(a)}, {len(b)}"
         for i, (x, y) in enumerate(zip(a, b)):
@@ -321,8 +339,9 @@ def compare(a, b, agree, where=""):
     elif isinstance(a, str):
         assert same_words(a, b), f"{where}:\n{a}\n{b}"
     elif isinstance(a, About):
-        x, y = float(np.abs(a.value).max()), float(np.abs(b.value).max())
-        assert np.isnan(x) and np.isnan(y) or max(x, y) <= 1e3 * min(x, y) + 1e-11, f"{where}: {x}, {y}"
+        for x, y in zip(jax.tree.leaves(a.value), jax.tree.leaves(b.value), strict=True):
+            x, y = (float(np.abs(z).max(initial=0)) for z in (x, y))
+            assert np.isnan(x) and np.isnan(y) or max(x, y) <= 1e3 * min(x, y) + 1e-11, f"{where}: {x}, {y}"
     elif isinstance(a, np.ndarray):
         assert a.shape == b.shape, f"{where}: {a.shape}, {b.shape}"
         if a.dtype.kind in "biuUO":
@@ -351,7 +370,9 @@ def fields_of(result, **of):
                 found[name] = of[name](value)
             continue
         powers = DECLARED[result.held[name].unit if name in result.held else ""]
-        found[name] = value if powers is None else Of(value, *powers)
+        known = value if powers is None else Of(value, *powers)
+        # an estimate is a difference of two that are nearly equal
+        found[name] = About(known) if name.endswith("error") else known
     assert not set(of) - {name for name, _ in result._fields()} - {"optional"}, (of.keys(), found.keys())
     return found
 
@@ -765,8 +786,8 @@ def orbit_of(b):
 
 def branch_of(b, **of):
     shown = {name for name, _ in b._fields()}
-    given = {"states": state, "bifurcations": None, "multipliers": lambda x: np.sort(np.abs(x), axis=-1), "error": None,
-             "step_error": None, "amplitude": length, "verdict": list, **of}
+    given = {"states": state, "bifurcations": None, "multipliers": lambda x: moduli(x, b.error), "error": None,
+             "amplitude": length, "verdict": list, **of}
     found = fields_of(b, **{name: how for name, how in given.items() if name in shown})
     return found | {"bifurcations": [x.kind for x in b.bifurcations], "places": rate([x.p for x in b.bifurcations])}
 
@@ -794,17 +815,17 @@ def top(s):
     return float(gx.linear.bands(s.lattice).upper[-1])
 
 
-@row("family", chain_9, slow=(hard,), marks=LATER, agree=1e-8)
+@row("family", chain_9, slow=(hard,), agree=1e-8)
 def _(s):
     until = (1.05 if s.lattice.terms[1:] else 0.99) * upper_edge(s)
     return branch_of(gx.breathers.family(s.lattice, until=until), p=rate)
 
 
-@row("breather", chain_9, slow=(hard,), marks=LATER)
+@row("breather", chain_9, slow=(hard,))
 def _(s):
     b = gx.breathers.breather(s.lattice, (1.05 if s.lattice.terms[1:] else 0.99) * upper_edge(s), check=False)
     found = b.floquet()
-    return orbit_of(b), found.verdict, np.sort(np.abs(found.multipliers)), found.steps
+    return orbit_of(b), found.verdict, moduli(found.multipliers, found.error), found.steps
 
 
 def shaken(s, amplitude=0.05):
@@ -819,15 +840,15 @@ def _(s):
     return strength(lattice.force(s.s(0.7), *s.state))
 
 
-@row("forced_orbit", closed, marks=LATER)
+@row("forced_orbit", closed)
 def _(s):
     lattice, period, _ = shaken(s)
     b = gx.forced.forced_orbit(lattice, period)
     found = b.floquet()
-    return orbit_of(b), found.verdict, np.sort(np.abs(found.multipliers)), found.steps
+    return orbit_of(b), found.verdict, moduli(found.multipliers, found.error), found.steps
 
 
-@row("orbit", slow=(closed,), marks=LATER)
+@row("orbit", slow=(closed,))
 def _(s):
     lattice, period, _ = shaken(s)
     return orbit_of(gx.orbits.orbit(lattice, s.state, period, segments=2))
@@ -840,33 +861,33 @@ def _(s):
     return state(end), duration(ts), state(ys)
 
 
-@row("floquet", closed, slow=(hard,), marks=LATER)
+@row("floquet", closed, slow=(hard,))
 def _(s):
     omega = float(gx.linear.normal_modes(s.lattice).omega[0])
     y0 = gx.states.rest(s.lattice)
     found = gx.floquet.floquet(s.lattice, y0, 2 * np.pi / omega)
-    return [np.sort(np.abs(found.multipliers)), found.verdict, found.expected, found.steps, About(found.step_error),
+    return [moduli(found.multipliers, found.error), found.verdict, found.expected, found.steps, About(found.step_error),
             duration(found.period), found.outcome]
 
 
-@row("leading", slow=(closed,), marks=LATER)
+@row("leading", slow=(closed,))
 def _(s):
     lattice, period, _ = shaken(s)
     rho, _ = gx.floquet.leading(lattice, gx.states.rest(s.lattice), period, count=2)
     return np.sort(np.abs(rho))
 
 
-@row("settle", closed, marks=LATER, agree=1e-7)
+@row("settle", closed, agree=1e-7)
 def _(s):
     lattice, period, _ = shaken(s)
     return fields_of(gx.driven.settle(lattice, s.state, period), state=state, periods=None, changes=None, change=None)
 
 
-@row("lyapunov", closed, marks=LATER, agree=1e-6)
+@row("lyapunov", closed, agree=1e-6)
 def _(s):
     lattice, period, _ = shaken(s)
     found = gx.driven.lyapunov(lattice, s.state, period, periods=60, transient=40)
-    return fields_of(found, state=state, uncertainty=None, rates=None, outcome=None)
+    return fields_of(found, state=state, uncertainty=None, rates=None)
 
 
 class Shaken(eqx.Module):
@@ -884,14 +905,14 @@ def over_period(omega):
     return 2 * jnp.pi / omega
 
 
-@row("forced_branch", closed, marks=LATER, agree=1e-7)
+@row("forced_branch", closed, agree=1e-7)
 def _(s):
     make = Shaken(s.lattice, s.m(jnp.asarray(0.05)), s.hertz(jnp.asarray(0.25)))
-    return branch_of(gx.forced.forced_branch(make, s.hertz(0.8), s.hertz(1.0), period=over_period), p=rate,
-                     response=speed)
+    branch = gx.forced.forced_branch(make, s.hertz(0.8), s.hertz(1.0), period=over_period, points=4)
+    return branch_of(branch, p=rate, response=speed)
 
 
-@row("sweep", closed, marks=LATER, agree=1e-5)
+@row("sweep", closed, agree=1e-5)
 def _(s):
     make = Shaken(s.lattice, s.m(jnp.asarray(0.05)), s.hertz(jnp.asarray(0.25)))
     found = gx.driven.sweep(make, s.hertz(np.array([0.8, 0.9])), over_period)
