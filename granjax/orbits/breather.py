@@ -53,7 +53,7 @@ def breather(
     - `tolerance`: of that, relative to the guess's largest displacement; Newton's method goes on to a thousandth of it.
     - `check`: refuse a frequency of which a harmonic meets a band, or whose gap has no bright breathers, and an orbit
       that is no breather: one that more than 0.6 of the cells share (participation number of their energies at rest;
-      a wave between walls has 2/3), or 0.4 and twice what the guess had; of a dark one, no background or no dip in it.
+      a wave between walls has 2/3), or half and twice what the guess had; of a dark one, no background or no dip in it.
     - `throw`: raise where Newton's method does not converge; `None` does so outside of transformations.
 
     With a `State` and `steps` it works inside `jit` and `vmap`, and its state and energy are differentiable in every
@@ -127,7 +127,7 @@ def _unguessed(lattice, omega, steps, solver, tolerance, check):
         if found.converged and localisation(lattice, found.state).bright:
             return found.state, 2 * count
     if failed is not None:
-        raise failed
+        raise type(failed)(f"{failed} No breather about a site was found either.") from None
     return start
 
 

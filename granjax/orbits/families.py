@@ -48,7 +48,9 @@ def family(
     r"""A family of time-reversible breathers, followed in (u, omega) with its stability.
 
     Without a `guess` it begins at a linear mode (a Lyapunov family): amplitude zero, the mode's frequency. The branch
-    is followed by pseudo-arclength through folds.
+    is followed by pseudo-arclength through folds. Modes are waves but for those of defects: between walls or free ends
+    their families localise as they grow, on a ring they may stay waves, which `gx.breathers.localisation` tells; a
+    `guess` from `gx.breathers.breather` begins at a localised one.
 
     **Arguments:**
 

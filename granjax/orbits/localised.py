@@ -15,7 +15,7 @@ from .orbit import SPREAD, Orbit
 
 # shares of the cells over which the energy of what is no bright breather spreads: a wave between walls has two thirds;
 # of a background; and of what has left a guess that holds less than half of it
-EXTENDED, BACKGROUND, STRAYED = 0.6, 0.4, 0.4
+EXTENDED, BACKGROUND, STRAYED = 0.6, 0.4, 0.5
 # energy in the middle of a dip, over that on either side
 DIP = 0.5
 WAVES = "gx.orbits.orbit finds waves, and check=False tells nothing apart."
