@@ -52,14 +52,19 @@ class OneSided(diffrax.AbstractWrappedSolver):
         return None
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
-        slack = 2 * ULPS * jnp.finfo(jnp.result_type(t0, t1)).eps * jnp.maximum(jnp.abs(t0), jnp.abs(t1))
-        args = args.between(jnp.minimum(t0, t1) + slack, jnp.maximum(t0, t1) - slack)
+        args = inside(args, t0, t1)
         own = self.solver.init(terms, t0, t1, y0, args)
         y1, error, dense, _, result = self.solver.step(terms, t0, t1, y0, args, own, made_jump)
         return y1, error, dense, None, result
 
     def func(self, terms, t0, y0, args):
         return self.solver.func(terms, t0, y0, args)
+
+
+def inside(lattice: Lattice, t0: Number, t1: Number) -> Lattice:
+    """A lattice as it is inside of a step, at its ends too."""
+    slack = 2 * ULPS * jnp.finfo(jnp.result_type(t0, t1)).eps * jnp.maximum(jnp.abs(t0), jnp.abs(t1))
+    return lattice.between(jnp.minimum(t0, t1) + slack, jnp.maximum(t0, t1) - slack)
 
 
 def one_sided(solver: diffrax.AbstractSolver, lattice: Lattice) -> diffrax.AbstractSolver:

@@ -1,5 +1,7 @@
 """Step control: adaptive steps for scenes whose contacts open and close."""
 
+from typing import Any
+
 import diffrax
 import equinox as eqx
 import jax
@@ -11,6 +13,11 @@ from .breaks import cut
 SAFETY = 0.8
 SHRINK, GROW = 0.2, 3.0
 HALVINGS = 3
+
+
+def least_tolerance(dtype: Any) -> float:
+    """The smallest tolerance that a floating type can hold."""
+    return 16 * float(jnp.finfo(dtype).eps)
 
 
 class Scales(eqx.Module):

@@ -23,23 +23,29 @@ def compiled(function: Callable) -> Callable:
 
     @partial(jax.jit, static_argnums=0)
     def flat(static, arrays):
-        treedef, rest = static
-        arrays = iter(arrays)
-        leaves = [next(arrays) if leaf is _ARRAYS else leaf for leaf in rest]
-        return function(*jax.tree.unflatten(treedef, leaves))
-
-    def split(arguments):
-        leaves, treedef = jax.tree.flatten(arguments)
-        is_array = [isinstance(leaf, _ARRAYS) for leaf in leaves]
-        rest = tuple([_ARRAYS if own else leaf for own, leaf in zip(is_array, leaves)])
-        return (treedef, rest), [leaf for own, leaf in zip(is_array, leaves) if own]
+        return function(*joined(static, arrays))
 
     @wraps(function)
     def call(*arguments):
-        return flat(*split(arguments))
+        return flat(*parted(arguments))
 
-    call.lower = lambda *arguments: flat.lower(*split(arguments))
+    call.lower = lambda *arguments: flat.lower(*parted(arguments))
     return call
+
+
+def parted(tree: Pytree) -> tuple:
+    """What is static in a pytree, hashable, and a list of its arrays."""
+    leaves, treedef = jax.tree.flatten(tree)
+    is_array = [isinstance(leaf, _ARRAYS) for leaf in leaves]
+    rest = tuple([_ARRAYS if own else leaf for own, leaf in zip(is_array, leaves)])
+    return (treedef, rest), [leaf for own, leaf in zip(is_array, leaves) if own]
+
+
+def joined(static: tuple, arrays: list) -> Pytree:
+    """The pytree that `parted` took apart."""
+    treedef, rest = static
+    arrays = iter(arrays)
+    return jax.tree.unflatten(treedef, [next(arrays) if leaf is _ARRAYS else leaf for leaf in rest])
 
 
 class Facts(NamedTuple):

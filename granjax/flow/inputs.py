@@ -11,7 +11,7 @@ from ..checks import concrete, one_of, real, refuse, show, whole
 from ..lattice import Lattice, State
 from ..types import Scalar
 from .dispatch import facts
-from .record import CLOSEST, EXTREMES, Record
+from .record import CLOSEST, EXTREMES, FORMS, Record
 
 RESERVED = ("time", "ts", "us", "vs", "u", "v", CLOSEST, EXTREMES)
 
@@ -131,11 +131,11 @@ def checked_records(record: Any, lattice: Lattice, state: State) -> dict:
     if not named or not all(isinstance(r, Record) for r in record.values()):
         refuse("record", "a dict from names to records", repr(record), 'Write record={"peak": gx.Peak(quantity)}.')
     for name, one in record.items():
-        if name in RESERVED or name.startswith(("u_", "v_")):
-            taken = f"Taken: {', '.join(RESERVED)}."
+        if name in RESERVED or name.startswith(("u_", "v_")) or name.removesuffix("_error") in {*record} - {name}:
+            taken = f"Taken: {', '.join(RESERVED)}, and NAME_error."
             refuse("record", "names other than those of a run's own results", repr(name), taken)
         try:
             jax.eval_shape(lambda y, one=one: one.value(jnp.zeros((), lattice.dtype), y, lattice), state)
         except (TypeError, AttributeError, KeyError, IndexError) as error:
-            refuse(f"record[{name!r}]", "a function (t, y, lattice) that works on the lattice", f"an error: {error}")
+            refuse(f"record[{name!r}]", f"{FORMS} that works on the lattice", f"an error: {error}")
     return dict(record)

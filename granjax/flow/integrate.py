@@ -1,23 +1,34 @@
 """The compiled part of `simulate`."""
 
+from functools import partial
+from typing import Any
+
 import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
+from ..checks import refuse
 from ..lattice import Lattice, State, vector_field
 from ..outside import Outside
 from ..solvers import AbstractNystrom
-from ..types import Displacements, Number, Numbers, Scalar, StateLike, Times
+from ..types import Displacements, Flags, Number, Numbers, Scalar, StateLike, Times
 from .breaks import Landing, one_sided
-from .control import Scales, StepControl
-from .dispatch import compiled
-from .record import CLOSEST, EXTREMES, Extremes, Lowest, Recorded
+from .control import Scales, StepControl, least_tolerance
+from .dispatch import compiled, joined, parted
+from .record import CLOSEST, EXTREMES, AtEnds, Recorded, leaf_by_leaf
 from .run import COMPLETED, FAILED, NOT_FINITE, NOTHING, STEP_TOO_SMALL, TOO_MANY_STEPS, Run, finite
 from .stiffness import compressions, frequency_bound, reached_frequency
 
 # how many times the root of the rounding unit a force may miss the slope of its energy
 KEPT = 100
+# a run with records is confirmed by a tolerance so many times smaller; or by steps so many times shorter, the second
+# one where contacts opened, as errors of order 5/2 that come and go with the mesh may be alike twice
+TIGHTER = 100
+SHORTER = 2, 4
+# the part of the largest gap over a record's entries that every entry's error has at least: gaps may vanish by chance
+SHARED = 0.1
 
 
 @compiled
@@ -31,8 +42,8 @@ def integrate(
     `watch`: follow every compression, for the highest frequency that the run reaches. `outside`: what the records'
     functions read, of which only the structure counts.
     """
-    records = {**records, CLOSEST: Lowest(smallest_overlap)} if _overlaps(lattice, t0, state.u) else records
-    records = {**records, EXTREMES: Extremes(_compressions)} if watch else records
+    records = {**records, CLOSEST: AtEnds(smallest_overlap)} if _overlaps(lattice, t0, state.u) else records
+    records = {**records, EXTREMES: AtEnds(_compressions)} if watch else records
     stepper = one_sided(_ready(solver, adjoint), lattice)
     stepper = Recorded(stepper, records) if records else stepper
     if tolerance is None:
@@ -53,7 +64,7 @@ def integrate(
     final = jax.tree.map(lambda x: x[0], solution.ys[0])
     ts, ys = (solution.ts[-1], solution.ys[-1])
     carried = solution.solver_state[1] if records else {}
-    recorded = {name: records[name].finish(carried[name]) for name in records}
+    recorded = {name: leaf_by_leaf(records[name].finish, carried[name]) for name in records}
     closest, extremes = recorded.pop(CLOSEST, None), recorded.pop(EXTREMES, None)
     margin = jnp.full(lattice.lanes, jnp.inf) if closest is None else _margin(lattice, t0, closest)
     steps = solution.stats["num_steps"]
@@ -65,7 +76,8 @@ def integrate(
         "force_evaluations": steps * evaluations,
     }
     if watch:
-        stats["omega"] = reached_frequency(lattice, *extremes, t0, t1, final.u)
+        low, less_high = extremes
+        stats["omega"] = reached_frequency(lattice, low, jax.tree.map(jnp.negative, less_high), t0, t1, final.u)
     meant = _meant(t0, t1, dt if tolerance is None else tolerance)
     code = jnp.where(meant, _code(solution.result, final), NOTHING)
     energy_error = _energy_error(lattice, state, t0, ts, ys)
@@ -74,6 +86,59 @@ def integrate(
         energy_error = jnp.where(gap > KEPT * jnp.sqrt(jnp.finfo(gap.dtype).eps), jnp.nan, energy_error)
     names = "", "", "", unseen(lattice), 0.0
     return Run(ts, ys.u, ys.v, final, recorded, energy_error, margin, code, stats, None, *names)
+
+
+class Confirmation(eqx.Module):
+    """What it takes to run again by finer steps, and the error of records that follows.
+
+    The error is the gap between both runs, taken on to vanishing steps for the solver's order (2 at most, as contacts
+    that open leave little more), times 1.5, and a tenth of the largest gap over the entries, and rounding. It covers
+    the run's own error, that of the dense output, and that of the record.
+    """
+
+    arrays: list
+    static: tuple = eqx.field(static=True)
+    shapes: tuple = eqx.field(static=True)
+
+    @classmethod
+    def of(cls, *arguments: Any) -> Any:
+        """From lattice, state, t0, t1, dt, tolerance, records and solver of `integrate`."""
+        static, arrays = parted(arguments)
+        return cls(arrays, static, tuple(np.shape(x) for x in arrays))
+
+    def errors(self, recorded: dict, completed: Flags, opened: Flags) -> dict:
+        """The error of each record, of its shape; infinite where a run did not complete. `opened`: any contact."""
+        function, mapped = self._errors, np.ndim(self.arrays[0]) - len(self.shapes[0])
+        if any(np.shape(x)[mapped:] != shape for x, shape in zip(self.arrays, self.shapes)):
+            remedy = "Read it inside of the function that is mapped."
+            refuse("record_error", "a run by itself, or many behind jax.vmap with out_axes=0", "another one", remedy)
+        for _ in range(mapped):
+            function = jax.vmap(function)
+        return function(*jax.lax.stop_gradient((self.arrays, recorded, completed, opened)))
+
+    def _errors(self, arrays, recorded, completed, opened):
+        lattice, state, t0, t1, dt, tolerance, records, solver = joined(self.static, arrays)
+        if dt is not None:
+            dt = dt / jnp.where(jnp.any(opened), *SHORTER[::-1]).astype(dt.dtype)
+        if tolerance is not None:
+            smaller = tolerance / TIGHTER
+            tolerance = jnp.where(smaller >= least_tolerance(lattice.dtype), smaller, tolerance * TIGHTER)
+        rest = solver, diffrax.ForwardMode(), None, False, False, False, Outside(tuple(records.values()))
+        finer = integrate(lattice, state, t0, t1, dt, tolerance, None, records, *rest)
+        order, lanes = min(solver.order(diffrax.ODETerm(vector_field)), 2), len(lattice.lanes)
+        good = completed & finer.completed
+        return jax.tree.map(partial(_error, 1.5 / (1 - 0.5**order), lanes, good), recorded, finer.recorded)
+
+
+def _error(factor, lanes, good, x, finer):
+    gap = jnp.abs(x - finer)
+    known = jnp.where(jnp.isfinite(gap), gap, 0)
+    largest = jnp.max(known, axis=tuple(range(max(x.ndim - lanes, 0))), keepdims=True, initial=0)
+    rounding = 8 * jnp.finfo(x.dtype).eps * jnp.where(jnp.isnan(x), 0, jnp.abs(x))
+    error = factor * known + SHARED * largest + rounding
+    error = jnp.where(jnp.isfinite(gap) & good, error, jnp.inf)
+    # what both runs never saw arrive has no time that could be wrong
+    return jnp.where(jnp.isnan(x) & jnp.isnan(finer) & good, jnp.nan, error)
 
 
 def _ready(solver, adjoint):
@@ -99,7 +164,9 @@ def smallest_overlap(t: Number, y: StateLike, lattice: Lattice) -> Numbers:
 
 
 def _compressions(t, y, lattice):
-    return compressions(lattice, t, y.u)
+    """The compressions and what is less than nothing of them, whose smallest values say how far they went."""
+    found = jax.lax.stop_gradient(compressions(lattice, t, y.u))
+    return found, jax.tree.map(jnp.negative, found)
 
 
 def _margin(lattice, t0, smallest):

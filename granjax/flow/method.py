@@ -14,6 +14,7 @@ from ..solvers.stability import refused_from
 from ..terms.tracing import reads
 from ..terms.waveforms import count_breaks
 from ..types import Number, Scalar, StateLike
+from .control import least_tolerance
 from .dispatch import facts, traced
 from .inputs import checked_size
 from .run import Run
@@ -71,7 +72,7 @@ def checked_method(lattice: Lattice, solver: Any, step: Any, tolerance: Any) -> 
     if tolerance is None and step is None and not isinstance(solver, AbstractSplitting):
         tolerance = _default_tolerance(dtype) if isinstance(solver, diffrax.AbstractAdaptiveSolver) else None
     value = None if tolerance is None else concrete(tolerance)
-    least = 0 if value is None else _least_tolerance(dtype)
+    least = 0 if value is None else least_tolerance(dtype)
     if value is not None and value < least:
         refuse("tolerance", f"at least {least:.1e}, what {dtype} holds", show(value), "Use a larger one.")
     if value is not None and value > 1:
@@ -92,12 +93,8 @@ def number(x: Any, dtype: Any) -> Any:
     return x.astype(dtype) if isinstance(x, jax.Array) else dtype.type(x)
 
 
-def _least_tolerance(dtype):
-    return 16 * float(jnp.finfo(dtype).eps)
-
-
 def _default_tolerance(dtype):
-    return max(DEFAULT_TOLERANCE, _least_tolerance(dtype))
+    return max(DEFAULT_TOLERANCE, least_tolerance(dtype))
 
 
 def fixed_step(

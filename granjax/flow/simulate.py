@@ -16,7 +16,7 @@ from ..outside import Outside
 from ..types import Count, Parameter, Scalar, StateLike
 from .dispatch import facts, traced
 from .inputs import checked_records, checked_save_at, checked_state, checked_times
-from .integrate import integrate
+from .integrate import Confirmation, integrate
 from .method import checked_method, doubts, fixed_step, number, passed
 from .opening import approach
 from .record import Record
@@ -64,7 +64,8 @@ def simulate(
       events of all: sort them and go in chunks, or give `step`.
     - `save_at`: `None` only the end; a whole number, that many frames from t0 to t1; an array of times; `"steps"`,
       the end of every step.
-    - `record`: dict of `Peak`, `Arrival`, `Integral`, `Lowest`, reduced along the run and found between steps.
+    - `record`: dict of `Peak`, `Arrival`, `Integral`, `Lowest`, reduced along the run and found between steps; each
+      with its error in `run.record_error`. They take functions `(t, y, lattice)` and measures `(lattice, y, t)`.
     - `adjoint`: `None` for derivatives in both modes; or diffrax's `ForwardMode`, `DirectAdjoint` or
       `RecursiveCheckpointAdjoint` (reverse mode alone, cheaper there); or `Reversible()` (reverse mode alone, memory
       independent of the number of steps, for scenes that integrate back to where they came from).
@@ -126,6 +127,9 @@ def simulate(
         run = integrate(lattice, state, *span, dt, tolerance, save_ts, *rest)
     zone = NEAR if tolerance is None and step is None else FAR
     run = named(run, type(solver).__name__, choice, remark, zone)
+    if records:
+        confirmation = Confirmation.of(lattice, state, *span, dt, tolerance, records, solver)
+        object.__setattr__(run, "_confirmation", confirmation)
     code = run.code
     if isinstance(code, jax.core.Tracer):
         return run

@@ -1,0 +1,209 @@
+"""What is kept of a quantity along a run: its extrema, its integral, when it first passes a threshold."""
+
+import abc
+import inspect
+from collections.abc import Callable
+from functools import reduce
+from typing import Any, ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ...checks import refuse
+from ...lattice import Lattice
+from ...types import Count, Number, Numbers, Parameter, Pytree, Scalar, StateLike
+from .within import crossing, guesses, higher, mean, places, series, span, tops
+
+# the record beside the user's own that says whether a contact opened
+CLOSEST = "closest overlap"
+# and the one of all compressions, from which follows how stiff the lattice has been
+EXTREMES = "extreme compressions"
+# tops that are looked for within a step, one for so many samples
+SAMPLES_PER_TOP = 8
+# how far a top may be above the highest sample, over the span of the samples
+HIDDEN = 0.25
+FORMS = "a function (t, y, lattice) or a measure (lattice, y, t)"
+
+
+class Record(eqx.Module):
+    """A quantity followed along a run: `start` gives what is carried, `follow` takes it over one step.
+
+    The quantity is a function `(t, y, lattice)`, or a measure as in `gx.measures`: a function whose first argument is
+    called `lattice`, which is given `(lattice, y)`, and `t` where it takes an argument of that name. It returns a
+    floating array, or a tree of them (a dict of fields), each of which is followed on its own. Keep one function for
+    many runs, as each new one compiles anew.
+
+    A `sampled` record is given the quantity at places within each step, as many as the solver's order needs, along
+    the first axis; another one its value at the end alone.
+    """
+
+    quantity: eqx.AbstractVar[Callable]
+    sampled: ClassVar[bool] = True
+
+    @abc.abstractmethod
+    def start(self, t: Number, q: Numbers, count: Count) -> Any:
+        """What is carried, from the quantity before the first step and the number of samples within a step."""
+
+    @abc.abstractmethod
+    def follow(self, carried: Any, t0: Scalar, step: Scalar, q: Any) -> Any:
+        """What is carried after the step from t0 to t0 + step; `q`: the samples (count, ...), or the value at its end."""
+
+    def finish(self, carried: Any) -> Numbers:
+        """The result."""
+        return carried
+
+    def value(self, t: Number, y: StateLike, lattice: Lattice) -> Pytree:
+        """The quantity, a floating array or a tree of them."""
+        q = _called(self.quantity, t, y, lattice)
+        leaves = jax.tree.leaves(q)
+        if not leaves or not all(isinstance(x, jax.Array) and jnp.issubdtype(x.dtype, jnp.floating) for x in leaves):
+            refuse("record", f"{FORMS} that returns floating arrays", repr(q))
+        return q
+
+
+def _function(quantity):
+    if not callable(quantity):
+        refuse("record", FORMS, repr(quantity), "Write gx.Peak(lambda t, y, lattice: ...).")
+    return quantity
+
+
+def _array(x):
+    return x if isinstance(x, jax.Array) else np.asarray(x, float)
+
+
+def _called(quantity, t, y, lattice):
+    """The quantity at a state, in the order of arguments that it is written in."""
+    try:
+        names = list(inspect.signature(quantity).parameters)
+    except (TypeError, ValueError):  # a function that does not say
+        names = []
+    if names[:1] != ["lattice"]:
+        return quantity(t, y, lattice)
+    return quantity(lattice, y, t=t) if "t" in names else quantity(lattice, y)
+
+
+class Peak(Record):
+    """Largest value of a quantity over the run, elementwise, found between steps.
+
+    The top of the polynomial through the samples of each step, by Newton's method.
+
+    **Arguments:** `quantity`: `(t, y, lattice)` or a measure, e.g. `gx.measures.contact_force`; see `Record`.
+    **Result:** an array of the quantity's shape.
+    """
+
+    quantity: Callable = eqx.field(static=True, converter=_function)
+
+    def start(self, t: Number, q: Numbers, count: Count) -> Any:
+        return q
+
+    def follow(self, carried: Any, t0: Scalar, step: Scalar, q: Any) -> Any:
+        best = jnp.maximum(carried, q[1:].max(0))
+        near = guesses(q, _most(q))
+
+        def refined():
+            return reduce(jnp.maximum, (top.height for top in tops(q, near)), best)
+
+        return jax.lax.cond(jnp.any(higher(q, near, best)), refined, lambda: best)
+
+
+class Lowest(Peak):
+    """Smallest value of a quantity over the run, elementwise, found between steps as `Peak` finds the largest."""
+
+    def start(self, t: Number, q: Numbers, count: Count) -> Any:
+        return super().start(t, -q, count)
+
+    def follow(self, carried: Any, t0: Scalar, step: Scalar, q: Any) -> Any:
+        return super().follow(carried, t0, step, -q)
+
+    def finish(self, carried: Any) -> Numbers:
+        return -carried
+
+
+class Arrival(Record):
+    """First time at which a quantity reaches a threshold from below, elementwise, found between steps; NaN if never.
+
+    Where it is above at the start, the time of the start. A crossing that rises and falls within one step is found by
+    its top.
+
+    **Arguments:** `quantity`: as in `Peak`; `threshold`: a number or an array that broadcasts; another one compiles
+    nothing anew.
+    """
+
+    quantity: Callable = eqx.field(static=True, converter=_function)
+    threshold: Parameter = eqx.field(default=0.0, converter=_array)
+
+    def start(self, t: Number, q: Numbers, count: Count) -> Any:
+        zero = jnp.zeros_like(q)
+        at_once = q >= self._threshold(q)
+        return at_once, (zero + t).astype(q.dtype), zero, zero, zero, jnp.zeros((count, *q.shape), q.dtype)
+
+    def follow(self, carried: Any, t0: Scalar, step: Scalar, q: Any) -> Any:
+        found = carried[0]
+        still = jax.lax.stop_gradient(q)
+        never = jnp.zeros_like(still[0]), jnp.full_like(still[0], jnp.inf)
+        close = jnp.any(~found & (still.max(0) + HIDDEN * span(still) >= self._threshold(q)))
+        low, high = jax.lax.cond(close, lambda: self._bracket(found, still), lambda: never)
+        crossed = ~found & (high < jnp.inf)
+        now = t0, step, low, high, q
+        kept = [jnp.where(crossed, new, old).astype(old.dtype) for new, old in zip(now, carried[1:])]
+        return found | crossed, *kept
+
+    def _threshold(self, q):
+        return jnp.asarray(self.threshold, q.dtype)
+
+    def _bracket(self, found, q):
+        """The two places within a step between which the quantity first passes the threshold; 0 and infinity."""
+        x, threshold = places(q), jax.lax.stop_gradient(self._threshold(q))
+        high = jnp.where(q[1:] >= threshold, x[1:], jnp.inf).min(0)
+        near = guesses(q, _most(q), high)
+
+        def with_tops():
+            reached = [jnp.where(top.height >= threshold, top.place, jnp.inf) for top in tops(q, near)]
+            return reduce(jnp.minimum, reached, high)
+
+        hidden = jnp.any(~found & higher(q, near, threshold))
+        high = jax.lax.cond(hidden, with_tops, lambda: high)
+        return jnp.where(x < high, x, -1).max(0), high
+
+    def finish(self, carried: Any) -> Numbers:
+        found, t0, step, low, high, q = carried
+        within = found & (step > 0)
+        x = crossing(series(q), self._threshold(q), low, high, within)
+        return jnp.where(found, t0 + jnp.where(within, (x + 1) / 2 * step, 0), jnp.nan)
+
+
+class Integral(Record):
+    """Integral of a quantity over time, elementwise, by Gauss and Lobatto's rule on the samples of each step.
+
+    **Arguments:** `quantity`: as in `Peak`, e.g. a power or a momentum flux.
+    """
+
+    quantity: Callable = eqx.field(static=True, converter=_function)
+
+    def start(self, t: Number, q: Numbers, count: Count) -> Any:
+        return jnp.zeros_like(q)
+
+    def follow(self, carried: Any, t0: Scalar, step: Scalar, q: Any) -> Any:
+        return carried + (step * mean(q)).astype(carried.dtype)
+
+
+class AtEnds(Record):
+    """Smallest value of a quantity at the ends of steps, elementwise: cheap, and not refined between steps.
+
+    **Arguments:** `quantity`: as in `Peak`.
+    """
+
+    sampled: ClassVar[bool] = False
+    quantity: Callable = eqx.field(static=True, converter=_function)
+
+    def start(self, t: Number, q: Numbers, count: Count) -> Any:
+        return q
+
+    def follow(self, carried: Any, t0: Scalar, step: Scalar, q: Any) -> Any:
+        return jnp.minimum(carried, q)
+
+
+def _most(q):
+    return -(-len(q) // SAMPLES_PER_TOP)

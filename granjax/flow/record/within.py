@@ -1,0 +1,165 @@
+"""Tops and crossings within one step, on the polynomial through samples of a quantity at Gauss-Lobatto's places."""
+
+from functools import cache
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ...types import Count, Flags, Number, Numbers, Parameter
+
+NEWTON_STEPS = 2
+ROOT_STEPS = 60
+HALVINGS = 6
+# the last two of a polynomial's coefficients, times this, are what it does not resolve
+UNRESOLVED = 4
+# Newton's last step, in half steps of time, beyond which it has not come to a top
+ARRIVED = 1e-3
+# how far a parabola may be below the top, over the span of the samples
+MARGIN = 0.1
+# how far beyond its own half of the way to its neighbours a sample looks for a top
+SLACK = 1.5
+
+
+class Lobatto(NamedTuple):
+    """Places x in [-1, 1], ends included, weights of a mean, and the matrix from values to Chebyshev's coefficients."""
+
+    x: np.ndarray
+    weights: np.ndarray
+    coefficients: np.ndarray
+
+
+@cache
+def lobatto(count: int) -> Lobatto:
+    """Gauss and Lobatto's rule, whose mean is that of every polynomial of degree 2 count - 3."""
+    basis = np.polynomial.legendre.Legendre.basis(count - 1)
+    x = np.concatenate([[-1.0], np.sort(basis.deriv().roots().real), [1.0]])
+    x = (x - x[::-1]) / 2
+    to_values = np.polynomial.chebyshev.chebvander(x, count - 1)
+    return Lobatto(x, 1 / (count * (count - 1) * basis(x) ** 2), np.linalg.inv(to_values))
+
+
+def places(q: Numbers) -> Numbers:
+    """Where the samples along the first axis are taken, in [-1, 1], of a shape that broadcasts with them."""
+    return jnp.asarray(lobatto(len(q)).x, q.dtype).reshape((-1,) + (1,) * (q.ndim - 1))
+
+
+def mean(q: Numbers) -> Numbers:
+    """The mean over a step of what is sampled along the first axis."""
+    return _weighted(lobatto(len(q)).weights, q)
+
+
+def series(q: Numbers) -> list[Numbers]:
+    """Chebyshev's coefficients of the polynomial through samples along the first axis."""
+    return [_weighted(row, q) for row in lobatto(len(q)).coefficients]
+
+
+def _weighted(weights, q):
+    # written out, which XLA makes one pass of, where a product of matrices is a call
+    return sum(w * x for w, x in zip(weights.tolist(), q))
+
+
+def value(c: list[Numbers], x: Numbers) -> Numbers:
+    """A Chebyshev series at x in [-1, 1], by Clenshaw's sum."""
+    one = two = jnp.zeros_like(x)
+    for later in c[:0:-1]:
+        one, two = later + 2 * x * one - two, one
+    return c[0] + x * one - two
+
+
+def slope(c: list[Numbers]) -> list[Numbers]:
+    """The coefficients of a Chebyshev series' derivative."""
+    out = [jnp.zeros_like(c[0])] * (len(c) + 1)
+    for k in range(len(c) - 1, 0, -1):
+        out[k - 1] = out[k + 1] + 2 * k * c[k]
+    return [out[0] / 2, *out[1 : len(c) - 1]]
+
+
+def span(q: Numbers) -> Numbers:
+    """Largest less smallest sample."""
+    return q.max(0) - q.min(0)
+
+
+class Guess(NamedTuple):
+    """Where a top may lie within a step, and how high it may be: -inf where there is none."""
+
+    place: Numbers
+    height: Numbers
+
+
+def guesses(q: Numbers, count: Count, until: Parameter = 1.0) -> list[Guess]:
+    """The highest tops of the parabolas through three samples.
+
+    **Arguments:** `q`: samples along the first axis, elementwise. `count`: how many tops at most. `until`: the last
+    place that counts.
+    """
+    q, x = jax.lax.stop_gradient(q), lobatto(len(q)).x.tolist()
+    found = [Guess(jnp.zeros_like(q[0]), jnp.full_like(q[0], -jnp.inf))] * count
+    # one by one, which XLA makes one pass of
+    for j in range(1, len(x) - 1):
+        left, right = x[j] - x[j - 1], x[j + 1] - x[j]
+        before, after = (q[j] - q[j - 1]) / left, (q[j + 1] - q[j]) / right
+        bend = 2 * (after - before) / (left + right)
+        rise = (before * right + after * left) / (left + right)
+        move = -rise / jnp.where(bend < 0, bend, -jnp.inf)
+        # the outermost look as far as the ends
+        nearest = -left if j == 1 else -SLACK * left / 2
+        furthest = right if j == len(x) - 2 else SLACK * right / 2
+        there = (bend < 0) & (move >= nearest) & (move <= furthest) & (x[j] + move <= until)
+        new = Guess(x[j] + move, jnp.where(there, q[j] + rise * move / 2, -jnp.inf))
+        for k, old in enumerate(found):
+            above = new.height > old.height
+            found[k] = jax.tree.map(lambda a, b, above=above: jnp.where(above, a, b), new, old)
+            new = jax.tree.map(lambda a, b, above=above: jnp.where(above, b, a), new, old)
+    return found
+
+
+def higher(q: Numbers, guesses: list[Guess], than: Number) -> Flags:
+    """Whether a top that is guessed may be higher than something."""
+    return guesses[0].height + MARGIN * span(jax.lax.stop_gradient(q)) > than
+
+
+def tops(q: Numbers, guesses: list[Guess]) -> list[Guess]:
+    """The tops that are guessed, as they are; the height of the first sample where none is.
+
+    Newton's method on the polynomial through all samples. A top above all samples by less than what the polynomial
+    does not resolve is none, but a kink or a jump. The heights' derivatives are the quantity's own, to second order.
+    """
+    c = series(q)
+    moving = slope(c)
+    still, first = jax.lax.stop_gradient((c, moving))
+    second = slope(first)
+    least = jax.lax.stop_gradient(q).max(0) + UNRESOLVED * (jnp.abs(still[-1]) + jnp.abs(still[-2]))
+    found = []
+    for x, guessed in guesses:
+        for _ in range(NEWTON_STEPS):
+            bend = value(second, x)
+            x = jnp.clip(x - value(first, x) / jnp.where(bend < 0, bend, -jnp.inf), -1, 1)
+        rise, height = value(moving, x), value(c, x)
+        left = rise / jnp.where(bend < 0, bend, -jnp.inf)
+        there = (guessed > -jnp.inf) & (bend < 0) & (jnp.abs(left) < ARRIVED) & (height >= least)
+        # zero in value and in slope; it brings the moving place of the top into the second derivative
+        found.append(Guess(x, jnp.where(there, height - rise * left / 2, q[0])))
+    return found
+
+
+def crossing(c: list[Numbers], threshold: Parameter, low: Numbers, high: Numbers, there: Flags) -> Numbers:
+    """Where a series rises through a threshold between two places, at which it is below and not below it."""
+    moving = slope(c)
+    still, first, low, high = jax.lax.stop_gradient((c, moving, low, high))
+
+    def closer(i, carry):
+        x, low, high = carry
+        height, rise = value(still, x) - jax.lax.stop_gradient(threshold), value(first, x)
+        low, high = jnp.where(height < 0, x, low), jnp.where(height < 0, high, x)
+        new = x - height / jnp.where(rise > 0, rise, 1)
+        good = (i >= HALVINGS) & (rise > 0) & (new >= low) & (new <= high)
+        return jnp.where(good, new, (low + high) / 2), low, high
+
+    x, _, _ = jax.lax.fori_loop(0, ROOT_STEPS, closer, ((low + high) / 2, low, high))
+    # two steps more from a fixed place carry the first and the second derivative
+    for _ in range(2):
+        rise = value(moving, x)
+        x = x - jnp.where(there & (rise > 0), (value(c, x) - threshold) / jnp.where(there & (rise > 0), rise, 1), 0)
+    return jnp.clip(x, low, high)

@@ -1,0 +1,160 @@
+"""Records: as accurate as the run, of any quantity in either order of arguments, each with its error."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import granjax as gx
+from granjax.flow.record.within import crossing, guesses, lobatto, mean, series, tops
+
+T1 = 30.0
+
+
+def place(t, y, lattice):
+    return y.u[0]
+
+
+def thrice(t, y, lattice):
+    return jnp.stack([y.u[0]] * 3)
+
+
+def square(t, y, lattice):
+    return y.u[0] ** 2
+
+
+@pytest.fixture(scope="module")
+def site():
+    """A site that moves as -sin t, beside one at rest."""
+    lattice = gx.Lattice(1.0, (gx.OnSite(gx.Linear(1.0)),), sites=2)
+    return lattice, gx.State(jnp.zeros(2), jnp.array([-1.0, 0.0]))
+
+
+THRESHOLDS = np.array([0.9, 0.99, 0.9999])
+
+
+@pytest.mark.parametrize("method,within", [
+    (dict(solver=gx.RKN1210(), tolerance=1e-9), 1e-9), (dict(solver=gx.RKN1210(), tolerance=1e-6), 1e-6), ({}, 1e-6),
+], ids=["1e-9", "1e-6", "default"])
+def test_a_crossing_that_rises_and_falls_within_one_step_is_found(site, method, within):
+    record = {"arrival": gx.Arrival(thrice, THRESHOLDS), "peak": gx.Peak(place), "integral": gx.Integral(square)}
+    run = gx.simulate(*site, T1, record=record, **method)
+    true = {"arrival": np.pi + np.arcsin(THRESHOLDS), "peak": 1.0, "integral": T1 / 2 - np.sin(2 * T1) / 4}
+    for name, expected in true.items():
+        gap, error = np.abs(run.recorded[name] - expected), run.record_error[name]
+        assert np.all(gap < error) and np.all(error < within * (100 if name == "arrival" else 1)), (name, gap, error)
+
+
+def test_samples_of_a_step_give_tops_crossings_and_a_mean():
+    x = lobatto(14).x
+    waves = [lambda x: np.sin(3 * x + 0.3), lambda x: np.exp(x) * np.cos(3 * x), lambda x: -((x + 0.97) ** 2)]
+    q = jnp.asarray(np.stack([wave(x) for wave in waves], 1))
+    fine = np.linspace(-1, 1, 200001)
+    found = tops(q, guesses(q, 2))
+    height = np.maximum(*(np.asarray(top.height) for top in found))
+    true = np.array([wave(fine).max() for wave in waves])
+    np.testing.assert_allclose(np.maximum(height, q.max(0)), true, atol=2e-9)
+    # of three, two are tops and the last lies between the end and the sample beside it
+    np.testing.assert_allclose(found[0].place[2], -0.97, atol=1e-9)
+    there = jnp.array([True, True, False])
+    ends = jnp.array([-0.5, -0.5, 0.0]), jnp.array([0.3, 0.05, 0.0])
+    at = crossing(series(q), jnp.array([0.5, 0.8, 9.0]), *ends, there)
+    np.testing.assert_allclose([waves[0](at[0]), waves[1](at[1])], [0.5, 0.8], atol=1e-9)
+    np.testing.assert_allclose(mean(q)[0], np.sin(0.3) * np.sin(3) / 3, atol=1e-13)
+
+
+@pytest.mark.parametrize("edge", [lambda x: np.sign(x - 0.3), lambda x: np.maximum(x - 0.1, 0) ** 1.5,
+                                  lambda x: -np.maximum(0.1 - x, 0) ** 1.5])
+@pytest.mark.parametrize("count", [6, 8, 14])
+def test_a_jump_or_a_kink_has_no_top_above_its_samples(edge, count):
+    q = jnp.asarray(edge(lobatto(count).x))[:, None]
+    assert all(top.height[0] <= q.max() for top in tops(q, guesses(q, 2)))
+
+
+def test_every_measure_is_recordable_in_either_order(site):
+    lattice, state = site
+    measures = {
+        "kinetic": gx.measures.kinetic_energy, "own": lambda lattice, y: y.v,
+        "plain": lambda t, y, lattice: y.v + 0 * t,
+        "species": lambda lattice, y, t=0.0: gx.measures.species_energy(lattice, y, t, species=["a", "b"]),
+    }
+    run = gx.simulate(lattice, state, 4.0, step=0.2, record={name: gx.Peak(q) for name, q in measures.items()})
+    top, error = run.recorded, run.record_error
+    assert top["kinetic"].shape == () and abs(top["kinetic"] - 0.5) < 1e-7
+    assert top["own"].shape == (2,) and np.array_equal(top["own"], top["plain"])
+    # a tree is followed array by array, and its errors with it
+    assert set(top["species"]) == {"a", "b"} == set(error["species"]) and abs(top["species"]["a"] - 0.5) < 1e-7
+    assert error["own"].shape == (2,) and abs(top["own"][0] - 1) < error["own"][0] < 1e-6
+
+
+@pytest.mark.parametrize("quantity", [
+    lambda t, y: y.u, lambda lattice, y, time: y.u, gx.measures.modal_amplitudes, lambda lattice: lattice.mass,
+])
+def test_what_takes_neither_order_is_refused(site, quantity):
+    with pytest.raises(ValueError, match=r"record\['x'\]: expected a function \(t, y, lattice\) or a measure"):
+        gx.simulate(*site, 1.0, step=0.1, record={"x": gx.Peak(quantity)})
+
+
+def test_a_name_of_an_error_is_not_a_name_of_a_record(site):
+    record = {"x": gx.Peak(place), "x_error": gx.Peak(place)}
+    with pytest.raises(ValueError, match="record: expected names other than"):
+        gx.simulate(*site, 1.0, step=0.1, record=record)
+
+
+@pytest.mark.slow
+def test_errors_pass_through_transformations(site):
+    lattice, state = site
+    record = {"peak": gx.Peak(place), "when": gx.Arrival(place, 0.5), "never": gx.Arrival(place, 2.0)}
+
+    def run(speed):
+        return gx.simulate(lattice, gx.State(state.u, speed * state.v), 5.0, step=0.5, record=record)
+
+    one = run(1.0)
+    error = one.record_error
+    assert np.isnan(one.recorded["never"]) and np.isnan(error["never"]) and 0 < error["when"] < 1e-5
+    within, after = jax.jit(lambda speed: run(speed).record_error)(1.0), jax.jit(run)(1.0).record_error
+    speeds = jnp.array([1.0, 1.3])
+    mapped, mapped_after = jax.vmap(lambda speed: run(speed).record_error)(speeds), jax.vmap(run)(speeds).record_error
+    for name in ("peak", "when"):
+        for other in (within[name], after[name], mapped[name][0], mapped_after[name][0]):
+            np.testing.assert_allclose(other, error[name], rtol=1e-3, atol=1e-14)
+    slopes = jax.jacfwd(lambda speed: (run(speed).recorded["peak"], run(speed).record_error["peak"]))(1.0)
+    np.testing.assert_allclose(slopes, (1.0, 0.0), atol=1e-6)
+    data = one.to_xarray()
+    assert data.attrs["peak_error"] == float(error["peak"]) and run(1.0).record_error["peak"] == error["peak"]
+
+
+@pytest.mark.slow
+def test_derivatives_of_records_in_both_modes(site):
+    lattice, state = site
+    record = {"peak": gx.Peak(place), "when": gx.Arrival(place, 0.9), "work": gx.Integral(square)}
+
+    def records(speed):
+        found = gx.simulate(lattice, gx.State(state.u, speed * state.v), 7.0, step=0.5, record=record).recorded
+        return jnp.stack([found["peak"], found["when"], found["work"]])
+
+    # u = -s sin t: the top is s, 0.9 is reached at pi + arcsin(0.9/s), the integral is s^2 (t/2 - sin(2 t)/4)
+    s = 1.05
+    bend = np.sqrt(s**2 - 0.81)
+    first = np.array([1.0, -0.9 / (s * bend), 2 * s * (3.5 - np.sin(14) / 4)])
+    np.testing.assert_allclose(jax.jacfwd(records)(s), first, rtol=2e-6)
+    np.testing.assert_allclose(jax.jacrev(records)(s), first, rtol=2e-6)
+    second = np.array([0.0, 0.9 * (2 * s**2 - 0.81) / (s**2 * bend**3), 2 * (3.5 - np.sin(14) / 4)])
+    np.testing.assert_allclose(jax.jacfwd(jax.jacfwd(records))(s), second, rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.slow
+def test_lanes_and_float32(site):
+    stiffness = jnp.array([1.0, 2.0])
+    chains = jax.vmap(lambda k: gx.scenes.monomer(4, stiffness=k, precompression=1.0), out_axes=-1)(stiffness)
+    state = gx.states.impact(chains, velocity=0.1)
+    record = {"force": gx.Peak(gx.measures.contact_force), "low": gx.Lowest(gx.measures.contact_force)}
+    run = gx.simulate(chains, state, 3.0, step=0.2, record=record)
+    small = jax.tree.map(lambda x: x.astype(jnp.float32), state)
+    single = gx.simulate(chains.astype("float32"), small, 3.0, step=0.2, record=record)
+    for name in record:
+        error = single.record_error[name]
+        assert run.recorded[name].shape == run.record_error[name].shape == (5, 2)
+        assert error.dtype == single.recorded[name].dtype == jnp.float32
+        assert np.all(np.abs(single.recorded[name] - run.recorded[name]) < error + 2e-6)
+    assert np.all(run.recorded["low"] <= 1) and np.all(run.recorded["force"] >= 1)
