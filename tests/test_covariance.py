@@ -781,7 +781,8 @@ def upper_edge(s):
 
 
 def orbit_of(b):
-    return fields_of(b, state=state) | {"residual": About(b.residual)}
+    error = [About(state(b.error.state)), About(energy(b.error.energy)), About(rate(b.error.omega))]
+    return fields_of(b, state=state, error=None) | {"residual": About(b.residual), "error": error}
 
 
 def branch_of(b, **of):

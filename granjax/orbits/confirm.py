@@ -1,6 +1,6 @@
 """The error of an orbit: what a second step size makes of it, and steps that are doubled until the two agree."""
 
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -10,7 +10,9 @@ import numpy as np
 from ..checks import tolerance as checked_tolerance
 from ..lattice import Lattice, State
 from ..newton import Root, newton
+from ..results import Held, Result
 from ..types import Count, Number, Numbers, Pytree, Scalar
+from .problems import largest
 
 # of an orbit and of the orbits of a branch, relative to their size
 TOLERANCE, BRANCH = 1e-8, 1e-7
@@ -26,17 +28,27 @@ ROUNDING = 16
 SHARED = 0.1
 
 
-class OrbitError(eqx.Module):
+class OrbitError(Result):
     """Estimated distance of an orbit from the true one at the same frequency (or energy), from two step sizes.
 
     **Fields:** `state`: of every entry, a `State` [units of u and v]. `energy` [J], `omega` [rad/s], `period` [s]: zero
     where they were asked for. NaN where Newton's method did not converge.
     """
 
+    held: ClassVar[dict[str, Held]] = {
+        "state": Held("site"), "energy": Held(unit="J"), "omega": Held(unit="rad/s"), "period": Held(unit="s"),
+    }
     state: State
     energy: Number
     omega: Number
     period: Number
+
+    @property
+    def outcome(self) -> str:
+        """To what displacements and energy are known, a sentence."""
+        if isinstance(self.energy, jax.core.Tracer) or np.ndim(self.energy):
+            return "By what other steps change."
+        return f"Displacements to {float(largest(self.state.u)):.1e}, the energy to {float(self.energy):.1e}."
 
 
 def newtons(tolerance: Scalar) -> Scalar:

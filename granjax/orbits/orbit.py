@@ -59,8 +59,7 @@ class Orbit(Result):
 
     held: ClassVar[dict[str, Held]] = {
         "state": Held("site"), "period": Held(unit="s"), "omega": Held(unit="rad/s"), "energy": Held(unit="J"),
-        "t0": Held(unit="s"), "state_error": Held("site", "", "state_error"), "omega_error": Held(unit="rad/s"),
-        "energy_error": Held(unit="J"),
+        "t0": Held(unit="s"),
     }
     state: State
     period: Number
@@ -75,14 +74,13 @@ class Orbit(Result):
     def _fields(self) -> Iterator[tuple[str, object]]:
         yield "state", self.state
         # of a batch neither energy nor steps is one number
-        one = ("period", "omega", "energy") if jnp.ndim(self.period) == 0 else ("period", "omega")
-        yield from ((name, getattr(self, name)) for name in (*one, "t0"))
-        if self.error is not None:
-            yield "state_error", self.error.state
-            yield from ((f"{name}_error", getattr(self.error, name)) for name in one[1:3])
+        one = ("period", "omega", "energy", "t0") if jnp.ndim(self.period) == 0 else ("period", "omega", "t0")
+        yield from ((name, getattr(self, name)) for name in one)
         yield "steps", self.flow.steps
         if not self.symmetry.trivial:
             yield "symmetry", repr(self.symmetry)
+        if self.error is not None:
+            yield "error", self.error
 
     @property
     def omega(self) -> Number:
