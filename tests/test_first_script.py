@@ -1,0 +1,130 @@
+"""The first script of a new user: beads of steel and aluminium from radii and a load, in SI from end to end.
+
+No number of it is scaled, and none is a tolerance. The same study of the scaled chain, converted, gives the same.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import matplotlib
+
+matplotlib.use("Agg")
+
+import matplotlib.pyplot as plt  # noqa: E402
+import numpy as np  # noqa: E402
+import pytest  # noqa: E402
+
+import granjax as gx  # noqa: E402
+
+RADIUS, LOAD = 9.53e-3, 10.0  # m, N
+WAVES = np.linspace(0.1, np.pi, 7)
+
+
+class Study(NamedTuple):
+    """What the script finds."""
+
+    waves: object
+    gap: tuple
+    family: object
+    branch: object
+    sweep: object
+
+
+def script():
+    chain = gx.scenes.beads(["aluminium 6061-T6", "steel 316"] * 3 + ["aluminium 6061-T6"], RADIUS, LOAD,
+                            boundary="free")
+    waves = gx.linear.dispersion(chain, WAVES)
+    (gap,) = gx.linear.bands(chain).gaps
+    family = gx.breathers.family(chain, until=0.99 * gap[1])
+
+    pair = gx.scenes.beads(["steel 316", "aluminium 6061-T6"], RADIUS, LOAD)
+
+    def shaken(frequency):
+        return gx.driven.driven_chain(pair, 60e-9, 2 * jnp.pi * frequency, damping=1000.0)
+
+    def period(frequency):
+        return 1 / frequency
+
+    branch = gx.forced.forced_branch(shaken, 4480.0, 3950.0, period=period)
+    sweep = gx.driven.sweep(shaken, [3990.0, 4030.0, 4070.0], period)
+    return Study(waves, gap, family, branch, sweep)
+
+
+def scaled_script(units):
+    """The same with every number in other units; frequencies are given and found in those."""
+    chain = gx.scenes.beads(["aluminium 6061-T6", "steel 316"] * 3 + ["aluminium 6061-T6"], RADIUS, LOAD,
+                            boundary="free")
+    chain = gx.scenes.scaled(chain, units=units).lattice
+    waves = gx.linear.dispersion(chain, WAVES)
+    (gap,) = gx.linear.bands(chain).gaps
+    family = gx.breathers.family(chain, until=0.99 * gap[1])
+    pair = gx.scenes.scaled(gx.scenes.beads(["steel 316", "aluminium 6061-T6"], RADIUS, LOAD), units=units).lattice
+    amplitude, damping = 60e-9 / units.length, 1000.0 * units.time
+
+    def shaken(frequency):
+        return gx.driven.driven_chain(pair, amplitude, 2 * jnp.pi * frequency, damping=damping)
+
+    def period(frequency):
+        return 1 / frequency
+
+    hertz = float(units.time)
+    branch = gx.forced.forced_branch(shaken, 4480.0 * hertz, 3950.0 * hertz, period=period)
+    sweep = gx.driven.sweep(shaken, np.array([3990.0, 4030.0, 4070.0]) * hertz, period)
+    return Study(waves, gap, family, branch, sweep)
+
+
+def by_hand():
+    """Bands in kHz, omega^2 = K (s -+ sqrt(s^2 - 4 sin^2(k/2)/(m M))), s = 1/m + 1/M, K = 3/2 A^(2/3) F0^(1/3)."""
+    bodies = [gx.materials.material(name) for name in ("aluminium 6061-T6", "steel 316")]
+    light, heavy = (4 / 3 * np.pi * RADIUS**3 * float(x.density) for x in bodies)
+    compliance = sum((1 - float(x.poisson) ** 2) / float(x.young) for x in bodies)
+    stiffness = 1.5 * (4 / 3 / compliance * np.sqrt(RADIUS / 2)) ** (2 / 3) * LOAD ** (1 / 3)
+    both = 1 / light + 1 / heavy
+    split = np.sqrt(both**2 - 4 * np.sin(WAVES / 2) ** 2 / (light * heavy))
+    return np.sqrt(stiffness * np.stack([both - split, both + split], -1)) / (2 * np.pi) / 1e3
+
+
+@pytest.fixture(scope="module")
+def si():
+    return script()
+
+
+def test_a_new_user_s_script_in_si(si):
+    kilohertz = np.asarray(si.waves.omega) / (2 * np.pi) / 1e3
+    np.testing.assert_allclose(kilohertz, by_hand(), rtol=1e-9)
+    assert "reached" in si.family.outcome and si.family.omega[-1] == 0.99 * si.gap[1]
+    assert si.family.verdict[0] == "stable" and si.family.amplitude.max() > 1e-7
+    assert [x.kind for x in si.branch.bifurcations] == ["fold", "fold"]
+    assert {"stable", "unstable"} <= set(si.branch.verdict) and "reached" in si.branch.outcome
+    ((low, high),) = si.sweep.hysteresis
+    folds = sorted(x.p for x in si.branch.bifurcations)
+    assert low < folds[1] and high > folds[0] and si.sweep.up.multiple.all()
+    diagram = gx.plots.hysteresis(si.sweep, orbits=si.branch, x_label="frequency (Hz)", y_label="velocity (m/s)")
+    assert "orbit, unstable" in [line.get_label() for line in diagram.lines]
+    for ax in (diagram, gx.plots.branch(si.family)[0]):
+        plt.close(ax.figure)
+
+
+def test_it_is_the_scaled_computation(si):
+    pair = gx.scenes.beads(["steel 316", "aluminium 6061-T6"], RADIUS, LOAD)
+    units = gx.scenes.scaled(pair).units
+    found = scaled_script(units)
+
+    def same(a, b, unit, size=None):
+        b = np.asarray(b) * float(unit)
+        np.testing.assert_allclose(a, b, rtol=0, atol=1e-9 * float(np.abs(b).max()))
+
+    same(si.waves.omega, found.waves.omega, units.omega)
+    same(si.gap, found.gap, units.omega)
+    for a, b in ((si.family, found.family), (si.branch, found.branch)):
+        same(a.energy, b.energy, units.energy)
+        same(a.states.u, b.states.u, units.length)
+        same(a.states.v, b.states.v, units.velocity)
+        same(a.periods, b.periods, units.time)
+        assert list(a.verdict) == list(b.verdict)
+        assert [x.kind for x in a.bifurcations] == [x.kind for x in b.bifurcations]
+    same([x.p for x in si.branch.bifurcations], [x.p for x in found.branch.bifurcations], units.omega)
+    same(si.sweep.up.response, found.sweep.up.response, units.velocity)
+    same(si.sweep.down.response, found.sweep.down.response, units.velocity)
+    same(si.sweep.hysteresis, found.sweep.hysteresis, units.omega)
+    assert np.array_equal(si.sweep.up.periods, found.sweep.up.periods)
