@@ -492,6 +492,7 @@ def deepest(chain, state, t1):
 def test_a_contact_that_opens_between_steps_is_seen():
     """Random starts, scaled until the closest approach is a little off zero; default step and a loose tolerance."""
     chain = gx.scenes.monomer(4, precompression=1.0)
+    traced = jax.jit(lambda state: gx.simulate(chain, state, 4.0).contact_opened)
     missed = 0
     for seed in range(5):
         start = gx.states.random(chain, seed, velocity=1.0)
@@ -503,6 +504,7 @@ def test_a_contact_that_opens_between_steps_is_seen():
         for off in (-2e-3, 2e-3):
             state = gx.State(start.u, (1 + off) * middle * start.v)
             want = deepest(chain, state, 4.0) < 0
+            assert bool(traced(state)) == want
             for how in ({}, {"tolerance": 1e-5}):
                 run = gx.simulate(chain, state, 4.0, **how)
                 missed += want and not bool(run._margin < 0)

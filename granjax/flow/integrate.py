@@ -18,6 +18,7 @@ from .breaks import Landing, one_sided
 from .control import Scales, StepControl, least_tolerance
 from .dispatch import compiled, joined, parted
 from .record import CLOSEST, EXTREMES, AtEnds, Recorded, leaf_by_leaf
+from .record.dips import Dips
 from .run import COMPLETED, FAILED, NOT_FINITE, NOTHING, STEP_TOO_SMALL, TOO_MANY_STEPS, Run, finite
 from .stiffness import compressions, frequency_bound, reached_frequency
 
@@ -36,13 +37,16 @@ def integrate(
     lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, dt: Number | None, tolerance: Number | None,
     save_ts: Times | None, records: dict, solver: diffrax.AbstractSolver, adjoint: diffrax.AbstractAdjoint,
     max_steps: int | None, every: bool, progress: bool, watch: bool = False, outside: Outside | None = None,
+    dips: bool = False,
 ) -> Run:
     """Integrate and reduce; everything checked, everything chosen. A `Run` without its names.
 
     `watch`: follow every compression, for the highest frequency that the run reaches. `outside`: what the records'
-    functions read, of which only the structure counts.
+    functions read, of which only the structure counts. `dips`: look for openings between steps too, where no second
+    run can.
     """
-    records = {**records, CLOSEST: AtEnds(smallest_overlap)} if _overlaps(lattice, t0, state.u) else records
+    closest = Dips(_overlap_and_rate) if dips else AtEnds(smallest_overlap)
+    records = {**records, CLOSEST: closest} if _overlaps(lattice, t0, state.u) else records
     records = {**records, EXTREMES: AtEnds(_compressions)} if watch else records
     stepper = one_sided(_ready(solver, adjoint), lattice)
     stepper = Recorded(stepper, records) if records else stepper
@@ -161,6 +165,12 @@ def smallest_overlap(t: Number, y: StateLike, lattice: Lattice) -> Numbers:
         return overlaps[0]
     lanes = len(lattice.lanes)
     return jnp.concatenate([s.reshape((-1,) + s.shape[s.ndim - lanes :]) for s in overlaps])
+
+
+def _overlap_and_rate(t, y, lattice):
+    overlap = partial(smallest_overlap, lattice=lattice)
+    at, along = (jnp.asarray(t), State(y.u, y.v)), (jnp.ones_like(t), State(y.v, jax.tree.map(jnp.zeros_like, y.v)))
+    return jax.lax.stop_gradient(jnp.stack(jax.jvp(overlap, at, along)))
 
 
 def _compressions(t, y, lattice):

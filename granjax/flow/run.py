@@ -101,7 +101,7 @@ class Run(Result):
         """Whether a contact was open at any time, per lane; `opening` says how sure that is.
 
         Where at the ends of the steps a contact came near it, two more runs decide when this is first read: between
-        steps, by steps of half the length. Not under a transformation.
+        steps, by steps of half the length. Under a transformation the cubic through both ends of each step says it.
         """
         found = self._approach
         return self._margin < 0 if found is None else jnp.where(self._near, found[0] < 0, self._margin < 0)

@@ -27,8 +27,8 @@ from .run import COMPLETED, NOT_FINITE, Run, named
 TRACED_STEPS = 2**24
 SAVED_STEPS = 2**16
 # a contact that kept more than this part of how far it came, at the ends of steps, did not open between them: at the
-# default step it may dip by 1/32 of that, and what is more covers the error of the run
-NEAR, FAR = 0.25, 1.0
+# default step it may dip by 1/32 of that, and what is more covers the error of the run; with dips looked for
+NEAR, FAR, DIPPED = 0.25, 1.0, 0.01
 # built once: making a module takes longer than a short run
 _ADJOINTS = (diffrax.DirectAdjoint, diffrax.ForwardMode, diffrax.RecursiveCheckpointAdjoint)
 _FORWARD, _BOTH_MODES = diffrax.ForwardMode(), diffrax.DirectAdjoint()
@@ -110,7 +110,7 @@ def simulate(
     dt = None if dt is None else number(dt, dtype)
     save_ts = None if save_ts is None else jnp.asarray(save_ts, dtype)
     watch = watch and not unknown
-    rest = records, solver, adjoint, limit, every, progress, watch, outside
+    rest = records, solver, adjoint, limit, every, progress, watch, outside, unknown
     try:
         if backwards is None:
             run = integrate(lattice, state, *span, dt, tolerance, save_ts, *rest)
@@ -125,7 +125,7 @@ def simulate(
         dt, limit = number(dt, dtype), None if limit is None else max(limit, steps)
         rest = records, solver, adjoint, limit, every, progress, watch, outside
         run = integrate(lattice, state, *span, dt, tolerance, save_ts, *rest)
-    zone = NEAR if tolerance is None and step is None else FAR
+    zone = FAR if tolerance is not None or step is not None else DIPPED if unknown else NEAR
     run = named(run, type(solver).__name__, choice, remark, zone)
     if records:
         confirmation = Confirmation.of(lattice, state, *span, dt, tolerance, records, solver)
