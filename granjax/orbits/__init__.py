@@ -5,9 +5,9 @@
 
 from .branch import Bifurcation, Branch
 from .orbit import Orbit, orbit
-from .problems import Mirror, Shooting, Sign, Symmetry, Translation
+from .problems import Shooting
 from .steps import default_steps, history
-from .symmetry import shifts
+from .symmetry import Mirror, Sign, Symmetry, Translation, shifts
 
 __all__ = [
     "Bifurcation", "Branch", "Mirror", "Orbit", "Shooting", "Sign", "Symmetry", "Translation", "default_steps",

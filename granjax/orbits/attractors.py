@@ -18,7 +18,7 @@ from ..measures import contacts
 from ..results import Held, Result
 from ..solvers import SRKN11b
 from ..types import Count, Counts, Displacements, Numbers, Scalar, StateLike, Times
-from .problems import checked_period, checked_state, one_lattice
+from .repeats import checked_period, checked_state, one_lattice
 from .steps import default_steps, fixed_step_solver, history
 
 # h omega of the default step, with omega the highest linear frequency

@@ -20,7 +20,8 @@ from .guesses import bright_guess, cell_of, dark_guess, edge_of, edges_beside, r
 from .guesses.sites import local_guesses
 from .localised import checked_localised, localisation
 from .orbit import Orbit, checked_orbit
-from .problems import Family, Shooting, checked_state, largest, over_omega
+from .problems import Family, Shooting, over_omega
+from .repeats import checked_state, largest
 
 # relative distance to a frequency of the finite lattice that is a resonance by itself
 MEETS = 1e-9

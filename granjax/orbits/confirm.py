@@ -9,10 +9,10 @@ import numpy as np
 
 from ..checks import tolerance as checked_tolerance
 from ..lattice import Lattice, State
-from ..newton import Root, newton
+from ..newton import CONVERGED, SPENT, STALLED, Root, newton
 from ..results import Held, Result
 from ..types import Count, Number, Numbers, Pytree, Scalar
-from .problems import largest
+from .repeats import largest
 
 # of an orbit and of the orbits of a branch, relative to their size
 TOLERANCE, BRANCH = 1e-8, 1e-7
@@ -80,28 +80,31 @@ def confirmed(
     `problem` has `residual`, `linearise` and `finer(by)`. Without `refine` its steps stay, and the error alone is
     estimated. Where Newton's method fails with the first steps it is tried with more.
     """
-    def solve(problem, x, throw=False):
-        return newton(problem.residual, x, scene, tolerance=newtons(tolerance), max_steps=max_steps,
-                      linearise=problem.linearise, throw=throw)
+    def solve(problem, x):
+        root = newton(problem.residual, x, scene, tolerance=newtons(tolerance), max_steps=max_steps,
+                      linearise=problem.linearise, throw=False)
+        # what rounding leaves, or a derivative that is almost singular, is in the error
+        enough = ((root.code == STALLED) | (root.code == SPENT)) & (root.residual <= tolerance)
+        return eqx.tree_at(lambda r: r.code, root, jnp.where(enough, CONVERGED, root.code))
 
     # plain numbers are inputs of what is compiled, not a part of it
     scene = jax.tree.map(lambda leaf: jnp.asarray(leaf) if isinstance(leaf, float) else leaf, scene)
     problem = problem.finer(1) if refine else problem
-    root = solve(problem, x, False if refine else throw)
+    root = solve(problem, x)
     # a function may hide tracers, which the root then shows
-    if not refine or isinstance(root.code, jax.core.Tracer):
+    if isinstance(root.code, jax.core.Tracer):
         return problem, root, corrected(problem, root, scene)
-    for _ in range(TRIALS):
+    for _ in range(TRIALS if refine else 0):
         if root.converged:
             break
         finer = problem.finer(2)
         found = solve(finer, x)
         if found.converged or found.residual < root.residual:
             problem, root = finer, found
-    if not root.converged:
-        if throw is None or throw:
-            raise RuntimeError(root.outcome)
-        return problem, root, jnp.full_like(root.x, jnp.nan)
+    if not root.converged and (throw is None or throw):
+        raise RuntimeError(root.outcome)
+    if not root.converged or not refine:
+        return problem, root, corrected(problem, root, scene)
     first, iterations = root.first, root.iterations
     for _ in range(DOUBLINGS):
         finer = problem.finer(2)

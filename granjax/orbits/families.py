@@ -23,7 +23,8 @@ from ..types import Count, Numbers, Scalar, StateLike
 from .branch import Branch, special_of, verdicts_of
 from .confirm import BRANCH, ROUNDING, SAFETY, SHARED, error_of, newtons
 from .orbit import Orbit
-from .problems import Family, Shooting, largest, over_omega
+from .problems import Family, Shooting, over_omega
+from .repeats import largest
 from .scales import nonlinear_length
 from .spectrum import reversible_multipliers
 from .steps import default_steps

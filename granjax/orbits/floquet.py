@@ -18,11 +18,11 @@ from ..lattice import Lattice, vector_field
 from ..results import Held, Result
 from ..solvers import KahanLi8
 from ..types import Count, Pytree, Scalar, StateLike
-from .problems import Symmetry, checked_period, checked_state, free_moves, one_lattice
+from .repeats import checked_period, checked_state, one_lattice
 from .spectrum import change, product_spectrum, spectrum, uncertain
 from .steps import default_steps, fixed_step_solver
 from .structure import NOTHING, defect, krein, structure, weights
-from .symmetry import shifts
+from .symmetry import Symmetry, free_moves, shifts
 
 STABLE, UNSTABLE, UNDECIDED = "stable", "unstable", "undecided"
 RESOLUTION = 1e-4

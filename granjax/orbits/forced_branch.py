@@ -24,10 +24,12 @@ from ..types import Count, Numbers, Scalar, StateLike
 from .branch import BRANCH_POINT, DOUBLING, FOLD, TORUS, Bifurcation, Branch, verdicts_of
 from .confirm import BRANCH, DOUBLINGS, ROUNDING, SHARED, OrbitError, error_of, newtons
 from .orbit import FRAMES, checked_free, prepared
-from .problems import Family, Symmetry, checked_state, checked_symmetry, period_at
+from .problems import Family, period_at
+from .repeats import checked_state, checked_symmetry
 from .spectrum import spectrum
 from .steps import fixed_step_solver, flow_over, history
 from .structure import structure, weights
+from .symmetry import Symmetry
 
 # of dp along the first tangent, so that a branch that begins near a fold does not count as endlessly steep
 LEAST_SLOPE = 1e-2

@@ -18,7 +18,7 @@ from ..results import Held, Result
 from ..solvers import SRKN11b
 from ..types import Count, Scalar, StateLike
 from .attractors import steps_per_period
-from .problems import checked_period, checked_state, one_lattice
+from .repeats import checked_period, checked_state, one_lattice
 from .steps import fixed_step_solver
 
 

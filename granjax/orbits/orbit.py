@@ -21,8 +21,10 @@ from ..tuning import one_thread
 from ..types import Count, Counts, Displacements, Flags, Number, Numbers, Scalar, StateLike, Times
 from .confirm import TOLERANCE, OrbitError, confirmed, error_of
 from .floquet import Floquet, floquet
-from .problems import Shooting, Symmetry, checked_state, checked_symmetry, largest, phases
+from .problems import Shooting
+from .repeats import checked_state, checked_symmetry, largest, phases
 from .steps import fixed_step_solver, flow_over, history
+from .symmetry import Symmetry
 
 FRAMES = 32
 # of the guess's size, below which an orbit is none; codes beside those of `newton`: at rest, and no breather

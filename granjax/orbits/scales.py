@@ -7,7 +7,7 @@ import numpy as np
 
 from ..lattice import Lattice
 from ..types import Displacements
-from .problems import largest
+from .repeats import largest
 
 # change of the stiffness at the length, as a share of it
 SHARE = 0.5

@@ -19,7 +19,8 @@ from ..solvers import SRKN11b
 from ..types import Count, Displacements, Parameter, Scalar, StateLike
 from .attractors import follow, steps_per_period
 from .branch import Bifurcation
-from .problems import checked_period, checked_state, one_lattice, period_at
+from .problems import period_at
+from .repeats import checked_period, checked_state, one_lattice
 from .steps import fixed_step_solver, history
 
 # periods over which a response is taken: a multiple of those after which a motion may repeat

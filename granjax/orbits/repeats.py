@@ -1,0 +1,120 @@
+"""What an orbit is asked for with: one lattice, a state of it, a period and a symmetry with which its forces repeat."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from ..checks import refuse
+from ..lattice import Lattice, State
+from ..terms.tracing import reads
+from ..types import Numbers, Pytree, Scalar, StateLike
+from .symmetry import Symmetry
+
+# where in a period forces are compared: at no simple fraction, where waveforms have their zeros and jumps
+PHASES, MORE = ((0.1 + 0.618034 * np.arange(count)) % 1 for count in (4, 32))
+# displacements at which a modulation is looked for where the state has none
+SIZES = (1e-9, 1e-6, 1e-3, 1.0)
+
+
+def checked_state(lattice: Lattice, state: StateLike, argument: str = "state") -> State:
+    """A pair as a `State` of the lattice's shape and type."""
+    if not isinstance(state, (tuple, list)) or len(state) != 2:
+        refuse(argument, "a State", f"a {type(state).__name__}")
+    wanted = [x.shape for x in jax.tree.leaves(lattice.template())]
+    for name, part in zip("uv", state):
+        got = [np.shape(x) for x in jax.tree.leaves(part)]
+        if got != wanted:
+            refuse(f"{argument}.{name}", f"shape {lattice.shape}", f"{got}", "One orbit of one lattice at a time.")
+    return jax.tree.map(lambda x: jnp.asarray(x, lattice.dtype), State(*state))
+
+
+def one_lattice(lattice: Lattice) -> Lattice:
+    """Refuse a batch of lattices."""
+    if not isinstance(lattice, Lattice) or lattice.lanes:
+        got = f"a batch with lanes {lattice.lanes}" if isinstance(lattice, Lattice) else f"a {type(lattice).__name__}"
+        refuse("lattice", "one Lattice", got, "Ask for one lane at a time.")
+    return lattice
+
+
+def checked_symmetry(lattice: Lattice, symmetry: Symmetry, state: State, t0: Scalar, period: Scalar) -> Symmetry:
+    """Refuse what is no symmetry of the lattice, as its forces at a state and at its image a period later say.
+
+    Of the identity: a period after which the forces do not repeat.
+    """
+    if not isinstance(symmetry, Symmetry):
+        refuse("symmetry", "a Symmetry, such as Translation(1)", f"a {type(symmetry).__name__}")
+    if symmetry.trivial:
+        checked_period(lattice, state, t0, period)
+        return symmetry
+    if any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves((lattice, state, t0, period))):
+        return symmetry
+    if symmetry.mirror and lattice.dimension is not None:
+        refuse("symmetry", "translations and signs in the plane", repr(symmetry))
+    ts, omega = phases(t0, period), 2 * np.pi / float(period)
+
+    def accelerations(ts, u, v):
+        return jax.vmap(lambda t: lattice.acceleration(t, u, v))(ts)
+
+    zeros, rng = lattice.zeros(), np.random.default_rng(0)
+    size = float(largest(state.u)) or float(largest(accelerations(ts, zeros, zeros))) / omega**2 or 1.0
+    u, v = (jax.tree.map(lambda x: jnp.asarray(size * scale * rng.uniform(-1, 1, x.shape), x.dtype), state.u)
+            for scale in (1.0, omega))
+    there = jax.vmap(symmetry)(accelerations(ts, u, v))
+    here = accelerations(ts + period, symmetry(u), symmetry(v))
+    off = float(largest(jax.tree.map(jnp.subtract, there, here)))
+    # of what time changes, the rounding is that of the static force beside it
+    change, eps = float(largest(jax.tree.map(lambda a: a - a[0], there))), float(jnp.finfo(lattice.dtype).eps)
+    if off <= 1e3 * eps * max(float(largest(there)), size * omega**2) + 100 * eps**0.5 * change:
+        return symmetry
+    refuse("symmetry", "a symmetry of the lattice", repr(symmetry), "Its image has other accelerations.")
+
+
+def checked_period(lattice: Lattice, state: StateLike, t0: Scalar, period: Scalar) -> None:
+    """Refuse a period after which the forces do not repeat, as the terms that read time say.
+
+    At rest, where drives and walls show however little they do, and at displacements of the state's size, where
+    modulations do; of a state at rest at those of several sizes.
+    """
+    traced = any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves((lattice, state, t0, period)))
+    if traced or not lattice.reads_time:
+        return
+    eps, rng, own = float(jnp.finfo(lattice.dtype).eps), np.random.default_rng(0), float(largest(state[0]))
+    shape = [rng.uniform(-1, 1, x.shape) for x in jax.tree.leaves(lattice.template())]
+    shape = jax.tree.unflatten(jax.tree.structure(lattice.template()), shape)
+    for size in (0.0, own) if own > 0 else (0.0, *SIZES):
+        u, v = (jax.tree.map(lambda x: jnp.asarray(size * scale * x, lattice.dtype), shape)
+                for scale in (1.0, 2 * np.pi / float(period)))
+        found = _repeated(lattice, u, v, jnp.asarray(t0, float), jnp.asarray(period, float))
+        off, change, there = map(float, found)
+        # more than by the rounding of times and of the static force beside; a size may be beyond a law's range
+        if np.isfinite(there) and off > 100 * (eps**0.5 * change + eps * there):
+            refuse("period", "one after which the forces repeat", repr(float(period)),
+                   "Give the drive's, or a multiple.")
+
+
+@eqx.filter_jit
+def _repeated(lattice, u, v, t0, period):
+    """By how much the forces that read time differ a period later, by how much they change, how large they are."""
+    terms = [term for term in lattice.terms if reads(term, lattice).time]
+
+    def force(t):
+        found = lattice.sum_forces(t, u, v, terms)
+        contact = [largest(contact.force) for term in terms for contact in term.compressions(t, u)]
+        return found, jnp.max(jnp.stack([largest(found), *contact]))
+
+    ts = phases(t0, period, MORE)
+    (now, size), (later, _) = (jax.lax.map(force, x) for x in (ts, ts + period))
+    change = jax.tree.map(lambda a: a - a[0], now)
+    return largest(jax.tree.map(jnp.subtract, now, later)), largest(change), jnp.max(size)
+
+
+def phases(t0: Scalar, period: Scalar, shares: Float[np.ndarray, " m"] = PHASES) -> Numbers:
+    """Times within a period, by default four."""
+    return t0 + period * jnp.asarray(shares)
+
+
+def largest(x: Pytree) -> Numbers:
+    """The largest modulus in a tree of arrays, NaN where one is."""
+    return jnp.max(jnp.stack([jnp.max(jnp.abs(leaf)) for leaf in jax.tree.leaves(x)]))
