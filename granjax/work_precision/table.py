@@ -107,8 +107,8 @@ class WorkPrecision(Result):
         The fastest three methods are tried at values between their measured points until a run has shown an error
         between `error`/3 and `error`, and timed in turns. Where there is none (the longest stable step is better; one
         step fewer is worse), the coarsest value that is good enough; in a table that was read from a file, a measured
-        point. What is promised (`.error`, `.seconds`) has been measured, always, and neither the default nor the fastest
-        points of the table, timed in the same turns, are both faster and at least as good.
+        point. What is promised (`.error`, `.seconds`) has been measured, always, and neither the default nor the
+        fastest points of the table, timed in the same turns, are both faster and at least as good.
 
         **Returns:** `Advice`; `str` of it says so in words, `gx.simulate(..., **advice.keywords)` follows it.
         **Raises** ValueError for an error below four floors, or below all that was measured.

@@ -48,7 +48,7 @@ class Record(eqx.Module):
 
     @abc.abstractmethod
     def follow(self, carried: Any, t0: Scalar, step: Scalar, q: Any) -> Any:
-        """What is carried after the step from t0 to t0 + step; `q`: the samples (count, ...), or the value at its end."""
+        """What is carried after the step from t0 to t0 + step; `q`: samples (count, ...) or the value at its end."""
 
     def finish(self, carried: Any) -> Numbers:
         """The result."""
