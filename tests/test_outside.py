@@ -3,6 +3,7 @@
 import functools
 import types
 
+import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -28,7 +29,11 @@ def make(k, sites=4):
     lambda lattice: gx.states.impact(lattice),
     lambda lattice: gx.linear.normal_modes(lattice),
     lambda lattice: lattice.zeros(),
-], ids=["simulate", "impact", "modes", "zeros"])
+    lambda lattice: lattice.force(0.0, np.zeros((4, 4)), np.zeros((4, 4))),
+    lambda lattice: gx.Flow(2)((np.zeros((4, 4)),) * 2, 0.0, 1.0, lattice),
+    lambda lattice: diffrax.diffeqsolve(diffrax.ODETerm(gx.vector_field), gx.KahanLi8(), 0.0, 1.0, 0.1,
+                                        gx.State(jnp.zeros((4, 4)), jnp.zeros((4, 4))), args=lattice),
+], ids=["simulate", "impact", "modes", "zeros", "force", "flow", "diffrax"])
 def test_lanes_before_the_sites_are_refused_however_many(lanes, use):
     with pytest.raises(ValueError, match=r"lattice: expected lanes behind the sites.*out_axes=-1"):
         use(jax.vmap(make)(jnp.linspace(1.0, 2.0, lanes)))
@@ -58,6 +63,12 @@ def test_lanes_of_single_numbers_have_but_one_place():
     with pytest.raises(ValueError, match="lanes behind"):
         jax.vmap(cell)(jnp.ones(3)).zeros()
     assert jax.vmap(cell, out_axes=-1)(jnp.ones(3)).lanes == (3,)
+
+
+def test_a_state_without_the_lanes_of_its_lattice_is_refused():
+    lattice = jax.vmap(make, out_axes=-1)(jnp.ones(4))
+    with pytest.raises(ValueError, match=r"u: expected shape \(4, 4\)"):
+        lattice.force(0.0, np.zeros(4), np.zeros(4))
 
 
 def test_lanes_between_the_axes_of_a_grid_are_refused():

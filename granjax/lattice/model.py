@@ -273,14 +273,14 @@ def _has_sites(lattice, own):
 
 
 def check_shape(lattice: Any, name: str, x: Displacements) -> None:
-    """That displacements or velocities have an entry for every site; more axes may follow."""
-    shape = lattice.shape
+    """That displacements or velocities have an entry for every site and lane; more axes may follow."""
+    shape, lanes = lattice.shape, lattice.lanes
     if isinstance(shape, dict) != isinstance(x, dict) or isinstance(x, dict) and x.keys() != shape.keys():
         refuse(name, f"fields {sorted(shape)}" if isinstance(shape, dict) else "an array",
                f"fields {sorted(x)}" if isinstance(x, dict) else "an array", "Start from lattice.zeros().")
     pairs = [(shape, x)] if not isinstance(x, dict) else [(shape[field], x[field]) for field in x]
-    for wanted, array in pairs:
-        got = np.shape(array)
+    for own, array in pairs:
+        wanted, got = own + lanes, np.shape(array)
         if got[: len(wanted)] != wanted:
             refuse(name, f"shape {wanted}, that of the lattice", f"shape {got}", "Start from lattice.zeros().")
 

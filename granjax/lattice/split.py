@@ -180,8 +180,9 @@ def split_system(lattice: Lattice) -> Any:
     """The lattice as kicks and drifts for a splitting solver.
 
     **Raises** ValueError naming the term where a force reads the velocity in another way than linear damping of each
-    site, which no splitting into exact flows takes.
+    site, which no splitting into exact flows takes; and for lanes that stand before the sites.
     """
+    lattice.lanes  # is refused where lanes stand before the sites
     for i, term in enumerate(lattice.terms):
         if term.exact_damping() is None and term.dependence(lattice).velocity:
             refuse(
