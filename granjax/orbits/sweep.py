@@ -31,6 +31,8 @@ SMALLEST = 1e-6
 LONGER, LEAST = (1, 8), 1e-12
 # of the tolerance, to which a jump settles, and halvings beyond the accuracy for which it must last
 TIGHT, NARROW = 1e-2, 10
+# rounds of halving and settling
+AGAIN = 6
 
 
 class Jump(NamedTuple):
@@ -228,15 +230,21 @@ def _jump(attractor, step, accuracy, share, floor):
     def nearer(a, c, b):
         return _apart(a, c) < _apart(c, b)
 
-    _, a, _, b = step
+    begin, a, end, b = step
     first = _apart(a, b)
     if not is_jump(a, b) or a["multiple"] == b["multiple"] == 0:
         return None
-    step = _halved(attractor, step, accuracy, nearer)
-    if not left(step):
-        return None
-    low, a, high, b = step
-    step = low, attractor(low, a["states"], TIGHT), high, attractor(high, b["states"], TIGHT)
+    share_of_tolerance = 1.0
+    for _ in range(AGAIN):
+        low, c, high, d = step = _halved(attractor, step, accuracy, nearer, share_of_tolerance)
+        if not left(step):
+            return None
+        c, d = attractor(low, c["states"], TIGHT), attractor(high, d["states"], TIGHT)
+        step, share_of_tolerance = (low, c, high, d), TIGHT
+        if left(step):
+            break
+        # one of them had not left the branch that ends before it: the jump, if any, lies on its other side
+        step = (begin, a, low, c) if _apart(c, b) < _apart(c, a) else (high, d, end, b)
     for halvings in range(NARROW + 1):
         if not left(step):
             return None
