@@ -160,13 +160,13 @@ def judged(name, seeds, kinds_of=KINDS):
     for seed in seeds:
         for key, found, expected, error, scale in compared(name, seed, kinds_of):
             entries += 1
-            gap = abs(found - expected) / scale
+            gap = abs(found - expected)
             if np.isnan(found) and np.isnan(expected) or error == np.inf:
                 continue
-            if not gap <= error / scale + REFERENCE:
+            if not gap <= error + REFERENCE * scale:
                 wrong.append((seed, key, found, expected, error))
-            elif gap > REFERENCE:
-                excess.append(error / scale / gap)
+            elif gap > REFERENCE * scale:
+                excess.append(error / gap)
     return wrong, excess, entries
 
 

@@ -96,7 +96,7 @@ class Confirmation(eqx.Module):
     """What it takes to run again by finer steps, and the error of records that follows.
 
     The error is the gap between both runs, taken on to vanishing steps for the solver's order (2 at most, as contacts
-    that open leave little more), times 1.5, and a tenth of the largest gap over the entries, and rounding. It covers
+    that open leave little more), doubled, and a tenth of the largest gap over the entries, and rounding. It covers
     the run's own error, that of the dense output, and that of the record.
     """
 
@@ -131,7 +131,7 @@ class Confirmation(eqx.Module):
         finer = integrate(lattice, state, t0, t1, dt, tolerance, None, records, *rest)
         order, lanes = min(solver.order(diffrax.ODETerm(vector_field)), 2), len(lattice.lanes)
         good = completed & finer.completed
-        return jax.tree.map(partial(_error, 1.5 / (1 - 0.5**order), lanes, good), recorded, finer.recorded)
+        return jax.tree.map(partial(_error, 2 / (1 - 0.5**order), lanes, good), recorded, finer.recorded)
 
 
 def _error(factor, lanes, good, x, finer):
