@@ -830,7 +830,8 @@ def top(s):
     return float(gx.linear.bands(s.lattice).upper[-1])
 
 
-@row("family", chain_9, slow=(hard,), agree=1e-8)
+# points along a branch add up their rounding
+@row("family", chain_9, slow=(hard,), agree=1e-8, binary=1e-9)
 def _(s):
     until = (1.05 if s.lattice.terms[1:] else 0.99) * upper_edge(s)
     return branch_of(gx.breathers.family(s.lattice, until=until), p=rate)
