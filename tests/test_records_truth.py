@@ -12,8 +12,9 @@ from scipy.optimize import brentq, minimize_scalar
 import granjax as gx
 
 SITES = 5
-# of the reference, over the scale of a quantity
-REFERENCE = 1e-10
+# of the reference, over the scale of a quantity: where contacts open, DOP853 at rtol 1e-12 is off by 2e-9, by which
+# two of granjax's pairs, equal to 1e-12, both differ from it
+REFERENCE = 3e-9
 
 
 class Scene(NamedTuple):
