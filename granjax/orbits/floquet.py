@@ -17,6 +17,7 @@ from ..flow import Flow, linear_frequency
 from ..lattice import Lattice, vector_field
 from ..results import Held, Result
 from ..solvers import KahanLi8
+from ..tuning import one_thread
 from ..types import Count, Pytree, Scalar, StateLike
 from .repeats import checked_period, checked_state, one_lattice
 from .spectrum import change, product_spectrum, spectrum, uncertain
@@ -216,6 +217,7 @@ def floquet(
     return _record(known, levels, other, scale, state, period, count, resolution)
 
 
+@one_thread
 def _displacement(known, monodromy, gap, unknown):
     """How far the orbit of the exact flow may lie from the state: Newton's step from the gap and from its error.
 
@@ -259,6 +261,7 @@ def _weights(known, state, period):
     return np.ones(ravel_pytree(state)[0].size)
 
 
+@one_thread
 def _record(known, levels, moved, scale, state, period, steps, resolution):
     """From the factors of M by three numbers of steps, and by the third those of the orbit that the state may miss.
 
