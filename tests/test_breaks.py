@@ -98,10 +98,12 @@ def test_adaptive_steps_land_on_breaks(solver):
         assert int(blind.stats["steps"]) > 5 * int(run.stats["steps"])
 
 
-def test_frames_between_breaks():
-    run = gx.simulate(make(), START, 4.0, step=0.11, save_at=[0.7, 2.3, 4.0])
+def test_frames_and_records_between_breaks():
+    run = gx.simulate(make(), START, 4.0, step=0.11, save_at=[0.7, 2.3, 4.0],
+                      record={"way": gx.Integral(lambda t, y, lattice: y.v)})
     for t, u, v in zip((0.7, 2.3, 4.0), run.us, run.vs):
         assert error((u, v), t) < 1e-7
+    np.testing.assert_allclose(run.recorded["way"], run.final.u - START.u, atol=1e-9)
 
 
 def test_the_derivative_with_respect_to_the_period():
