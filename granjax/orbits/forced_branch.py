@@ -181,8 +181,9 @@ def _enough(family, flow, curve, looked, response, tolerance, most):
 
     def share(found, i):
         change, along = np.asarray(found.change) / scale, curve.tangents[i, : len(scale)]
-        change = change - along * (along @ change) / (along @ along)
-        return np.abs(change).max() / np.abs(curve.x[i, : len(scale)]).max()
+        # of an orbit at rest neither is there
+        change = change - along * (along @ change) / (along @ along or 1)
+        return np.abs(change).max() / (np.abs(curve.x[i, : len(scale)]).max() or 1)
 
     shares = [share(found, i) for i, found in enumerate(looked)]
     worst, steps = int(np.argmax(shares)), int(flow.steps)
