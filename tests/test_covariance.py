@@ -956,10 +956,15 @@ def test_every_public_function_that_takes_a_lattice_is_in_the_table():
     assert taking - own == ELSEWHERE.keys()
 
 
+# rows of several compiled programs; of orbits `breather` always runs
+LONG = {"simulate", "simulate_tolerance", "frequency_bound", "fit", "fit_from_zero", "family", "forced_orbit",
+        "forced_branch", "settle", "sweep", "lyapunov"}
+
+
 def cases():
     for r in TABLE:
         for make in (*r.scenes, *r.slow):
-            marks = (*r.marks, pytest.mark.slow) if make in r.slow else r.marks
+            marks = (*r.marks, pytest.mark.slow) if make in r.slow or r.name in LONG else r.marks
             yield pytest.param(r, make, id=f"{r.name}-{make.__name__}", marks=marks)
 
 
