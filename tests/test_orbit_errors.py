@@ -102,3 +102,25 @@ def test_a_family_in_metres_is_the_scaled_one(material):
     np.testing.assert_allclose(metres.omega * float(units.time), numbers.omega, rtol=1e-9)
     np.testing.assert_allclose(metres.energy / float(units.energy), numbers.energy, atol=1e-9 * numbers.energy.max())
     np.testing.assert_allclose(metres.u / float(units.length), numbers.u, atol=1e-9 * numbers.amplitude.max())
+
+
+@pytest.mark.slow
+def test_errors_of_forced_branches_cover_what_opening_contacts_make_uneven():
+    def make(amplitude):
+        chain = gx.scenes.monomer(4, precompression=0.05**1.5)
+        return driven_chain(chain, amplitude, 1.2, damping=0.15, ends="left")
+
+    period = 2 * np.pi / 1.2
+    for keywords in ({"steps": 24}, {"tolerance": 1e-3}):
+        branch = forced_branch(make, 0.055, 0.075, period=period, **keywords)
+        for i in range(len(branch)):
+            mine = branch.orbit(i)
+            truth = forced_orbit(make(float(branch.p[i])), period, mine.state, steps=2048)
+            for x, error, y in zip(mine.state, mine.error.state, truth.state):
+                assert np.all(np.abs(x - y) <= error)
+
+
+def test_tolerances_that_a_floating_type_cannot_hold_are_refused():
+    chain = gx.scenes.fput(5, alpha=0.0, beta=1.0)
+    with pytest.raises(ValueError, match="tolerance: expected at least 1.1e-14, what float64 can hold"):
+        gx.breathers.family(chain, points=2, tolerance=1e-15)

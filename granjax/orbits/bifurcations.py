@@ -9,7 +9,7 @@ from ..lattice import State
 from ..tuning import one_thread
 from ..types import Scalar
 from .branch import Bifurcation, Branch
-from .confirm import MOST_LEFT
+from .confirm import BRANCH, LEFT_ON_BRANCH, RESOLVED
 from .families import Spectrum, energy_slope, spectra_of
 
 KINDS = ("real pair at +1", "period doubling", "Krein collision", "extremum of energy")
@@ -88,8 +88,9 @@ def _at(branch, i, s):
     if s is None or s == 0:
         j = i if s == 0 else i + 1
         return _Point(branch, np.append(curve.x[j], curve.p[j]), curve.tangents[j])
+    eps = float(jnp.finfo(family.shooting.scale.dtype).eps)
     near = continuation(family.residual, curve.x[i], curve.p[i], direction=curve.tangents[i], arclength=s, points=1,
-                        tolerance=MOST_LEFT, linearise=family.linearise)
+                        tolerance=max(LEFT_ON_BRANCH * BRANCH, RESOLVED * eps), linearise=family.linearise)
     return _Point(branch, np.append(near.x[0], near.p[0]), near.tangents[0])
 
 

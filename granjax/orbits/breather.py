@@ -66,7 +66,7 @@ def breather(
     """
     first = None
     if isinstance(guess, Orbit):
-        guess, first = guess.state, int(guess.flow.steps)
+        guess, first = guess.state, 2 * -(-int(guess.flow.steps) // 2)
     traced = any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves((lattice, omega, guess, energy)))
     if not traced:
         checked_lattice(lattice)

@@ -6,7 +6,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import DTypeLike
 
+from ..checks import refuse
 from ..checks import tolerance as checked_tolerance
 from ..lattice import Lattice, State
 from ..newton import CONVERGED, SPENT, STALLED, Root, newton
@@ -16,13 +18,15 @@ from .repeats import largest
 
 # of an orbit and of the orbits of a branch, relative to their size
 TOLERANCE, BRANCH = 1e-8, 1e-7
-# of that, what Newton's method may leave, and between which bounds
-LEFT, FLOOR, MOST_LEFT = 1e-3, 1e-12, 1e-11
+# of that, what Newton's method may leave, and its floor; and what a floating type resolves, in units of its last place
+LEFT, LEFT_ON_BRANCH, FLOOR, RESOLVED = 1e-3, 1e-4, 1e-12, 50
 # most doublings of the steps, of those that Newton's method alone may want
 DOUBLINGS, TRIALS = 10, 4
+# relative change of a residual that more steps have not changed
+SAME = 1e-3
 # of a change that other steps make, where they are not half as many; and finer ones that are looked at, since
 # where contacts open the change between two is small by accident
-SAFETY, FINER = 2, (1.25, 1.5)
+SAFETY, FINER = 2, (1.25, 1.5, 2.0)
 ROUNDING = 16
 # of the largest, below which no unknown is known
 SHARED = 0.1
@@ -51,10 +55,12 @@ class OrbitError(Result):
         return f"Displacements to {float(largest(self.state.u)):.1e}, the energy to {float(self.energy):.1e}."
 
 
-def newtons(tolerance: Scalar) -> Scalar:
+def newtons(tolerance: Scalar, dtype: DTypeLike, share: float = LEFT) -> Scalar:
     """What Newton's method may leave of the residual for an orbit of this tolerance, which is refused where none is."""
-    tolerance = checked_tolerance("tolerance", tolerance)
-    return jnp.clip(LEFT * jnp.asarray(tolerance), jnp.minimum(tolerance, FLOOR), MOST_LEFT)
+    tolerance, least = checked_tolerance("tolerance", tolerance), RESOLVED * float(jnp.finfo(dtype).eps)
+    if not isinstance(tolerance, jax.core.Tracer) and tolerance < least:
+        refuse("tolerance", f"at least {least:.1e}, what {jnp.dtype(dtype).name} can hold", repr(float(tolerance)))
+    return jnp.maximum(share * jnp.asarray(tolerance), jnp.minimum(tolerance, max(FLOOR, least)))
 
 
 def corrected(problem: Any, root: Root, scene: Pytree) -> Numbers:
@@ -68,20 +74,22 @@ def _corrected(problem, x, jacobian, scene):
     inverse = jnp.linalg.inv(jacobian)
     rounding = ROUNDING * jnp.finfo(inverse.dtype).eps * jnp.max(jnp.sum(jnp.abs(inverse), 1))
     changes = jax.lax.map(lambda by: jnp.abs(inverse @ problem.finer(by).residual(x, scene)), jnp.asarray(FINER))
-    return SAFETY * jnp.max(changes, 0) + rounding
+    change = SAFETY * jnp.max(changes, 0)
+    return jnp.maximum(change, SHARED * jnp.max(change)) + rounding
 
 
 def confirmed(
     problem: Any, x: Numbers, scene: Pytree, *, tolerance: Scalar, max_steps: Count, throw: bool | None,
-    refine: bool = True,
+    refine: bool = True, spread: float = 1.0,
 ) -> tuple[Any, Root, Numbers]:
     """(problem, root, error of the unknowns): solved, and solved again with twice the steps until nothing changes.
 
     `problem` has `residual`, `linearise` and `finer(by)`. Without `refine` its steps stay, and the error alone is
-    estimated. Where Newton's method fails with the first steps it is tried with more.
+    estimated. Where Newton's method fails with the first steps it is tried with more. The orbit's size in the unknowns
+    is 1/`spread`.
     """
     def solve(problem, x):
-        root = newton(problem.residual, x, scene, tolerance=newtons(tolerance), max_steps=max_steps,
+        root = newton(problem.residual, x, scene, tolerance=newtons(tolerance, x.dtype), max_steps=max_steps,
                       linearise=problem.linearise, throw=False)
         # what rounding leaves, or a derivative that is almost singular, is in the error
         enough = ((root.code == STALLED) | (root.code == SPENT)) & (root.residual <= tolerance)
@@ -94,13 +102,17 @@ def confirmed(
     # a function may hide tracers, which the root then shows
     if isinstance(root.code, jax.core.Tracer):
         return problem, root, corrected(problem, root, scene)
+    finer = problem
     for _ in range(TRIALS if refine else 0):
         if root.converged:
             break
-        finer = problem.finer(2)
+        finer = finer.finer(2)
         found = solve(finer, x)
+        same = abs(found.residual - root.residual) <= SAME * root.residual
         if found.converged or found.residual < root.residual:
             problem, root = finer, found
+        if same:  # it is not the steps
+            break
     if not root.converged and (throw is None or throw):
         raise RuntimeError(root.outcome)
     if not root.converged or not refine:
@@ -113,9 +125,9 @@ def confirmed(
             return problem, root, corrected(problem, root, scene)
         change, iterations = np.abs(np.asarray(found.x - root.x)), iterations + found.iterations
         problem, root = finer, eqx.tree_at(lambda r: (r.first, r.iterations), found, (first, iterations))
-        if change.max() <= tolerance:
+        if spread * change.max() <= tolerance:
             change = np.maximum(change, corrected(problem, root, scene))
-            if change.max() <= tolerance:
+            if spread * change.max() <= tolerance:
                 break
     return problem, root, jnp.asarray(np.maximum(change, SHARED * change.max()))
 
@@ -127,3 +139,9 @@ def error_of(lattice: Lattice, t0: Scalar, state: State, apart: State, omega: Sc
     slope = jax.grad(lambda y: jnp.sum(lattice.energy(t0, y.u, y.v)))(state)
     energy = sum(jnp.sum(jnp.abs(g) * e) for g, e in zip(jax.tree.leaves(slope), jax.tree.leaves(apart)))
     return OrbitError(apart, energy, in_omega, 2 * jnp.pi / omega**2 * in_omega)
+
+
+def neighbours(x: np.ndarray) -> np.ndarray:
+    """The largest of each entry and its neighbours along the first axis."""
+    wide = np.concatenate([x[:1], x, x[-1:]])
+    return np.max([wide[:-2], wide[1:-1], wide[2:]], axis=0)

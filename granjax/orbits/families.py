@@ -21,7 +21,7 @@ from ..solvers import KahanLi8
 from ..tuning import one_thread
 from ..types import Count, Numbers, Scalar, StateLike
 from .branch import Branch, special_of, verdicts_of
-from .confirm import BRANCH, ROUNDING, SAFETY, SHARED, error_of, newtons
+from .confirm import BRANCH, LEFT_ON_BRANCH, ROUNDING, SAFETY, SHARED, error_of, neighbours, newtons
 from .orbit import Orbit
 from .problems import Family, Shooting, over_omega
 from .repeats import largest
@@ -88,7 +88,7 @@ def family(
             problem.residual, x0, 1.0, until=None if until is None else until / way.omega, direction=direction,
             points=most, arclength=arclength if guess is not None else FIRST * arclength,
             longest_arclength=longest_arclength, least_arclength=1e-6 * arclength, linearise=problem.linearise,
-            tolerance=newtons(tolerance), stop=_ends(problem, amplitude, stop))
+            tolerance=newtons(tolerance, lattice.dtype, LEFT_ON_BRANCH), stop=_ends(problem, amplitude, stop))
 
     count = half_steps(lattice, 2 * np.pi / ways[0].omega, steps or ways[0].steps)
     chosen = ways[0] if len(ways) == 1 else _towards(ways, until, lambda way: follow(way, count, PROBE)[1])
@@ -134,7 +134,7 @@ def _from(guess):
     u, size = guess.state.u, float(largest(guess.state.u))
     length = nonlinear_length(guess.lattice, u)
     length = max(size, length) if np.isfinite(length) else size
-    return _Way(float(guess.omega), length, None, guess.state, int(guess.flow.steps))
+    return _Way(float(guess.omega), length, None, guess.state, 2 * -(-int(guess.flow.steps) // 2))
 
 
 def _modes(lattice, modes, until, mode):
@@ -206,7 +206,7 @@ def _branch(problem, curve, stability):
         multipliers, error, verdict = verdicts_of([(s.multipliers, s.error) for s in found], found[0].expected, True)
     # one that is small by accident is as large as its neighbours
     apart = np.stack([s.apart for s in found])
-    apart[1:-1] = np.max([apart[:-2], apart[1:-1], apart[2:]], axis=0)
+    apart = neighbours(apart)
     state_error, energy_error = _errors(problem, jnp.asarray(curve.x), jnp.asarray(apart))
     half, p = problem.shooting.flow, curve.p * float(problem.span)
     return Branch(

@@ -22,7 +22,18 @@ from ..solvers import SRKN14a
 from ..tuning import one_thread
 from ..types import Count, Numbers, Scalar, StateLike
 from .branch import BRANCH_POINT, DOUBLING, FOLD, TORUS, Bifurcation, Branch, verdicts_of
-from .confirm import BRANCH, DOUBLINGS, ROUNDING, SHARED, OrbitError, error_of, newtons
+from .confirm import (
+    BRANCH,
+    DOUBLINGS,
+    LEFT_ON_BRANCH,
+    ROUNDING,
+    SAFETY,
+    SHARED,
+    OrbitError,
+    error_of,
+    neighbours,
+    newtons,
+)
 from .orbit import FRAMES, checked_free, prepared
 from .problems import Family, period_at
 from .repeats import checked_state, checked_symmetry
@@ -33,6 +44,8 @@ from .symmetry import Symmetry
 
 # of dp along the first tangent, so that a branch that begins near a fold does not count as endlessly steep
 LEAST_SLOPE = 1e-2
+# of two doublings of the steps, the least that they must lower an error by
+HELPS = 4
 # fractions of the way between two points: how near a bifurcation is found, and how far another one lies at least
 LOCATED, APART = 1e-10, 1e-7
 
@@ -89,7 +102,7 @@ def forced_branch(
     shooting, x = prepared(lattice, T, guess, flow, jnp.asarray(t0, lattice.dtype), segments, jnp.asarray(transient))
     family = Family(shooting, make, period, jnp.asarray(start), jnp.asarray(until - start),
                     Outside((make, period)))
-    settings = {"tolerance": newtons(tolerance), "find": ("fold",)}
+    settings = {"tolerance": newtons(tolerance, lattice.dtype, LEFT_ON_BRANCH), "find": ("fold",)}
     first = continuation(family.residual, x, 0.0, linearise=family.linearise, points=1, **settings)
     # the unit of length: the first orbit, or where its slope over the whole way leads, if that is more
     slope = np.linalg.norm(first.tangents[0, :-1]) / max(abs(first.tangents[0, -1]), LEAST_SLOPE)
@@ -119,6 +132,9 @@ def forced_branch(
     states, periods, energies, responses, errors_of_orbits = (
         jax.tree.map(lambda *x: np.stack(x), *part) for part in list(zip(*looked))[:5])
 
+    # one that is small by accident is as large as its neighbours
+    errors_of_orbits = jax.tree.map(neighbours, errors_of_orbits)
+
     def look(point):
         return np.linalg.eigvals(np.asarray(_examined(family, flow, point, response).maps[0]))
 
@@ -135,7 +151,7 @@ def forced_branch(
 class Examined(NamedTuple):
     """An orbit of the branch, its errors, and monodromy matrices by the flow's steps, 3/4 and 1/2 of them.
 
-    `change`: of the state, by the step from half as many steps.
+    `changes`: of the state (3, 2n), by other steps.
     """
 
     state: State
@@ -144,12 +160,12 @@ class Examined(NamedTuple):
     response: Numbers
     error: OrbitError
     maps: Numbers
-    change: Numbers
+    changes: Numbers
 
 
 @eqx.filter_jit
 def _examined(family, flow, z, response):
-    """What there is to say of an orbit; its error is what the step from half as many steps has changed."""
+    """What there is to say of an orbit; its error is the most that the other steps change."""
     (lattice, period), state = family.scene(z[-1]), family.shooting.state(z[:-1])
     t0, period = family.shooting.t0, jnp.asarray(period, lattice.dtype)
     _, ts, ys = history(flow, lattice, state, t0, period, FRAMES)
@@ -164,12 +180,13 @@ def _examined(family, flow, z, response):
     flat, unravel = ravel_pytree(state)
     scale = jnp.where(jnp.arange(flat.size) < flat.size // 2, 2 * jnp.pi, period)
     inverse = jnp.linalg.inv(jnp.eye(flat.size) - maps[0] * scale[:, None] / scale)
-    change, size = inverse @ ((ends[2] - ends[0]) * scale), jnp.max(jnp.abs(flat * scale))
+    changes = jnp.stack([ends[1] - ends[0], ends[2] - ends[0], ends[2] - ends[1]]) * scale @ inverse.T
+    change, size = SAFETY * jnp.max(jnp.abs(changes), 0), jnp.max(jnp.abs(flat * scale))
     rounding = ROUNDING * jnp.finfo(flat.dtype).eps * size * jnp.max(jnp.sum(jnp.abs(inverse), 1))
     state = unravel(nearby(flat * scale, inverse @ ((ends[0] - flat) * scale)) / scale)
-    apart = jnp.maximum(jnp.abs(change), SHARED * jnp.max(jnp.abs(change))) + rounding
+    apart = jnp.maximum(change, SHARED * jnp.max(change)) + rounding
     error = error_of(lattice, t0, state, unravel(apart / scale), 2 * jnp.pi / period, jnp.zeros(()))
-    return Examined(state, period, lattice.energy(t0, *state), number, error, maps, change / scale)
+    return Examined(state, period, lattice.energy(t0, *state), number, error, maps, changes / scale)
 
 
 def _enough(family, flow, curve, looked, response, tolerance, most):
@@ -180,17 +197,18 @@ def _enough(family, flow, curve, looked, response, tolerance, most):
     scale = np.asarray(family.shooting.scale)
 
     def share(found, i):
-        change, along = np.asarray(found.change) / scale, curve.tangents[i, : len(scale)]
+        changes, along = np.asarray(found.changes) / scale, curve.tangents[i, : len(scale)]
         # of an orbit at rest neither is there
-        change = change - along * (along @ change) / (along @ along or 1)
-        return np.abs(change).max() / (np.abs(curve.x[i, : len(scale)]).max() or 1)
+        changes = changes - (changes @ along)[:, None] * along / (along @ along or 1)
+        return np.abs(changes).max() / (np.abs(curve.x[i, : len(scale)]).max() or 1)
 
     shares = [share(found, i) for i, found in enumerate(looked)]
     worst, steps = int(np.argmax(shares)), int(flow.steps)
-    at, z = shares[worst], np.append(curve.x[worst], curve.p[worst])
-    while at > tolerance and 2 * steps <= most:
+    known, z = [shares[worst]], np.append(curve.x[worst], curve.p[worst])
+    # where two doublings help little it is not the steps: another branch crosses there
+    while known[-1] > tolerance and 2 * steps <= most and not (len(known) > 2 and known[-1] > known[-3] / HELPS):
         steps *= 2
-        at = share(_examined(family, Flow(jnp.asarray(steps), flow.solver), z, response), worst)
+        known.append(share(_examined(family, Flow(jnp.asarray(steps), flow.solver), z, response), worst))
     return steps
 
 

@@ -118,10 +118,12 @@ class Orbit(Result):
         return f"The guess fell to rest, where every time is a period: {went}" if fell else f"{self.remark} {went}"
 
     def _known(self):
-        """How well the state is known, a sentence."""
-        if self.error is None or isinstance(self.error.energy, jax.core.Tracer) or not np.all(self.converged):
+        """How well the state of one orbit is known, a sentence."""
+        if self.error is None or isinstance(self.error.energy, jax.core.Tracer) or jnp.ndim(self.period):
             return ""
-        return f"It is known to {float(largest(self.error.state.u) / largest(self.state.u)):.1e} of its displacements."
+        pair = self.state, self.error.state
+        size, error = (max(float(largest(y.u)), float(largest(y.v) / self.omega)) for y in pair)
+        return f"It is known to {error / size:.1e} of its size." if size > 0 and np.isfinite(error) else ""
 
     def run(self, frames: Count = FRAMES) -> OrbitRun:
         """The orbit in time, `OrbitRun`."""
@@ -227,7 +229,8 @@ def orbit(
         refuse("guess", "a state that moves, since nothing drives the lattice", "rest")
     shooting, x = prepared(lattice, period, guess, flow, t0, segments, jnp.asarray(transient), symmetry, free)
     shooting, root, apart = confirmed(shooting, x, (lattice, period), tolerance=tolerance, max_steps=max_steps,
-                                      throw=throw, refine=steps is None and not traced)
+                                      throw=throw, refine=steps is None and not traced,
+                                      spread=math.sqrt(2 * shooting.count * segments))
     state, flow = shooting.state(root.x), Flow(segments * shooting.flow.steps, shooting.flow.solver)
     error = error_of(lattice, t0, state, shooting.apart(apart), 2 * jnp.pi / period, jnp.zeros(()))
     return checked_orbit(Orbit(state, period, lattice, root, flow, t0, symmetry, error), guess, throw)

@@ -12,7 +12,7 @@ from .repeats import largest
 # change of the stiffness at the length, as a share of it
 SHARE = 0.5
 # binary orders of magnitude that are looked through either way, neighbours that must agree, rounds between two of them
-ORDERS, RUN, ROUNDS = 160, 4, 4
+ORDERS, SINGLE, RUN, ROUNDS = 160, 60, 4, 4
 UNEVEN = 0.5
 
 
@@ -24,7 +24,8 @@ def nonlinear_length(lattice: Lattice, shape: Displacements) -> float:
     same made uneven, so that less cancels by symmetry; the least such a. Infinite for linear forces, zero in a sonic
     vacuum. In the unit of u.
     """
-    exponents = np.arange(-ORDERS, ORDERS + 1.0)
+    orders = ORDERS if jnp.finfo(lattice.dtype).bits > 32 else SINGLE
+    exponents = np.arange(-orders, orders + 1.0)
     near = _near(lattice, shape, exponents)
     # below, where rounding is larger than what is looked for, some may be near by chance
     runs = np.flatnonzero(np.convolve(near, np.ones(RUN), "valid") == RUN)
@@ -40,13 +41,13 @@ def nonlinear_length(lattice: Lattice, shape: Displacements) -> float:
 
 
 def _near(lattice, shape, exponents):
-    return np.asarray(_departures(lattice, shape, jnp.exp2(jnp.asarray(exponents)))) <= SHARE
+    return np.asarray(_departures(lattice, shape, jnp.exp2(jnp.asarray(exponents, lattice.dtype)))) <= SHARE
 
 
 @eqx.filter_jit
 def _departures(lattice, shape, amplitudes):
     zeros, t = lattice.zeros(), jnp.zeros((), lattice.dtype)
-    golden = jnp.asarray(0.6180339887498949 * np.arange(sum(x.size for x in jax.tree.leaves(zeros))) % 1)
+    golden = jnp.asarray(0.6180339887498949 * np.arange(sum(x.size for x in jax.tree.leaves(zeros))) % 1, lattice.dtype)
     shape = jax.tree.map(lambda w: w / largest(shape), shape)
     probe = jax.tree.map(lambda w: w * (1 - UNEVEN * jnp.resize(golden, w.shape)), shape)
 
