@@ -113,6 +113,8 @@ def _read(function, seen, depth):
         for attribute in attributes:
             if isinstance(x, types.ModuleType) and not _known(x.__name__) or _holds(x, attribute):
                 x = vars(x).get(attribute)
+            elif isinstance(x, type) and not _known(x.__module__):
+                x = next((vars(kind)[attribute] for kind in x.__mro__ if attribute in vars(kind)), x)
         if not isinstance(x, types.ModuleType):
             found.append(_value(x, seen, depth - 1))
     return tuple(found) + ((_value(function.__defaults__, seen, depth - 1),) if function.__defaults__ else ())

@@ -44,3 +44,13 @@ def test_what_has_no_derivative_is_refused():
         gx.derivative(3.0, 1.0, 0.1)
     with pytest.raises(ValueError, match="step: expected numbers above zero"):
         gx.derivative(shaken, 1.0, 0.0)
+
+
+FACTOR = 1.0
+
+
+def test_what_the_function_reads_counts_as_it_stands(monkeypatch):
+    function = lambda x, step: FACTOR * x**2 * step**0
+    assert gx.derivative(function, 3.0, 0.1).value == pytest.approx(6.0)
+    monkeypatch.setitem(globals(), "FACTOR", 2.0)
+    assert gx.derivative(function, 3.0, 0.1).value == pytest.approx(12.0)

@@ -102,6 +102,18 @@ def of_table(t):
     return TABLE[0] * jnp.cos(t)
 
 
+class Size:
+    size = 1.0
+
+
+class Half(Size):
+    pass
+
+
+def of_class(t):
+    return Half.size * jnp.cos(t)
+
+
 class Swing:
     def __init__(self):
         self.size = 1.0
@@ -140,6 +152,7 @@ CLOSED, SET_CLOSED = closed_over()
 READS = {
     "global": (wave, set_global), "a function that it calls": (caller, set_global), "closure": (CLOSED, SET_CLOSED),
     "attribute": (of_settings, lambda x: setattr(SETTINGS, "size", x)),
+    "class": (of_class, lambda x: setattr(Size, "size", x)),
     "array": (of_table, lambda x: TABLE.fill(x)),
     "partial": (functools.partial(lambda f, t: f(t), wave), set_global),
     "object": (SWING, lambda x: setattr(SWING, "size", x)), "object's global": (Swing(), set_global),

@@ -1,5 +1,7 @@
 """Records: as accurate as the run, of any quantity in either order of arguments, each with its error."""
 
+import pickle
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -158,3 +160,21 @@ def test_lanes_and_float32(site):
         assert error.dtype == single.recorded[name].dtype == jnp.float32
         assert np.all(np.abs(single.recorded[name] - run.recorded[name]) < error + 2e-6)
     assert np.all(run.recorded["low"] <= 1) and np.all(run.recorded["force"] >= 1)
+
+
+def test_a_run_with_records_is_pickled(site):
+    run = gx.simulate(*site, 2.0, step=0.5, record={"peak": gx.Peak(place)})
+    back = pickle.loads(pickle.dumps(run))
+    assert back.recorded == run.recorded and back.record_error == run.record_error
+    run = gx.simulate(*site, 2.0, step=0.5, record={"peak": gx.Peak(lambda t, y, lattice: y.u[0])})
+    assert pickle.loads(pickle.dumps(run)).recorded == run.recorded
+
+
+def test_lanes_that_stand_behind_leave_the_errors_out_of_a_dataset(site):
+    lattice, state = site
+    run = jax.vmap(lambda v: gx.simulate(lattice, gx.State(state.u, v * state.v), 2.0, step=0.5,
+                                         record={"peak": gx.Peak(place)}), out_axes=-1)(jnp.array([1.0, 2.0, 3.0]))
+    data = run.to_xarray()
+    assert "peak" in data and "peak_error" not in data
+    with pytest.raises(ValueError, match="record_error"):
+        run.record_error

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import positive, refuse
+from ..outside import Outside
 from ..results import Held, Result
 from ..types import Numbers, Pytree, Scalar
 
@@ -74,7 +75,7 @@ def derivative(function: Callable, x: Pytree, step: Scalar) -> Derivative:
         refuse("function", "a function (x, step)", repr(function))
     ladder = float(positive("step", step)) * np.asarray(LADDER)
     x = jax.tree.map(lambda a: jnp.asarray(a, float) if not isinstance(a, jax.Array) else a, x)
-    slopes = _slopes(function, x, jnp.asarray(ladder))
+    slopes = _slopes(function, x, jnp.asarray(ladder), Outside(function))
     value = jax.tree.map(lambda s: s[-1], slopes)
 
     def error(s):
@@ -85,5 +86,5 @@ def derivative(function: Callable, x: Pytree, step: Scalar) -> Derivative:
 
 
 @partial(jax.jit, static_argnums=0)
-def _slopes(function, x, ladder):
+def _slopes(function, x, ladder, outside):
     return jax.lax.map(lambda step: jax.jacfwd(function)(x, step), ladder)

@@ -1,5 +1,6 @@
 """The compiled part of `simulate`."""
 
+import pickle
 from functools import partial
 from typing import Any
 
@@ -110,10 +111,25 @@ class Confirmation(eqx.Module):
         static, arrays = parted(arguments)
         return cls(arrays, static, tuple(np.shape(x) for x in arrays))
 
+    def __reduce__(self):
+        # a structure of JAX's does not come back the same; what holds a lambda leaves no confirmation behind
+        arguments = joined(self.static, self.arrays)
+        try:
+            pickle.dumps(arguments)
+        except (pickle.PicklingError, AttributeError, TypeError):
+            return type(None), ()
+        return _restored, (arguments, self.shapes)
+
+    @property
+    def tells(self):
+        """Whether lanes of `jax.vmap`, if any, stand in front."""
+        mapped = np.ndim(self.arrays[0]) - len(self.shapes[0])
+        return all(np.shape(x)[mapped:] == shape for x, shape in zip(self.arrays, self.shapes))
+
     def errors(self, recorded: dict, completed: Flags, opened: Flags) -> dict:
         """The error of each record, of its shape; infinite where a run did not complete. `opened`: any contact."""
         function, mapped = self._errors, np.ndim(self.arrays[0]) - len(self.shapes[0])
-        if any(np.shape(x)[mapped:] != shape for x, shape in zip(self.arrays, self.shapes)):
+        if not self.tells:
             remedy = "Read it inside of the function that is mapped."
             refuse("record_error", "a run by itself, or many behind jax.vmap with out_axes=0", "another one", remedy)
         for _ in range(mapped):
@@ -132,6 +148,11 @@ class Confirmation(eqx.Module):
         order, lanes = min(solver.order(diffrax.ODETerm(vector_field)), 2), len(lattice.lanes)
         good = completed & finer.completed
         return jax.tree.map(partial(_error, 2 / (1 - 0.5**order), lanes, good), recorded, finer.recorded)
+
+
+def _restored(arguments, shapes):
+    static, arrays = parted(arguments)
+    return Confirmation(arrays, static, shapes)
 
 
 def _error(factor, lanes, good, x, finer):

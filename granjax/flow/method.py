@@ -185,10 +185,14 @@ def doubts(
     said = []
     if tolerance is not None and tolerance > LOOSE:
         said.append(f"A tolerance of {show(tolerance)} is loose: a step may err by that part of the motion.")
-    lost = np.asarray(run.energy_error)
+    lost, known = np.asarray(run.energy_error), facts(lattice).known
     if lost.max() <= SUSPICIOUS:  # as a rule; the rest takes longer
         return " ".join(said)
-    if np.isnan(lost).any() and lattice.conserves and np.all(run.completed):
+    if "conserves" not in known:
+        known["conserves"] = lattice.conserves
+    if not known["conserves"]:
+        return " ".join(said)
+    if np.isnan(lost).any() and np.all(run.completed):
         gaps = {type(term).__name__: np.max(term.energy_gap(lattice, t1, run.final.u)) for term in lattice.terms}
         said.append(f"The force of {max(gaps, key=gaps.get)} is not the slope of its `energy`, so none is kept.")
     if not np.isnan(lost).all() and np.nanmax(lost) > SUSPICIOUS:

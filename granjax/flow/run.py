@@ -66,11 +66,11 @@ class Run(Result):
         smaller), when it is first asked for, by `to_xarray` too: a run whose errors nobody reads costs nothing more. It
         covers the error of the run and what is lost between its steps. NaN for an `Arrival` that neither run has seen;
         infinite where one of them has, or has not completed. Under `jax.jit` it is part of the program where it is
-        read; it has no derivative.
+        read; it has no derivative. A pickled run has lost it where a record holds a lambda and nobody had asked for it.
         """
-        if self._confirmation is None:
-            return {}
         known = self.__dict__.get("_known_error")
+        if known is None and self._confirmation is None:
+            return {}
         if known is None:
             known = self._confirmation.errors(self.recorded, self.completed, self._margin < 0)
             if not any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(known)):
@@ -169,7 +169,8 @@ class Run(Result):
         own = ("ts", "us", "vs", "energy_error", "contact_opened", "opening", "stats", "solver", "choice")
         yield from ((name, getattr(self, name)) for name in own)
         yield from self.recorded.items()
-        yield from ((f"{name}_error", error) for name, error in self.record_error.items())
+        if self._confirmation is None or self._confirmation.tells:
+            yield from ((f"{name}_error", error) for name, error in self.record_error.items())
 
 
 def named(run: Run, solver: str, choice: str, remark: str, zone: float = 0.0) -> Run:
