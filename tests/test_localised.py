@@ -11,6 +11,7 @@ from scipy.integrate import solve_ivp
 
 import granjax as gx
 from granjax.orbits.guesses import dark_guess
+from granjax.orbits.guesses import sites as sites_module
 from granjax.orbits.localised import Localisation, checked_localised, localisation
 
 single_site = gx.breathers.guesses.single_site
@@ -209,3 +210,12 @@ def test_a_dark_word_that_leads_to_a_bright_orbit_is_refused(on_a_ring):
     with pytest.raises(RuntimeError, match="Not a dark breather: .* of 8 cells .* no background"):
         checked_localised(orbit, "dark", on_a_ring.state, None)
     assert checked_localised(orbit, "bright", on_a_ring.state, None).remark == on_a_ring.remark
+
+
+def test_sites_of_small_masses_are_told_apart(monkeypatch):
+    asked = []
+    monkeypatch.setattr(sites_module, "single_site", lambda lattice, omega, site, field: asked.append(site))
+    for unit in (1.0, 1e-9):
+        terms = gx.Bond(gx.Shift(1, "periodic"), gx.Linear(0.1 * unit)), gx.OnSite(gx.Polynomial(unit, 0.0, unit))
+        list(sites_module.local_guesses(gx.Lattice(unit * np.array([1.0, 3.0] * 4), terms), 1.5))
+    assert asked == [4, 5, 4, 5]

@@ -352,6 +352,27 @@ def test_symmetries_compose_and_what_is_none_of_the_lattice_is_refused():
             checked_symmetry(driven, asked, rest, 0.0, period)
 
 
+@pytest.mark.parametrize("law", [gx.PowerLaw(1e48, -4.0, 1.0), gx.Toda(1.0, 1e12), gx.Linear(1.0)], ids=repr)
+def test_a_modulation_is_seen_at_rest_whatever_the_unit_of_length(law):
+    # the first two have a length of their own, 1e-12, that no displacement may exceed by much
+    chain = gx.Lattice(1.0, (gx.Modulated(bond("fixed", law), gx.Harmonic(0.1, 2 * np.pi, mean=1.0)),), sites=3)
+    rest = gx.State(jnp.zeros(3), jnp.zeros(3))
+    for period in (1.0, 3.0):
+        assert checked_symmetry(chain, Symmetry(), rest, 0.0, period) == Symmetry()
+    with pytest.raises(ValueError, match="period: expected one after which the forces repeat, got 1.37"):
+        checked_symmetry(chain, Symmetry(), rest, 0.0, 1.37)
+
+
+def test_a_symmetry_is_asked_for_at_rest_whatever_the_unit_of_length():
+    rest = gx.State(jnp.zeros(3), jnp.zeros(3))
+    for length in (1.0, 1e-12, 1e12):
+        toda = gx.Lattice(1.0, (bond("periodic", gx.Toda(1.0, 1 / length)),), sites=3)
+        for symmetry in (Translation(1), Mirror()):
+            assert checked_symmetry(toda, symmetry, rest, 0.0, 1.0) == symmetry
+        with pytest.raises(ValueError, match="symmetry: expected a symmetry"):
+            checked_symmetry(toda, Sign(), rest, 0.0, 1.0)
+
+
 def test_a_guess_that_falls_to_rest_is_no_orbit():
     guess = gx.State(1e-3 * np.sin(np.arange(6.0)), np.zeros(6))
     with pytest.raises(RuntimeError, match="The guess fell to rest, where every time is a period: Converged"):

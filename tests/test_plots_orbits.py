@@ -222,6 +222,13 @@ def test_a_family_without_stability_is_one_line(axes, family):
     assert labels(axes[0, 0]) == [] and axes[0, 0].get_legend() is None
 
 
+def test_points_that_coincide_are_drawn(axes, family):
+    # the line is longer than 2 where they do
+    family.omega, family.energy = np.array([0.0, 1.0, 0.0, 1.0, 1.0]), np.array([0.0, 1.0, 0.0, 1.0, 1.0])
+    plots.branch(family, axes[0])
+    assert near(axes[0, 0], np.column_stack([family.omega, family.energy])) < 1e-6
+
+
 @pytest.mark.parametrize("change, options, message", [
     ({}, {"bands": [[1.0, 2.0, 3.0]]}, r"bands: expected intervals, shape \(B, 2\)"),
     ({"verdict": np.array(["stable"])}, {}, "verdict: expected 5 words, one a point, got 1"),

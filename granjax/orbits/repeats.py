@@ -14,8 +14,8 @@ from .symmetry import Symmetry
 
 # where in a period forces are compared: at no simple fraction, where waveforms have their zeros and jumps
 PHASES, MORE = ((0.1 + 0.618034 * np.arange(count)) % 1 for count in (4, 32))
-# displacements at which a modulation is looked for where the state has none
-SIZES = (1e-9, 1e-6, 1e-3, 1.0)
+# displacements at which a modulation is looked for where the state has none, whatever the unit of length
+SIZES = 2.0 ** np.arange(-120, 121, 8)
 
 
 def checked_state(lattice: Lattice, state: StateLike, argument: str = "state") -> State:
@@ -58,15 +58,25 @@ def checked_symmetry(lattice: Lattice, symmetry: Symmetry, state: State, t0: Sca
         return jax.vmap(lambda t: lattice.acceleration(t, u, v))(ts)
 
     zeros, rng = lattice.zeros(), np.random.default_rng(0)
-    size = float(largest(state.u)) or float(largest(accelerations(ts, zeros, zeros))) / omega**2 or 1.0
-    u, v = (jax.tree.map(lambda x: jnp.asarray(size * scale * rng.uniform(-1, 1, x.shape), x.dtype), state.u)
-            for scale in (1.0, omega))
-    there = jax.vmap(symmetry)(accelerations(ts, u, v))
-    here = accelerations(ts + period, symmetry(u), symmetry(v))
-    off = float(largest(jax.tree.map(jnp.subtract, there, here)))
+    own = float(largest(state.u)) or float(largest(accelerations(ts, zeros, zeros))) / omega**2
+    shapes = [jax.tree.map(lambda x: scale * rng.uniform(-1, 1, x.shape), state.u) for scale in (1.0, omega)]
+
+    def compared(size):
+        """By how much the accelerations of the image differ, how much time changes them, how large they are."""
+        u, v = (jax.tree.map(lambda x: jnp.asarray(size * x, lattice.dtype), shape) for shape in shapes)
+        there = jax.vmap(symmetry)(accelerations(ts, u, v))
+        here = accelerations(ts + period, symmetry(u), symmetry(v))
+        first = jax.tree.map(lambda a: a[0], there)
+        return *(largest(jax.tree.map(jnp.subtract, there, other)) for other in (here, first)), largest(there)
+
+    sizes = np.array([own]) if own else SIZES
+    off, change, size = (np.asarray(x, float) for x in jax.vmap(compared)(jnp.asarray(sizes)))
     # of what time changes, the rounding is that of the static force beside it
-    change, eps = float(largest(jax.tree.map(lambda a: a - a[0], there))), float(jnp.finfo(lattice.dtype).eps)
-    if off <= 1e3 * eps * max(float(largest(there)), size * omega**2) + 100 * eps**0.5 * change:
+    eps, tiny = (float(getattr(jnp.finfo(lattice.dtype), name)) for name in ("eps", "tiny"))
+    known = 1e3 * eps * np.maximum(size, sizes * omega**2) + 100 * eps**0.5 * change + tiny / eps
+    # a size may be beyond a law's range
+    finite = np.isfinite(size)
+    if finite.any() and (off <= known)[finite].all():
         return symmetry
     refuse("symmetry", "a symmetry of the lattice", repr(symmetry), "Its image has other accelerations.")
 
@@ -75,39 +85,52 @@ def checked_period(lattice: Lattice, state: StateLike, t0: Scalar, period: Scala
     """Refuse a period after which the forces do not repeat, as the terms that read time say.
 
     At rest, where drives and walls show however little they do, and at displacements of the state's size, where
-    modulations do; of a state at rest at those of several sizes.
+    modulations do; of a state at rest at those of many sizes.
     """
     traced = any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves((lattice, state, t0, period)))
     if traced or not lattice.reads_time:
         return
-    eps, rng, own = float(jnp.finfo(lattice.dtype).eps), np.random.default_rng(0), float(largest(state[0]))
+    rng, own = np.random.default_rng(0), float(largest(state[0]))
+    eps, tiny = (float(getattr(jnp.finfo(lattice.dtype), name)) for name in ("eps", "tiny"))
     shape = [rng.uniform(-1, 1, x.shape) for x in jax.tree.leaves(lattice.template())]
     shape = jax.tree.unflatten(jax.tree.structure(lattice.template()), shape)
-    for size in (0.0, own) if own > 0 else (0.0, *SIZES):
-        u, v = (jax.tree.map(lambda x: jnp.asarray(size * scale * x, lattice.dtype), shape)
-                for scale in (1.0, 2 * np.pi / float(period)))
-        found = _repeated(lattice, u, v, jnp.asarray(t0, float), jnp.asarray(period, float))
-        off, change, there = map(float, found)
-        # more than by the rounding of times and of the static force beside; a size may be beyond a law's range
-        if np.isfinite(there) and off > 100 * (eps**0.5 * change + eps * there):
-            refuse("period", "one after which the forces repeat", repr(float(period)),
-                   "Give the drive's, or a multiple.")
+    sizes = jnp.asarray([0.0, own] if own > 0 else [0.0, *SIZES])
+    found = _repeated(lattice, shape, sizes, jnp.asarray(t0, float), jnp.asarray(period, float))
+    off, change, rounding, there = (np.asarray(x, float) for x in found)
+    # more than by the rounding of times and displacements and of the static force beside
+    wrong = off > 100 * (eps**0.5 * change + eps * there + rounding) + tiny / eps
+    # a size may be beyond a law's range
+    if (wrong & np.isfinite(there)).any():
+        refuse("period", "one after which the forces repeat", repr(float(period)), "Give the drive's, or a multiple.")
 
 
 @eqx.filter_jit
-def _repeated(lattice, u, v, t0, period):
-    """By how much the forces that read time differ a period later, by how much they change, how large they are."""
-    terms = [term for term in lattice.terms if reads(term, lattice).time]
+def _repeated(lattice, shape, sizes, t0, period):
+    """By how much the forces that read time differ a period later, by how much they change, how large they are.
 
-    def force(t):
+    At displacements of each size, (sizes,) each; third what rounding of these displacements makes.
+    """
+    terms = [term for term in lattice.terms if reads(term, lattice).time]
+    ts, count = phases(t0, period, MORE), len(MORE)
+    nearby = 1 + 8 * jnp.finfo(lattice.dtype).eps
+
+    def force(t, size):
+        u, v = (jax.tree.map(lambda x: jnp.asarray(scale * x, lattice.dtype), shape)
+                for scale in (size, size * (2 * jnp.pi / period)))
         found = lattice.sum_forces(t, u, v, terms)
         contact = [largest(contact.force) for term in terms for contact in term.compressions(t, u)]
         return found, jnp.max(jnp.stack([largest(found), *contact]))
 
-    ts = phases(t0, period, MORE)
-    (now, size), (later, _) = (jax.lax.map(force, x) for x in (ts, ts + period))
-    change = jax.tree.map(lambda a: a - a[0], now)
-    return largest(jax.tree.map(jnp.subtract, now, later)), largest(change), jnp.max(size)
+    def compared(size):
+        times = jnp.concatenate([ts, ts + period, ts])
+        scales = jnp.repeat(jnp.stack([size, size, nearby * size]), count)
+        found, there = jax.lax.map(lambda x: force(*x), (times, scales))
+        now, later, moved = (jax.tree.map(lambda a: a[i : i + count], found) for i in (0, count, 2 * count))
+        others = later, jax.tree.map(lambda a: a[0], now), moved
+        off, change, rounding = (largest(jax.tree.map(jnp.subtract, now, other)) for other in others)
+        return off, change, rounding, jnp.max(there[: 2 * count])
+
+    return jax.lax.map(compared, sizes)
 
 
 def phases(t0: Scalar, period: Scalar, shares: Float[np.ndarray, " m"] = PHASES) -> Numbers:

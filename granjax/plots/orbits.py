@@ -21,6 +21,8 @@ _VERDICTS = {
 }
 # between two verdicts; points of a line in a step
 UNKNOWN, FINE = (FAINT, ":"), 12
+# of its length, how far apart points of a line count that coincide
+COINCIDING = 1e-9
 _ORBITS = {
     "stable": ("0.2", "-", "orbit, stable"), "unstable": ("0.2", "--", "orbit, unstable"),
     "undecided": ("0.2", ":", "orbit, undecided"),
@@ -209,7 +211,7 @@ def _line(ax, x, y, br, looks, marks=()):
         refuse("verdict", f"{len(x)} words, one a point", f"{len(verdict)}")
     curve = np.column_stack([x, y, p])
     step = np.linalg.norm(np.diff(curve[:, :2], axis=0) / (np.ptp(curve[:, :2], axis=0) + np.finfo(float).tiny), axis=1)
-    s = np.concatenate([[0.0], np.cumsum(np.maximum(step, np.finfo(float).eps))])
+    s = np.concatenate([[0.0], np.cumsum(np.maximum(step, COINCIDING * (step.sum() or 1.0)))])
     at = Akima1DInterpolator(s, curve) if len(s) > 1 else lambda s: curve[[0] * len(s)]
     events = [*getattr(br, "bifurcations", ()), *marks]
     begin, named = 0.0, set()

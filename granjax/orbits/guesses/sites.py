@@ -108,7 +108,7 @@ def local_guesses(lattice: Lattice, omega: Scalar) -> Iterator[State]:
             site = tuple(min(n // 2 + beside, n - 1) for n in shape)
             (place,) = _places(lattice, [site] if len(shape) > 1 else site[0], name)
             kind = np.array([mass[place], stiffness[place, place]])
-            if any(np.allclose(kind, other) for other in seen):
+            if any(np.allclose(kind, other, rtol=1e-6, atol=0) for other in seen):
                 continue
             seen.append(kind)
             try:
