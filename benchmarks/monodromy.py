@@ -38,7 +38,7 @@ FEWEST, MOST, RUNG = 8, 130, 1.12
 TOLERANCES, FEW = 10.0 ** -np.arange(3, 14.5, 0.5), 10.0 ** -np.arange(4.0, 15.0, 2.0)
 # the error at which like is compared with like
 ERROR = 1e-9
-POINTS, LONGEST_ARCLENGTH, PROCESSES = 100, 0.0317, 5
+POINTS, LONGEST_ARCLENGTH, PROCESSES = 100, 0.0415, 5
 FAMILY = """
 import granjax as gx
 chain = gx.scenes.pattern(81, (1.0, 2.957949), precompression=1.0, boundary="free")
