@@ -270,12 +270,22 @@ def test_lanes_are_not_taken_for_one_lattice():
             ask(lanes, rest(lanes), 1.0)
 
 
+def test_where_a_free_lattice_stands_does_not_tell_whether_its_state_returns():
+    chain = gx.scenes.fput(4, beta=1.0, boundary="free")
+    u = np.random.default_rng(0).uniform(-1, 1, 4)
+    for shift in (0.0, 1e3):
+        with pytest.raises(ValueError, match="state: expected one that returns"):
+            floquet(chain, gx.State(u + shift, np.zeros(4)), 3.0, steps=64)
+
+
 def test_a_state_that_is_no_orbit_is_refused(dimers):
     b = nearest(dimers, 0.25)
     with pytest.raises(ValueError, match="state: expected one that returns after the period, got a gap of"):
         floquet(b.lattice, b.state, 1.1 * float(b.period))
     with pytest.raises(ValueError, match="state: expected one that returns"):
         floquet(gx.Flow(400, diffrax.Dopri8(), hopf), jnp.array([0.4, 0.0]), 2 * np.pi, args=jnp.asarray(0.1))
+    with pytest.raises(ValueError, match="state: expected one that returns"):
+        leading(b.lattice, b.state, 1.1 * float(b.period), 1)
     # not quite an orbit: the multipliers are those of an orbit near by, within errors that say so
     other = gx.State(1.003 * b.state.u, b.state.v)
     fl, exact = floquet(b.lattice, other, float(b.period)), b.floquet().multipliers
