@@ -236,6 +236,28 @@ def test_neither_a_steep_flank_nor_slow_settling_is_a_jump(values, damping):
     np.testing.assert_allclose(found.down.response, speed, rtol=2e-4)
 
 
+def test_a_second_sweep_compiles_nothing_and_follows_what_its_scene_reads():
+    traced, numbers = [], {"damping": 0.3}
+
+    def make(w):
+        traced.append(w)
+        return duffing(0.01, w, damping=numbers["damping"])
+
+    def run():
+        return driven.sweep(make, [0.95, 1.01], over, periods=200, down=False, accuracy=0.1).up.response
+
+    def over(w):
+        return 2 * jnp.pi / w
+
+    first, counts = run(), [len(traced)]
+    for _ in range(2):
+        np.testing.assert_array_equal(run(), first)
+        counts.append(len(traced))
+    assert counts[1] - counts[0] == counts[2] - counts[1] == 2  # the scenes at its ends alone
+    numbers["damping"] = 0.4
+    assert (run() < first).all()
+
+
 # ------------------------------------------------------------------------------------------------------------- lyapunov
 
 

@@ -212,6 +212,12 @@ def test_a_dark_word_that_leads_to_a_bright_orbit_is_refused(on_a_ring):
     assert checked_localised(orbit, "bright", on_a_ring.state, None).remark == on_a_ring.remark
 
 
+def test_of_few_cells_nothing_is_judged():
+    # two coupled sites in phase
+    few = gx.breathers.breather(soft(2, boundary="free"), 0.8, still(np.full(2, 0.685)))
+    assert few.converged and "2 of 2 cells share its energy." in few.outcome
+
+
 def test_sites_of_small_masses_are_told_apart(monkeypatch):
     asked = []
     monkeypatch.setattr(sites_module, "single_site", lambda lattice, omega, site, field: asked.append(site))

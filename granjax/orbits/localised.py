@@ -16,6 +16,8 @@ from .orbit import SPREAD, Orbit
 # shares of the cells over which the energy of what is no bright breather spreads: a wave between walls has two thirds;
 # of a background; and of what has left a guess that holds less than half of it
 EXTENDED, BACKGROUND, STRAYED = 0.6, 0.4, 0.5
+# of fewer cells shares tell nothing: two coupled sites, or three, are an orbit however they share it
+FEWEST = 5
 # energy in the middle of a dip, over that on either side
 DIP = 0.5
 WAVES = "gx.orbits.orbit finds waves, and check=False tells nothing apart."
@@ -72,13 +74,14 @@ def localisation(lattice: Lattice, state: State) -> Localisation:
 def checked_localised(orbit: Orbit, kind: str, guess: State, throw: bool | None) -> Orbit:
     """A breather with a remark on its localisation, or what is none, marked. `kind` as in `why_not`.
 
+    Of fewer than five cells the remark is all: there is no room for waves and breathers to differ.
     **Raises** RuntimeError with the participation number where it is none and `throw`.
     """
     if any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(orbit)) or not orbit.converged:
         return orbit
     found = localisation(orbit.lattice, orbit.state)
     reason = found.why_not(kind, localisation(orbit.lattice, guess))
-    if reason is None:
+    if reason is None or found.cells < FEWEST:
         return dataclasses.replace(orbit, remark=f"{found}.")
     root = dataclasses.replace(orbit.root, code=jnp.full_like(orbit.root.code, SPREAD))
     orbit = dataclasses.replace(orbit, root=root, remark=reason)

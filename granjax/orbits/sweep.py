@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from typing import ClassVar, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,6 +15,7 @@ from ..checks import tolerance as checked_tolerance
 from ..flow import Flow
 from ..lattice import State
 from ..measures import rms_velocity
+from ..outside import Outside
 from ..results import Held, Result
 from ..solvers import SRKN11b
 from ..types import Count, Displacements, Parameter, Scalar, StateLike
@@ -144,14 +146,12 @@ def sweep(
     if concrete(jax.tree.leaves(state)[0]) is None:
         refuse("state", "numbers known before tracing", "a traced state", "A sweep runs outside of transformations.")
 
-    @jax.jit
+    period = period if callable(period) else jnp.asarray(float(period))
+    outside = Outside((make, period, response))
+
     def run(value, y, tolerance, most):
-        """What is found at a value, and whether it settles still."""
-        lattice, T = make(value), period_at(period, value)
-        y, used, multiple, changes, once = follow(flow, lattice, y, T, periods, tolerance, most)
-        part, change = max(1, periods // 8), changes[:, 0]
-        early, late = jnp.median(change[periods // 2 - part : periods // 2]), jnp.median(change[-part:])
-        return _response(flow, lattice, y, T, response, watch, multiple, used), once | (late < early / 2)
+        numbers = jnp.asarray(value), y, jnp.asarray(tolerance), jnp.asarray(most)
+        return _run(make, period, response, flow, periods, watch, *numbers, outside)
 
     def attractor(value, y, share=1.0):
         """What is settled to a share of the tolerance, run longer than the budget if need be."""
@@ -173,6 +173,16 @@ def sweep(
     last = jax.tree.map(lambda x: x[-1], up.states)
     back = _way(attractor, values, last, jump, accuracy, -1)
     return Sweep(values, up, back, _hysteresis(values, up, back, jump))
+
+
+@eqx.filter_jit
+def _run(make, period, response, flow, periods, watch, value, y, tolerance, most, outside):
+    """What is found at a value, and whether it settles still."""
+    lattice, T = make(value), period_at(period, value)
+    y, used, multiple, changes, once = follow(flow, lattice, y, T, periods, tolerance, most)
+    part, change = max(1, periods // 8), changes[:, 0]
+    early, late = jnp.median(change[periods // 2 - part : periods // 2]), jnp.median(change[-part:])
+    return _response(flow, lattice, y, T, response, watch, multiple, used), once | (late < early / 2)
 
 
 def _response(flow, lattice, y, period, response, watch, multiple, used):
