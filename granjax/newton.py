@@ -22,8 +22,9 @@ FLAT = 1e-6
 class Root(Result):
     """Where Newton's method ended: its best iterate, whatever came of it.
 
-    **Fields:** `x`: the iterate (n,). `jacobian`: dF/dx there (n, n). `residual`: max |F(x)| of the
-    iterate before the finishing step. `first`: that of the guess. `iterations`: Jacobians evaluated. `code`: 0 converged, 1 stalled, 2 steps spent, 3 not finite.
+    **Fields:** `x`: the iterate (n,). `jacobian`: dF/dx there (n, n). `residual`: max |F(x)| of the iterate before the
+    finishing step. `first`: that of the guess. `iterations`: Jacobians evaluated. `code`: 0 converged, 1 stalled,
+    2 steps spent, 3 not finite.
     """
 
     held: ClassVar[dict[str, Held]] = {"x": Held("unknown"), "jacobian": Held("equation unknown")}

@@ -2,6 +2,7 @@
 
 import dis
 import functools
+import hashlib
 import sys
 import types
 from collections.abc import Iterator
@@ -16,6 +17,8 @@ import numpy as np
 MUTATORS = {"append", "add", "extend", "update", "insert", "setdefault", "pop", "remove"}
 DEPTH = 6
 SMALL = 4096
+# bytes from which on a digest stands for an array
+LONG = 256
 LIBRARIES = frozenset(sys.stdlib_module_names) - {"__main__"} | {
     "granjax", "jax", "jaxlib", "jaxtyping", "numpy", "scipy", "equinox", "diffrax", "optimistix", "lineax", "optax",
     "beartype",
@@ -95,10 +98,11 @@ def _read(function, seen, depth):
         own = [vars(kind) for kind in function.__mro__ if not _known(kind.__module__)]
         return tuple((name, _value(x, seen, 0)) for names in own for name, x in names.items() if _is_number(x))
     if isinstance(function, types.MethodType):
-        return _read(function.__func__, seen, depth), _value(function.__self__, seen, depth - 1)
+        own = _own(function.__self__, _plain(function.__func__))
+        return _read(function.__func__, seen, depth), _value(own, seen, max(depth - 1, 1))
     function = _plain(function)
     if not isinstance(function, types.FunctionType):
-        own = _value(getattr(function, "__dict__", None), seen, depth - 1)
+        own = _value(_own(function), seen, max(depth - 1, 1))
         return own, *(_read(method, seen, depth - 1) for method in _methods(type(function)))
     code = function.__code__
     if code in seen or not depth:
@@ -128,15 +132,60 @@ def _holds(x, attribute):
     return not isinstance(x, (type, types.FunctionType)) and attribute in getattr(x, "__dict__", ())
 
 
+def _own(x, method=None):
+    """The attributes of an object, less those that its call, or a method of it, writes itself."""
+    code = getattr(method or _plain(getattr(type(x), "__call__", None)), "__code__", None)
+    own = None if isinstance(x, type) else getattr(x, "__dict__", None)
+    written = _stored(code)[0] if own and code else ()
+    left = {path[1] for path in written if path[1:] and path[:1] == code.co_varnames[:1]}
+    return {name: part for name, part in own.items() if name not in left} if left else own
+
+
+@lru_cache(maxsize=1024)
+def _stored(code):
+    """{(name, attribute, ...)} that a code stores into, as `x[i] = ...` or `x.a += ...`, and where these begin.
+
+    The whole of `x` counts as written by `x[i] = ...`. In the source the load of its name begins where that does.
+    """
+    found, at, places = set(), {}, set()
+    for step in dis.get_instructions(code):
+        place = _place(step)
+        if place is None:
+            continue
+        path, whole = at.get(place, ((), False))
+        attribute = step.opname in ("LOAD_ATTR", "LOAD_METHOD")
+        mutates = attribute and step.argval in MUTATORS and path[:1] == code.co_varnames[:1]
+        if step.opname in ("STORE_SUBSCR", "STORE_ATTR") or mutates:
+            if path:
+                found.add(path + (step.argval,) if step.opname == "STORE_ATTR" and not whole else path)
+                places.add(place)
+        elif attribute and path and not whole:
+            at[place] = path + (step.argval,), False
+        elif step.opname.startswith(("LOAD_GLOBAL", "LOAD_NAME", "LOAD_DEREF", "LOAD_FAST")):
+            at[place] = (step.argval,), False
+        elif step.opname.startswith(("BINARY_SUBSCR", "BINARY_OP", "BINARY_SLICE")):
+            at[place] = path, True
+        elif step.opname.startswith("CALL"):
+            at.pop(place, None)
+    return frozenset(found), frozenset(places)
+
+
+def _place(step):
+    """(line, column) where the source of an instruction begins, or `None`."""
+    where = step.positions
+    return (where.lineno, where.col_offset) if where and where.col_offset is not None else None
+
+
 @lru_cache(maxsize=1024)
 def _names(code):
     """(name, attribute, ...) of all that a code, and what is defined in it, reads from outside and does not write."""
     found, written, path = [], set(), None
+    stored, places = _stored(code)
     own = set(code.co_varnames) | set(code.co_cellvars)
     for step in dis.get_instructions(code):
         if step.opname in ("LOAD_GLOBAL", "LOAD_NAME", "LOAD_DEREF", "LOAD_CLASSDEREF") and step.argval not in own:
-            path = [step.argval]
-            found.append(path)
+            path = None if _place(step) in places else [step.argval]
+            found += [path] if path else []
         elif step.opname in ("LOAD_ATTR", "LOAD_METHOD") and path:
             path.append(step.argval)
         elif step.opname in ("STORE_GLOBAL", "STORE_DEREF"):
@@ -146,8 +195,8 @@ def _names(code):
     for inner in code.co_consts:
         if isinstance(inner, types.CodeType):
             found += [names for names in _names(inner) if names[0] not in own]
-    kept = [tuple(names) for names in found if names[0] not in written and not MUTATORS & set(names)]
-    return tuple(dict.fromkeys(kept))
+    kept = dict.fromkeys(tuple(names) for names in found if names[0] not in written and not MUTATORS & set(names))
+    return tuple(path for path in kept if not any(path[: len(into)] == into for into in stored))
 
 
 class _Same:
@@ -170,13 +219,16 @@ def _value(x, seen, depth):
     if isinstance(x, (float, complex, np.generic)):
         return type(x), x if x == x else "nan"
     if isinstance(x, np.ndarray):
-        return x.shape, x.dtype, x.tobytes()
+        held = x.tobytes()
+        return x.shape, x.dtype, held if len(held) <= LONG else hashlib.blake2b(held, digest_size=16).digest()
     if isinstance(x, jax.Array):
         tiny = not isinstance(x, jax.core.Tracer) and x.size <= SMALL and x.dtype.kind in "fiubc"
         return _value(np.asarray(x), seen, depth) if tiny else _Same(x)
     if not depth or isinstance(x, (type, types.ModuleType)):
         return _Same(x)
     if isinstance(x, (tuple, list)):
+        if len(x) * 8 > LONG and set(map(type, x)) == {float}:
+            return type(x), _value(np.asarray(x), seen, depth)
         return type(x), *(_value(part, seen, depth - 1) for part in x)
     if isinstance(x, dict):
         return dict, *((_value(k, seen, depth - 1), _value(part, seen, depth - 1)) for k, part in x.items())
@@ -185,5 +237,5 @@ def _value(x, seen, depth):
     if isinstance(x, (types.FunctionType, types.MethodType, functools.partial)) or hasattr(x, "__wrapped__"):
         # a function that is made anew is another one for JAX, whatever it reads
         return _Same(_plain(x)), _read(x, seen, depth)
-    own = getattr(x, "__dict__", None)
+    own = _own(x)
     return _Same(x) if own is None else (type(x), _value(own, seen, depth - 1))

@@ -228,6 +228,52 @@ def test_nothing_is_compiled_again_where_nothing_changed():
     assert not gx.scenes.dimer(4)._outside.readers and Outside((counted,)).values() == Outside((counted,)).values()
 
 
+COUNT, NOTES = {"n": 0}, types.SimpleNamespace(calls=0, size=1.0)
+
+
+class Counted:
+    def __init__(self):
+        self.calls, self.log, self.size = 0, [], 1.0
+
+    def __call__(self, t):
+        self.calls += 1
+        self.log.append(t)
+        return self.size * t
+
+    def method(self, t):
+        self.calls += 1
+        return self.size * t
+
+
+def test_what_a_function_stores_into_is_not_what_it_reads():
+    def counted(t):
+        COUNT["n"] += 1
+        NOTES.calls += 1
+        NOTES.last = t
+        return NOTES.size * t
+
+    for function, holder in ((counted, NOTES), (one := Counted(), one), (one.method, one)):
+        seen = Outside((function,))
+        before = seen.values()
+        function(1.0)
+        assert seen.values() == before
+        holder.size = 2.0
+        assert seen.values() != before
+        holder.size = 1.0
+        assert seen.values() == before
+
+
+def test_large_arrays_and_lists_are_known_by_a_digest():
+    array, numbers = np.ones(10000), [1.0] * 10000
+    seen = Outside((lambda t: array[0] * t, lambda t: numbers[0] * t))
+    before = seen.values()
+    assert len(repr(before)) < 2000 and seen.values() == before
+    array[77] = 2.0
+    between = seen.values()
+    numbers[77] = 2.0
+    assert len({before, between, seen.values()}) == 3
+
+
 @pytest.mark.slow
 def test_what_a_scene_reads_counts_in_a_fit():
     times = np.linspace(0.1, 2.0, 12)
