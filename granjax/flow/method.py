@@ -30,6 +30,8 @@ PASSED = 1.1
 DEFAULT_TOLERANCE = 1e-8
 # tolerance from which on a run is remarked upon, and relative energy error
 LOOSE, SUSPICIOUS = 1e-2, 0.02
+# where an energy is told again, over the displacements at the end, and how much of it may be lost over what is seen
+NEARBY, ROUNDED = 1e-3, 10
 MOST_STEPS = 1e8
 # built once: making a module takes longer than a short run
 _FIXED, _ADAPTIVE, _GENERAL = SRKN11b(), RKN86(), diffrax.Dopri8()
@@ -196,8 +198,24 @@ def doubts(
         gaps = {type(term).__name__: np.max(term.energy_gap(lattice, t1, run.final.u)) for term in lattice.terms}
         said.append(f"The force of {max(gaps, key=gaps.get)} is not the slope of its `energy`, so none is kept.")
     if not np.isnan(lost).all() and np.nanmax(lost) > SUSPICIOUS:
-        said.append(_lost(lattice, state, t0, t1, step, tolerance, solver, float(np.nanmax(lost))))
+        if _resolved(lattice, state, t0, t1, run):
+            said.append(_lost(lattice, state, t0, t1, step, tolerance, solver, float(np.nanmax(lost))))
+        else:
+            said.append("The energy error is the rounding of `energy`, which does not resolve so small a motion.")
     return " ".join(said)
+
+
+def _resolved(lattice, state, t0, t1, run):
+    """Whether some lane lost more energy than what its terms' arithmetic leaves uncertain.
+
+    That shows where the energy is told along a short straight line through the end, on which it hardly bends.
+    """
+    scale = np.maximum(np.abs(lattice.energy(t0, *state)), lattice.kinetic_energy(state.v))
+    parts = 1 + NEARBY * np.linspace(-1, 1, 9)
+    line = [lattice.potential_energy(t1, jax.tree.map(lambda u: u * part, run.final.u)) for part in parts]
+    rounding = ROUNDED * np.abs(np.diff(np.asarray(line), 2, axis=0)).max(axis=0)
+    lost = np.asarray(run.energy_error) * scale
+    return bool(np.any((lost > SUSPICIOUS * scale) & ~(lost <= rounding)))
 
 
 def _lost(lattice, state, t0, t1, step, tolerance, solver, lost):
@@ -225,18 +243,24 @@ def _ceil(x):
     return np.maximum(np.ceil(float(x) * (1 - 1e-12)), 1)
 
 
+def linear_bound(lattice: Lattice) -> Any:
+    """A bound on the linear frequencies, quickly found and kept; `None` where it is traced."""
+    known = facts(lattice).known
+    if "linear bound" not in known:
+        known["linear bound"] = concrete(linear_frequency(lattice, 0))
+    return known["linear bound"]
+
+
 def _refuse_unstable(lattice, state, t0, t1, step, solver, limit):
     found = facts(lattice)
-    dtype, known = found.dtype, found.known
+    dtype = found.dtype
     if found.traced or traced((state, t0, t1, step)):
         return
     if step < 4 * jnp.finfo(dtype).eps * max(abs(t0), abs(t1)):
         refuse("step", "a step that changes the time", f"{step}", f"At t = {t1} {dtype} does not resolve it.")
     if limit is None:
         return
-    if "linear bound" not in known:
-        known["linear bound"] = concrete(linear_frequency(lattice, 0))
-    omega = known["linear bound"]
+    omega = linear_bound(lattice)
     if omega is None or 0 < step * omega <= limit:
         return
     if omega > 0:

@@ -1,6 +1,7 @@
 """`simulate`: from a lattice and a state to a run, over diffrax."""
 
 import dataclasses
+import math
 from functools import partial
 from typing import Any
 
@@ -17,7 +18,7 @@ from ..types import Count, Parameter, Scalar, StateLike
 from .dispatch import facts, traced
 from .inputs import checked_records, checked_save_at, checked_state, checked_times
 from .integrate import Confirmation, integrate
-from .method import checked_method, doubts, fixed_step, number, passed
+from .method import checked_method, doubts, fixed_step, linear_bound, number, passed
 from .opening import approach
 from .record import Record
 from .reversible import Reversible, checked_reversible, refuse_forward_mode, reversible
@@ -29,6 +30,8 @@ SAVED_STEPS = 2**16
 # a contact that kept more than this part of how far it came, at the ends of steps, did not open between them: at the
 # default step it may dip by 1/32 of that, and what is more covers the error of the run; with dips looked for
 NEAR, FAR, DIPPED = 0.25, 1.0, 0.01
+# h omega of a given step from which on the ends of steps say nothing of what lies between
+COARSE = 1.5
 # built once: making a module takes longer than a short run
 _ADJOINTS = (diffrax.DirectAdjoint, diffrax.ForwardMode, diffrax.RecursiveCheckpointAdjoint)
 _FORWARD, _BOTH_MODES = diffrax.ForwardMode(), diffrax.DirectAdjoint()
@@ -126,6 +129,9 @@ def simulate(
         rest = records, solver, adjoint, limit, every, progress, watch, outside
         run = integrate(lattice, state, *span, dt, tolerance, save_ts, *rest)
     zone = FAR if tolerance is not None or step is not None else DIPPED if unknown else NEAR
+    if tolerance is None and step is not None and not unknown:
+        omega = linear_bound(lattice)
+        zone = math.inf if omega is not None and dt * omega > COARSE else zone
     run = named(run, type(solver).__name__, choice, remark, zone)
     if records:
         confirmation = Confirmation.of(lattice, state, *span, dt, tolerance, records, solver)

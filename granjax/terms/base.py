@@ -129,7 +129,7 @@ class Term(Dimensional):
         found = self.compressions(jnp.zeros((), lattice.dtype), lattice.zeros())
         if not found:
             return None if self.dependence(lattice).displacement else False
-        known = {c.law.opens for c in found if c.place != "site"}
+        known = {None if c.law.opens and c.overlap is None else c.law.opens for c in found if c.place != "site"}
         return None if None in known else True in known
 
     def at(self, t: Number) -> Any:
