@@ -964,7 +964,10 @@ LONG = {"simulate", "simulate_tolerance", "frequency_bound", "fit", "fit_from_ze
 def cases():
     for r in TABLE:
         for make in (*r.scenes, *r.slow):
-            marks = (*r.marks, pytest.mark.slow) if make in r.slow or r.name in LONG else r.marks
+            # further scenes are a study, of which each function has one that runs
+            further = make in r.slow and (r.scenes or make is not r.slow[0])
+            slow = pytest.mark.study if further else pytest.mark.slow
+            marks = (*r.marks, slow) if make in r.slow or r.name in LONG else r.marks
             yield pytest.param(r, make, id=f"{r.name}-{make.__name__}", marks=marks)
 
 
