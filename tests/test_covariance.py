@@ -889,7 +889,8 @@ def _(s):
 @row("leading", slow=(closed,))
 def _(s):
     lattice, period, _ = shaken(s)
-    rho, _ = gx.floquet.leading(lattice, gx.states.rest(s.lattice), period, count=2)
+    orbit = gx.forced.forced_orbit(lattice, period)
+    rho, _ = gx.floquet.leading(lattice, orbit.state, period, count=2)
     return np.sort(np.abs(rho))
 
 
