@@ -312,7 +312,7 @@ def plain_lattice(lattice, w):
     return [np.asarray(x) for x in jax.tree.leaves((back.mass, back.force(0.7, u, u)))]
 
 
-NUMBER = re.compile(r"(?<![\w.])[-+]?(?:\d+\.?\d*(?:e[-+]?\d+)?|nan|inf)(?![\w])")
+NUMBER = re.compile(r"(?<![\w.])[-+]?(?:\d+(?:\.\d+)?(?:e[-+]?\d+)?|nan|inf)(?![\w])")
 
 
 def same_words(a, b):
@@ -639,7 +639,7 @@ def identified(family, agree=1e-7, most=6):
             stages=2, throw=False, max_steps=most)
         low, high = found.strain_range
         force, deviation = found.force(np.linspace(low, high, 7))
-        return length([low, high]), strength([force, deviation])
+        return length([low, high]), strength(force), About(strength(deviation))
 
 
 for family in ("polynomial", "spline", "network"):
@@ -732,7 +732,7 @@ row("design_bounds", slow=(closed,), agree=1e-7)(
 
 @row("work_precision", slow=(closed, vacuum))
 def _(s):
-    steps = {"SRKN6b": s.s([0.2, 0.1]), "RKN86": [1e-3, 1e-5]}
+    steps = {"SRKN6b": s.s(np.array([0.2, 0.1])), "RKN86": [1e-3, 1e-5]}
     found = gx.work_precision(s.lattice, s.state, s.s(4.3), [gx.SRKN6b(), gx.RKN86()], steps, repeats=1)
     own = [i for i, name in enumerate(found.method) if found.parameter[i] == "step"]
     return [duration(found.value[own]), [About(x) for x in found.error], found.evaluations, found.steps, found.drawn,
@@ -960,13 +960,14 @@ def test_every_public_function_that_takes_a_lattice_is_in_the_table():
 # rows of several compiled programs; of orbits `breather` always runs
 LONG = {"simulate", "simulate_tolerance", "frequency_bound", "fit", "fit_from_zero", "family", "forced_orbit",
         "forced_branch", "settle", "sweep", "lyapunov"}
+LONGER = {"law_polynomial", "law_spline", "law_network", "law_power law", "physics_informed", "wall_modulus"}
 
 
 def cases():
     for r in TABLE:
         for make in (*r.scenes, *r.slow):
             # further scenes are a study, of which each function has one that runs
-            further = make in r.slow and (r.scenes or make is not r.slow[0])
+            further = make in r.slow and (r.scenes or make is not r.slow[0]) or r.name in LONGER
             slow = pytest.mark.study if further else pytest.mark.slow
             marks = (*r.marks, slow) if make in r.slow or r.name in LONG else r.marks
             yield pytest.param(r, make, id=f"{r.name}-{make.__name__}", marks=marks)
