@@ -55,6 +55,7 @@ def breather(
     - `check`: refuse a frequency of which a harmonic meets a band, or whose gap has no bright breathers, and an orbit
       that is no breather: one that more than 0.6 of the cells share (participation number of their energies at rest;
       a wave between walls has 2/3), or half and twice what the guess had; of a dark one, no background or no dip in it.
+      Of fewer than five cells the share is said and not judged.
     - `throw`: raise where Newton's method does not converge; `None` does so outside of transformations.
 
     With a `State` and `steps` it works inside `jit` and `vmap`, and its state and energy are differentiable in every
