@@ -641,7 +641,8 @@ def test_advice_on_a_random_damped_trimer_holds_when_followed(seed):
         error = distance(gx.simulate(chain, state, t1, **advice.keywords).final, exact)
         assert advice.error / 3 < error < 3 * advice.error
         assert error < 1.01 * asked
-        if error < asked / 3.03 and advice.value < wp.value[wp.method.index(advice.method)]:
+        if error < asked / 3.03 and advice.value < wp.value[wp.method.index(advice.method)] and not (
+                np.isclose(advice.value, wp.value, rtol=1e-9, atol=0).any()):  # a measured point that was faster
             # one step fewer is too few
             count = int(gx.simulate(chain, state, t1, **advice.keywords).stats["steps"])
             fewer = gx.simulate(chain, state, t1, solver=advice.solver, step=t1 / (count - 1))

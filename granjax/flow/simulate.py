@@ -106,6 +106,8 @@ def simulate(
     if backwards is not None:
         checked_reversible(lattice, solver, records, every)
         adjoint = _FORWARD
+    # an adjoint that is asked for by name is asked for its memory, of which looking between steps takes as much again
+    dips = unknown and adjoint is None
     adjoint, limit = _adjoint(adjoint, unknown, every, steps, max_steps)
 
     # diffrax raises the state to the type of the times
@@ -113,7 +115,7 @@ def simulate(
     dt = None if dt is None else number(dt, dtype)
     save_ts = None if save_ts is None else jnp.asarray(save_ts, dtype)
     watch = watch and not unknown
-    rest = records, solver, adjoint, limit, every, progress, watch, outside, unknown
+    rest = records, solver, adjoint, limit, every, progress, watch, outside, dips
     try:
         if backwards is None:
             run = integrate(lattice, state, *span, dt, tolerance, save_ts, *rest)
@@ -128,7 +130,7 @@ def simulate(
         dt, limit = number(dt, dtype), None if limit is None else max(limit, steps)
         rest = records, solver, adjoint, limit, every, progress, watch, outside
         run = integrate(lattice, state, *span, dt, tolerance, save_ts, *rest)
-    zone = FAR if tolerance is not None or step is not None else DIPPED if unknown else NEAR
+    zone = FAR if tolerance is not None or step is not None else DIPPED if dips else NEAR
     if tolerance is None and step is not None and not unknown:
         omega = linear_bound(lattice)
         zone = math.inf if omega is not None and dt * omega > COARSE else zone

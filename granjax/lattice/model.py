@@ -281,7 +281,10 @@ def check_shape(lattice: Any, name: str, x: Displacements) -> None:
     pairs = [(shape, x)] if not isinstance(x, dict) else [(shape[field], x[field]) for field in x]
     for own, array in pairs:
         wanted, got = own + lanes, np.shape(array)
-        if got[: len(wanted)] != wanted:
+        # one lane serves many, as of a lattice whose tangents they are
+        fits = len(got) >= len(wanted) and all(
+            w == g or w == 1 and i >= len(own) for i, (w, g) in enumerate(zip(wanted, got)))
+        if not fits:
             refuse(name, f"shape {wanted}, that of the lattice", f"shape {got}", "Start from lattice.zeros().")
 
 

@@ -18,7 +18,7 @@ FEWEST = 6
 
 
 class _Carried(NamedTuple):
-    """Of one array of a quantity: its value at the end of the last step, and what the record carries."""
+    """Of one array of a quantity: its value at the end of the last step where steps are sampled, and what is kept."""
 
     last: Any
     kept: Any
@@ -70,7 +70,8 @@ class Recorded(diffrax.AbstractWrappedSolver):
         carried = {}
         for name, record in self.records.items():
             q = record.value(jnp.asarray(t0), y0, args)
-            carried[name] = jax.tree.map(lambda q, record=record: _Carried(q, record.start(t0, q, count)), q)
+            carried[name] = jax.tree.map(
+                lambda q, record=record: _Carried(q if record.sampled else None, record.start(t0, q, count)), q)
         return self.solver.init(terms, t0, t1, y0, args), carried
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
@@ -93,7 +94,7 @@ class Recorded(diffrax.AbstractWrappedSolver):
 
         def follow(record, q, old):
             if not record.sampled:
-                return _Carried(q, record.follow(old.kept, t0, t1 - t0, q))
+                return _Carried(None, record.follow(old.kept, t0, t1 - t0, q))
             whole = jnp.concatenate([old.last[None], q]) if first else q
             return _Carried(q[-1], record.follow(old.kept, t0, t1 - t0, whole))
 
