@@ -25,6 +25,11 @@ def concrete(x: Any) -> np.ndarray | None:
     return None if isinstance(x, jax.core.Tracer) else np.asarray(x)
 
 
+def traced(tree: Any) -> bool:
+    """Whether some leaf of a pytree is being traced."""
+    return any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(tree))
+
+
 def show(x: Any) -> str:
     """A value for an error message, short."""
     x = np.asarray(x)

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .checks import refuse, unmasked
+from .checks import refuse, traced, unmasked
 from .outside import Outside
 from .results import Held, Result
 from .types import Count, Counts, Flags, Numbers, Parameter, Pytree, Scalar
@@ -44,7 +44,7 @@ class Root(Result):
     @property
     def outcome(self) -> str:
         """What became of it, a sentence (of the worst where there are several)."""
-        if _traced((self.code, self.iterations, self.first, self.residual, self.tolerance)):
+        if traced((self.code, self.iterations, self.first, self.residual, self.tolerance)):
             return "traced"
         worst = int(np.argmax(np.asarray(self.code))) if np.ndim(self.code) else ()
         code, iterations, first, last, tolerance = (
@@ -93,16 +93,12 @@ def newton(residual: Callable, guess: Parameter, args: Pytree = None, *, toleran
     inputs = residual, linearise, x0, args, jnp.asarray(tolerance, x0.dtype), jnp.asarray(max_steps), finish
     inputs = *inputs, Outside((residual, linearise))
     # without tracers nobody differentiates; a function may hide some, which the result then shows
-    root = None if _traced(inputs) else _plain(*inputs)
-    if root is None or _traced(root):
+    root = None if traced(inputs) else _plain(*inputs)
+    if root is None or traced(root):
         root = _differentiable(*inputs)
-    if not _traced(root) and (throw is None or throw) and not np.all(root.converged):
+    if not traced(root) and (throw is None or throw) and not np.all(root.converged):
         raise RuntimeError(root.outcome)
     return root
-
-
-def _traced(tree):
-    return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(tree))
 
 
 @eqx.filter_jit

@@ -10,7 +10,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from .checks import concrete, refuse
+from .checks import concrete, refuse, traced
 
 if TYPE_CHECKING:
     import xarray  # half a second
@@ -45,7 +45,7 @@ class Result(eqx.Module):
     held: ClassVar[dict[str, Held]] = {}
 
     def __repr__(self) -> str:
-        if any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(self)):
+        if traced(self):
             return f"{type(self).__name__}(traced)"
         rows = list(self._rows())
         width = max(15, 1 + max(len(name) for name, _ in rows))

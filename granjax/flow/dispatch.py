@@ -3,11 +3,12 @@
 import weakref
 from collections.abc import Callable
 from functools import partial, wraps
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import numpy as np
 
+from ..checks import traced
 from ..lattice import Lattice
 from ..terms.tracing import reads
 from ..types import Pytree
@@ -84,8 +85,3 @@ def _found(lattice):
         lattice.template(), lattice.dtype, traced(lattice), bool(velocity),
         all(term.exact_damping() is not None for term in velocity), lattice._outside.values(), {},
     )
-
-
-def traced(tree: Pytree) -> Any:
-    """Whether some leaf is being traced."""
-    return any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(tree))

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import concrete, refuse, show
+from ..checks import concrete, refuse, show, traced
 from ..lattice import Lattice, acceleration_only, split_system
 from ..solvers import RKN86, AbstractNystrom, AbstractSplitting, SRKN11b
 from ..solvers.stability import refused_from
@@ -15,7 +15,7 @@ from ..terms.tracing import reads
 from ..terms.waveforms import count_breaks
 from ..types import Number, Scalar, StateLike
 from .control import least_tolerance
-from .dispatch import facts, traced
+from .dispatch import facts
 from .inputs import checked_size
 from .run import Run
 from .stiffness import frequency_bound, gathered_frequency, linear_frequency, softens
@@ -150,7 +150,7 @@ def passed(solver: diffrax.AbstractSolver | type, run: Run, step: Number) -> Any
 
 
 def _useless(step, t0, t1):
-    if any(isinstance(x, jax.core.Tracer) for x in (step, t0, t1)):
+    if traced((step, t0, t1)):
         return False
     return not np.isfinite(step) or (t1 - t0) / step > MOST_STEPS
 

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import concrete
+from ..checks import concrete, traced
 from ..lattice import State
 from ..results import Held, Result
 from ..types import Counts, Displacements, Flags, Number, Numbers, Pytree, Times
@@ -73,7 +73,7 @@ class Run(Result):
             return {}
         if known is None:
             known = self._confirmation.errors(self.recorded, self.completed, self._margin < 0)
-            if not any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(known)):
+            if not traced(known):
                 object.__setattr__(self, "_known_error", known)
         return known
 

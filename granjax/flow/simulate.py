@@ -11,11 +11,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import one_of, refuse, show, whole
+from ..checks import one_of, refuse, show, traced, whole
 from ..lattice import Lattice
 from ..outside import Outside
 from ..types import Count, Parameter, Scalar, StateLike
-from .dispatch import facts, traced
+from .dispatch import facts
 from .inputs import checked_records, checked_save_at, checked_state, checked_times
 from .integrate import Confirmation, integrate
 from .method import checked_method, doubts, fixed_step, linear_bound, number, passed

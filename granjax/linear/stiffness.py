@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import refuse
+from ..checks import refuse, traced
 from ..lattice import Lattice, spread_mass
 from ..types import AnyArray, Displacements, Numbers
 
@@ -130,7 +130,7 @@ def probe(lattice: Lattice, reach: Any, w: Any) -> Any:
 def settled(function: Callable, *arguments: Any) -> Any:
     """The result of concrete arguments as NumPy arrays, inside `jit` too."""
     result = function(*arguments)
-    if any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(result)):
+    if traced(result):
         with jax.ensure_compile_time_eval():
             result = function(*arguments)
     return jax.tree.map(np.asarray, result)

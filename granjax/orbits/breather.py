@@ -7,7 +7,7 @@ import numpy as np
 from diffrax import AbstractSolver
 from jaxtyping import Float
 
-from ..checks import one_of, positive, refuse
+from ..checks import one_of, positive, refuse, traced
 from ..flow import Flow
 from ..lattice import Lattice, State
 from ..linear import bands, normal_modes
@@ -68,16 +68,16 @@ def breather(
     first = None
     if isinstance(guess, Orbit):
         guess, first = guess.state, 2 * -(-int(guess.flow.steps) // 2)
-    traced = any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves((lattice, omega, guess, energy)))
-    if not traced:
+    unknown = traced((lattice, omega, guess, energy))
+    if not unknown:
         checked_lattice(lattice)
     kind = "bright"
     if isinstance(guess, str):
         kind = one_of("guess", guess, GUESSES)
     elif guess is not None:
         guess = checked_state(lattice, guess, "guess")
-        kind = kind if traced else _kind(lattice, guess)
-    if not traced:
+        kind = kind if unknown else _kind(lattice, guess)
+    if not unknown:
         if not omega > 0:
             refuse("omega", "a frequency above zero", repr(omega))
         if energy is not None:
@@ -90,14 +90,14 @@ def breather(
         guess, first = _unguessed(lattice, float(omega), steps, solver, tolerance, check)
     known = guess if isinstance(guess, State) else None
     count = half_steps(lattice, 2 * np.pi / omega, first if steps is None else steps, known)
-    flow = Flow(count if traced else jnp.asarray(count), solver or KahanLi8())
+    flow = Flow(count if unknown else jnp.asarray(count), solver or KahanLi8())
     if isinstance(guess, str):
         guess = _from_envelope(lattice, flow, float(omega), guess, centre, tolerance)
     settings = {"tolerance": tolerance, "max_steps": max_steps, "refine": steps is None}
     if energy is None:
         found = _solve(lattice, flow, guess, omega, throw=throw, **settings)
         return checked_localised(found, kind, guess, throw) if check else found
-    if not traced:  # a step of its own to omega: the guess's energy may be far off
+    if not unknown:  # a step of its own to omega: the guess's energy may be far off
         found = _solve(lattice, flow, guess, omega, throw=throw, **settings | {"refine": False})
         guess = found.state
     half = _half(lattice, flow, guess, omega)

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from ..checks import traced
 from ..lattice import Lattice, State
 from ..linear.cell import unit_cell
 from ..measures import participation, site_energy
@@ -77,7 +78,7 @@ def checked_localised(orbit: Orbit, kind: str, guess: State, throw: bool | None)
     Of fewer than five cells the remark is all: there is no room for waves and breathers to differ.
     **Raises** RuntimeError with the participation number where it is none and `throw`.
     """
-    if any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(orbit)) or not orbit.converged:
+    if traced(orbit) or not orbit.converged:
         return orbit
     found = localisation(orbit.lattice, orbit.state)
     reason = found.why_not(kind, localisation(orbit.lattice, guess))

@@ -11,7 +11,7 @@ import numpy as np
 from diffrax import AbstractSolver
 from jax.flatten_util import ravel_pytree
 
-from ..checks import positive, refuse, whole
+from ..checks import positive, refuse, traced, whole
 from ..flow import Flow
 from ..lattice import Lattice, State, vector_field
 from ..newton import CONVERGED, Root
@@ -224,12 +224,12 @@ def orbit(
     checked_symmetry(lattice, symmetry, guess, t0, period)
     t0 = jnp.asarray(t0, lattice.dtype)
     free = checked_free(lattice)
-    traced = any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((lattice, period, guess)))
-    if free and not traced and not largest(vector_field(t0, guess, lattice)):
+    unknown = traced((lattice, period, guess))
+    if free and not unknown and not largest(vector_field(t0, guess, lattice)):
         refuse("guess", "a state that moves, since nothing drives the lattice", "rest")
     shooting, x = prepared(lattice, period, guess, flow, t0, segments, jnp.asarray(transient), symmetry, free)
     shooting, root, apart = confirmed(shooting, x, (lattice, period), tolerance=tolerance, max_steps=max_steps,
-                                      throw=throw, refine=steps is None and not traced,
+                                      throw=throw, refine=steps is None and not unknown,
                                       spread=math.sqrt(2 * shooting.count * segments))
     state, flow = shooting.state(root.x), Flow(segments * shooting.flow.steps, shooting.flow.solver)
     error = error_of(lattice, t0, state, shooting.apart(apart), 2 * jnp.pi / period, jnp.zeros(()))

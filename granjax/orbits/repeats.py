@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..checks import refuse
+from ..checks import refuse, traced
 from ..lattice import Lattice, State
 from ..terms.tracing import reads
 from ..types import Numbers, Pytree, Scalar, StateLike
@@ -48,7 +48,7 @@ def checked_symmetry(lattice: Lattice, symmetry: Symmetry, state: State, t0: Sca
     if symmetry.trivial:
         checked_period(lattice, state, t0, period)
         return symmetry
-    if any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves((lattice, state, t0, period))):
+    if traced((lattice, state, t0, period)):
         return symmetry
     if symmetry.mirror and lattice.dimension is not None:
         refuse("symmetry", "translations and signs in the plane", repr(symmetry))
@@ -87,8 +87,7 @@ def checked_period(lattice: Lattice, state: StateLike, t0: Scalar, period: Scala
     At rest, where drives and walls show however little they do, and at displacements of the state's size, where
     modulations do; of a state at rest at those of many sizes.
     """
-    traced = any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves((lattice, state, t0, period)))
-    if traced or not lattice.reads_time:
+    if traced((lattice, state, t0, period)) or not lattice.reads_time:
         return
     rng, own = np.random.default_rng(0), float(largest(state[0]))
     eps, tiny = (float(getattr(jnp.finfo(lattice.dtype), name)) for name in ("eps", "tiny"))
