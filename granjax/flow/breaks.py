@@ -6,6 +6,7 @@ import diffrax
 import jax.numpy as jnp
 
 from ..lattice import Lattice
+from ..solvers.wrapped import Wrapped
 from ..terms.waveforms import ULPS, count_breaks, next_break
 from ..types import Number, Scalar
 
@@ -13,40 +14,8 @@ from ..types import Number, Scalar
 NEARLY = 1e-9
 
 
-class OneSided(diffrax.AbstractWrappedSolver):
+class OneSided(Wrapped):
     """A solver whose steps see a lattice as it is inside of them, and start with a force of their own."""
-
-    solver: diffrax.AbstractSolver
-
-    @property
-    def term_structure(self):
-        return self.solver.term_structure
-
-    @property
-    def interpolation_cls(self):
-        return self.solver.interpolation_cls
-
-    @property
-    def term_compatible_contr_kwargs(self):
-        return self.solver.term_compatible_contr_kwargs
-
-    @property
-    def scan_kind(self):
-        return getattr(self.solver, "scan_kind", None)
-
-    @property
-    def root_finder(self):
-        return self.solver.root_finder
-
-    @property
-    def root_find_max_steps(self):
-        return self.solver.root_find_max_steps
-
-    def order(self, terms):
-        return self.solver.order(terms)
-
-    def error_order(self, terms):
-        return self.solver.error_order(terms)
 
     def init(self, terms, t0, t1, y0, args):
         return None
@@ -56,9 +25,6 @@ class OneSided(diffrax.AbstractWrappedSolver):
         own = self.solver.init(terms, t0, t1, y0, args)
         y1, error, dense, _, result = self.solver.step(terms, t0, t1, y0, args, own, made_jump)
         return y1, error, dense, None, result
-
-    def func(self, terms, t0, y0, args):
-        return self.solver.func(terms, t0, y0, args)
 
 
 def inside(lattice: Lattice, t0: Number, t1: Number) -> Lattice:

@@ -7,7 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ..types import Number, StateLike
+from ..types import Number, Scalar, StateLike
 from .breaks import cut
 
 SAFETY = 0.8
@@ -18,6 +18,11 @@ HALVINGS = 3
 def least_tolerance(dtype: Any) -> float:
     """The smallest tolerance that a floating type can hold."""
     return 16 * float(jnp.finfo(dtype).eps)
+
+
+def tighter(tolerance: Number, by: Scalar, dtype: Any) -> Number:
+    """A tolerance so many times smaller, or where the type does not hold that, one so many times larger."""
+    return jnp.where(tolerance / by >= least_tolerance(dtype), tolerance / by, tolerance * by)
 
 
 class Scales(eqx.Module):

@@ -8,11 +8,12 @@ import jax.numpy as jnp
 
 from ..lattice import Lattice, State
 from ..types import Number, Numbers, Scalar, StateLike
+from .control import tighter
 from .integrate import integrate, smallest_overlap
 from .record import Peak
 
 _FORWARD = diffrax.ForwardMode()
-# a tolerance so many times smaller confirms, or where the type does not hold that, one so many times larger
+# a tolerance so many times smaller confirms
 TIGHTER = 32
 # over the gap between steps of two lengths, of a method of order 2: contacts that touch leave no higher one
 COVER = 2.0
@@ -27,17 +28,11 @@ def approach(
     Two runs, by steps of the same length and of half of it (or a tolerance 32 times smaller); the error is twice what
     they differ by, and infinite where one of them did not complete.
     """
+    finer = (dt / 2, None) if tolerance is None else (dt, tighter(tolerance, TIGHTER, lattice.dtype))
     (first, good), (second, better) = (
-        _closest(lattice, state, t0, t1, *how, solver) for how in ((dt, tolerance), _finer(lattice, dt, tolerance)))
+        _closest(lattice, state, t0, t1, *how, solver) for how in ((dt, tolerance), finer))
     error = COVER * jnp.abs(first - second) + 8 * jnp.finfo(second.dtype).eps * _rest(lattice, t0)
     return second, jnp.where(good & better & jnp.isfinite(error), error, jnp.inf)
-
-
-def _finer(lattice, dt, tolerance):
-    if tolerance is None:
-        return dt / 2, None
-    least = 16 * jnp.finfo(lattice.dtype).eps
-    return dt, jnp.where(tolerance / TIGHTER >= least, tolerance / TIGHTER, tolerance * TIGHTER)
 
 
 def _closest(lattice, state, t0, t1, dt, tolerance, solver):

@@ -45,7 +45,7 @@ def bifurcations(branch: Branch, kinds: tuple[str, ...] = KINDS, *, accuracy: Sc
                 continue
             point = _locate(branch, i, kind, ends, accuracy)
             state = branch._family.shooting.state(jnp.asarray(point.z[:-1]))
-            found.append(Bifurcation(kind, float(point.z[-1] * branch._family.span), i, State(*state), None, *counts))
+            found.append(Bifurcation(kind, float(branch._family.value(point.z[-1])), i, State(*state), None, *counts))
     return found
 
 

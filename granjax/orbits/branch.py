@@ -159,5 +159,5 @@ def verdicts_of(spectra: list, expected: int, conserves: bool) -> tuple:
 def special_of(family: Family, curve: Curve) -> list[Bifurcation]:
     """The folds and branch points that continuation has met, as `Bifurcation`s."""
     return [
-        Bifurcation(s.kind, float(family.start + s.p * family.span), s.after,
+        Bifurcation(s.kind, float(family.value(s.p)), s.after,
                     State(*family.shooting.state(jnp.asarray(s.x)))) for s in curve.special]

@@ -15,7 +15,7 @@ from ..solvers import KahanLi8
 from ..tuning import one_thread
 from ..types import Count, Numbers, Scalar, StateLike
 from .confirm import TOLERANCE, confirmed, error_of
-from .families import checked_lattice, family, half_steps
+from .families import checked_lattice, even_steps, family, half_steps
 from .guesses import bright_guess, cell_of, dark_guess, edge_of, edges_beside, refuse_bright, supports_bright
 from .guesses.sites import local_guesses
 from .localised import checked_localised, localisation
@@ -67,7 +67,7 @@ def breather(
     """
     first = None
     if isinstance(guess, Orbit):
-        guess, first = guess.state, 2 * -(-int(guess.flow.steps) // 2)
+        guess, first = guess.state, even_steps(guess)
     unknown = traced((lattice, omega, guess, energy))
     if not unknown:
         checked_lattice(lattice)

@@ -68,14 +68,23 @@ def corrected(problem: Any, root: Root, scene: Pytree) -> Numbers:
     return jnp.where(root.converged, _corrected(problem, root.x, root.jacobian, scene), jnp.nan)
 
 
+def covering(changes: Numbers, rounding: Scalar) -> Numbers:
+    """The error of unknowns (n,) that other steps, and rounding, change by `changes` (k, n)."""
+    change = SAFETY * jnp.max(jnp.abs(changes), 0)
+    return jnp.maximum(change, SHARED * jnp.max(change)) + rounding
+
+
+def rounding(inverse: Numbers, size: Scalar = 1.0) -> Numbers:
+    """What rounding of a residual of this size makes of the unknowns, by the inverse of its derivative."""
+    return ROUNDING * jnp.finfo(inverse.dtype).eps * size * jnp.max(jnp.sum(jnp.abs(inverse), 1))
+
+
 @eqx.filter_jit
 def _corrected(problem, x, jacobian, scene):
     problem, x, jacobian, scene = jax.lax.stop_gradient((problem, x, jacobian, scene))
     inverse = jnp.linalg.inv(jacobian)
-    rounding = ROUNDING * jnp.finfo(inverse.dtype).eps * jnp.max(jnp.sum(jnp.abs(inverse), 1))
-    changes = jax.lax.map(lambda by: jnp.abs(inverse @ problem.finer(by).residual(x, scene)), jnp.asarray(FINER))
-    change = SAFETY * jnp.max(changes, 0)
-    return jnp.maximum(change, SHARED * jnp.max(change)) + rounding
+    changes = jax.lax.map(lambda by: inverse @ problem.finer(by).residual(x, scene), jnp.asarray(FINER))
+    return covering(changes, rounding(inverse))
 
 
 def confirmed(

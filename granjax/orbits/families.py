@@ -21,7 +21,7 @@ from ..solvers import KahanLi8
 from ..tuning import one_thread
 from ..types import Count, Numbers, Scalar, StateLike
 from .branch import Branch, special_of, verdicts_of
-from .confirm import BRANCH, LEFT_ON_BRANCH, ROUNDING, SAFETY, SHARED, error_of, neighbours, newtons
+from .confirm import BRANCH, LEFT_ON_BRANCH, covering, error_of, neighbours, newtons, rounding
 from .orbit import Orbit
 from .problems import Family, Shooting, over_omega
 from .repeats import largest
@@ -134,7 +134,7 @@ def _from(guess):
     u, size = guess.state.u, float(largest(guess.state.u))
     length = nonlinear_length(guess.lattice, u)
     length = max(size, length) if np.isfinite(length) else size
-    return _Way(float(guess.omega), length, None, guess.state, 2 * -(-int(guess.flow.steps) // 2))
+    return _Way(float(guess.omega), length, None, guess.state, even_steps(guess))
 
 
 def _modes(lattice, modes, until, mode):
@@ -191,7 +191,7 @@ def _ends(problem, amplitude, stop):
         u = half.state(jnp.asarray(x)).u
         if amplitude is not None and float(largest(u)) >= amplitude:
             return f"the amplitude is {float(largest(u)):.4g}"
-        return None if stop is None else stop(u, q * problem.span)
+        return None if stop is None else stop(u, float(problem.value(q)))
 
     return None if amplitude is None and stop is None else why
 
@@ -205,21 +205,14 @@ def _branch(problem, curve, stability):
     if stability:
         multipliers, error, verdict = verdicts_of([(s.multipliers, s.error) for s in found], found[0].expected, True)
     # one that is small by accident is as large as its neighbours
-    apart = np.stack([s.apart for s in found])
-    apart = neighbours(apart)
+    apart = neighbours(np.stack([s.apart for s in found]))
     state_error, energy_error = _errors(problem, jnp.asarray(curve.x), jnp.asarray(apart))
-    half, p = problem.shooting.flow, curve.p * float(problem.span)
+    half, p = problem.shooting.flow, np.asarray(problem.value(curve.p))
     return Branch(
         p, 2 * np.pi / p, jax.tree.map(np.asarray, states), np.asarray(energy), None,
         jax.tree.map(np.asarray, state_error), np.asarray(energy_error), multipliers, error,
-        np.array([s.step_error for s in found]), verdict, tuple(special_of(problem, curve)), _said(curve, problem), 0.0,
-        Flow(2 * half.steps, half.solver), problem, curve)
-
-
-def _said(curve, problem):
-    # continuation knows the share alone
-    reached = curve.outcome.startswith("p reached")
-    return f"p reached {curve.p[-1] * problem.span:.6g}." if reached else curve.outcome
+        np.array([s.step_error for s in found]), verdict, tuple(special_of(problem, curve)),
+        problem.outcome(curve), 0.0, Flow(2 * half.steps, half.solver), problem, curve)
 
 
 def checked_lattice(lattice: Lattice) -> Lattice:
@@ -234,6 +227,11 @@ def checked_lattice(lattice: Lattice) -> Lattice:
         remedy = "Orbits of damped or driven chains: gx.forced.forced_orbit."
         refuse("lattice", "forces that depend on positions alone", names, remedy)
     return lattice
+
+
+def even_steps(orbit: Orbit) -> int:
+    """Steps of an orbit's period, rounded up to an even number."""
+    return 2 * -(-int(orbit.flow.steps) // 2)
 
 
 def half_steps(
@@ -306,10 +304,9 @@ def _half_maps(problem, x, q):
     slope = maps[1][n:, :n] * unit / weight[n:, None]
     joined = jnp.block([[slope, moves], [moves.T * mass / mass.sum(), jnp.zeros((moves.shape[1],) * 2)]])
     inverse = jnp.linalg.inv(joined)
-    change = jnp.abs(inverse[:, :n] @ ((ends[1] - ends[0]) / shooting.scale[n:]))
-    rounding = ROUNDING * jnp.finfo(x.dtype).eps * jnp.max(jnp.sum(jnp.abs(inverse), 1))
+    change = inverse[:, :n] @ ((ends[1] - ends[0]) / shooting.scale[n:])
     x = nearby(x, -inverse[:, :n] @ (ends[0] / shooting.scale[n:]))
-    return x, maps, SAFETY * jnp.maximum(change, SHARED * jnp.max(change)) + rounding
+    return x, maps, covering(change[None], rounding(inverse))
 
 
 class Spectrum(eqx.Module):

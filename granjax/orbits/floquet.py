@@ -9,7 +9,6 @@ import numpy as np
 from diffrax import AbstractSolver
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Complex, Float, Inexact, Integer
-from scipy.sparse.linalg import ArpackError, ArpackNoConvergence, LinearOperator, eigs
 
 from ..checks import refuse, whole
 from ..checks import tolerance as checked_tolerance
@@ -18,7 +17,7 @@ from ..lattice import Lattice, vector_field
 from ..results import Held, Result
 from ..solvers import KahanLi8
 from ..tuning import one_thread
-from ..types import Count, Pytree, Scalar, StateLike
+from ..types import Count, Numbers, Pytree, Scalar
 from .repeats import checked_period, checked_state, one_lattice
 from .spectrum import change, product_spectrum, spectrum, uncertain
 from .steps import default_steps, fixed_step_solver
@@ -34,8 +33,6 @@ TOLERANCE = 1e-9
 OPEN, SINGULAR = 1e-2, 1e-10
 # for a change of M that is known to first order
 TWICE = 2
-# vectors that Arnoldi's method keeps, and how often it starts anew from them
-BASIS, RESTARTS = 60, 30
 
 
 class Floquet(Result):
@@ -164,7 +161,7 @@ def floquet(
     repeat, a batch of lattices, a state of another shape or one that does not return, segments that do not divide the
     steps, and steps too few for a finite motion.
     """
-    period, segments = _checked(lattice, period), whole("segments", segments, 1)
+    period, segments = one_period(lattice, period), whole("segments", segments, 1)
     tolerance = checked_tolerance("tolerance", tolerance)
     if steps is not None and whole("steps", steps, 1) % (2 * segments):
         refuse("steps", f"a multiple of {2 * segments}, twice the segments", repr(steps))
@@ -212,7 +209,7 @@ def floquet(
     there = np.asarray(flat) * scale
     away = _displacement(known, _product(fine[0]), fine[1] - there, change(fine[1], coarse[1], coarser[1]))
     free = shifts(lattice) if isinstance(lattice, Lattice) else None
-    _refuse_open(there, away, fine[1], coarser[1], free, scale)
+    refuse_open(there, away, fine[1], coarser[1], free, scale)
     other = run(count // 2, unravel(jnp.asarray((there + away) / scale, flat.dtype)))[0] if away.any() else coarser[0]
     levels = fine[0], coarse[0], coarser[0]
     return _record(known, levels, other, scale, state, period, count, resolution)
@@ -234,7 +231,9 @@ def _displacement(known, monodromy, gap, unknown):
     return away * total / max(np.linalg.norm(away), np.finfo(float).tiny)
 
 
-def _refuse_open(start, away, fine, coarse, free, scale):
+def refuse_open(
+    start: Numbers, away: Numbers, fine: Numbers, coarse: Numbers, free: Numbers | None, scale: Numbers,
+) -> None:
     """Refuse a state that does not return, by more than the flow is known to and more than the orbit may be off.
 
     All without units, by the weights `scale`. Uniform displacements that cost nothing, `free`, count in no size.
@@ -251,7 +250,7 @@ def _refuse_open(start, away, fine, coarse, free, scale):
                "gx.orbits.orbit and gx.forced.forced_orbit find the orbit beside it.")
 
 
-def _checked(lattice, period):
+def one_period(lattice: Lattice | Flow, period: Scalar) -> float:
     """The period, of one lattice or another flow."""
     if not isinstance(lattice, Flow):
         one_lattice(lattice)
@@ -326,67 +325,3 @@ def multipliers(flow: Flow, state: Pytree, t0: Scalar, period: Scalar, args: Pyt
     """
     _, monodromy = flow.derivative(state, t0, t0 + period, args)
     return jnp.linalg.eigvals(monodromy)
-
-
-@eqx.filter_jit
-def _end(flow, y, t0, period, args):
-    return ravel_pytree(flow(y, t0, t0 + period, args))[0]
-
-
-@eqx.filter_jit
-def _push(flow, y, t0, period, args, direction):
-    _, unravel = ravel_pytree(y)
-    tangent = jax.tree.map(lambda x: x[..., None], unravel(direction))
-    return ravel_pytree(flow.tangents(y, tangent, t0, t0 + period, args)[1])[0]
-
-
-def leading(
-    lattice: Lattice, state: StateLike, period: Scalar, count: Count = 6, *, t0: Scalar = 0.0,
-    steps: Count | None = None, solver: AbstractSolver | None = None, tolerance: Scalar = 1e-9,
-) -> tuple[Complex[np.ndarray, " count"], Complex[np.ndarray, "two_n count"]]:
-    """The multipliers of largest modulus by Arnoldi's method over products M x, one tangent a period each.
-
-    For more than about 1000 beads, where the matrix itself costs n^2. Ask for no more than stand out: of many on the
-    unit circle none leads, and the method then ends without them and names those that it has.
-
-    The multipliers are those of the flow by `steps` steps, known to `tolerance`: nothing tells what the steps do to
-    them. Ask again with twice the `steps`; the difference is the error of the first.
-
-    **Returns:** multipliers (count,), the largest first, and their vectors (2n, count), normalised as in `Floquet`.
-    **Raises** ValueError in a sonic vacuum without `steps`, for a period or steps not above zero, and for a state that
-    does not return, as far as these steps and half of them tell; RuntimeError where Arnoldi's method does not
-    converge. Source: Lehoucq, Sorensen, Yang, ARPACK Users' Guide (SIAM, 1998).
-    """
-    count, period, state = whole("count", count, 1), _checked(lattice, period), checked_state(lattice, state)
-    checked_period(lattice, state, t0, period)
-    steps = default_steps(lattice, period) if steps is None else whole("steps", steps, 1)
-    tolerance = checked_tolerance("tolerance", tolerance)
-    flow = Flow(jnp.asarray(steps), fixed_step_solver(lattice, solver, KahanLi8()))
-    times = jnp.asarray(float(t0)), jnp.asarray(period)
-    scale = weights(structure(lattice).mass, period)
-    size = len(scale)
-    if count > size - 2:
-        refuse("count", f"at most {size - 2}, two below the size", repr(count), "gx.floquet.floquet gives them all.")
-    fine, coarse = (
-        scale * np.asarray(_end(eqx.tree_at(lambda f: f.steps, flow, jnp.asarray(n)), state, *times, lattice))
-        for n in (steps, max(steps // 2, 1)))
-    there = scale * np.asarray(ravel_pytree(state)[0])
-    _refuse_open(there, fine - there, fine, coarse, shifts(lattice), scale)
-
-    def product(x):
-        return scale * np.asarray(_push(flow, state, *times, lattice, jnp.asarray(x.ravel() / scale)))
-
-    start = np.random.default_rng(0).normal(size=size)
-    try:
-        values, vectors = eigs(
-            LinearOperator((size, size), product, dtype=float), k=count, v0=start, tol=tolerance,
-            ncv=min(size, max(2 * count + 1, BASIS)), maxiter=RESTARTS)
-    except ArpackNoConvergence as error:
-        found = ", ".join(f"{rho:.6g}" for rho in error.eigenvalues) or "none"
-        raise RuntimeError(
-            f"Arnoldi's method found {len(error.eigenvalues)} of {count} multipliers: {found}. The others do not stand "
-            f"out from those on the unit circle: ask for fewer.") from None
-    except ArpackError as error:
-        raise RuntimeError(f"Arnoldi's method: {error}. Perhaps no multiplier leads: all on the circle.") from None
-    order = np.argsort(-np.abs(values))
-    return values[order], vectors[:, order] / scale[:, None]

@@ -26,13 +26,12 @@ from .confirm import (
     BRANCH,
     DOUBLINGS,
     LEFT_ON_BRANCH,
-    ROUNDING,
-    SAFETY,
-    SHARED,
     OrbitError,
+    covering,
     error_of,
     neighbours,
     newtons,
+    rounding,
 )
 from .orbit import FRAMES, checked_free, prepared
 from .problems import Family, period_at
@@ -139,13 +138,11 @@ def forced_branch(
         return np.linalg.eigvals(np.asarray(_examined(family, flow, point, response).maps[0]))
 
     found = _bifurcations(family, look, z, curve.special, multipliers, settings)
-    p = start + curve.p * (until - start)
-    # continuation knows the share of the way alone
-    outcome = f"p reached {p[-1]:.6g}." if curve.outcome.startswith("p reached") else curve.outcome
     return Branch(
-        p, periods, states, energies, responses, errors_of_orbits.state, errors_of_orbits.energy, multipliers, errors,
-        np.array([np.abs(fine - coarser).max() for fine, _, coarser in maps]), verdicts, found, outcome, float(t0),
-        flow, family, curve)
+        np.asarray(family.value(curve.p)), periods, states, energies, responses, errors_of_orbits.state,
+        errors_of_orbits.energy, multipliers, errors,
+        np.array([np.abs(fine - coarser).max() for fine, _, coarser in maps]), verdicts, found, family.outcome(curve),
+        float(t0), flow, family, curve)
 
 
 class Examined(NamedTuple):
@@ -181,10 +178,8 @@ def _examined(family, flow, z, response):
     scale = jnp.where(jnp.arange(flat.size) < flat.size // 2, 2 * jnp.pi, period)
     inverse = jnp.linalg.inv(jnp.eye(flat.size) - maps[0] * scale[:, None] / scale)
     changes = jnp.stack([ends[1] - ends[0], ends[2] - ends[0], ends[2] - ends[1]]) * scale @ inverse.T
-    change, size = SAFETY * jnp.max(jnp.abs(changes), 0), jnp.max(jnp.abs(flat * scale))
-    rounding = ROUNDING * jnp.finfo(flat.dtype).eps * size * jnp.max(jnp.sum(jnp.abs(inverse), 1))
     state = unravel(nearby(flat * scale, inverse @ ((ends[0] - flat) * scale)) / scale)
-    apart = jnp.maximum(change, SHARED * jnp.max(change)) + rounding
+    apart = covering(changes, rounding(inverse, jnp.max(jnp.abs(flat * scale))))
     error = error_of(lattice, t0, state, unravel(apart / scale), 2 * jnp.pi / period, jnp.zeros(()))
     return Examined(state, period, lattice.energy(t0, *state), number, error, maps, changes / scale)
 
@@ -217,8 +212,8 @@ def _bifurcations(family, look, z, folds, multipliers, settings):
     outside, found = np.count_nonzero(np.abs(multipliers) > 1, axis=1), []
 
     def add(kind, i, point, rho):
-        p = float(family.start + point[-1] * family.span)
-        event = Bifurcation(kind, p, int(i), State(*family.shooting.state(point[:-1])), critical(rho))
+        p, state = float(family.value(point[-1])), State(*family.shooting.state(point[:-1]))
+        event = Bifurcation(kind, p, int(i), state, critical(rho))
         found.append((i, np.linalg.norm(point - z[i]), event))
 
     for fold in folds:

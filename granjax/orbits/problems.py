@@ -8,10 +8,11 @@ import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
+from ..continuation import Curve
 from ..flow import Flow
 from ..lattice import Lattice, State, spread_mass, vector_field
 from ..outside import Outside
-from ..types import AnyArray, Count, Numbers, Scalar, StateLike
+from ..types import AnyArray, Count, Number, Numbers, Scalar, StateLike
 from .symmetry import Symmetry, free_moves, shifts
 
 
@@ -210,9 +211,18 @@ class Family(eqx.Module):
     span: Scalar = 1.0
     outside: Outside = Outside()
 
+    def value(self, q: Number) -> Number:
+        """The parameter p at q."""
+        return self.start + q * self.span
+
+    def outcome(self, curve: Curve) -> str:
+        """Why a curve of this family ended; continuation knows q alone."""
+        reached = curve.outcome.startswith("p reached")
+        return f"p reached {self.value(curve.p[-1]):.6g}." if reached else curve.outcome
+
     def scene(self, q: Scalar) -> tuple:
         """(lattice, period) at q."""
-        p = self.start + q * self.span
+        p = self.value(q)
         return self.make if isinstance(self.make, Lattice) else self.make(p), period_at(self.period, p)
 
     def residual(self, x: Numbers, q: Scalar, args: None = None) -> Numbers:

@@ -17,10 +17,10 @@ class Dips(AtEnds):
     def start(self, t: Number, q: Numbers, count: Count) -> Any:
         return q[0], q
 
-    def follow(self, carried: Any, t0: Scalar, h: Scalar, q: Any) -> Any:
+    def follow(self, carried: Any, t0: Scalar, step: Scalar, q: Any) -> Any:
         least, (a, slope) = carried
-        (end, last), b = q, h * slope
-        c, d = 3 * (end - a) - 2 * b - h * last, 2 * (a - end) + b + h * last
+        (end, last), b = q, step * slope
+        c, d = 3 * (end - a) - 2 * b - step * last, 2 * (a - end) + b + step * last
         # the root of b + 2 c s + 3 d s^2 where the cubic is convex
         under = c * c - 3 * d * b
         below = c + jnp.sqrt(jnp.maximum(under, 0))

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from ...solvers.interpolation import Bootstrapped, QuinticHermite, bootstrapped
+from ...solvers.wrapped import Wrapped
 from ...types import Pytree
 from ..breaks import OneSided, inside
 from .kinds import Record
@@ -29,41 +30,10 @@ def leaf_by_leaf(function: Callable, carried: Pytree) -> Pytree:
     return jax.tree.map(lambda c: function(c.kept), carried, is_leaf=lambda x: isinstance(x, _Carried))
 
 
-class Recorded(diffrax.AbstractWrappedSolver):
+class Recorded(Wrapped):
     """A solver that carries records beside its own state; a rejected step leaves them untouched."""
 
-    solver: diffrax.AbstractSolver
     records: dict[str, Record]
-
-    @property
-    def term_structure(self):
-        return self.solver.term_structure
-
-    @property
-    def interpolation_cls(self):
-        return self.solver.interpolation_cls
-
-    @property
-    def term_compatible_contr_kwargs(self):
-        return self.solver.term_compatible_contr_kwargs
-
-    @property
-    def scan_kind(self):
-        return getattr(self.solver, "scan_kind", None)
-
-    @property
-    def root_finder(self):
-        return self.solver.root_finder
-
-    @property
-    def root_find_max_steps(self):
-        return self.solver.root_find_max_steps
-
-    def order(self, terms):
-        return self.solver.order(terms)
-
-    def error_order(self, terms):
-        return self.solver.error_order(terms)
 
     def init(self, terms, t0, t1, y0, args):
         count = self._count(terms)
@@ -123,6 +93,3 @@ class Recorded(diffrax.AbstractWrappedSolver):
         else:
             a0, a1 = acceleration(t0, y0), acceleration(t1, y1)
         return bootstrapped(t0, t1, y0, y1, a0, a1, acceleration, max(0, (self.solver.order(terms) - 4) // 2))
-
-    def func(self, terms, t0, y0, args):
-        return self.solver.func(terms, t0, y0, args)

@@ -1,0 +1,89 @@
+"""The leading Floquet multipliers of long lattices, without the monodromy matrix."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from diffrax import AbstractSolver
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Complex
+from scipy.sparse.linalg import ArpackError, ArpackNoConvergence, LinearOperator, eigs
+
+from ..checks import refuse, whole
+from ..checks import tolerance as checked_tolerance
+from ..flow import Flow
+from ..lattice import Lattice
+from ..solvers import KahanLi8
+from ..types import Count, Scalar, StateLike
+from .floquet import one_period, refuse_open
+from .repeats import checked_period, checked_state
+from .steps import default_steps, fixed_step_solver
+from .structure import structure, weights
+from .symmetry import shifts
+
+# vectors that Arnoldi's method keeps, and how often it starts anew from them
+BASIS, RESTARTS = 60, 30
+
+
+@eqx.filter_jit
+def _end(flow, y, t0, period, args):
+    return ravel_pytree(flow(y, t0, t0 + period, args))[0]
+
+
+@eqx.filter_jit
+def _push(flow, y, t0, period, args, direction):
+    _, unravel = ravel_pytree(y)
+    tangent = jax.tree.map(lambda x: x[..., None], unravel(direction))
+    return ravel_pytree(flow.tangents(y, tangent, t0, t0 + period, args)[1])[0]
+
+
+def leading(
+    lattice: Lattice, state: StateLike, period: Scalar, count: Count = 6, *, t0: Scalar = 0.0,
+    steps: Count | None = None, solver: AbstractSolver | None = None, tolerance: Scalar = 1e-9,
+) -> tuple[Complex[np.ndarray, " count"], Complex[np.ndarray, "two_n count"]]:
+    """The multipliers of largest modulus by Arnoldi's method over products M x, one tangent a period each.
+
+    For more than about 1000 beads, where the matrix itself costs n^2. Ask for no more than stand out: of many on the
+    unit circle none leads, and the method then ends without them and names those that it has.
+
+    The multipliers are those of the flow by `steps` steps, known to `tolerance`: nothing tells what the steps do to
+    them. Ask again with twice the `steps`; the difference is the error of the first.
+
+    **Returns:** multipliers (count,), the largest first, and their vectors (2n, count), normalised as in `Floquet`.
+    **Raises** ValueError in a sonic vacuum without `steps`, for a period or steps not above zero, and for a state that
+    does not return, as far as these steps and half of them tell; RuntimeError where Arnoldi's method does not
+    converge. Source: Lehoucq, Sorensen, Yang, ARPACK Users' Guide (SIAM, 1998).
+    """
+    count, period, state = whole("count", count, 1), one_period(lattice, period), checked_state(lattice, state)
+    checked_period(lattice, state, t0, period)
+    steps = default_steps(lattice, period) if steps is None else whole("steps", steps, 1)
+    tolerance = checked_tolerance("tolerance", tolerance)
+    flow = Flow(jnp.asarray(steps), fixed_step_solver(lattice, solver, KahanLi8()))
+    times = jnp.asarray(float(t0)), jnp.asarray(period)
+    scale = weights(structure(lattice).mass, period)
+    size = len(scale)
+    if count > size - 2:
+        refuse("count", f"at most {size - 2}, two below the size", repr(count), "gx.floquet.floquet gives them all.")
+    fine, coarse = (
+        scale * np.asarray(_end(eqx.tree_at(lambda f: f.steps, flow, jnp.asarray(n)), state, *times, lattice))
+        for n in (steps, max(steps // 2, 1)))
+    there = scale * np.asarray(ravel_pytree(state)[0])
+    refuse_open(there, fine - there, fine, coarse, shifts(lattice), scale)
+
+    def product(x):
+        return scale * np.asarray(_push(flow, state, *times, lattice, jnp.asarray(x.ravel() / scale)))
+
+    start = np.random.default_rng(0).normal(size=size)
+    try:
+        values, vectors = eigs(
+            LinearOperator((size, size), product, dtype=float), k=count, v0=start, tol=tolerance,
+            ncv=min(size, max(2 * count + 1, BASIS)), maxiter=RESTARTS)
+    except ArpackNoConvergence as error:
+        found = ", ".join(f"{rho:.6g}" for rho in error.eigenvalues) or "none"
+        raise RuntimeError(
+            f"Arnoldi's method found {len(error.eigenvalues)} of {count} multipliers: {found}. The others do not stand "
+            f"out from those on the unit circle: ask for fewer.") from None
+    except ArpackError as error:
+        raise RuntimeError(f"Arnoldi's method: {error}. Perhaps no multiplier leads: all on the circle.") from None
+    order = np.argsort(-np.abs(values))
+    return values[order], vectors[:, order] / scale[:, None]
