@@ -47,6 +47,15 @@ def test_a_crossing_that_rises_and_falls_within_one_step_is_found(site, method, 
         assert np.all(gap < error) and np.all(error < within * (100 if name == "arrival" else 1)), (name, gap, error)
 
 
+def test_a_threshold_within_the_error_of_the_top_is_open(site):
+    # Verlet's amplitude is 1/sqrt(1 - h^2/4) = 1.005 for 1: what lies between may be passed or not
+    wait = {"arrival": gx.Arrival(thrice, np.array([0.9, 1.006, 1.2]))}
+    run = gx.simulate(*site, T1, solver=gx.VelocityVerlet(), step=0.2, record=wait)
+    found, error = run.recorded["arrival"], run.record_error["arrival"]
+    assert np.isfinite(found[0]) and np.isnan(found[1:]).all()
+    assert error[0] < 0.1 and error[1] == np.inf and np.isnan(error[2])
+
+
 def test_samples_of_a_step_give_tops_crossings_and_a_mean():
     x = lobatto(14).x
     waves = [lambda x: np.sin(3 * x + 0.3), lambda x: np.exp(x) * np.cos(3 * x), lambda x: -((x + 0.97) ** 2)]

@@ -16,7 +16,7 @@ from ..outside import Outside
 from ..solvers import AbstractNystrom
 from ..types import Displacements, Flags, Number, Numbers, Scalar, StateLike, Times
 from .breaks import Landing, one_sided
-from .control import Scales, StepControl, least_tolerance
+from .control import Scales, StepControl, tighter
 from .dispatch import compiled, joined, parted
 from .record import CLOSEST, EXTREMES, AtEnds, Recorded, leaf_by_leaf
 from .record.dips import Dips
@@ -70,6 +70,7 @@ def integrate(
     ts, ys = (solution.ts[-1], solution.ys[-1])
     carried = solution.solver_state[1] if records else {}
     recorded = {name: leaf_by_leaf(records[name].finish, carried[name]) for name in records}
+    short = {name: leaf_by_leaf(records[name].short, carried[name]) for name in records}
     closest, extremes = recorded.pop(CLOSEST, None), recorded.pop(EXTREMES, None)
     margin = jnp.full(lattice.lanes, jnp.inf) if closest is None else _margin(lattice, t0, closest)
     steps = solution.stats["num_steps"]
@@ -90,7 +91,7 @@ def integrate(
         gap = energy_gap(lattice, t1, final.u)
         energy_error = jnp.where(gap > KEPT * jnp.sqrt(jnp.finfo(gap.dtype).eps), jnp.nan, energy_error)
     names = "", "", "", unseen(lattice), 0.0
-    return Run(ts, ys.u, ys.v, final, recorded, energy_error, margin, code, stats, None, *names)
+    return Run(ts, ys.u, ys.v, final, recorded, energy_error, margin, short, code, stats, None, *names)
 
 
 class Confirmation(eqx.Module):
@@ -126,7 +127,7 @@ class Confirmation(eqx.Module):
         mapped = np.ndim(self.arrays[0]) - len(self.shapes[0])
         return all(np.shape(x)[mapped:] == shape for x, shape in zip(self.arrays, self.shapes))
 
-    def errors(self, recorded: dict, completed: Flags, opened: Flags) -> dict:
+    def errors(self, recorded: dict, short: dict, completed: Flags, opened: Flags) -> dict:
         """The error of each record, of its shape; infinite where a run did not complete. `opened`: any contact."""
         function, mapped = self._errors, np.ndim(self.arrays[0]) - len(self.shapes[0])
         if not self.tells:
@@ -134,20 +135,20 @@ class Confirmation(eqx.Module):
             refuse("record_error", "a run by itself, or many behind jax.vmap with out_axes=0", "another one", remedy)
         for _ in range(mapped):
             function = jax.vmap(function)
-        return function(*jax.lax.stop_gradient((self.arrays, recorded, completed, opened)))
+        return function(*jax.lax.stop_gradient((self.arrays, recorded, short, completed, opened)))
 
-    def _errors(self, arrays, recorded, completed, opened):
+    def _errors(self, arrays, recorded, short, completed, opened):
         lattice, state, t0, t1, dt, tolerance, records, solver = joined(self.static, arrays)
         if dt is not None:
             dt = dt / jnp.where(jnp.any(opened), *SHORTER[::-1]).astype(dt.dtype)
-        if tolerance is not None:
-            smaller = tolerance / TIGHTER
-            tolerance = jnp.where(smaller >= least_tolerance(lattice.dtype), smaller, tolerance * TIGHTER)
+        tolerance = None if tolerance is None else tighter(tolerance, TIGHTER, lattice.dtype)
         rest = solver, diffrax.ForwardMode(), None, False, False, False, Outside(tuple(records.values()))
         finer = integrate(lattice, state, t0, t1, dt, tolerance, None, records, *rest)
         order, lanes = min(solver.order(diffrax.ODETerm(vector_field)), 2), len(lattice.lanes)
         good = completed & finer.completed
-        return jax.tree.map(partial(_error, 2 / (1 - 0.5**order), lanes, good), recorded, finer.recorded)
+        error = partial(_error, 2 / (1 - 0.5**order), lanes, good)
+        return {name: jax.tree.map(error, recorded[name], finer.recorded[name], short[name], finer._short[name])
+                for name in recorded}
 
 
 def _restored(arguments, shapes):
@@ -155,15 +156,16 @@ def _restored(arguments, shapes):
     return Confirmation(arrays, static, shapes)
 
 
-def _error(factor, lanes, good, x, finer):
+def _error(factor, lanes, good, x, finer, short, finer_short):
     gap = jnp.abs(x - finer)
     known = jnp.where(jnp.isfinite(gap), gap, 0)
     largest = jnp.max(known, axis=tuple(range(max(x.ndim - lanes, 0))), keepdims=True, initial=0)
     rounding = 8 * jnp.finfo(x.dtype).eps * jnp.where(jnp.isnan(x), 0, jnp.abs(x))
     error = factor * known + SHARED * largest + rounding
     error = jnp.where(jnp.isfinite(gap) & good, error, jnp.inf)
-    # what both runs never saw arrive has no time that could be wrong
-    return jnp.where(jnp.isnan(x) & jnp.isnan(finer) & good, jnp.nan, error)
+    # what both runs never saw arrive, and by more than they are known to, has no time that could be wrong
+    missed = finer_short > factor * jnp.abs(short - finer_short)
+    return jnp.where(jnp.isnan(x) & jnp.isnan(finer) & good & missed, jnp.nan, error)
 
 
 def _ready(solver, adjoint):

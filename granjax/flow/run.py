@@ -44,6 +44,7 @@ class Run(Result):
     recorded: dict[str, Numbers]
     energy_error: Numbers
     _margin: Numbers
+    _short: dict[str, Pytree]
     code: Counts
     stats: dict[str, Number]
     failed_at: tuple[float, float, tuple[int, ...]] | None
@@ -64,15 +65,16 @@ class Run(Result):
 
         Found by a second run with steps of half the length (a quarter where contacts opened; or a tolerance 100 times
         smaller), when it is first asked for, by `to_xarray` too: a run whose errors nobody reads costs nothing more. It
-        covers the error of the run and what is lost between its steps. NaN for an `Arrival` that neither run has seen;
-        infinite where one of them has, or has not completed. Under `jax.jit` it is part of the program where it is
+        covers the error of the run and what is lost between its steps. NaN for an `Arrival` that did not happen;
+        infinite where only one of the two runs has seen it, or both missed it by no more than they are known to, or
+        one has not completed. Under `jax.jit` it is part of the program where it is
         read; it has no derivative. A pickled run has lost it where a record holds a lambda and nobody had asked for it.
         """
         known = self.__dict__.get("_known_error")
         if known is None and self._confirmation is None:
             return {}
         if known is None:
-            known = self._confirmation.errors(self.recorded, self.completed, self._margin < 0)
+            known = self._confirmation.errors(self.recorded, self._short, self.completed, self._margin < 0)
             if not traced(known):
                 object.__setattr__(self, "_known_error", known)
         return known

@@ -54,6 +54,10 @@ class Record(eqx.Module):
         """The result."""
         return carried
 
+    def short(self, carried: Any) -> Numbers:
+        """How far the quantity has stayed below what is waited for; infinite where nothing is."""
+        return jnp.asarray(jnp.inf)
+
     def value(self, t: Number, y: StateLike, lattice: Lattice) -> Pytree:
         """The quantity, a floating array or a tree of them."""
         q = _called(self.quantity, t, y, lattice)
@@ -137,41 +141,45 @@ class Arrival(Record):
     def start(self, t: Number, q: Numbers, count: Count) -> Any:
         zero = jnp.zeros_like(q)
         at_once = q >= self._threshold(q)
-        return at_once, (zero + t).astype(q.dtype), zero, zero, zero, jnp.zeros((count, *q.shape), q.dtype)
+        return at_once, q, (zero + t).astype(q.dtype), zero, zero, zero, jnp.zeros((count, *q.shape), q.dtype)
 
     def follow(self, carried: Any, t0: Scalar, step: Scalar, q: Any) -> Any:
         found = carried[0]
         still = jax.lax.stop_gradient(q)
-        never = jnp.zeros_like(still[0]), jnp.full_like(still[0], jnp.inf)
+        never = jnp.zeros_like(still[0]), jnp.full_like(still[0], jnp.inf), still.max(0)
         close = jnp.any(~found & (still.max(0) + HIDDEN * span(still) >= self._threshold(q)))
-        low, high = jax.lax.cond(close, lambda: self._bracket(found, still), lambda: never)
+        low, high, top = jax.lax.cond(close, lambda: self._bracket(found, still), lambda: never)
         crossed = ~found & (high < jnp.inf)
         now = t0, step, low, high, q
-        kept = [jnp.where(crossed, new, old).astype(old.dtype) for new, old in zip(now, carried[1:])]
-        return found | crossed, *kept
+        kept = [jnp.where(crossed, new, old).astype(old.dtype) for new, old in zip(now, carried[2:])]
+        return found | crossed, jnp.maximum(carried[1], top), *kept
 
     def _threshold(self, q):
         return jnp.asarray(self.threshold, q.dtype)
 
     def _bracket(self, found, q):
-        """The two places within a step between which the quantity first passes the threshold; 0 and infinity."""
+        """Two places within a step between which the threshold is first passed, or 0 and infinity; and the top."""
         x, threshold = places(q), jax.lax.stop_gradient(self._threshold(q))
         high = jnp.where(q[1:] >= threshold, x[1:], jnp.inf).min(0)
         near = guesses(q, _most(q), high)
 
         def with_tops():
-            reached = [jnp.where(top.height >= threshold, top.place, jnp.inf) for top in tops(q, near)]
-            return reduce(jnp.minimum, reached, high)
+            found = tops(q, near)
+            reached = [jnp.where(top.height >= threshold, top.place, jnp.inf) for top in found]
+            return reduce(jnp.minimum, reached, high), reduce(jnp.maximum, (top.height for top in found), q.max(0))
 
         hidden = jnp.any(~found & higher(q, near, threshold))
-        high = jax.lax.cond(hidden, with_tops, lambda: high)
-        return jnp.where(x < high, x, -1).max(0), high
+        high, top = jax.lax.cond(hidden, with_tops, lambda: (high, q.max(0)))
+        return jnp.where(x < high, x, -1).max(0), high, top
 
     def finish(self, carried: Any) -> Numbers:
-        found, t0, step, low, high, q = carried
+        found, _, t0, step, low, high, q = carried
         within = found & (step > 0)
         x = crossing(series(q), self._threshold(q), low, high, within)
         return jnp.where(found, t0 + jnp.where(within, (x + 1) / 2 * step, 0), jnp.nan)
+
+    def short(self, carried: Any) -> Numbers:
+        return jax.lax.stop_gradient(self._threshold(carried[1]) - carried[1])
 
 
 class Integral(Record):
