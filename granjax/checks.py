@@ -4,12 +4,19 @@ Every check looks at concrete values only. A traced value passes, because what i
 """
 
 import difflib
+import os
+import reprlib
 from collections.abc import Callable, Iterable
 from typing import Any, NoReturn
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+
+LEAST, MOST = -(2**63), 2**63 - 1
+BITS = "A whole number has 64 bits."
+DIGITS = 60
+PLAIN = (str, int, float, complex, tuple, list, dict)
 
 
 def refuse(argument: str, expected: str, got: str, remedy: str = "") -> NoReturn:
@@ -36,6 +43,41 @@ def show(x: Any) -> str:
     return np.array2string(x, threshold=6, edgeitems=2, precision=6) if x.ndim else repr(x.item())
 
 
+class _Short(reprlib.Repr):
+    """`repr` of what may be anything: short, and never an error."""
+
+    def __init__(self):
+        super().__init__()
+        self.maxother = self.maxstring = DIGITS
+
+    def repr_int(self, x, level):
+        return repr(x) if x.bit_length() < 3 * DIGITS else f"a whole number of {int(x.bit_length() * 0.30103)} digits"
+
+    def repr_instance(self, x, level):
+        return described(x) if isinstance(x, (np.ndarray, jax.Array)) else super().repr_instance(x, level)
+
+
+_short = _Short()
+
+
+def described(x: Any) -> str:
+    """What was given, in a few words."""
+    if isinstance(x, jax.core.Tracer):
+        return f"a traced value of type {x.dtype} and shape {x.shape}"
+    if isinstance(x, (np.ndarray, jax.Array)):
+        kind = {"O": "objects", "U": "strings", "S": "bytes"}.get(letter(x), x.dtype)
+        return f"an array of {kind}, shape {x.shape}" if np.ndim(x) or letter(x) not in "fiub" else f"{x}, an array"
+    if isinstance(x, type):
+        return f"the class {x.__name__}"
+    text = " ".join(_short.repr(x).split())
+    return text if isinstance(x, (*PLAIN, type(None))) else f"{text} of type {type(x).__name__}"
+
+
+def letter(x: Any) -> str:
+    """NumPy's letter of an array's type; K of JAX's keys, V of the shorter floats, none of what is no array."""
+    return getattr(x.dtype, "kind", "K") if hasattr(x, "dtype") else ""
+
+
 def unmasked(argument: str, x: Any) -> Any:
     """`x`, with nothing hidden under a mask that would be read all the same."""
     if isinstance(x, np.ma.MaskedArray) and np.ma.is_masked(x):
@@ -56,15 +98,14 @@ def _real(argument, x, expected="real numbers"):
     """An array of real numbers, NumPy's, or JAX's where it is one."""
     try:
         array = x if isinstance(x, jax.Array) else np.asarray(x)
-        kind = array.dtype.kind
-    except (TypeError, ValueError):
+        kind = letter(array)
+    except (TypeError, ValueError, RuntimeError):
         kind = ""
     unmasked(argument, x)
     if kind == "c":
         refuse(argument, "real numbers", f"{array.dtype}", "Take .real or abs() of them, whichever is meant.")
     if kind not in "fiu" or not kind:
-        got = f"{x!r} of type {type(x).__name__}"
-        refuse(argument, expected, got, "Give a number or an array of numbers.")
+        refuse(argument, expected, described(x), "Give a number or an array of numbers.")
     return array
 
 
@@ -141,19 +182,33 @@ def tolerance(argument: str, x: Any, most: float = 0.1) -> Any:
 
 def one_of(argument: str, name: Any, options: Iterable) -> Any:
     """One of some names; the nearest are suggested."""
-    if name in options:
+    options = tuple(options)
+    # what is of another kind may answer a comparison in its own way, as arrays do
+    if isinstance(name, tuple(map(type, options))) and name in options:
         return name
     lowered = {str(option).lower(): option for option in options}
-    near = [lowered[n] for n in difflib.get_close_matches(str(name).lower(), lowered, n=3, cutoff=0.4)]
+    near = [lowered[n] for n in difflib.get_close_matches(described(name).strip("'").lower(), lowered, n=3, cutoff=0.4)]
     remedy = f"Did you mean {' or '.join(map(repr, near))}?" if near else ""
-    refuse(argument, "one of " + ", ".join(repr(o) for o in options), repr(name), remedy)
+    refuse(argument, "one of " + ", ".join(map(repr, options)), described(name), remedy)
 
 
 def whole(argument: str, x: Any, at_least: int = 0, remedy: str = "") -> int:
     """A Python integer, not below a least value."""
-    if isinstance(x, bool) or not isinstance(x, (int, np.integer)) or x < at_least:
-        refuse(argument, f"a whole number not below {at_least}", repr(x), remedy)
+    if isinstance(x, bool) or not isinstance(x, (int, np.integer)) or not at_least <= x <= MOST:
+        remedy = BITS if isinstance(x, int) and x > MOST else remedy
+        refuse(argument, f"a whole number not below {at_least}", described(x), remedy)
     return int(x)
+
+
+def held_in_memory(argument: str, count: int, each: int = 16, what: str = "sites") -> None:
+    """Refuse what the computer's memory does not hold: `count` things of `each` bytes, a state by default."""
+    try:
+        memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, ValueError, OSError):  # where the system does not say
+        return
+    if count * each > memory:
+        most = f"at most {memory // each:.3g} {what}, which {memory / 1e9:.0f} GB of memory hold"
+        refuse(argument, most, described(count))
 
 
 def random_key(seed: Any, remedy: str = "") -> jax.Array:
@@ -167,5 +222,5 @@ def random_key(seed: Any, remedy: str = "") -> jax.Array:
             return jax.random.key(seed)
         refuse("seed", "one whole number or one JAX key", f"an array of {seed.dtype}, shape {seed.shape}", remedy)
     if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)):
-        refuse("seed", "a whole number or a JAX key", repr(seed), "Equal seeds give equal draws.")
+        refuse("seed", "a whole number or a JAX key", described(seed), "Equal seeds give equal draws.")
     return jax.random.key(int(seed))

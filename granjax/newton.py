@@ -1,7 +1,7 @@
 """Newton's method for a square system, with outcomes as values and derivatives by the implicit function theorem."""
 
 from collections.abc import Callable
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -11,7 +11,7 @@ import numpy as np
 from .checks import refuse, traced, unmasked
 from .outside import Outside
 from .results import Held, Result
-from .types import Count, Counts, Flags, Numbers, Parameter, Pytree, Scalar
+from .types import Count, Counts, Flags, Numbers, Parameter, Scalar
 
 CONVERGED, STALLED, SPENT, NOT_FINITE = range(4)
 LEAST_FRACTION = 2.0**-8
@@ -61,7 +61,7 @@ class Root(Result):
         return f"Newton did not converge: {went}, {wanted}; {why}."
 
 
-def newton(residual: Callable, guess: Parameter, args: Pytree = None, *, tolerance: Scalar = 1e-10,
+def newton(residual: Callable, guess: Parameter, args: Any = None, *, tolerance: Scalar = 1e-10,
            max_steps: Count = 20, linearise: Callable | None = None, throw: bool | None = None,
            finish: bool = True) -> Root:
     r"""A root of F(x, args) = 0 by Newton's method with halved steps.

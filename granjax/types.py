@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 
 import jax
 import numpy as np
-from jaxtyping import Bool, Complex, Float, Inexact, Integer, Real
+from jaxtyping import Bool, Complex, Float, Inexact, Integer, PyTree, Real
 
 AnyArray: TypeAlias = jax.Array | np.ndarray
 """An array of NumPy or of JAX."""
@@ -44,7 +44,7 @@ Displacements: TypeAlias = Inexact[AnyArray, "..."] | dict[str, Inexact[AnyArray
 Times: TypeAlias = Float[AnyArray, " times"]
 """Times (T,), increasing."""
 
-Pytree: TypeAlias = Any
+Pytree: TypeAlias = PyTree
 """A tree of arrays: a state, tangents, parameters with names."""
 
 Scene: TypeAlias = Callable[..., Any]
@@ -59,7 +59,7 @@ Waveform: TypeAlias = Callable[[Any], Any]
 VectorField: TypeAlias = Callable[..., Any]
 """The right-hand side f(t, y, args) of y' = f, in diffrax's form."""
 
-StateLike: TypeAlias = tuple | list
+StateLike: TypeAlias = tuple[Any, Any] | list[Any]
 """A `State(u, v)`, or a pair."""
 
 Site: TypeAlias = Count | tuple[Count, ...] | list[Count]

@@ -11,6 +11,7 @@ ROOT = Path(granjax.__file__).parent
 
 FLOORS = (
     {"checks", "outside", "tuning", "types"},
+    {"entry"},
     {"results", "split_system", "units"},
     {"laws", "strains", "materials", "solvers", "newton", "parameters", "descent", "theory", "plots"},
     {"terms", "continuation"},

@@ -461,3 +461,18 @@ def test_bad_input_is_refused_with_a_sentence(case):
     call, message = BAD[case]
     with pytest.raises(ValueError, match=message):
         call()
+
+
+def test_a_time_is_one_or_one_a_lane_and_what_is_not_read_is_looked_at():
+    lattice = gx.scenes.monomer(4)
+    state = gx.states.rest(lattice)
+    for measure in (measures.kinetic_energy, measures.momentum, measures.energy, measures.strain):
+        with pytest.raises(ValueError, match="t: expected one number, got shape"):
+            measure(lattice, state, np.ones(3))
+    ts, q = np.arange(5.0), np.ones((5, 3))
+    with pytest.raises(ValueError, match="threshold: expected one number, or one per site, shape"):
+        measures.front_speed(ts, q, threshold=np.ones(2))
+    with pytest.raises(ValueError, match="fraction: expected numbers in"):
+        measures.front_speed(ts, q, fraction=2.0)
+    with pytest.raises(ValueError, match="sampling: expected at most"):
+        measures.velocity_trace(ts, q, 0, sampling=1e300)

@@ -379,6 +379,12 @@ def loaded():
     (lambda: scenes.scaled(loaded(), -1.0), "velocity: expected numbers above zero"),
     (lambda: scenes.scaled(loaded(), 1.0, units=scenes.Units()), "units: expected Units"),
     (lambda: scenes.scaled(3), "lattice: expected a Lattice"),
+    (lambda: scenes.pattern(2**62, [1.0, 2.0]), "sites: expected at most .* GB of memory hold, got 46116860"),
+    (lambda: scenes.monomer(10**12), "sites: expected at most"),
+    (lambda: scenes.n_to_one(10**12, 10**12), "sites: expected at most"),
+    (lambda: scenes.beads("brass", 1e-3, cells=10**13), "cells: expected at most"),
+    (lambda: scenes.monomer(10**20), "sites: expected a whole number, got .* 64 bits"),
+    (lambda: scenes.monomer(9, boundary=np.array(["fixed"])), "boundary: expected a string, got an array of strings"),
     (lambda: scenes.Units(mass=0.0), "mass: expected numbers above zero"),
 ])
 def test_bad_input_gets_a_sentence(call, words):

@@ -1,7 +1,7 @@
 """The system that continuation solves at every point: corrector, tangents, derivatives."""
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -47,12 +47,12 @@ class Bordered(eqx.Module):
     slopes: Callable | None
     outside: Outside
 
-    def residual(self, z: Numbers, args: Pytree) -> Numbers:
+    def residual(self, z: Numbers, args: Any) -> Numbers:
         """F and what is missing along the border."""
         inner, border, predicted = args
         return jnp.append(self.function(z[:-1], z[-1], inner), border @ (z - predicted))
 
-    def linearise(self, z: Numbers, args: Pytree) -> tuple:
+    def linearise(self, z: Numbers, args: Any) -> tuple:
         """The residual and its derivatives."""
         inner, border, predicted = args
         f, jacobian = self.jacobian(z, inner)

@@ -1,11 +1,12 @@
 """The walk along a branch."""
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
 from ..checks import one_of, real, refuse
-from ..types import Count, Parameter, Pytree, Scalar
+from ..types import Count, Parameter, Scalar
 from .curve import Curve
 from .locate import bound_met, located
 from .system import System
@@ -15,7 +16,7 @@ LEAST_COSINE = 0.9
 
 
 def continuation(
-    residual: Callable, x0: Parameter, p0: Scalar, *, args: Pytree = None, until: Parameter | None = None,
+    residual: Callable, x0: Parameter, p0: Scalar, *, args: Any = None, until: Parameter | None = None,
     direction: Parameter = 1.0, arclength: Scalar = 0.01, least_arclength: Scalar | None = None,
     longest_arclength: Scalar | None = None, points: Count = 200, tolerance: Scalar = 1e-10,
     linearise: Callable | None = None, veto: Callable | None = None, stop: Callable | None = None,

@@ -9,7 +9,9 @@ import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
-from ..lattice import vector_field
+from ..checks import described, refuse
+from ..entry import checked
+from ..lattice import Lattice, vector_field
 from ..lattice.model import check_shape
 from ..solvers import SRKN14a
 from ..types import Number, Numbers, Pytree, Scalar
@@ -19,6 +21,7 @@ from .breaks import OneSided, breaks_of, shared_out
 VECTOR = 8
 
 
+@checked
 class Flow(eqx.Module):
     r"""The flow phi(y; t0, t1, args) of y' = f(t, y, args), by a fixed number of equal steps.
 
@@ -35,15 +38,18 @@ class Flow(eqx.Module):
     solver: diffrax.AbstractSolver = SRKN14a()
     field: Callable = eqx.field(static=True, default=vector_field)
 
+    @checked
     def __call__(self, y: Pytree, t0: Scalar, t1: Scalar, args: Any) -> Pytree:
         """The state at t1 of what is `y` at t0; of a lattice's shape, where that is what moves."""
-        if self.field is vector_field:
+        if self._moves_lattice(y, args):
             for name, x in zip(("u", "v"), y):
                 check_shape(args, f"y.{name}", x)
         return _march(self.solver, self.field, self.steps, y, t0, t1, args, breaks_of(self.field, args))
 
+    @checked
     def tangents(self, y: Pytree, tangents: Pytree, t0: Scalar, t1: Scalar, args: Any) -> tuple:
         """(phi(y), D phi(y) tangents), with `tangents` like `y` plus a trailing axis."""
+        self._moves_lattice(y, args)
         count = jax.tree.leaves(tangents)[0].shape[-1]
         idle = -count % VECTOR if count > VECTOR else 0
         tangents = jax.tree.map(lambda x: jnp.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, idle)]), tangents)
@@ -52,12 +58,23 @@ class Flow(eqx.Module):
         end, moved = _part(y, ends)
         return end, jax.tree.map(lambda x: x[..., :count], moved)
 
+    @checked
     def derivative(self, y: Pytree, t0: Scalar, t1: Scalar, args: Any) -> tuple:
         """(phi(y), D phi(y)), the derivative as a matrix over the raveled state."""
         flat, unravel = ravel_pytree(y)
         unit = jax.vmap(unravel, out_axes=-1)(jnp.eye(flat.size, dtype=flat.dtype))
         end, tangents = self.tangents(y, unit, t0, t1, args)
         return end, matrix(tangents)
+
+    def _moves_lattice(self, y, args):
+        """Whether it is a lattice that moves, as `args` and `y` then have to be."""
+        if self.field is not vector_field:
+            return False
+        if not isinstance(args, Lattice):
+            refuse("args", "the Lattice that moves", described(args), "Another motion has a field: Flow(n, field=f).")
+        if not _is_pair(y):
+            refuse("y", "a State(u, v)", described(y), "Another motion has a field: Flow(n, field=f).")
+        return True
 
 
 def matrix(tangents: Pytree) -> Numbers:

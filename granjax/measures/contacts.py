@@ -1,17 +1,19 @@
 """Contacts: compression, overlap and total force of bonds and walls."""
 
 from ..checks import refuse, whole
+from ..entry import checked
 from ..lattice import Lattice
 from ..types import Count, Number, Numbers, StateLike
-from .states_of import displacements
+from .states_of import parts
 
 
+@checked
 def contacts(lattice: Lattice, y: StateLike, t: Number = 0.0) -> list:
     """The contacts at a state: `Compression`s, bonds in the order of the terms, then walls in theirs.
 
     Each has its `law`, `compression` [m], total `force` [N] and `overlap` [m].
     """
-    u = displacements(lattice, y)
+    u, _ = parts(lattice, y, t)
     found = [c for term in lattice.terms for c in term.compressions(t, u)]
     return [c for c in found if c.place == "bond"] + [c for c in found if c.place == "wall"]
 
@@ -25,6 +27,7 @@ def _contact(lattice, y, t, bond):
     return found[bond]
 
 
+@checked
 def strain(lattice: Lattice, y: StateLike, t: Number = 0.0, *, bond: Count = 0) -> Numbers:
     """Compression of every bond from equilibrium, e_n = u_n - u_{n+1} for a chain, positive in compression [m].
 
@@ -36,6 +39,7 @@ def strain(lattice: Lattice, y: StateLike, t: Number = 0.0, *, bond: Count = 0) 
     return _contact(lattice, y, t, bond).compression
 
 
+@checked
 def contact_force(lattice: Lattice, y: StateLike, t: Number = 0.0, *, bond: Count = 0) -> Numbers:
     """Total contact force of every bond, F0 + F(e), positive in compression [N].
 
@@ -46,6 +50,7 @@ def contact_force(lattice: Lattice, y: StateLike, t: Number = 0.0, *, bond: Coun
     return _contact(lattice, y, t, bond).force
 
 
+@checked
 def overlap(lattice: Lattice, y: StateLike, t: Number = 0.0, *, bond: Count = 0) -> Number | None:
     """Overlap of every contact, d0 + e for a power law; not above zero where it is open [m].
 

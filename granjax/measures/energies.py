@@ -8,38 +8,44 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import refuse
+from ..entry import checked
 from ..lattice import Lattice
 from ..types import Displacements, Number, Parameter, StateLike
-from .states_of import displacements, parts, velocities
+from .states_of import parts
 
 
+@checked
 def energy(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
     """Kinetic and potential energy of the whole lattice, from equilibrium [J]; shape of the lanes.
 
     **Raises** ValueError for a state of another shape than the lattice's.
     """
-    u, v = parts(lattice, y)
+    u, v = parts(lattice, y, t)
     return lattice.energy(t, u, v)
 
 
+@checked
 def potential_energy(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
     """Potential energy of all bonds, walls and sites, from equilibrium [J]; shape of the lanes."""
-    u = displacements(lattice, y)
+    u, _ = parts(lattice, y, t)
     return lattice.potential_energy(t, u) + jnp.zeros(lattice.lanes, lattice.dtype)
 
 
+@checked
 def kinetic_energy(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
     """Sum of m v^2/2 [J]; shape of the lanes. `t` is not read."""
-    return lattice.kinetic_energy(velocities(lattice, y))
+    return lattice.kinetic_energy(parts(lattice, y, t)[1])
 
 
+@checked
 def momentum(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
     """Total momentum, sum of m v [kg m/s]; shape of the lanes, after (d,) for vectors. `t` is not read."""
-    v = velocities(lattice, y)
+    _, v = parts(lattice, y, t)
     axes = tuple(range(lattice.axes))
     return sum(jax.tree.leaves(jax.tree.map(lambda m, v: (m * v).sum(axes), lattice.mass, v)))
 
 
+@checked
 def site_energy(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Displacements:
     """Energy of every site: m v^2/2, its on-site energy, and half of each of its bonds' [J].
 
@@ -48,7 +54,7 @@ def site_energy(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Displacement
     **Shapes:** (N,) or (N1, N2), then lanes; a dict of such where a cell holds several fields. Components of a vector
     are summed. **Raises** ValueError for a state of another shape than the lattice's.
     """
-    return _share_out(lattice, *parts(lattice, y), t)
+    return _share_out(lattice, *parts(lattice, y, t), t)
 
 
 @eqx.filter_jit
@@ -76,6 +82,7 @@ def _per_site(lattice, x):
     return x
 
 
+@checked
 def species_energy(
     lattice: Lattice, y: StateLike, t: Number = 0.0, *, species: Parameter | None = None
 ) -> dict[Any, Number]:

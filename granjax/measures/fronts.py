@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import concrete, one_of, parameter, refuse, show, within
+from ..entry import checked
 from ..results import Held, Result
 from ..types import Number, Numbers, Parameter, Scalar
 
@@ -44,6 +45,7 @@ class Front(Result):
         return f"A line through {there.sum()} of {there.size} arrivals."
 
 
+@checked
 def arrival_times(
     ts: Parameter, q: Parameter, threshold: Parameter | None = None, *, fraction: Scalar = 0.5,
 ) -> Numbers:
@@ -59,13 +61,23 @@ def arrival_times(
     **Raises** ValueError for times that do not rise or are not one per frame, or a fraction outside (0, 1].
     """
     ts, q = _history(ts, q)
-    if threshold is None:
-        threshold = within("fraction", fraction, 0, 1, open_low=True) * q.max(0)
-    else:
+    share, threshold = _threshold(threshold, fraction, q)
+    threshold = share * q.max(0) if threshold is None else jnp.broadcast_to(threshold, q.shape[1:])
+    return _crossings(ts, q, threshold)
+
+
+def _threshold(threshold, fraction, q):
+    """The fraction and, where it is given, the threshold, one per site."""
+    fraction, own = within("fraction", fraction, 0, 1, open_low=True), q.shape[1:]
+    if threshold is not None:
         threshold = parameter("threshold", threshold)
-    return _crossings(ts, q, jnp.broadcast_to(threshold, q.shape[1:]))
+        fits = all(n in (1, wanted) for n, wanted in zip(threshold.shape[::-1], own[::-1]))
+        if threshold.ndim > len(own) or not fits:
+            refuse("threshold", f"one number, or one per site, shape {own}", f"shape {threshold.shape}")
+    return fraction, threshold
 
 
+@checked
 def peak_times(ts: Parameter, q: Parameter) -> Peaks:
     """Time and height of the highest maximum of a quantity at every site, refined between frames.
 
@@ -79,6 +91,7 @@ def peak_times(ts: Parameter, q: Parameter) -> Peaks:
     return _maxima(ts, q)
 
 
+@checked
 def front_speed(
     ts: Parameter, q: Parameter, sites: Parameter | None = None, *, by: str = "peak",
     threshold: Parameter | None = None, fraction: Scalar = 0.5,
@@ -97,6 +110,7 @@ def front_speed(
         refuse("q", "frames of several sites, shape (T, N)", f"shape {q.shape}")
     n = _indices(sites, q.shape[1])
     chosen = q[:, n]
+    _threshold(threshold, fraction, chosen)
     if one_of("by", by, ("peak", "arrival")) == "peak":
         arrivals = peak_times(ts, chosen).times
     else:

@@ -6,11 +6,13 @@ import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
-from ..checks import refuse
+from ..checks import described, refuse
+from ..entry import checked
 from ..lattice import Lattice, State
 from ..types import Displacements, Number, Numbers, Pytree, Quantity
 
 
+@checked
 def along(measure: Quantity, lattice: Lattice, run: Any, **options: Any) -> Pytree:
     """A measure of every frame of a run: `measure(lattice, State(u, v), t, **options)`, stacked on a leading axis.
 
@@ -19,13 +21,12 @@ def along(measure: Quantity, lattice: Lattice, run: Any, **options: Any) -> Pytr
     **Returns:** what the measure returns, each array with T in front. All frames are held at once; to keep less, record
     the quantity while simulating. **Raises** ValueError for a measure that cannot be called or a run without frames.
     """
-    if not callable(measure):
-        refuse("measure", "a function of (lattice, y, t)", repr(measure))
     if not all(hasattr(run, name) for name in ("ts", "us", "vs")):
-        refuse("run", "a record with ts, us and vs", f"{type(run).__name__}", "Give the result of simulate.")
+        refuse("run", "a record with ts, us and vs", described(run), "Give the result of simulate.")
     return jax.vmap(lambda t, u, v: measure(lattice, State(u, v), t, **options))(run.ts, run.us, run.vs)
 
 
+@checked
 def rms_velocity(lattice: Lattice, u: Displacements, v: Displacements, t: Numbers) -> Number:
     """Root mean square of all velocities in a history u, v (F, N) over t (F,): a response for sweeps and branches."""
     return jnp.sqrt(jnp.mean(ravel_pytree(v)[0] ** 2))

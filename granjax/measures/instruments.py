@@ -3,13 +3,13 @@
 from collections.abc import Sequence
 from typing import ClassVar
 
-import jax
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from ..checks import non_negative, parameter, positive, refuse, show, whole
+from ..checks import MOST, held_in_memory, non_negative, parameter, positive, refuse, show, whole
+from ..entry import checked
 from ..results import Held, Result
-from ..types import Count, Numbers, Parameter, Scalar, Seed
+from ..types import Count, Numbers, Parameter, Scalar
 
 
 class Trace(Result):
@@ -25,8 +25,9 @@ class Trace(Result):
         return f"{self.time.size} samples over {np.ptp(self.time):.6g} s."
 
 
+@checked
 def velocity_trace(
-    ts: Parameter, vs: Parameter, bead: Count, *, sampling: Scalar, noise: Scalar = 0.0, seed: Seed = 0,
+    ts: Parameter, vs: Parameter, bead: Count, *, sampling: Scalar, noise: Scalar = 0.0, seed: Count = 0,
     units: Sequence[Scalar] | None = None,
 ) -> Trace:
     """Velocity of one bead as a laser vibrometer gives it: sampled at a fixed rate, with Gaussian noise.
@@ -48,27 +49,26 @@ def velocity_trace(
     **Raises** ValueError for fewer than four frames, a bead that is not there, a record that holds fewer than two
     samples, a noise below zero, or traced input.
     """
-    if isinstance(ts, jax.core.Tracer) or isinstance(vs, jax.core.Tracer):
-        refuse("vs", "numbers known before tracing", "a traced array", "Take the trace outside of jit.")
     ts, vs = np.asarray(parameter("ts", ts)), np.asarray(parameter("vs", vs))
     if ts.ndim != 1 or len(ts) < 4 or not np.all(np.diff(ts) > 0):
         refuse("ts", "at least four rising times", show(ts))
     if vs.ndim < 2 or len(vs) != len(ts):
         refuse("vs", f"shape ({len(ts)}, N), frames first", f"shape {vs.shape}")
     count = vs.shape[1]
-    if isinstance(bead, bool) or not isinstance(bead, (int, np.integer)) or not -count <= bead < count:
+    if not -count <= bead < count:
         refuse("bead", f"an index within {-count} ... {count - 1}", repr(bead))
     second, metre = _units(units)
     time = ts * second
     interval = 1 / float(positive("sampling", sampling))
-    samples = int(np.floor((time[-1] - time[0]) / interval * (1 + 1e-12))) + 1
+    samples = int(min(np.floor((time[-1] - time[0]) / interval * (1 + 1e-12)), MOST - 1)) + 1
     if samples < 2:
         refuse("sampling", f"at least {1 / (time[-1] - time[0]):g} Hz, two samples in the record", f"{sampling}")
+    held_in_memory("sampling", samples, what="samples")
     at = np.minimum(time[0] + interval * np.arange(samples), time[-1])
     velocity = CubicSpline(time, vs[:, bead] * (metre / second), axis=0)(at)
-    sigma = float(non_negative("noise", noise))
+    sigma, seed = float(non_negative("noise", noise)), whole("seed", seed)
     if sigma:
-        velocity = velocity + sigma * np.random.default_rng(whole("seed", seed)).standard_normal(velocity.shape)
+        velocity = velocity + sigma * np.random.default_rng(seed).standard_normal(velocity.shape)
     return Trace(at, velocity)
 
 

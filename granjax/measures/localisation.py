@@ -3,12 +3,14 @@
 import jax
 import jax.numpy as jnp
 
-from ..checks import parameter, refuse
+from ..checks import described, parameter, refuse
+from ..entry import checked
 from ..lattice import Lattice
 from ..types import Number, Parameter, StateLike
 from .energies import site_energy
 
 
+@checked
 def participation(weights: Parameter, axis: int | tuple[int, ...] = 0) -> Number:
     """Number of sites that share a positive quantity: (sum w)^2 / sum w^2; N where all are equal, 1 for one alone.
 
@@ -16,9 +18,13 @@ def participation(weights: Parameter, axis: int | tuple[int, ...] = 0) -> Number
     the sites, or several. **Returns:** the array without these axes; NaN where all weights are zero.
     """
     weights = parameter("weights", weights)
+    axes, ndim = axis if isinstance(axis, tuple) else (axis,), weights.ndim
+    if not all(-ndim <= one < ndim for one in axes) or len({one % ndim for one in axes}) < len(axes):
+        refuse("axis", f"axes of the weights, shape {weights.shape}, each once", described(axis))
     return weights.sum(axis) ** 2 / (weights * weights).sum(axis)
 
 
+@checked
 def participation_number(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
     """Participation number of the site energies, (sum e)^2 / sum e^2, from 1 to N; shape of the lanes.
 
@@ -27,6 +33,7 @@ def participation_number(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Num
     return participation(_cell_energy(lattice, y, t), tuple(range(lattice.axes)))
 
 
+@checked
 def energy_centre(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
     """Mean place of the energy, sum n e_n / sum e_n [sites]; shape of the lanes, after (2,) on a grid."""
     e = _cell_energy(lattice, y, t)
@@ -35,6 +42,7 @@ def energy_centre(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
     return centres[0] if len(centres) == 1 else jnp.stack(centres)
 
 
+@checked
 def second_moment(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
     """Mean square distance of the energy from its centre, sum (n - centre)^2 e_n / sum e_n [sites^2].
 

@@ -2,13 +2,13 @@
 
 from typing import ClassVar
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.signal import ShortTimeFFT
 from scipy.signal.windows import hann
 
 from ..checks import one_of, parameter, positive, refuse
+from ..entry import checked
 from ..results import Held, Result
 from ..types import Numbers, Parameter, Scalar
 
@@ -47,6 +47,7 @@ class Spectrogram(Result):
         return f"{self.time.size} windows, {self.omega.size} frequencies up to {self.omega[-1]:.6g} rad/s."
 
 
+@checked
 def spectrum(us: Parameter, dt: Scalar, *, time_window: str = "hann", space_window: str = "hann") -> Spectrum:
     r"""Spectrum of a history over wave number and frequency: |sum_nt w_n w_t u_n(t) exp(-i(k n - omega t))|^2.
 
@@ -87,6 +88,7 @@ def _window(name, window, size):
     return jnp.asarray(hann(size, sym=False))
 
 
+@checked
 def spectrogram(v: Parameter, dt: Scalar, window: Scalar, *, hop: Scalar | None = None) -> Spectrogram:
     """Power density of a signal over time and frequency, by a short-time Fourier transform with a Hann window.
 
@@ -99,8 +101,6 @@ def spectrogram(v: Parameter, dt: Scalar, window: Scalar, *, hop: Scalar | None 
     trailing axes. **Raises** ValueError for a window shorter than four frames or longer than the record, or traced
     input.
     """
-    if isinstance(v, jax.core.Tracer):
-        refuse("v", "numbers known before tracing", "a traced array", "Take the spectrogram outside of jit.")
     v, dt = np.asarray(parameter("v", v)), float(positive("dt", dt))
     size = int(round(float(positive("window", window)) / dt))
     if v.ndim < 1 or not 4 <= size <= len(v):

@@ -1,26 +1,17 @@
 """The state that a measure is given, checked against the lattice."""
 
 import jax
+import numpy as np
 
-from ..checks import refuse
+from ..checks import per_lane, refuse
 from ..lattice import Lattice
-from ..types import Displacements, StateLike
+from ..types import Number, StateLike
 
 
-def displacements(lattice: Lattice, y: StateLike) -> Displacements:
-    """u of a state."""
-    return parts(lattice, y)[0]
-
-
-def velocities(lattice: Lattice, y: StateLike) -> Displacements:
-    """v of a state."""
-    return parts(lattice, y)[1]
-
-
-def parts(lattice: Lattice, y: StateLike) -> StateLike:
-    """(u, v) of a `State` or a pair, of the lattice's structure and shape."""
-    if not isinstance(y, tuple) or len(y) != 2:
-        refuse("y", "a State(u, v)", f"{type(y).__name__}", "Write gx.State(u, v).")
+def parts(lattice: Lattice, y: StateLike, t: Number = 0.0) -> StateLike:
+    """(u, v) of a `State` or a pair, of the lattice's structure and shape, at a time."""
+    if np.shape(t) not in ((), lattice.lanes):
+        per_lane("t", t, lattice.lanes)
     template = lattice.template()
     for name, x in zip("uv", y):
         if jax.tree.structure(x) != jax.tree.structure(template):

@@ -1,6 +1,6 @@
 """Floquet theory: the monodromy matrix of a periodic orbit, its multipliers with errors, and what follows from them."""
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -12,6 +12,7 @@ from jaxtyping import Complex, Float, Inexact, Integer
 
 from ..checks import refuse, whole
 from ..checks import tolerance as checked_tolerance
+from ..entry import checked
 from ..flow import Flow, linear_frequency
 from ..lattice import Lattice, vector_field
 from ..results import Held, Result
@@ -96,6 +97,7 @@ class Floquet(Result):
         return np.flatnonzero(np.abs(self.multipliers) - 1 > self.error)
 
 
+@checked
 def decide(
     multipliers: Inexact[np.ndarray, " two_n"], error: Float[np.ndarray, " two_n"], expected: int, conserves: bool,
     resolution: Scalar = RESOLUTION,
@@ -106,6 +108,8 @@ def decide(
     Undecided: an error above `resolution` could hide such a one. Stable: neither; in a conservative lattice every
     multiplier then lies on the circle within its error, in a damped one inside.
     """
+    if error.shape != multipliers.shape:
+        refuse("error", f"one of each multiplier, shape {multipliers.shape}", f"shape {error.shape}")
     rest = np.delete(np.arange(len(multipliers)), np.argsort(np.abs(multipliers - 1))[:expected])
     left_out = f" {expected} multipliers at +1 are those of symmetry." if expected else ""
     if not len(rest):
@@ -134,9 +138,10 @@ def _derivative(flow, y, t0, t1, args):
     return flow.derivative(y, t0, t1, args)
 
 
+@checked
 def floquet(
     lattice: Lattice | Flow, state: Pytree, period: Scalar, *, t0: Scalar = 0.0, steps: Count | None = None,
-    solver: AbstractSolver | None = None, segments: Count = 1, tolerance: Scalar = TOLERANCE, args: Pytree = None,
+    solver: AbstractSolver | None = None, segments: Count = 1, tolerance: Scalar = TOLERANCE, args: Any = None,
     symmetry: Symmetry = Symmetry(), expected: Count | None = None, resolution: Scalar = RESOLUTION,
 ) -> Floquet:
     r"""Monodromy matrix, multipliers and stability of a periodic orbit.
@@ -317,7 +322,8 @@ def _product(factors):
     return total
 
 
-def multipliers(flow: Flow, state: Pytree, t0: Scalar, period: Scalar, args: Pytree) -> Complex[jax.Array, " two_n"]:
+@checked
+def multipliers(flow: Flow, state: Pytree, t0: Scalar, period: Scalar, args: Any) -> Complex[jax.Array, " two_n"]:
     """Floquet multipliers alone, a pure function: (2n,) complex, for `jax.jacfwd`, `vmap` and `jit`.
 
     **Arguments:** `flow`: a `Flow` over one period; `state`: the orbit at `t0`; `args`: of its field, such as the

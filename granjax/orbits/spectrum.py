@@ -5,8 +5,10 @@ from jaxtyping import Float, Inexact
 from scipy.linalg import eig
 from scipy.optimize import linear_sum_assignment
 
+from ..checks import described, real, refuse
+from ..entry import checked
 from ..tuning import one_thread
-from ..types import Scalar
+from ..types import Parameter, Scalar
 
 # of a norm: rounding of a product of many steps; of a difference between two flows, of three, of two alone
 ROUNDING, SAFETY, ALONE = 500, 4, 8
@@ -16,6 +18,7 @@ REGULAR, ALIGNED = 10, 0.95
 Map = Float[np.ndarray, "n n"]
 
 
+@checked
 @one_thread
 def spectrum(
     fine: Map, coarse: Map | None = None, coarser: Map | None = None, *, moved: Scalar = 0.0,
@@ -28,6 +31,7 @@ def spectrum(
     condition. At a double multiplier the condition makes it a square root. |dM| is `uncertain`, plus `moved`: what else
     M is not known to. The effect y^H dM x itself may be small by accident, above all where contacts open.
     """
+    fine, coarse, coarser = _squares({"fine": fine, "coarse": coarse, "coarser": coarser})
     values, left, right = eig(fine, left=True)
     order = np.lexsort((-np.angle(values), -np.abs(values).round(9)))
     values, left, right = values[order], left[:, order], right[:, order]
@@ -41,6 +45,16 @@ def spectrum(
         matched[rows] = distance[rows, columns]
         error = error + np.maximum(uncertain(fine, coarse, coarser) / overlap, matched)
     return values, right, error
+
+
+def _squares(matrices):
+    """Finite square matrices of one size, some of which may be `None`."""
+    found = [None if x is None else real(name, x) for name, x in matrices.items()]
+    size = len(found[0])
+    for name, x in zip(matrices, found):
+        if x is not None and (x.shape != (size, size) or not np.isfinite(x).all()):
+            refuse(name, f"a finite matrix of shape {(size, size)}", described(x))
+    return found
 
 
 def uncertain(fine: Map, coarse: Map, coarser: Map | None = None) -> float:
@@ -67,8 +81,9 @@ def change(fine: np.ndarray, coarse: np.ndarray, coarser: np.ndarray) -> np.ndar
     return max(near, far, coarse - coarser, key=np.linalg.norm)
 
 
+@checked
 @one_thread
-def product_multipliers(factors: list | Float[np.ndarray, "m n n"]) -> Inexact[np.ndarray, " n"]:
+def product_multipliers(factors: Parameter) -> Inexact[np.ndarray, " n"]:
     """Eigenvalues of the product M_m ... M_1 from its factors, small ones kept beside large ones.
 
     The product itself loses every multiplier below eps times the largest. The cyclic matrix with the factors below its
@@ -77,6 +92,9 @@ def product_multipliers(factors: list | Float[np.ndarray, "m n n"]) -> Inexact[n
 
     **Arguments:** `factors`: (m, N, N), the first applied first. **Returns:** (N,), the largest modulus first.
     """
+    if len(np.shape(factors)) != 3 or not len(factors):
+        refuse("factors", "square matrices, shape (m, N, N)", described(factors))
+    factors = _squares({f"factors[{i}]": factor for i, factor in enumerate(factors)})
     roots = np.linalg.eigvals(_cyclic(factors))
     roots = roots[np.argsort(-np.abs(roots))]
     m = len(factors)
@@ -114,6 +132,7 @@ def _copies(roots, m):
     return found
 
 
+@checked
 @one_thread
 def reversible_multipliers(half: Map, coarse: Map | None = None, coarser: Map | None = None) -> tuple:
     r"""Multipliers of a time-reversible orbit from the tangent map of half a period between rests, with errors.
@@ -124,7 +143,10 @@ def reversible_multipliers(half: Map, coarse: Map | None = None, coarser: Map | 
 
     **Returns:** half-traces mu (n,), multipliers rho (2n,), the largest modulus first, and the error of each rho.
     """
+    half, coarse, coarser = _squares({"half": half, "coarse": coarse, "coarser": coarser})
     n = len(half) // 2
+    if len(half) % 2:
+        refuse("half", "a matrix over (u, p), of even size", f"shape {half.shape}")
     stiff = lambda h: np.eye(n) + 2 * h[:n, n:].T @ h[n:, :n]
     mu, _, error = spectrum(stiff(half), *(None if h is None else stiff(h) for h in (coarse, coarser)))
     root = np.sqrt(mu.astype(complex) ** 2 - 1)

@@ -6,6 +6,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
+from ..entry import checked
 from ..lattice import Lattice, spread_mass
 from ..types import Scalar
 from .symmetry import shifts
@@ -27,6 +28,7 @@ class Structure(NamedTuple):
 NOTHING = Structure(None, None, 0, False)
 
 
+@checked
 def structure(lattice: Lattice) -> Structure:
     """The `Structure` of a lattice.
 

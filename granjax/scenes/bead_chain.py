@@ -6,7 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import one_of, positive, refuse, whole
+from ..checks import held_in_memory, one_of, positive, refuse, whole
+from ..entry import checked
 from ..lattice import Lattice
 from ..laws import Hertz
 from ..materials import Material, bead_mass, hertz_coefficient, material, stack
@@ -15,6 +16,7 @@ from ..terms import Bond, Damping
 from ..types import Count, Parameter, Scalar
 
 
+@checked
 def beads(
     materials: str | Material | Sequence, radii: Parameter, precompression: Parameter = 0.0, *,
     cells: Count | None = None, wall: str | Material | Sequence | None = None, boundary: str = "fixed",
@@ -53,6 +55,7 @@ def beads(
     sites = count * cells
     if sites < 2:
         refuse("cells", "at least two beads in all", repr(sites), "Give cells=N, or one material or radius per bead.")
+    held_in_memory("cells", sites, what="beads")
     mass = bead_mass(bodies, R)
     if R.ndim:
         bodies, R, mass = jax.tree.map(lambda x: jnp.tile(x, cells), (bodies, R, mass))

@@ -4,7 +4,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import concrete, one_of, parameter, positive, random_key, refuse, show, whole, within
+from ..checks import concrete, held_in_memory, one_of, parameter, positive, random_key, refuse, show, whole, within
+from ..entry import checked
 from ..lattice import Lattice
 from ..laws import Hertz, Polynomial, PowerLaw, Toda
 from ..strains import BOUNDARIES, Shift
@@ -24,7 +25,7 @@ def _number(argument, x):
 
 
 def _ratio(argument, x):
-    return within(argument, _number(argument, x), 0, 1, open_low=True, remedy=_RATIO)
+    return within(argument, x, 0, 1, open_low=True, remedy=_RATIO)
 
 
 def _contact(stiffness, exponent, precompression):
@@ -39,9 +40,12 @@ def _chain(sites, mass, law, boundary):
 
 
 def _sites(sites):
-    return whole("sites", sites, 2, "A chain has at least two beads.")
+    sites = whole("sites", sites, 2, "A chain has at least two beads.")
+    held_in_memory("sites", sites)
+    return sites
 
 
+@checked
 def monomer(
     sites: Count, mass: Parameter = 1.0, stiffness: Parameter = 1.0, exponent: Parameter = 1.5,
     precompression: Parameter = 0.0, boundary: str = "fixed",
@@ -66,6 +70,7 @@ def monomer(
     return _chain(sites, mass, _contact(stiffness, exponent, precompression), boundary)
 
 
+@checked
 def pattern(
     sites: Count, masses: Parameter, *, stiffness: Parameter = 1.0, exponent: Parameter = 1.5,
     precompression: Parameter = 0.0, boundary: str = "fixed",
@@ -90,6 +95,7 @@ def pattern(
     return _chain(sites, mass, _contact(stiffness, exponent, precompression), boundary)
 
 
+@checked
 def dimer(
     sites: Count, ratio: Scalar = 0.5, *, stiffness: Parameter = 1.0, exponent: Parameter = 1.5,
     precompression: Parameter = 0.0, boundary: str = "fixed",
@@ -109,6 +115,7 @@ def dimer(
                    precompression=precompression, boundary=boundary)
 
 
+@checked
 def trimer(
     sites: Count, ratios: Parameter = (0.5, 0.25), *, stiffness: Parameter = 1.0, exponent: Parameter = 1.5,
     precompression: Parameter = 0.0, boundary: str = "fixed",
@@ -124,11 +131,12 @@ def trimer(
         ratios = parameter("ratios", ratios)
     if not isinstance(ratios, (tuple, list)) and ratios.ndim != 1 or len(ratios) != 2:
         refuse("ratios", "two numbers, the second and third mass over the first", repr(ratios))
-    light = tuple(_ratio(f"ratios[{i}]", r) for i, r in enumerate(ratios))
+    light = tuple(_ratio(f"ratios[{i}]", _number(f"ratios[{i}]", r)) for i, r in enumerate(ratios))
     return pattern(sites, (1.0, *light), stiffness=stiffness, exponent=exponent, precompression=precompression,
                    boundary=boundary)
 
 
+@checked
 def n_to_one(
     sites: Count, beads: Count, ratio: Scalar = 0.5, *, stiffness: Parameter = 1.0, exponent: Parameter = 1.5,
     precompression: Parameter = 0.0, boundary: str = "fixed",
@@ -142,13 +150,16 @@ def n_to_one(
     Source: Porter, Daraio, Szelengowicz, Herbold, Kevrekidis, Physica D 238, 666 (2009).
     """
     beads = whole("beads", beads, 1, "It counts the heavy beads of a cell.")
-    return pattern(sites, (1.0,) * beads + (_ratio("ratio", ratio),), stiffness=stiffness, exponent=exponent,
-                   precompression=precompression, boundary=boundary)
+    # of a longer cell no light bead is seen
+    masses = (1.0,) * min(beads, _sites(sites)) + (_ratio("ratio", ratio),)
+    return pattern(sites, masses, stiffness=stiffness, exponent=exponent, precompression=precompression,
+                   boundary=boundary)
 
 
+@checked
 def defects(
-    sites: Count, masses: dict, *, mass: Parameter = 1.0, stiffness: Parameter = 1.0, exponent: Parameter = 1.5,
-    precompression: Parameter = 0.0, boundary: str = "fixed",
+    sites: Count, masses: dict[Count, Scalar], *, mass: Scalar = 1.0, stiffness: Parameter = 1.0,
+    exponent: Parameter = 1.5, precompression: Parameter = 0.0, boundary: str = "fixed",
 ) -> Lattice:
     """Monomer chain with some beads of another mass.
 
@@ -162,23 +173,22 @@ def defects(
     Source: Theocharis et al., Phys. Rev. E 80, 066601 (2009).
     """
     sites = _sites(sites)
-    if not isinstance(masses, dict):
-        refuse("masses", "a dict from site to mass, such as {50: 0.6}", repr(masses))
-    m = jnp.full(sites, positive("mass", _number("mass", mass), "A bead needs a mass."))
+    m = jnp.full(sites, positive("mass", mass, "A bead needs a mass."))
     seen = set()
     for site, other in masses.items():
         name = f"masses[{site!r}]"
-        if isinstance(site, bool) or not isinstance(site, (int, np.integer)) or not -sites <= site < sites:
+        if not -sites <= site < sites:
             refuse(name, f"a site from 0 to {sites - 1}, or negative from the end", repr(site))
         if site % sites in seen:
             refuse(name, "each site once", f"site {site % sites} twice")
         seen.add(site % sites)
-        m = m.at[site].set(positive(name, _number(name, other), "A bead needs a mass."))
+        m = m.at[site].set(positive(name, other, "A bead needs a mass."))
     return _chain(sites, m, _contact(stiffness, exponent, precompression), boundary)
 
 
+@checked
 def taper(
-    sites: Count, q: Scalar = 0.05, *, stiffness: Parameter = 1.0, precompression: Parameter = 0.0,
+    sites: Count, q: Scalar = 0.05, *, stiffness: Scalar = 1.0, precompression: Parameter = 0.0,
     boundary: str = "fixed",
 ) -> Lattice:
     r"""Tapered chain of spheres of one material: R_{n+1} = (1 - q) R_n.
@@ -194,8 +204,8 @@ def taper(
     sites = _sites(sites)
     if one_of("boundary", boundary, BOUNDARIES) == "periodic":
         refuse("boundary", "'fixed' or 'free' for a taper", "'periodic'", "The last radius differs from the first.")
-    q = within("q", _number("q", q), -1, 1, open_low=True, open_high=True, remedy="Radii shrink by the factor 1 - q.")
-    A = positive("stiffness", _number("stiffness", stiffness), "It is the coefficient of the first pair.")
+    q = within("q", q, -1, 1, open_low=True, open_high=True, remedy="Radii shrink by the factor 1 - q.")
+    A = positive("stiffness", stiffness, "It is the coefficient of the first pair.")
     R = (1 - q) ** jnp.arange(sites)
     mass = concrete(R**3)
     if mass is not None and not (np.isfinite(mass) & (mass > 0)).all():
@@ -208,6 +218,7 @@ def taper(
     return _chain(sites, R**3, Hertz(A * jnp.sqrt(share), precompression), boundary)
 
 
+@checked
 def disordered(
     sites: Count, spread: Scalar, seed: Seed = 0, *, distribution: str = "uniform", stiffness: Parameter = 1.0,
     exponent: Parameter = 1.5, precompression: Parameter = 0.0, boundary: str = "fixed",
@@ -225,7 +236,7 @@ def disordered(
     """
     sites = _sites(sites)
     remedy = "Masses are 1 - spread to 1 + spread."
-    spread = within("spread", _number("spread", spread), 0, 1, open_high=True, remedy=remedy)
+    spread = within("spread", spread, 0, 1, open_high=True, remedy=remedy)
     draw = {"uniform": jax.random.uniform, "binary": jax.random.rademacher}
     draw = draw[one_of("distribution", distribution, tuple(draw))]
     limits = {"minval": -1.0, "maxval": 1.0} if distribution == "uniform" else {}
@@ -233,6 +244,7 @@ def disordered(
     return _chain(sites, 1 + spread * noise, _contact(stiffness, exponent, precompression), boundary)
 
 
+@checked
 def fput(
     sites: Count, alpha: Parameter | None = None, beta: Parameter | None = None, *, mass: Parameter = 1.0,
     stiffness: Parameter = 1.0, boundary: str = "fixed",
@@ -258,6 +270,7 @@ def fput(
     return _chain(sites, mass, Polynomial(stiffness, alpha, beta), boundary)
 
 
+@checked
 def toda(
     sites: Count, *, mass: Parameter = 1.0, strength: Parameter = 1.0, rate: Parameter = 1.0, boundary: str = "free",
 ) -> Lattice:

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from ..checks import concrete, positive, refuse
+from ..entry import checked
 from ..lattice import Lattice
 from ..types import Scalar
 from ..units import Units
@@ -19,6 +20,7 @@ class ScaledLattice(NamedTuple):
     units: Units
 
 
+@checked
 def scaled(lattice: Lattice, velocity: Scalar | None = None, *, units: Units | None = None) -> ScaledLattice:
     r"""A lattice in SI with numbers of order one, and the units that lead back.
 
@@ -38,11 +40,9 @@ def scaled(lattice: Lattice, velocity: Scalar | None = None, *, units: Units | N
     A kind of your own is wrapped: it reads and gives its own units. **Raises** ValueError where there is no contact
     law or no length to scale with.
     """
-    if not isinstance(lattice, Lattice):
-        refuse("lattice", "a Lattice", repr(lattice))
     if units is None:
         units = _natural_units(lattice, velocity)
-    elif not isinstance(units, Units) or velocity is not None:
+    elif velocity is not None:
         refuse("units", "Units(mass, length, time) without a velocity, or a velocity alone", repr(units))
     mass = jax.tree.map(lambda m: m / units.mass, lattice.mass)
     terms = tuple(term.in_units(units) for term in lattice.terms)

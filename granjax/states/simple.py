@@ -4,16 +4,19 @@ import jax
 import jax.numpy as jnp
 
 from ..checks import non_negative, parameter, per_lane, random_key, refuse
+from ..entry import checked
 from ..lattice import Lattice, State
 from ..types import Parameter, Seed, Site
 from .places import field_of, site_of
 
 
+@checked
 def rest(lattice: Lattice) -> State:
     """Every site at rest in equilibrium: u = v = 0."""
     return State(lattice.zeros(), lattice.zeros())
 
 
+@checked
 def impact(lattice: Lattice, velocity: Parameter = 1.0, site: Site = 0, field: str | None = None) -> State:
     """One site moves, all else is at rest in equilibrium: what a striker leaves behind.
 
@@ -41,6 +44,7 @@ def impact(lattice: Lattice, velocity: Parameter = 1.0, site: Site = 0, field: s
     return State(lattice.zeros(), x if field is None else {**v, field: x})
 
 
+@checked
 def random(lattice: Lattice, seed: Seed = 0, displacement: Parameter = 0.1, velocity: Parameter = 0.0) -> State:
     """Displacements and velocities uniform in [-displacement, displacement) and [-velocity, velocity), seeded.
 
@@ -54,6 +58,7 @@ def random(lattice: Lattice, seed: Seed = 0, displacement: Parameter = 0.1, velo
     return State(*(_draw(lattice, key, a, _uniform) for key, a in zip(keys, amplitudes)))
 
 
+@checked
 def thermal(lattice: Lattice, temperature: Parameter, seed: Seed = 0) -> State:
     """Sites in equilibrium position with Gaussian velocities: m <v^2> = k_B T for each component.
 

@@ -8,7 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import concrete, one_of, per_lane, positive, refuse, show, within
+from ..checks import concrete, described, one_of, per_lane, positive, refuse, show, within
+from ..entry import checked, shape_of
 from ..lattice import Lattice, State
 from ..types import Parameter
 from .places import chain_only
@@ -16,6 +17,7 @@ from .places import chain_only
 UNIFORM = 1e-6
 
 
+@checked
 def wave_packet(
     lattice: Lattice, k: Parameter, centre: Parameter | None = None, width: Parameter = 10.0,
     amplitude: Parameter = 0.01, *, omega: Parameter | Callable | None = None, direction: str = "right",
@@ -58,13 +60,23 @@ def wave_packet(
         v = per_lane("omega", omega, lanes, positive) * envelope * jnp.sin(k * x)
     else:
         q = _column(2 * jnp.pi * jnp.fft.rfftfreq(size), lattice)
-        frequency = _local_frequency(lattice, q, k) if omega is None else jnp.asarray(omega(q))
+        frequency = _local_frequency(lattice, q, k) if omega is None else _given_frequency(omega, q, u.shape[1:])
         v = jnp.fft.irfft(-1j * frequency * jnp.fft.rfft(u, axis=0), size, axis=0)
     return State((zeros + u).astype(zeros.dtype), (zeros + sign * v).astype(zeros.dtype))
 
 
 def _column(x, lattice):
     return x.reshape((-1,) + (1,) * len(lattice.lanes))
+
+
+def _given_frequency(omega, q, lanes):
+    """omega(q) of the user's."""
+    found = omega(q)
+    shape = shape_of(found)
+    if shape is None or len(shape) > len(q.shape[:1] + lanes) or shape and shape[0] not in (1, len(q)):
+        wanted = f"a function of wave numbers {q.shape} that gives as many frequencies"
+        refuse("omega", wanted, f"one that gives {described(found)}")
+    return jnp.asarray(found)
 
 
 def _local_frequency(lattice, q, k):

@@ -1,0 +1,187 @@
+"""The entry of public functions: what is of the wrong kind meets a sentence before anything is computed."""
+
+import inspect
+import pickle
+import re
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jaxtyping import Float
+
+import granjax as gx
+from granjax import types as words
+from granjax.checks import described
+from granjax.entry import checked, kind_of
+
+LATTICE = gx.scenes.monomer(4, precompression=1.0)
+STATE = gx.states.rest(LATTICE)
+MASKED = np.ma.array([1.0, 2.0], mask=[False, True])
+
+
+class Odd:
+    def __repr__(self):
+        raise RuntimeError("no text")
+
+    def __array__(self, dtype=None, copy=None):
+        raise RuntimeError("no array")
+
+
+# what is no real number, in any shape
+NONE = (None, True, "1", b"1", 1j, object(), Odd(), {1}, {"a": 1}, [1, [2]], [1, "a"], [None], [True], (x for x in ()),
+        np.array([1, None]), np.array(["a"]), np.ones(2) * 1j, np.ones(2, bool), MASKED, [MASKED], 10**400, 2**63,
+        jax.random.key(0), gx, float, LATTICE, np.datetime64("2020"), Ellipsis, bytearray(b"1"))
+MANY = ([1.0], (1, 2), np.ones(3), jnp.ones((2, 2)), range(3), [np.ones(2)] * 3, np.ones(0))
+ONE = (1, 1.0, np.float32(1), np.int64(1), np.array(1.0), jnp.float32(1), jnp.asarray(2), np.ma.array(1.0))
+
+# an annotation, what fits it, what does not
+KINDS = (
+    (words.Scalar, ONE, NONE + MANY),
+    (words.Number, (*ONE, np.ones(3), jnp.ones((2, 2))), (*NONE, [1.0], (1, 2))),
+    (words.Parameter, ONE + MANY, NONE),
+    (float, ONE, NONE + MANY),
+    (words.Count, (0, -3, np.int8(2)), (*NONE, *MANY, 1.0, np.array(1), jnp.asarray(1))),
+    (bool, (True, np.bool_(False)), (None, 0, 1.0, "yes", np.ones(2, bool))),
+    (words.Flags, (True, np.ones(2, bool)), (None, 0, np.ones(2))),
+    (str, ("", np.str_("a")), (None, 1, b"a", ["a"])),
+    (words.Numbers, (np.ones(2), jnp.ones(()), np.arange(2)), (*NONE, [1.0], 1.0)),
+    (words.Times, (np.ones(2),), (*NONE, [1.0], np.ones((2, 2)))),
+    (words.Displacements, (np.ones(2), np.ones(2) * 1j, {"u": jnp.ones(2)}), (None, 1.0, {}, {"u": None}, MASKED)),
+    (words.StateLike, (STATE, (np.ones(2), [1, 2]), [{"u": np.ones(2)}] * 2),
+     (None, 1, (), (1.0, 2.0), (np.ones(2),), (np.ones(2),) * 3, (np.ones(2), None), (MASKED, MASKED), "ab",
+      (np.ones(2) * 1j, np.ones(2)))),
+    (words.Site, (0, -1, (1, 2), [0]), (None, True, 1.0, (1, 0.5), "a", np.ones(2))),
+    (words.Cell, (1, (2, 2), None), (1.5, "a", (1.5,))),
+    (words.Seed, (1, jax.random.key(0), jnp.uint32(3)), (None, 1.0, "a", np.ones(2), jnp.ones(2))),
+    (words.Quantity, (len, lambda t: t, gx.Hertz), (None, 1, "len")),
+    (words.Pytree, (1.0, STATE, {"a": np.ones(2)}), (None, "a", {}, (np.ones(2), "b"), object())),
+    (str | Path, ("a", Path("a")), (None, 1, ["a"])),
+    (str | Sequence[str], ("a", ["a"], ()), (None, 1, [1])),
+    (Sequence[str], (["a"], ("a", "b")), ("a", {"a"}, None, 1)),
+    (dict[str, words.Parameter] | None, (None, {}, {"a": [1.0]}), (1, {"a": "b"}, {1: 1.0}, [("a", 1)])),
+    (Mapping[str, Any], ({}, {"a": None}), (None, {1: 2})),
+    (tuple[str, int], (("a", 1),), (("a",), ("a", 1.0), ["a", 1], None)),
+    (tuple[int, ...], ((), (1, 2)), ((1.0,), [1], 1)),
+    (Literal["a", "b"], ("a",), ("c", 1, None, np.ones(2))),
+    (Callable | words.Scalar, (len, 1.0), (None, "a", np.ones(2))),
+    (Float[np.ndarray, "n n"], (np.eye(2), jnp.eye(2)), (np.ones(2), [[1.0]], None, np.eye(2) * 1j)),
+    (gx.Lattice | gx.Flow, (LATTICE, gx.Flow(3)), (None, gx.Lattice, STATE, 1)),
+    (gx.Law, (gx.Hertz(),), (None, 1.0, gx.Hertz)),
+    (Any, (None, 1, object()), ()),
+)
+
+
+def example(annotation):
+    def function(given, *, also=None):
+        return given
+
+    function.__annotations__ = {"given": annotation, "also": annotation}
+    return checked(function)
+
+
+@pytest.mark.parametrize("annotation, good, bad", KINDS, ids=[str(k[0])[:40] for k in KINDS])
+def test_what_is_of_a_kind_and_what_is_not(annotation, good, bad):
+    function = example(annotation)
+    for x in good:
+        assert function(x) is x and function(x, also=x) is x and function(given=x) is x
+    for x in bad:
+        for call in (lambda x=x: function(x), lambda x=x: function(given=x)):
+            with pytest.raises(ValueError, match=r"(?s)^(a name in )?given.*: expected .+, got .+\."):
+                call()
+
+
+SENTENCES = (
+    (words.Scalar, np.ones(3), "given: expected one number, got an array of float64, shape (3,). For many at once"),
+    (words.Scalar, 10**5000, "given: expected one number, got a whole number of 5000 digits. A whole number has 64"),
+    (words.Parameter, np.ones(2) * 1j, "got an array of complex128, shape (2,). Take .real or abs()"),
+    (words.Parameter, MASKED, "given: expected numbers without a mask, got 1 of 2 masked. "),
+    (words.StateLike, (np.ones(2), None), "given.v: expected an array of real numbers over the sites"),
+    (dict[str, words.Scalar], {"a": "b"}, "given['a']: expected one number, got 'b'."),
+    (Sequence[str], ["a", 1], "given[1]: expected a string, got 1."),
+    (gx.Lattice, gx.Lattice, "given: expected a Lattice, such as gx.scenes.monomer(100), got the class Lattice."),
+    (words.Count | None, 2.5, "given: expected a whole number or None, got 2.5."),
+)
+
+
+@pytest.mark.parametrize("annotation, x, said", SENTENCES, ids=[said[:30] for *_, said in SENTENCES])
+def test_sentences(annotation, x, said):
+    with pytest.raises(ValueError, match=re.escape(said)):
+        example(annotation)(x)
+
+
+def test_what_is_traced_passes_where_an_array_is_meant():
+    number, count = example(words.Scalar), example(words.Count)
+    assert jax.jit(number)(2.0) == 2.0 and jax.vmap(number)(jnp.ones(3)).shape == (3,)
+    with pytest.raises(ValueError, match="expected a whole number, got a traced value .* known before tracing"):
+        jax.jit(count)(2)
+    with pytest.raises(ValueError, match="expected one number, got a traced value"):
+        jax.jit(number)(jnp.ones(2))
+
+
+def test_a_value_that_must_be_known_is_named():
+    for function in (lambda x: float(x), lambda x: np.asarray(x), lambda x: 1 if x > 0 else 2):
+        with pytest.raises(ValueError, match="x: expected what is known before tracing, got a traced value"):
+            jax.jit(checked(function))(1.0)
+    with pytest.raises(jax.errors.ConcretizationTypeError):
+        jax.jit(lambda y: checked(lambda x: float(y))(1.0))(2.0)
+
+
+@checked
+def module_level(lattice: gx.Lattice, steps: words.Count = 3, *, name: str = "a", **options: Any) -> int:
+    """Said."""
+    return steps
+
+
+class Sized(eqx.Module):
+    size: words.Scalar
+
+    @checked
+    def __init__(self, size: words.Scalar):
+        self.size = size
+
+
+class Own(Sized):
+    def __init__(self, text):
+        super().__init__(len(text))
+
+
+@checked
+class Plain(eqx.Module):
+    size: words.Scalar = 1.0
+
+
+def test_a_checked_function_stays_what_it_was():
+    assert module_level.__doc__ == "Said." and list(inspect.signature(module_level).parameters)[1] == "steps"
+    assert pickle.loads(pickle.dumps(module_level)) is module_level and pickle.loads(pickle.dumps(Plain(2.0))).size == 2
+    for wrong in (lambda: module_level(), lambda: module_level(LATTICE, 1, 2)):
+        with pytest.raises(TypeError, match="argument"):
+            wrong()
+    assert module_level(LATTICE, any_other=3) == 3
+
+
+def test_classes_check_what_they_are_made_of_and_nothing_that_jax_rebuilds():
+    for kind in (Sized, Plain):
+        with pytest.raises(ValueError, match="size: expected one number"):
+            kind("large")
+        assert jax.tree.map(lambda x: "anything", kind(1.0)).size == "anything"
+    assert Own("four").size == 4
+    with pytest.raises(ValueError, match="unexpected|size"):
+        Sized(None)
+
+
+def test_what_was_given_is_said_in_few_words():
+    class Long(list):
+        pass
+
+    for x in (Odd(), [Odd()], {"a": Odd()}, [10**6000], Long(range(10**5)), "a" * 10**6, {i: i for i in range(10**4)}):
+        assert len(described(x)) < 200
+    assert described(None) == "None" and described(np.ones((2, 3))) == "an array of float64, shape (2, 3)"
+
+
+def test_an_annotation_that_says_nothing_lets_everything_through():
+    assert all(kind_of(hint) is None for hint in (Any, object, "later", words.Count | Any))
