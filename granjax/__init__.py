@@ -4,6 +4,12 @@
 flags that speed up its loops on the CPU unless it holds GRANJAX_TUNE=0; `gx.tune()` says what is in force.
 """
 
+from . import interrupts as _interrupts
+
+# before what takes seconds to import
+if _interrupts.is_command():
+    _interrupts.prepare_command()
+
 from . import tuning as _tuning
 
 _tuning.prepare_import()

@@ -1,22 +1,30 @@
 """The command line: `granjax resonance`, `granjax reproduce`, `granjax bench`.
 
-Results go to standard output, everything else to standard error. Exit codes: 0; 1 where a computation failed or a
-figure disagrees; 2 for input that cannot be meant, with a sentence.
+Results go to standard output, everything else to standard error, or to standard output where that is closed. Exit
+codes: 0; 1 where a computation failed, a figure disagrees or a result could not be written to its place; 2 for input
+that cannot be meant, with a sentence; 130 where it was interrupted; 141 where nobody reads standard output any more.
 """
 
 import argparse
+import contextlib
 import json
 import math
 import os
 import sys
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
+from typing import NoReturn
 
 import granjax as gx
 
 from .checks import one_of, refuse, whole
+from .files import folder, netcdf, reason, rescue, target
+from .interrupts import INTERRUPTED, prepare_command
 from .tuning import keep_compiled
 
+# as of a process that a closed pipe ends
+UNREAD = 141
 LEAST_RATIOS = 3
 ADVISED = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
 LOWEST_RATIO = 0.05
@@ -26,26 +34,60 @@ DEFINITION = (
 )
 
 
+def command() -> NoReturn:
+    """The process `granjax`: `main`, and its end."""
+    prepare_command()
+    try:
+        code = main()
+    except SystemExit as end:  # of --help and --version
+        code = end.code or _say("")
+    # threads of XLA may be at work still, and what could not be written would be tried again
+    os._exit(code)
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command; `argv` without the program's name, `None` for that of the process. Returns the exit code."""
     try:
         arguments = _parser().parse_args(argv)
         if arguments.command is None:
-            _parser().print_help()
-            return 0
+            return _say(_parser().format_help().rstrip())
         _prepare(not arguments.no_cache)
         return arguments.command(arguments)
     except (ValueError, OSError) as error:
-        return _failed(error, 2)
+        return _complain(error, 2)
     except RuntimeError as error:
-        return _failed(error, 1)
+        return _complain(error, 1)
     except KeyboardInterrupt:
-        return _failed("interrupted", 130)
+        return _complain("interrupted", INTERRUPTED)
 
 
-def _failed(error, code):
-    print(f"granjax: {error}", file=sys.stderr)
+def _complain(error, code=0):
+    """The exit code; the sentence goes to standard error, or to standard output where that is closed."""
+    stream = sys.stdout if sys.stderr is None else sys.stderr
+    with contextlib.suppress(OSError):
+        print(f"granjax: {error}", file=stream, flush=True)
     return code
+
+
+def _say(text):
+    """A result on standard output; the exit code that follows from what became of it."""
+    if sys.stdout is None:
+        return _complain("standard output is closed: results are not printed", 1)
+    try:
+        print(text, end="\n" if text else "", flush=True)
+    except OSError as error:
+        # said once: nothing more comes there
+        sys.stdout = open(os.devnull, "w")
+        if isinstance(error, BrokenPipeError):
+            return UNREAD
+        return _complain(f"standard output could not be written ({reason(error)})", 1)
+    return 0
+
+
+def _keep(path, content):
+    """Write a file; a sentence and exit code 1 where it could not be written to its place."""
+    _, said = rescue(path, content)
+    return _complain(said, 1) if said else 0
 
 
 class _Parser(argparse.ArgumentParser):
@@ -106,17 +148,19 @@ def _prepare(cache):
     """XLA's flags, one device per core, and the cache of compiled programs, before JAX's first computation."""
     import jax
 
+    # what is not kept, or was not kept whole, is compiled again
+    warnings.filterwarnings("ignore", "Error (reading|writing) persistent compilation cache")
     if cache:
         keep_compiled()
     tuning = gx.tune()
     if not tuning.complete and os.environ.get("GRANJAX_TUNE", "1") != "0":
-        print(f"granjax: {tuning.outcome}", file=sys.stderr)
+        _complain(tuning.outcome)
     chosen = "xla_force_host_platform_device_count" in tuning.flags or jax.config.jax_num_cpu_devices > 0
     if not chosen:
         try:
             jax.config.update("jax_num_cpu_devices", _cores())
         except RuntimeError:
-            print("granjax: JAX has started already, so the cores stay as they are shared.", file=sys.stderr)
+            _complain("JAX has started already, so the cores stay as they are shared.")
 
 
 def _cores():
@@ -131,40 +175,31 @@ def _resonance(arguments):
     beads = whole("--beads", arguments.beads, 3, "A dimer chain between walls.")
     picture, data = _places(arguments.out)
     ratios = np.linspace(LOWEST_RATIO, 1, count + 1)[1:]
-    sweep = gx.resonance.transmission(ratios, beads, progress=True)
-    extrema = gx.resonance.refine(sweep, progress=True)
-    _draw(sweep, extrema, picture)
-    _write(sweep, extrema, data)
+    watched = sys.stderr is not None
+    sweep = gx.resonance.transmission(ratios, beads, progress=watched)
+    extrema = gx.resonance.refine(sweep, progress=watched)
     if arguments.json:
         columns = {
             "mass_ratio": sweep.mass_ratio, "transmission": sweep.transmission,
             "resonances": extrema.resonances, "anti_resonances": extrema.anti_resonances,
         }
-        print(json.dumps({name: column.tolist() for name, column in columns.items()}))
+        code = _say(json.dumps({name: column.tolist() for name, column in columns.items()}))
     else:
-        print("\n".join(_table(sweep, extrema)))
-        print(f"Written: {picture}, {data}")
-    return 0
+        code = _say("\n".join(_table(sweep, extrema)))
+    kept = [_keep(data, _data(sweep, extrema)), _keep(picture, _picture(sweep, extrema, picture.suffix))]
+    if not any(kept) and not arguments.json:
+        code = code or _say(f"Written: {picture}, {data}")
+    return code or max(kept)
 
 
 def _places(out):
     """Paths of picture and data; their folder is made where it is missing."""
     stem = Path(out).with_suffix("") if Path(out).suffix in (".png", ".nc") else Path(out) / "resonance"
-    _make_folder(stem.parent)
-    return Path(f"{stem}.png"), Path(f"{stem}.nc")
+    folder("--out", stem.parent)
+    return target("--out", f"{stem}.png"), target("--out", f"{stem}.nc")
 
 
-def _make_folder(folder):
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        reason = "" if os.access(folder, os.W_OK | os.X_OK) else "no permission to write"
-    except OSError as error:
-        reason = error.strerror
-    if reason:
-        refuse("--out", "a folder that can be made and written", f"{str(folder)!r} ({reason})")
-
-
-def _draw(sweep, extrema, path):
+def _picture(sweep, extrema, ending):
     # the extrema among the points, so that cusps are sharp
     ratios = [*sweep.mass_ratio, *extrema.resonances, *extrema.anti_resonances]
     values = [*sweep.transmission, *extrema.resonance_transmission, *extrema.anti_resonance_transmission]
@@ -173,16 +208,16 @@ def _draw(sweep, extrema, path):
         gx.plots.transmission(
             ratios, values, canvas.subplots(), resonances=extrema.resonances, anti_resonances=extrema.anti_resonances
         )
-        gx.plots.save(canvas, path)
+        return gx.plots.drawn(canvas, ending)
 
 
-def _write(sweep, extrema, path):
+def _data(sweep, extrema):
     data = sweep.to_xarray().merge(extrema.to_xarray(), combine_attrs="drop_conflicts")
     data.attrs |= {
         "definition": DEFINITION, "granjax_version": gx.__version__,
         "units": "mass of the heavy bead m = 1, contact stiffness A = 1, striker's velocity v = 1",
     }
-    data.to_netcdf(path, engine="h5netcdf")
+    return netcdf(data)
 
 
 def _table(sweep, extrema):
@@ -202,19 +237,23 @@ def _table(sweep, extrema):
 
 def _reproduce(arguments):
     if arguments.list:
-        print(gx.reproduce.listing())
-        return 0
+        return _say(gx.reproduce.listing())
     if bool(arguments.figures) == arguments.all:
         refuse("FIGURE", "labels of figures, or --all", "both" if arguments.all else "neither", "--list shows them.")
     out = arguments.out
     if out is None and not arguments.check:
         out = "."
-    results = gx.reproduce.run(
+    results = gx.reproduce.one_by_one(
         arguments.figures or None, out, arguments.check, gx.plots, dict(map(_setting, arguments.set))
     )
+    code = 0
     for result in results:
-        print(result)
-    return int(any(result.failure or arguments.check and result.passed is False for result in results))
+        wrong = result.failure or result.unwritten or arguments.check and result.passed is False
+        said = _say(str(result))
+        if said == UNREAD:
+            return said
+        code = code or said or int(bool(wrong))
+    return code
 
 
 def _setting(text):
@@ -228,26 +267,29 @@ def _bench(arguments):
     known = gx.canonical.names()
     names = [one_of("SCENE", name, known) for name in arguments.scenes] or known
     if arguments.list:
-        print("\n".join(f"{name:<20}{gx.canonical.scene(name).title}" for name in names))
-        return 0
-    repeats, out = whole("--repeats", arguments.repeats, 1), Path(arguments.out)
-    _make_folder(out)
-    done, failed = {}, 0
+        return _say("\n".join(f"{name:<20}{gx.canonical.scene(name).title}" for name in names))
+    repeats, out = whole("--repeats", arguments.repeats, 1), folder("--out", arguments.out)
+    places = {name: [target("--out", out / f"bench-{name}{end}") for end in (".json", ".png")] for name in names}
+    done, code = {}, 0
     for name in names:
         scene = gx.canonical.scene(name)
         try:
             table = _measured(scene, repeats)
         except RuntimeError as error:
-            failed = _failed(f"{name}: {error}", 1)
+            code = _complain(f"{name}: {error}", 1)
             continue
         done[name] = {"scene": name, "title": scene.title, "t0": scene.t0, "t1": scene.t1, **table.to_dict()}
-        (out / f"bench-{name}.json").write_text(json.dumps(done[name], indent=1) + "\n")
-        _chart(scene, table, out / f"bench-{name}.png")
         if not arguments.json:
-            print("\n".join([f"{name}: {scene.title}", str(table), *_advice(table), ""]))
+            said = _say("\n".join([f"{name}: {scene.title}", str(table), *_advice(table), ""]))
+            if said == UNREAD:
+                return said
+            code = code or said
+        data, picture = places[name]
+        code = _keep(data, json.dumps(done[name], indent=1) + "\n") or code
+        code = _keep(picture, _chart(scene, table, picture.suffix)) or code
     if arguments.json:
-        print(json.dumps(done, allow_nan=False))
-    return failed
+        code = _say(json.dumps(done, allow_nan=False)) or code
+    return code
 
 
 def _measured(scene, repeats):
@@ -262,11 +304,11 @@ def _advice(table):
     return [str(table.advice(error)) for error in ADVISED if error >= reached]
 
 
-def _chart(scene, table, path):
+def _chart(scene, table, ending):
     with gx.plots.style():
         canvas = gx.plots.figure(10.5, 4.2)
         left, right = canvas.subplots(1, 2)
         gx.plots.work_precision(table, left).get_legend().remove()
         gx.plots.work_precision(table, right, against="evaluations")
         canvas.suptitle(scene.title, fontsize="medium")
-        gx.plots.save(canvas, path)
+        return gx.plots.drawn(canvas, ending)

@@ -1,6 +1,7 @@
 """`Result`: what every record of the library is: an outcome, text for reading, named arrays with units, files."""
 
 import dataclasses
+import io
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,6 +12,7 @@ import jax
 import numpy as np
 
 from .checks import concrete, refuse, traced
+from .files import netcdf, target, write
 
 if TYPE_CHECKING:
     import xarray  # half a second
@@ -104,19 +106,23 @@ class Result(eqx.Module):
     def save(self, path: str | Path) -> Path:
         """Write `to_xarray()` to a file: netCDF (`.nc`), or MATLAB's `.mat` with the attributes in a struct.
 
-        **Returns:** the path. **Raises** ValueError for another ending.
-        """
-        path, data = Path(path), self.to_xarray()
-        if path.suffix == ".nc":
-            data.to_netcdf(path, engine="h5netcdf")
-        elif path.suffix == ".mat":
-            from scipy.io import savemat
+        The file is there whole or not at all, and what was there before stays where writing fails; a file that is open
+        elsewhere may be written again.
 
-            arrays = {str(name): x.values for name, x in data.variables.items()}
-            savemat(path, arrays | {"attributes": dict(data.attrs)}, long_field_names=True)
-        else:
+        **Returns:** the path. **Raises** ValueError for another ending, or where nothing can be written (no such
+        folder, no right to); OSError where writing fails (a full disk).
+        """
+        path = target("path", path)
+        if path.suffix not in (".nc", ".mat"):
             refuse("path", "a name that ends in .nc or .mat", repr(path.name))
-        return path
+        data = self.to_xarray()
+        if path.suffix == ".nc":
+            return write(path, netcdf(data))
+        from scipy.io import savemat
+
+        buffer, arrays = io.BytesIO(), {str(name): x.values for name, x in data.variables.items()}
+        savemat(buffer, arrays | {"attributes": dict(data.attrs)}, long_field_names=True)
+        return write(path, buffer.getvalue())
 
     @staticmethod
     def load(path: str | Path) -> "xarray.Dataset":

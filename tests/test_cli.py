@@ -151,7 +151,7 @@ class Outcome:
     """Stands for a result of `reproduce.run`."""
 
     def __init__(self, passed, failure=""):
-        self.passed, self.failure = passed, failure
+        self.passed, self.failure, self.unwritten = passed, failure, ""
 
     def __str__(self):
         return f"figure, passed: {self.passed}"
@@ -175,7 +175,7 @@ def test_reproduce_passes_its_arguments_on(arguments, asked, outcome, code, monk
         assert overrides == {"sites": "9"}
         return [outcome]
 
-    monkeypatch.setattr(gx.reproduce, "run", run)
+    monkeypatch.setattr(gx.reproduce, "one_by_one", run)
     assert main(["reproduce", *arguments, "--set", "sites=9"]) == code
     assert seen == [asked]
     assert str(outcome) in capsys.readouterr().out

@@ -10,7 +10,7 @@ import granjax
 ROOT = Path(granjax.__file__).parent
 
 FLOORS = (
-    {"checks", "outside", "tuning", "types"},
+    {"checks", "files", "interrupts", "outside", "tuning", "types"},
     {"entry"},
     {"results", "split_system", "units"},
     {"laws", "strains", "materials", "solvers", "newton", "parameters", "descent", "theory", "plots"},

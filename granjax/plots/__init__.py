@@ -10,10 +10,10 @@ from .fits import corner, fit, law
 from .histories import space_time, traces
 from .orbits import branch, breather, floquet_circle, hysteresis, strain_map
 from .precision import work_precision
-from .style import COLOURS, figure, save, style
+from .style import COLOURS, drawn, figure, save, style
 from .waves import dispersion
 
 __all__ = [
-    "COLOURS", "branch", "breather", "corner", "dispersion", "figure", "fit", "floquet_circle", "hysteresis", "law",
-    "profile", "save", "space_time", "strain_map", "style", "traces", "transmission", "work_precision",
+    "COLOURS", "branch", "breather", "corner", "dispersion", "drawn", "figure", "fit", "floquet_circle", "hysteresis",
+    "law", "profile", "save", "space_time", "strain_map", "style", "traces", "transmission", "work_precision",
 ]

@@ -1,6 +1,7 @@
 """The house style: fonts, colours, new figures. Nothing global is changed."""
 
 import contextlib
+import io
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TypeAlias
@@ -10,7 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from ..checks import positive
+from ..checks import one_of, positive
+from ..files import target, write
 from ..types import Count, Scalar
 
 AxesOrNone: TypeAlias = Axes | None
@@ -64,11 +66,23 @@ def figure(width: Scalar = 5.0, height: Scalar = 3.6) -> Figure:
     return made
 
 
-def save(made: Figure, path: str | Path, *, dpi: Scalar = 200) -> str | Path:
-    """Write a figure; the path's ending says how (png, pdf, svg). Returns the path."""
+def save(made: Figure, path: str | Path, *, dpi: Scalar = 200) -> Path:
+    """Write a figure; the path's ending says how (png, pdf, svg). Returns the path.
+
+    The file is there whole or not at all. **Raises** ValueError for another ending, or where nothing can be written
+    there; OSError where writing fails (a full disk).
+    """
+    path = target("path", path)
+    return write(path, drawn(made, path.suffix, dpi=dpi))
+
+
+def drawn(made: Figure, ending: str, *, dpi: Scalar = 200) -> bytes:
+    """What a file with this ending (`".png"`, `".pdf"`, `".svg"`) of a figure holds."""
+    known = [f".{name}" for name in made.canvas.get_supported_filetypes()]
+    kind, buffer = one_of("path", ending.lower(), known)[1:], io.BytesIO()
     with style():
-        made.savefig(path, dpi=float(positive("dpi", dpi)), facecolor="white")
-    return path
+        made.savefig(buffer, format=kind, dpi=float(positive("dpi", dpi)), facecolor="white")
+    return buffer.getvalue()
 
 
 def axes_or_new(ax: AxesOrNone, width: Scalar = 5.0, height: Scalar = 3.6) -> Axes:

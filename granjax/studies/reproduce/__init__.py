@@ -7,7 +7,7 @@ does not state is chosen here, said to be so, and can be set.
 """
 
 from .figure import Awaited, Choice, Figure
-from .making import Made, run
+from .making import Made, one_by_one, run
 from .registry import figure, figures, listing, made
 
-__all__ = ["Awaited", "Choice", "Figure", "Made", "figure", "figures", "listing", "made", "run"]
+__all__ = ["Awaited", "Choice", "Figure", "Made", "figure", "figures", "listing", "made", "one_by_one", "run"]

@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
 
@@ -10,9 +10,12 @@ import equinox as eqx
 import numpy as np
 
 from ...checks import one_of, refuse
+from ...files import folder, netcdf, rescue, target
 from ...results import Result
 from .figure import Figure
 from .registry import figure, made
+
+PICTURE, DATA = ".png", ".nc"
 
 
 class Made(Result):
@@ -21,7 +24,8 @@ class Made(Result):
     - `label`; `number`, `expected`, `tolerance`; `passed`: whether they agree, `None` where the expected value does
       not hold for the parameters that were set. `seconds`: of the computation.
     - `parameters`: dict of the chosen parameters that were used; `picture`, `data`: paths, `None` where not written.
-    - `failure`: a sentence where the simulation failed, and empty otherwise. `outcome`: all of it in words.
+    - `failure`: a sentence where the simulation failed, and empty otherwise; `unwritten`: the same where a file could
+      not be written to its place (and is in a temporary folder, if that can be). `outcome`: all of it in words.
     """
 
     label: str = eqx.field(static=True)
@@ -34,6 +38,7 @@ class Made(Result):
     picture: Path | None = eqx.field(static=True)
     data: Path | None = eqx.field(static=True)
     failure: str = eqx.field(static=True)
+    unwritten: str = eqx.field(static=True)
     outcome: str = eqx.field(static=True)
 
     def __repr__(self) -> str:
@@ -56,9 +61,17 @@ def run(
       figure asked for that has the parameter.
 
     **Returns:** a list of `Made`, one per label; after `check` all is well where none has `passed is False`.
-    **Raises** ValueError for an unknown label (suggesting the nearest), a figure that is not made yet, or a parameter
-    that none of the figures has.
+    **Raises** ValueError for an unknown label (suggesting the nearest), a figure that is not made yet, a parameter
+    that none of the figures has, or a folder that cannot be written.
     """
+    return list(one_by_one(labels, out, check, plots, overrides))
+
+
+def one_by_one(
+    labels: str | Figure | Sequence[str | Figure] | None = None, out: str | Path | None = None, check: bool = False,
+    plots: ModuleType | None = None, overrides: Mapping[str, object] | None = None,
+) -> Iterator[Made]:
+    """`run`, of which each `Made` is given out when it is there; what is wrong is refused at the call."""
     chosen = [figure(label) for label in _labels(labels)]
     overrides = dict(overrides or {})
     known = tuple(dict.fromkeys(name for f in chosen for name in f.chosen))
@@ -68,12 +81,11 @@ def run(
     if out is not None:
         if plots is None:
             refuse("plots", "the module that draws, such as granjax.plots", "None")
-        out = Path(out)
-        try:
-            out.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            refuse("out", "a folder that can be made and written", f"{str(out)!r} ({error.strerror})")
-    return [_make(f, parameters, out, check, plots) for f, parameters in zip(chosen, settings)]
+        out = folder("out", out)
+        for f in chosen:
+            for ending in (PICTURE, DATA):
+                target("out", out / f"{f.label}{ending}")
+    return (_make(f, parameters, out, check, plots) for f, parameters in zip(chosen, settings))
 
 
 def _labels(labels):
@@ -96,16 +108,19 @@ def _make(f, parameters, out, check, plots):
     bound = all(parameters[name] == f.chosen[name].value for name in f.binding)
     passed = bool(abs(value - f.expected) <= f.tolerance) if bound or failure else None
     picture = path = None
+    unwritten = ""
     if out is not None and data is not None:
         _describe(f, parameters, data, value)
-        path, picture = out / f"{f.label}.nc", out / f"{f.label}.png"
-        data.to_netcdf(path, engine="h5netcdf")
+        path, unwritten = rescue(out / f"{f.label}{DATA}", netcdf(data))
         with plots.style():
             canvas = plots.figure(*f.size)
             f.draw(plots, canvas, data)
-            plots.save(canvas, picture)
+        picture, said = rescue(out / f"{f.label}{PICTURE}", plots.drawn(canvas, PICTURE))
+        unwritten = f"{unwritten} {said}".strip()
     outcome = _outcome(f, parameters, value, passed if check else None, bound, failure, picture, path)
-    return Made(f.label, value, f.expected, f.tolerance, passed, seconds, parameters, picture, path, failure, outcome)
+    outcome += f"\n  {unwritten}" if unwritten else ""
+    known = f.label, value, f.expected, f.tolerance, passed, seconds, parameters
+    return Made(*known, picture, path, failure, unwritten, outcome)
 
 
 def _describe(f, parameters, data, value):
@@ -133,6 +148,6 @@ def _outcome(f, parameters, value, passed, bound, failure, picture, path):
         shown = (f"{n} = {v:g}" if isinstance(v, float) else f"{n} = {v}" for n, v in parameters.items())
         units = (f" {f.chosen[n].unit}" if f.chosen[n].unit else "" for n in parameters)
         lines.append("  chosen here: " + ", ".join(map("".join, zip(shown, units))))
-    if picture is not None:
-        lines.append(f"  {picture}, {path}")
+    if picture or path:
+        lines.append("  " + ", ".join(str(x) for x in (picture, path) if x))
     return "\n".join(lines)

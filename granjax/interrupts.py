@@ -1,0 +1,81 @@
+"""Ctrl-C: what the command line answers at any moment, imports included.
+
+Compiled programs, the compiler and libraries hold the thread that Python would interrupt, and what is raised while
+they are loaded or at work ends in a traceback of theirs, or in a segmentation fault while the interpreter is taken
+down. So the command line raises nothing: a second thread, which the signal reaches at once, says one line and ends
+the process.
+
+Nothing here is imported that takes time.
+"""
+
+import contextlib
+import os
+import signal
+import socket
+import sys
+import threading
+from pathlib import Path
+from typing import NoReturn
+
+INTERRUPTED = 130
+
+
+def is_command() -> bool:
+    """Whether this process was started as `granjax` or `python -m granjax`."""
+    first = sys.argv[0] if sys.argv else ""
+    if first == "-m":  # its name is not known yet
+        started = sys.orig_argv
+        return any(a[:1] == "-" and a[-1:] == "m" and b == __package__ for a, b in zip(started, started[1:]))
+    module = Path(os.path.abspath(first)) == Path(__file__).with_name("__main__.py")
+    return module or Path(first).name.removesuffix(".exe") == __package__
+
+
+def prepare_command() -> None:
+    """Standard streams that are there, and Ctrl-C that ends this process with one line and code 130."""
+    _open_streams()
+    if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:  # ignored, or somebody else's, or done
+        return
+    reading, writing = socket.socketpair()
+    writing.setblocking(False)
+    signal.set_wakeup_fd(writing.fileno(), warn_on_full_buffer=False)
+    signal.signal(signal.SIGINT, _answered_elsewhere)
+    threading.Thread(target=_watch, args=(reading, writing), daemon=True).start()
+
+
+def _open_streams():
+    """Streams that were closed lead nowhere: a file opened later would take their place, and their messages."""
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)
+
+
+def _answered_elsewhere(number, frame):
+    """What Python itself does at the signal."""
+
+
+def _watch(reading, writing):
+    while signal.SIGINT not in reading.recv(64):
+        pass
+    end_interrupted()
+
+
+def end_interrupted() -> NoReturn:
+    """One line, with the files that were written, and the end of the process; nothing is taken down."""
+    files = sys.modules.get(f"{__package__}.files")
+    names = []
+    if files is not None:
+        files.stop_writing()
+        names = list(map(str, files.written))
+    said = f"written until then: {', '.join(names)}" if names else "nothing was written"
+    tell(f"granjax: interrupted; {said}.")
+    os._exit(INTERRUPTED)
+
+
+def tell(text: str) -> None:
+    """A line on standard error, or on standard output where that is closed; over a progress bar, if there is one."""
+    number = 2 if sys.stderr is not None else 1
+    with contextlib.suppress(OSError):
+        bar = "\r\x1b[K" if os.isatty(number) else ""
+        os.write(number, f"{bar}{text}\n".encode(errors="replace"))
