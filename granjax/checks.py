@@ -161,6 +161,15 @@ def within(
     return array
 
 
+def broadcast(**arrays: Any) -> None:
+    """Refuse arrays, by their names, whose shapes do not broadcast."""
+    shapes = {name: np.shape(x) for name, x in arrays.items()}
+    try:
+        np.broadcast_shapes(*shapes.values())
+    except ValueError:
+        refuse(" and ".join(shapes), "shapes that broadcast", " and ".join(map(str, shapes.values())))
+
+
 def per_lane(argument: str, x: Any, lanes: tuple[int, ...], check: Callable = parameter) -> jax.Array:
     """A parameter of a whole lattice: one number, or one per lane; `check`: what else each must be."""
     array = check(argument, x)

@@ -35,6 +35,7 @@ CLASSES = {
     "Record": ("a record, such as gx.Peak(quantity)", ""),
     "AbstractSolver": ("a solver, such as gx.SRKN11b()", "Any of granjax's or diffrax's will do."),
     "AbstractAdjoint": ("an adjoint, such as diffrax.ForwardMode()", "None serves both derivative modes."),
+    "Material": ("a Material", "Names: granjax.materials.NAMES."),
     "Axes": ("matplotlib's Axes", "Such as matplotlib.pyplot.subplots makes."),
 }
 
@@ -78,8 +79,10 @@ def shape_of(x: Any, kinds: str = "fiu") -> tuple[int, ...] | None:
     if isinstance(x, jax.Array):
         real = letter(x) in kinds or jnp.issubdtype(x.dtype, jnp.floating)
         return x.shape if real else None
+    if isinstance(x, str):
+        return () if "U" in kinds else None
     if isinstance(x, (int, float, complex)):
-        if kind is bool or isinstance(x, complex) and "c" not in kinds:
+        if kind is bool and "b" not in kinds or isinstance(x, complex) and "c" not in kinds:
             return None
         return None if isinstance(x, int) and not LEAST <= x <= MOST else ()
     if _is_sequence(x):
@@ -127,6 +130,11 @@ def _over_sites(x, kinds="fiu"):
     return bool(shape_of(x, kinds))
 
 
+def _moves(x):
+    parts = x.values() if isinstance(x, dict) else (x,)
+    return bool(parts) and all(_array(part, "fiuc") and part.ndim for part in parts) and _over_sites(x, "fiuc")
+
+
 def _sites_of(argument, x):
     return [(f"{argument}[{name!r}]", SITES, part) for name, part in x.items()] if isinstance(x, dict) else []
 
@@ -141,7 +149,7 @@ def _pair_parts(argument, x):
 
 
 SITES = Kind("an array of real numbers over the sites, or a dict of such", _over_sites, parts=_sites_of)
-MOVES = Kind("an array of numbers over the sites, or a dict of such", lambda x: _over_sites(x, "fiuc"), parts=_sites_of)
+MOVES = Kind("an array of numbers over the sites, or a dict of such", _moves, parts=_sites_of)
 COUNT = Kind("a whole number", _count, known=True)
 FLAG = Kind("True or False", _flag, known=True)
 ONE = Kind("one number", _scalar)
@@ -181,7 +189,7 @@ PLAIN_KINDS = {
     tuple: Kind("a tuple", lambda x: isinstance(x, tuple)),
     list: Kind("a list", lambda x: isinstance(x, list)),
     dict: Kind("a dict", lambda x: isinstance(x, dict)),
-    Sequence: Kind("a sequence", lambda x: _is_sequence(x) or _array(x, "fiucbOUS") and x.ndim > 0),
+    Sequence: Kind("a sequence", lambda x: _is_sequence(x) or _array(x, "fiucbUS") and x.ndim > 0),
     Iterable: Kind("several values", lambda x: hasattr(x, "__iter__")),
     Callable: Kind("a function", callable),
 }

@@ -13,7 +13,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .checks import concrete, positive, real, refuse, within
+from .checks import broadcast, concrete, described, positive, real, refuse, within
+from .entry import checked
 from .types import Number, Parameter
 
 _BOECHLER = "as used by Boechler et al., Phys. Rev. Lett. 104, 244302 (2010)"
@@ -57,6 +58,7 @@ class Material(eqx.Module):
     density: jax.Array
     source: str = eqx.field(static=True)
 
+    @checked
     def __init__(self, name: str, young: Parameter, poisson: Parameter, density: Parameter, source: str = ""):
         self.name, self.source = str(name), str(source)
         self.young = positive("young", young, "Young's modulus is in pascal: 193e9 for steel, 1.46e9 for PTFE.")
@@ -76,6 +78,7 @@ def _plain(name):
 _PLAIN = {_plain(name): name for name in (*NAMES, *_ALIASES)}
 
 
+@checked
 def material(name: str | Material) -> Material:
     """A material of the table by its name; capitals, spaces, dashes and underscores do not matter.
 
@@ -88,8 +91,6 @@ def material(name: str | Material) -> Material:
 def _find(name):
     if isinstance(name, Material):
         return name
-    if not isinstance(name, str):
-        refuse("material", "a Material, or the name of one", repr(name), f"Names: {', '.join(NAMES)}.")
     known = _PLAIN.get(_plain(name))
     if known == "rigid":
         unit = Material("rigid", 1.0, 0.0, 1.0, "a body that does not yield and does not move")
@@ -104,21 +105,15 @@ def _find(name):
     return Material(known, *_TABLE[known])
 
 
+@checked
 def stack(materials: Sequence[str | Material]) -> Material:
     """One `Material` whose numbers are arrays (N,), from a sequence of N materials or names."""
     bodies = [_find(m) for m in materials]
+    if not bodies or any(jnp.ndim(x) for b in bodies for x in (b.young, b.poisson, b.density)):
+        refuse("materials", "at least one, each of one kind", described(materials))
     young, poisson, density = (jnp.stack([getattr(b, n) for b in bodies]) for n in ("young", "poisson", "density"))
     placed = Material("mixed", jnp.ones(len(bodies)), 0.0, 1.0, "; ".join(dict.fromkeys(b.source for b in bodies)))
     return eqx.tree_at(lambda m: (m.young, m.poisson, m.density), placed, (young, poisson, density))
-
-
-def _fit(**arrays):
-    """Refuse arrays whose shapes do not broadcast."""
-    shapes = {name: jnp.shape(x) for name, x in arrays.items()}
-    try:
-        np.broadcast_shapes(*shapes.values())
-    except ValueError:
-        refuse(" and ".join(shapes), "shapes that broadcast", " and ".join(map(str, shapes.values())))
 
 
 def _radius(argument, radius):
@@ -143,6 +138,7 @@ def _effective_modulus(first, second):
     return 1 / compliance
 
 
+@checked
 def hertz_coefficient(
     material_1: str | Material, radius_1: Parameter, material_2: str | Material | None = None,
     radius_2: Parameter | None = None,
@@ -165,7 +161,7 @@ def hertz_coefficient(
     second = first if material_2 is None else _find(material_2)
     R1 = _radius_or_plane("radius_1", radius_1)
     R2 = R1 if radius_2 is None else _radius_or_plane("radius_2", radius_2)
-    _fit(radius_1=R1, radius_2=R2, material_1=first.compliance, material_2=second.compliance)
+    broadcast(radius_1=R1, radius_2=R2, material_1=first.compliance, material_2=second.compliance)
     curvature = 1 / R1 + 1 / R2
     value = concrete(curvature)
     if value is not None and not np.all(value > 0):
@@ -173,6 +169,7 @@ def hertz_coefficient(
     return 4 / 3 * _effective_modulus(first, second) / jnp.sqrt(curvature)
 
 
+@checked
 def bead_mass(material: str | Material, radius: Parameter) -> Number:
     """Mass of a solid sphere, m = (4/3) pi R^3 rho [kg].
 
@@ -184,10 +181,11 @@ def bead_mass(material: str | Material, radius: Parameter) -> Number:
     if density is not None and not np.all(np.isfinite(density)):
         refuse("material", "a material with a density", "'rigid'", "A rigid body stands for a wall, not for a bead.")
     R = _radius("radius", radius)
-    _fit(radius=R, density=body.density)
+    broadcast(radius=R, density=body.density)
     return 4 / 3 * math.pi * R**3 * body.density
 
 
+@checked
 def crossed_cylinders(
     material_1: str | Material, radius_1: Parameter, material_2: str | Material | None = None,
     radius_2: Parameter | None = None, angle: Parameter = math.pi / 2,
@@ -215,7 +213,7 @@ def crossed_cylinders(
     R2 = R1 if radius_2 is None else _radius("radius_2", radius_2)
     remedy = "The angle is in radians; parallel cylinders touch along a line, which is another law."
     angle = within("angle", angle, 0, math.pi / 2, open_low=True, remedy=remedy)
-    _fit(radius_1=R1, radius_2=R2, angle=angle, material_1=first.compliance, material_2=second.compliance)
+    broadcast(radius_1=R1, radius_2=R2, angle=angle, material_1=first.compliance, material_2=second.compliance)
     return _effective_modulus(first, second) * _ellipse(R1, R2, angle)
 
 

@@ -115,7 +115,7 @@ def test_folders_that_need_not_know_each_other(own, other):
 
 
 def test_the_reading_of_imports_sees_them():
-    assert {"laws", "strains", "checks"} <= imports(ROOT / "terms" / "bonds.py")
+    assert {"laws", "strains", "entry"} <= imports(ROOT / "terms" / "bonds.py")
     assert "terms" in imports(ROOT / "lattice" / "model.py")
 
 

@@ -8,7 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import positive, refuse
+from ..checks import positive
+from ..entry import checked
 from ..outside import Outside
 from ..results import Held, Result
 from ..types import Numbers, Pytree, Scalar
@@ -56,6 +57,7 @@ class Derivative(Result):
         yield "outcome", self.outcome
 
 
+@checked
 def derivative(function: Callable, x: Pytree, step: Scalar) -> Derivative:
     """df/dx of a function of runs, and what the time steps leave uncertain of it.
 
@@ -71,8 +73,6 @@ def derivative(function: Callable, x: Pytree, step: Scalar) -> Derivative:
 
     **Returns:** `Derivative`. **Raises** ValueError for a step <= 0 or a function that takes no step.
     """
-    if not callable(function):
-        refuse("function", "a function (x, step)", repr(function))
     ladder = float(positive("step", step)) * np.asarray(LADDER)
     x = jax.tree.map(lambda a: jnp.asarray(a, float) if not isinstance(a, jax.Array) else a, x)
     slopes = _slopes(function, x, jnp.asarray(ladder), Outside(function))

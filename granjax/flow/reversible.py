@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import positive, refuse
+from ..entry import checked
 from ..lattice import Lattice, split_system, vector_field
 from ..solvers import AbstractSplitting
 from ..types import Number, Scalar, StateLike, Times
@@ -42,6 +43,7 @@ class Reversible(eqx.Module):
     return_error: jax.Array
     tolerance: float = eqx.field(static=True)
 
+    @checked
     def __init__(self, tolerance: Scalar = 1e-6):
         self.return_error = jnp.zeros(())
         self.tolerance = float(positive("tolerance", tolerance))

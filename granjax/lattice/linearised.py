@@ -1,15 +1,16 @@
 """The lattice linearised about a state: the equation of its tangents, many at once in a trailing axis."""
 
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from ..entry import checked
 from ..terms.base import wider
 from ..types import Displacements, Number
-from .model import Lattice
+from .model import Lattice, check_shape
 
 
+@checked
 def linearised(lattice: Lattice, t: Number, u: Displacements, v: Displacements | None = None) -> Lattice:
     r"""The lattice of small perturbations U about u(t): m U'' = (dF/du) U + (dF/dv) U'.
 
@@ -21,6 +22,8 @@ def linearised(lattice: Lattice, t: Number, u: Displacements, v: Displacements |
     linearly (zero by default).
     """
     v = jax.tree.map(jnp.zeros_like, u) if v is None else v
+    check_shape(lattice, "u", u)
+    check_shape(lattice, "v", v)
     terms = [term.linearised(lattice, t, u, v) for term in lattice.terms]
     terms = tuple(term for term in terms if term is not None)
     return eqx.tree_at(lambda x: (x.mass, x.terms), lattice, (wider(lattice.mass), terms))

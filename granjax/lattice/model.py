@@ -1,5 +1,6 @@
 """The lattice: masses and terms, and the equation of motion that they make."""
 
+import math
 from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -9,11 +10,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import positive, refuse, whole
+from ..checks import held_in_memory, positive, refuse, whole
+from ..entry import checked
 from ..outside import Outside
 from ..terms import Term
 from ..terms.tracing import reads, traced
-from ..types import Count, Displacements, Number, Parameter
+from ..types import Count, Displacements, Number, Parameter, Site
 
 
 class State(NamedTuple):
@@ -50,8 +52,9 @@ class Lattice(eqx.Module):
     _per_site: object = eqx.field(static=True)
     dimension: int | None = eqx.field(static=True)
 
+    @checked
     def __init__(
-        self, mass: Parameter | dict[str, Parameter], terms: Any, *, sites: Any = None,
+        self, mass: Parameter | dict[str, Parameter], terms: Term | Sequence[Term], *, sites: Site | None = None,
         dimension: Count | None = None,
     ):
         self.dimension = None if dimension is None else whole("dimension", dimension, 1)
@@ -65,13 +68,11 @@ class Lattice(eqx.Module):
         else:
             self.mass, self._sites, self._per_site = self._one_mass("mass", mass, sites)
         terms = (terms,) if isinstance(terms, Term) else terms
-        if not isinstance(terms, (tuple, list)):
-            refuse("terms", "a tuple of terms, such as (Bond(Shift(1), Hertz()), Damping(0.1))", repr(terms))
         self.terms = tuple(terms)
         self._mark = _one(self.axes + (self.dimension is not None))
         self._outside = Outside(self.terms)
         if self.dimension is not None:
-            self.terms = tuple(_per_vector(term, self.axes) for term in self.terms)
+            self.terms = tuple(term.per_vector(self.axes) for term in self.terms)
         self._check_terms()
 
     def _one_mass(self, name, mass, sites):
@@ -79,12 +80,14 @@ class Lattice(eqx.Module):
         per_site = mass.ndim > 0
         if sites is None and not per_site:
             refuse(name, "an array, one mass per site", "one number", "Or say how many sites: Lattice(..., sites=N).")
-        shape = mass.shape if sites is None else tuple(np.atleast_1d(sites).tolist())
+        shape = mass.shape if sites is None else tuple(sites) if isinstance(sites, (tuple, list)) else (sites,)
         shape = tuple(whole("sites", n, 1) for n in shape)
         if per_site and mass.shape != shape:
             refuse(name, f"shape {shape}, one mass per site", f"shape {mass.shape}")
-        if int(np.prod(shape)) < 2:
-            refuse(name, "at least two sites", f"{int(np.prod(shape))}", "A lattice has bonds.")
+        count = math.prod(shape)
+        if count < 2:
+            refuse(name, "at least two sites", f"{count}", "A lattice has bonds.")
+        held_in_memory("sites", count)
         if per_site and self.dimension is not None:
             mass = mass[..., None]
         return mass, shape, per_site
@@ -93,8 +96,6 @@ class Lattice(eqx.Module):
         u = self.template()
         for i, term in enumerate(self.terms):
             name = f"terms[{i}] ({type(term).__name__})"
-            if not isinstance(term, Term):
-                refuse(f"terms[{i}]", "a term, such as Bond(Shift(1), Hertz())", repr(term))
             term.check(name, self)
             try:
                 got, _ = traced(term, self)
@@ -177,6 +178,7 @@ class Lattice(eqx.Module):
 
         return jax.tree.map(cast, self)
 
+    @checked
     def force(self, t: Number, u: Displacements, v: Displacements) -> Displacements:
         """Sum of the forces on the sites, of the structure of `u`: of the lattice's shape, lanes or tangents behind."""
         check_shape(self, "u", u)
@@ -194,10 +196,12 @@ class Lattice(eqx.Module):
             return {name: _sum([part[name] for part in parts if name in part], x) for name, x in u.items()}
         return _sum(parts, u)
 
+    @checked
     def acceleration(self, t: Number, u: Displacements, v: Displacements) -> Displacements:
         """a = force/m."""
         return jax.tree.map(jnp.divide, self.force(t, u, v), self.mass)
 
+    @checked
     def potential_energy(self, t: Number, u: Displacements) -> Number:
         """Potential energy of the whole lattice, from equilibrium; shape of the lanes."""
         check_shape(self, "u", u)
@@ -209,6 +213,7 @@ class Lattice(eqx.Module):
                 total = total + sum(e.sum(tuple(range(e.ndim - lanes))) for e in jax.tree.leaves(energy))
         return total
 
+    @checked
     def kinetic_energy(self, v: Displacements) -> Number:
         """Sum of m v^2/2; shape of the lanes."""
         check_shape(self, "v", v)
@@ -218,6 +223,7 @@ class Lattice(eqx.Module):
 
         return sum(jax.tree.leaves(jax.tree.map(kinetic, self.mass, v)))
 
+    @checked
     def energy(self, t: Number, u: Displacements, v: Displacements) -> Number:
         """Kinetic and potential energy of the whole lattice, from equilibrium; shape of the lanes."""
         return self.kinetic_energy(v) + self.potential_energy(t, u)
@@ -246,6 +252,7 @@ class Lattice(eqx.Module):
         """The `Breaks` of all terms, where time steps end."""
         return tuple(b for term in self.terms for b in term.jumps())
 
+    @checked
     def between(self, low: Number, high: Number) -> Any:
         """The lattice for the times from `low` to `high`: functions of time with breaks are held beyond them."""
         return eqx.tree_at(lambda x: x.terms, self, tuple(term.between(low, high) for term in self.terms))
@@ -288,14 +295,11 @@ def check_shape(lattice: Any, name: str, x: Displacements) -> None:
             refuse(name, f"shape {wanted}, that of the lattice", f"shape {got}", "Start from lattice.zeros().")
 
 
-def _per_vector(term, axes):
-    return term.per_vector(axes) if isinstance(term, Term) else term
-
-
 def _sum(parts, like):
     return sum(parts[1:], parts[0]) if parts else jnp.zeros_like(like)
 
 
-def spread_mass(lattice: Any) -> Displacements:
+@checked
+def spread_mass(lattice: Lattice) -> Displacements:
     """Mass of every degree of freedom, of the structure of the displacements."""
     return jax.tree.map(lambda m, u: jnp.broadcast_to(m, u.shape), lattice.mass, lattice.zeros())

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from ..checks import refuse
+from ..entry import checked
 from ..laws import Law
 from ..split_system import Split, pair
 from ..types import Number, StateLike
@@ -176,6 +177,7 @@ class SpringSplit(eqx.Module):
         return left * u[:-2] - (left + right) * u[1:-1] + right * u[2:]
 
 
+@checked
 def split_system(lattice: Lattice) -> Any:
     """The lattice as kicks and drifts for a splitting solver.
 
@@ -199,6 +201,7 @@ def split_system(lattice: Lattice) -> Any:
     return (SpringSplit if law.is_linear else ChainSplit)(lattice, law, boundary)
 
 
+@checked
 def acceleration_only(lattice: Lattice) -> Callable:
     """The acceleration a(t, u) alone, for Nystrom pairs.
 
@@ -214,6 +217,7 @@ def acceleration_only(lattice: Lattice) -> Callable:
     return lambda t, u: lattice.acceleration(t, u, jax.tree.map(jnp.zeros_like, u))
 
 
+@checked
 def vector_field(t: Number, y: StateLike, lattice: Lattice) -> StateLike:
     """dy/dt = (v, a): the right-hand side of diffrax's form f(t, y, args), with the lattice as `args`.
 

@@ -1,6 +1,6 @@
 """Force laws: one bond or one site, elementwise, measured from static equilibrium."""
 
-from .base import Law, Scaled, Sum, checked_law
+from .base import Law, Scaled, Sum
 from .contact import Hertz, PowerLaw
 from .network import Network
 from .power import plus_power
@@ -11,5 +11,5 @@ from .yielding import Yielding
 
 __all__ = [
     "Hertz", "Law", "Linear", "Network", "Polynomial", "PowerLaw", "Scaled", "Sine", "Spline", "Sum", "Taylor", "Toda",
-    "Yielding", "checked_law", "plus_power", "taylor",
+    "Yielding", "plus_power", "taylor",
 ]

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from ..checks import non_negative, refuse
+from ..entry import checked
 from ..types import Number, Numbers, Parameter
 from ..units import PART, Dimensional
 
@@ -78,15 +79,9 @@ class Law(Dimensional):
     def _wrapped(self, units):
         return InOtherUnits(self, units.length, units.force)
 
-    def __add__(self, other):
-        return Sum(self.parts + checked_law(other).parts)
-
-
-def checked_law(law: Law) -> Law:
-    """The law itself; anything else is refused."""
-    if not isinstance(law, Law):
-        refuse("law", "a law, such as Hertz()", repr(law))
-    return law
+    @checked
+    def __add__(self, law: "Law") -> "Law":
+        return Sum(self.parts + law.parts)
 
 
 def checked_preload(argument: str, F0: Parameter, remedy: str):
@@ -106,8 +101,11 @@ class Sum(Law):
     dimensions = {"_parts": PART}
     _parts: tuple[Law, ...]
 
-    def __init__(self, parts: Sequence):
-        self._parts = tuple(checked_law(part) for part in parts)
+    @checked
+    def __init__(self, parts: Sequence[Law]):
+        self._parts = tuple(parts)
+        if not self._parts:
+            refuse("parts", "at least one law", "none")
 
     @property
     def parts(self):
@@ -152,8 +150,9 @@ class Scaled(Law):
     law: Law
     factor: object
 
+    @checked
     def __init__(self, law: Law, factor: Number):
-        self.law, self.factor = checked_law(law), factor
+        self.law, self.factor = law, factor
 
     @property
     def softens(self):

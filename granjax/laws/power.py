@@ -9,16 +9,20 @@ for p = 3/2); zero there is granjax's choice, so that an open or a touching cont
 stays NaN: a state that has gone wrong is not hidden.
 """
 
+import math
 from functools import partial
 
 import jax
 import jax.numpy as jnp
 from jax.custom_derivatives import SymbolicZero
 
+from ..checks import refuse
+from ..entry import checked
 from ..types import Number, Numbers
 from .real_power import logarithm, real_power, root
 
 
+@checked
 def plus_power(s: Number, p: Number) -> Numbers:
     """[s]_+^p, elementwise.
 
@@ -28,6 +32,8 @@ def plus_power(s: Number, p: Number) -> Numbers:
     **Returns:** an array of the shape of `s` and `p` broadcast; zero where `s <= 0`, NaN where `s` is NaN.
     """
     if isinstance(p, (int, float)):
+        if not math.isfinite(p):
+            refuse("p", "a finite exponent", repr(p))
         return _static_power(s, float(p))
     return _free_power(s, p, 0)
 

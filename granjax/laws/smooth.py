@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 
 from ..checks import parameter, positive, refuse
+from ..entry import checked
 from ..types import Parameter
 from .base import Law
 
@@ -28,6 +29,7 @@ class Polynomial(Law):
     K3: jax.Array | None
     K4: jax.Array | None
 
+    @checked
     def __init__(self, K2: Parameter = 1.0, K3: Parameter = 0.0, K4: Parameter = 0.0):
         self.K2, self.K3, self.K4 = _optional("K2", K2), _optional("K3", K3), _optional("K4", K4)
         if self.K2 is None and self.K3 is None and self.K4 is None:
@@ -63,6 +65,7 @@ class Toda(Law):
     strength: jax.Array
     rate: jax.Array
 
+    @checked
     def __init__(self, strength: Parameter = 1.0, rate: Parameter = 1.0):
         self.strength, self.rate = positive("strength", strength), positive("rate", rate)
 
@@ -91,6 +94,7 @@ class Linear(Law):
     is_linear = True
     stiffness: jax.Array
 
+    @checked
     def __init__(self, stiffness: Parameter = 1.0):
         self.stiffness = parameter("stiffness", stiffness)
 
@@ -114,6 +118,7 @@ class Sine(Law):
     stiffness: jax.Array
     wavenumber: jax.Array
 
+    @checked
     def __init__(self, stiffness: Parameter = 1.0, wavenumber: Parameter = 1.0):
         self.stiffness, self.wavenumber = parameter("stiffness", stiffness), positive("wavenumber", wavenumber)
 

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from ..checks import concrete, non_negative, parameter, refuse, show
+from ..entry import checked
 from ..types import AnyArray, Parameter
 from .base import Law, checked_preload
 
@@ -37,6 +38,7 @@ class Spline(Law):
     _preload: jax.Array | None
     knots: tuple[float, ...] = eqx.field(static=True)
 
+    @checked
     def __init__(self, knots: Sequence | AnyArray, stiffness: Parameter, preload: Parameter = 0.0):
         self.knots = _checked_knots(knots)
         stiffness = non_negative("stiffness", stiffness, "Where it is negative the force falls.")

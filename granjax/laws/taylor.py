@@ -1,11 +1,13 @@
 """Taylor coefficients of any law."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
+from ..entry import checked
 from ..types import Number
+from .base import Law
 
 
 class Taylor(NamedTuple):
@@ -16,7 +18,8 @@ class Taylor(NamedTuple):
     K4: jax.Array
 
 
-def taylor(law: Any, e: Number = 0.0) -> Taylor:
+@checked
+def taylor(law: Law, e: Number = 0.0) -> Taylor:
     """Taylor coefficients of a law about a compression, by nested derivatives.
 
     K2 = F'(e), K3 = F''(e)/2, K4 = F'''(e)/6. For Hertz with d0 = A = 1: 3/2, 3/8, -1/16.

@@ -6,9 +6,10 @@ import jax
 import jax.numpy as jnp
 
 from ..checks import positive
+from ..entry import checked
 from ..types import Parameter
 from ..units import PART
-from .base import Law, checked_law
+from .base import Law
 
 NEWTON_STEPS = 200
 
@@ -28,8 +29,9 @@ class Yielding(Law):
     law: Law
     support: jax.Array
 
-    def __init__(self, law: Law, support: Parameter | None):
-        self.law, self.support = checked_law(law), positive("support", support)
+    @checked
+    def __init__(self, law: Law, support: Parameter):
+        self.law, self.support = law, positive("support", support)
 
     @property
     def softens(self):

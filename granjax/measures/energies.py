@@ -1,5 +1,6 @@
 """Energies and momentum of a state, of the whole lattice and site by site."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
@@ -7,10 +8,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import refuse
-from ..entry import checked
+from ..checks import described, refuse
+from ..entry import checked, shape_of
 from ..lattice import Lattice
-from ..types import Displacements, Number, Parameter, StateLike
+from ..types import AnyArray, Displacements, Number, StateLike
 from .states_of import parts
 
 
@@ -84,7 +85,7 @@ def _per_site(lattice, x):
 
 @checked
 def species_energy(
-    lattice: Lattice, y: StateLike, t: Number = 0.0, *, species: Parameter | None = None
+    lattice: Lattice, y: StateLike, t: Number = 0.0, *, species: Sequence | AnyArray | None = None
 ) -> dict[Any, Number]:
     """Energy of each kind of site, from `site_energy` [J]: who holds it, the heavy or the light.
 
@@ -98,8 +99,11 @@ def species_energy(
         if species is not None:
             refuse("species", "None, as the cells' fields are the species", f"{type(species).__name__}")
         return {name: e.sum(axes) for name, e in share.items()}
-    if species is None or isinstance(species, jax.core.Tracer) or np.shape(species) != lattice.sites:
-        got = "None" if species is None else f"shape {np.shape(species)}"
+    shape = shape_of(species, "fiubUSO")
+    if isinstance(species, jax.core.Tracer) or shape != lattice.sites:
+        got = described(species) if shape is None else f"shape {shape}"
         refuse("species", f"labels of shape {lattice.sites}, one per site", got, "Labels must be known before tracing.")
     labels = np.asarray(species)
+    if labels.dtype.kind not in "fiubUS":
+        refuse("species", "numbers or names", described(species))
     return {label.item(): share[labels == label].sum(0) for label in np.unique(labels)}

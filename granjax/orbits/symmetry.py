@@ -8,12 +8,14 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
 from ..checks import whole
+from ..entry import checked
 from ..lattice import Lattice
 from ..types import Count, Numbers, Pytree, StateLike
 
 NOT_RESISTED = 1e-9
 
 
+@checked
 class Symmetry(eqx.Module):
     r"""S of y(t0 + T) = S y(t0): displacements moved by some cells, reflected, with a sign; velocities alike.
 
@@ -54,6 +56,7 @@ class Symmetry(eqx.Module):
         return y if self.trivial else jax.tree.map(one, y)
 
 
+@checked
 def Translation(cells: Count = 1) -> Symmetry:
     """The wave reappears `cells` further on after a period: a rotating wave of a ring, or one that travels."""
     return Symmetry(cells=whole("cells", cells, -(2**31)))
@@ -69,6 +72,7 @@ def Sign() -> Symmetry:
     return Symmetry(sign=-1)
 
 
+@checked
 def shifts(lattice: Lattice) -> Float[jax.Array, "n k"]:
     """Uniform displacements that cost nothing, as columns (n, k) over the raveled displacements.
 

@@ -5,9 +5,9 @@ field, each at an offset and with a weight; `Shift` is the normal form, `Stencil
 bonds on any graph, `Stretch` a distance in the plane or in space. A map of one's own needs `strain` alone.
 """
 
-from .maps import BOUNDARIES, LinearMap, StrainMap, checked_map
+from .maps import BOUNDARIES, LinearMap, StrainMap
 from .pairs import WALL, Pairs
 from .stencil import Shift, Stencil
 from .stretch import Stretch
 
-__all__ = ["BOUNDARIES", "LinearMap", "Pairs", "Shift", "Stencil", "StrainMap", "Stretch", "WALL", "checked_map"]
+__all__ = ["BOUNDARIES", "LinearMap", "Pairs", "Shift", "Stencil", "StrainMap", "Stretch", "WALL"]

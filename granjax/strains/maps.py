@@ -215,20 +215,12 @@ class TwoEnds(LinearMap):
         return jax.tree.map(lambda s: s / 2, self.reach_back(bonds))
 
 
-def checked_map(strain_map: StrainMap) -> StrainMap:
-    """The strain map itself; anything else is refused."""
-    if not isinstance(strain_map, StrainMap):
-        refuse("strain_map", "a strain map, such as Shift(1, 'fixed')", repr(strain_map))
-    return strain_map
-
-
 def checked_fields(fields: str | Sequence[str] | None):
     """`None`, or the pair of names of tail and head."""
     if fields is None:
         return None
     if isinstance(fields, str):
         return fields, fields
-    named = isinstance(fields, (tuple, list)) and all(isinstance(f, str) for f in fields)
-    if not named or len(fields) != 2:
+    if len(fields) != 2:
         refuse("fields", "a name, or the names of tail and head", repr(fields), 'Write fields=("bead", "resonator").')
     return tuple(fields)

@@ -1,14 +1,14 @@
 """Bonds listed one by one, on any graph."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
 from ..checks import refuse, whole
-from ..types import AnyArray
+from ..entry import checked
+from ..types import AnyArray, Site
 from .maps import TwoEnds, checked_fields
 
 WALL = -1
@@ -30,8 +30,9 @@ class Pairs(TwoEnds):
     sites: tuple[int, int] = eqx.field(static=True)
     fields: tuple[str, str] | None = eqx.field(static=True)
 
+    @checked
     def __init__(
-        self, tail: Sequence | AnyArray, head: Sequence | AnyArray, *, sites: Any = None,
+        self, tail: Sequence | AnyArray, head: Sequence | AnyArray, *, sites: Site | None = None,
         fields: str | Sequence[str] | None = None,
     ):
         self.fields = checked_fields(fields)

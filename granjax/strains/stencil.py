@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import one_of, parameter, refuse
+from ..entry import checked
 from ..types import Site
 from .maps import BOUNDARIES, LinearMap, TwoEnds, checked_fields
 
@@ -75,7 +76,7 @@ def _pad(x, axis, low, high):
 
 def _offsets(offset):
     offsets = tuple(offset) if isinstance(offset, (tuple, list)) else (offset,)
-    if not offsets or any(isinstance(k, bool) or not isinstance(k, (int, np.integer)) for k in offsets):
+    if not offsets or not all(isinstance(k, (int, np.integer)) and not isinstance(k, bool) for k in offsets):
         refuse("offset", "a whole number, or one per axis", repr(offset))
     return tuple(int(k) for k in offsets)
 
@@ -106,6 +107,7 @@ class Shift(_Grid, TwoEnds):
     boundary: tuple[str, ...] = eqx.field(static=True)
     fields: tuple[str, str] | None = eqx.field(static=True)
 
+    @checked
     def __init__(
         self, offset: Site = 1, boundary: str | Sequence[str] = "fixed", fields: str | Sequence[str] | None = None,
     ):
@@ -153,6 +155,7 @@ class Stencil(_Grid):
     offsets: tuple[tuple[int, ...], ...] = eqx.field(static=True)
     boundary: tuple[str, ...] = eqx.field(static=True)
 
+    @checked
     def __init__(self, parts: Sequence, boundary: str | Sequence[str] = "fixed"):
         parts = tuple(parts) if isinstance(parts, (tuple, list)) else ()
         if not parts or any(not isinstance(p, (tuple, list)) or len(p) != 3 for p in parts):

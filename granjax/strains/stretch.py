@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 
 from ..checks import parameter, positive, refuse
+from ..entry import checked
 from ..types import Parameter
 from ..units import PART
 from .maps import StrainMap, TwoEnds
@@ -28,9 +29,8 @@ class Stretch(StrainMap):
     pairs: TwoEnds
     vector: jax.Array
 
-    def __init__(self, pairs: StrainMap, vector: Parameter):
-        if not isinstance(pairs, TwoEnds):
-            refuse("pairs", "a Shift or Pairs", repr(pairs))
+    @checked
+    def __init__(self, pairs: TwoEnds, vector: Parameter):
         self.pairs = pairs
         self.vector = parameter("vector", vector)
         if self.vector.ndim == 0:

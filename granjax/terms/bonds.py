@@ -7,15 +7,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import refuse
-from ..laws import Law, Linear, Scaled, checked_law
-from ..strains import Shift, StrainMap, checked_map
+from ..entry import checked
+from ..laws import Law, Linear, Scaled
+from ..strains import Shift, StrainMap
 from ..types import Number, Parameter, Waveform
 from ..units import PART, Signal
 from .base import Compression, Term, wider
 from .reach import largest_eigenvalue
 from .tracing import RESISTS, Dependence, stand_in
-from .waveforms import Breaks, checked_breaks, checked_waveform, held
+from .waveforms import Breaks, as_module, checked_breaks, held
 
 _strain = eqx.filter_jit(lambda strain_map, move: strain_map.strain(move))
 
@@ -52,8 +52,9 @@ class Bond(Joined):
     strain_map: StrainMap
     law: Law
 
+    @checked
     def __init__(self, strain_map: StrainMap, law: Law):
-        self.strain_map, self.law = checked_map(strain_map), checked_law(law)
+        self.strain_map, self.law = strain_map, law
 
     def dependence(self, lattice):
         return Dependence(displacement=True, energy=True)
@@ -139,10 +140,9 @@ class Modulated(Term):
     modulation: Callable
     breaks: Breaks | None
 
+    @checked
     def __init__(self, term: Term, modulation: Waveform, breaks: Parameter | Breaks | None = None):
-        if not isinstance(term, Term):
-            refuse("term", "a term, such as a Bond", repr(term))
-        self.term, self.modulation = term, checked_waveform("modulation", modulation)
+        self.term, self.modulation = term, as_module(modulation)
         self.breaks = checked_breaks(breaks)
 
     def jumps(self):

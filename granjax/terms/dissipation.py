@@ -5,9 +5,10 @@ import jax
 import jax.numpy as jnp
 
 from ..checks import non_negative, positive, refuse
+from ..entry import checked
 from ..laws import plus_power
-from ..strains import StrainMap, checked_map
-from ..types import Parameter
+from ..strains import StrainMap
+from ..types import Parameter, Scalar
 from ..units import PART
 from .base import Term, wider
 from .bonds import Joined
@@ -27,6 +28,7 @@ class Damping(Term):
     rate: jax.Array
     field: str | None = eqx.field(static=True)
 
+    @checked
     def __init__(self, rate: Parameter, field: str | None = None):
         self.rate, self.field = non_negative("rate", rate, "A negative rate would feed the lattice."), field
 
@@ -84,8 +86,9 @@ class Dashpot(_Viscous):
     strain_map: StrainMap
     coefficient: jax.Array
 
+    @checked
     def __init__(self, strain_map: StrainMap, coefficient: Parameter):
-        self.strain_map = checked_map(strain_map)
+        self.strain_map = strain_map
         self.coefficient = non_negative("coefficient", coefficient)
 
     def force(self, t, u, v, mass):
@@ -112,10 +115,11 @@ class ViscousContact(_Viscous):
     overlap: jax.Array
     exponent: float = eqx.field(static=True)
 
+    @checked
     def __init__(
-        self, strain_map: StrainMap, coefficient: Parameter, exponent: Parameter = 0.5, overlap: Parameter = 0.0,
+        self, strain_map: StrainMap, coefficient: Parameter, exponent: Scalar = 0.5, overlap: Parameter = 0.0,
     ):
-        self.strain_map = checked_map(strain_map)
+        self.strain_map = strain_map
         self.coefficient, self.overlap = non_negative("coefficient", coefficient), non_negative("overlap", overlap)
         self.exponent = float(positive("exponent", exponent))
 
@@ -135,6 +139,7 @@ class Drag(Term):
     dimensions = {"coefficient": (1, -2, 2)}
     coefficient: jax.Array
 
+    @checked
     def __init__(self, coefficient: Parameter):
         self.coefficient = non_negative("coefficient", coefficient)
 

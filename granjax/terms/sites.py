@@ -1,7 +1,6 @@
 """Forces on single sites: on-site laws and drives."""
 
 from collections.abc import Callable
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -9,13 +8,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import refuse
-from ..laws import Law, Scaled, checked_law
-from ..types import Parameter, Waveform
+from ..entry import checked
+from ..laws import Law, Scaled
+from ..types import Parameter, Site, Waveform
 from ..units import PART, Signal
 from .base import Compression, Excitation, Term, get, put
 from .bonds import spring
 from .tracing import Dependence
-from .waveforms import Breaks, checked_breaks, checked_waveform, held
+from .waveforms import Breaks, as_module, checked_breaks, held
 
 
 class OnSite(Term):
@@ -29,8 +29,9 @@ class OnSite(Term):
     law: Law
     field: str | None = eqx.field(static=True)
 
+    @checked
     def __init__(self, law: Law, field: str | None = None):
-        self.law, self.field = checked_law(law), field
+        self.law, self.field = law, field
 
     def dependence(self, lattice):
         return Dependence(displacement=True, energy=True)
@@ -85,10 +86,11 @@ class Drive(Term):
     site: tuple = eqx.field(static=True)
     field: str | None = eqx.field(static=True)
 
+    @checked
     def __init__(
-        self, waveform: Waveform, site: Any = 0, field: str | None = None, breaks: Parameter | Breaks | None = None,
+        self, waveform: Waveform, site: Site = 0, field: str | None = None, breaks: Parameter | Breaks | None = None,
     ):
-        self.waveform = checked_waveform("waveform", waveform)
+        self.waveform = as_module(waveform)
         self.site = tuple(site) if isinstance(site, (tuple, list)) else (site,)
         self.field, self.breaks = field, checked_breaks(breaks)
 
@@ -108,8 +110,7 @@ class Drive(Term):
     def check(self, name, lattice):
         sites = lattice.sites
         sites = sites.get(self.field, ()) if isinstance(sites, dict) else sites
-        whole_numbers = all(isinstance(i, (int, np.integer)) and not isinstance(i, bool) for i in self.site)
-        if not whole_numbers or len(self.site) != len(sites) or any(not -n <= i < n for i, n in zip(self.site, sites)):
+        if len(self.site) != len(sites) or any(not -n <= i < n for i, n in zip(self.site, sites)):
             refuse(name, f"a site of a lattice of {sites}", f"site {self.site}")
         if lattice.dimension is not None and jax.eval_shape(self.waveform, jnp.zeros(())).shape != (lattice.dimension,):
             refuse(name, f"a waveform that gives a vector of {lattice.dimension}", "one of another shape")

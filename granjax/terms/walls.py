@@ -8,13 +8,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import one_of, refuse
-from ..laws import Law, Scaled, Yielding, checked_law
+from ..entry import checked
+from ..laws import Law, Scaled, Yielding
 from ..types import Displacements, Number, Numbers, Parameter, Waveform
 from ..units import PART, Signal
 from .base import Compression, Excitation, Term, get, put
 from .bonds import spring
 from .tracing import Dependence
-from .waveforms import Breaks, checked_breaks, checked_waveform, held
+from .waveforms import Breaks, as_module, checked_breaks, held
 
 
 class Wall(Term):
@@ -38,13 +39,14 @@ class Wall(Term):
     side: str = eqx.field(static=True)
     field: str | None = eqx.field(static=True)
 
+    @checked
     def __init__(
         self, law: Law, side: str = "right", motion: Waveform | None = None, support: Parameter | None = None,
         field: str | None = None, breaks: Parameter | Breaks | None = None,
     ):
-        self.law = checked_law(law) if support is None else Yielding(checked_law(law), support)
+        self.law = law if support is None else Yielding(law, support)
         self.side = one_of("side", side, ("left", "right"))
-        self.motion = None if motion is None else checked_waveform("motion", motion)
+        self.motion = None if motion is None else as_module(motion)
         self.field, self.breaks = field, checked_breaks(breaks)
 
     def jumps(self):

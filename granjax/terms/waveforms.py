@@ -8,7 +8,8 @@ import jax
 import jax.numpy as jnp
 
 from ..checks import parameter, positive, refuse
-from ..types import Number, Numbers, Parameter
+from ..entry import checked
+from ..types import Number, Numbers, Parameter, Waveform
 from ..units import Dimensional
 
 # rounding units by which a function may miss the time at which it jumps
@@ -40,6 +41,7 @@ class Harmonic(eqx.Module):
     phase: jax.Array
     mean: jax.Array
 
+    @checked
     def __init__(self, amplitude: Parameter, omega: Parameter, phase: Parameter = 0.0, mean: Parameter = 0.0):
         self.amplitude, self.omega = parameter("amplitude", amplitude), parameter("omega", omega)
         self.phase, self.mean = parameter("phase", phase), parameter("mean", mean)
@@ -59,6 +61,7 @@ class Breaks(Dimensional):
     times: jax.Array
     period: jax.Array | None
 
+    @checked
     def __init__(self, times: Parameter, period: Parameter | None = None):
         self.times = jnp.atleast_1d(parameter("breaks", times))
         if self.times.size == 0:
@@ -115,13 +118,11 @@ def held(term: Any, name: str, low: Number, high: Number) -> Any:
     return eqx.tree_at(lambda x: getattr(x, name), term, Between(getattr(term, name), low, high))
 
 
-def checked_breaks(breaks: Any) -> Breaks | None:
+def checked_breaks(breaks: Parameter | Breaks | None) -> Breaks | None:
     """`Breaks` from a list of times; `None` stays."""
     return breaks if breaks is None or isinstance(breaks, Breaks) else Breaks(breaks)
 
 
-def checked_waveform(name: str, f: Any):
+def as_module(f: Waveform) -> Callable:
     """A function of time as a Module."""
-    if not callable(f):
-        refuse(name, "a function of time", repr(f), "Give f(t), or Harmonic(amplitude, omega).")
     return f if isinstance(f, eqx.Module) else Function(f)

@@ -32,7 +32,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
-from ..checks import concrete, parameter, refuse, show, whole
+from ..checks import broadcast, concrete, parameter, refuse, show, whole
+from ..entry import checked
 from ..results import Held, Result
 from ..types import Count, Number, Parameter
 from .nls_coefficients import B, Coefficients, band_edges, coefficients
@@ -43,6 +44,7 @@ __all__ = [
 ]
 
 
+@checked
 def bright(
     X: Number, T: Number, kappa: Number, nu2: Number, nu3: Number, X0: Number = 0.0
 ) -> Complex[Array, "..."]:
@@ -52,10 +54,12 @@ def bright(
     `nu3`: as in `coefficients`, at constant force; `X0`: centre. **Returns:** Y, complex.
     **Raises** ValueError where nu2 nu3 < 0, which has only dark solitons, and where kappa nu3 <= 0.
     """
+    broadcast(X=X, T=T, kappa=kappa, nu2=nu2, nu3=nu3, X0=X0)
     amplitude, width = _bright(kappa, nu2, nu3)
     return amplitude * _sech(width * (X - X0)) * jnp.exp(1j * kappa * T)
 
 
+@checked
 def dark(
     X: Number, T: Number, kappa: Number, nu2: Number, nu3: Number, X0: Number = 0.0,
     nu3_force: Number | None = None,
@@ -69,10 +73,13 @@ def dark(
     **Returns:** Y, complex.
     **Raises** ValueError where nu2 nu3_force > 0, which has only bright solitons, and where kappa nu3 <= 0.
     """
-    amplitude, width = _dark(kappa, nu2, nu3, nu3 if nu3_force is None else nu3_force)
+    nu3_force = nu3 if nu3_force is None else nu3_force
+    broadcast(X=X, T=T, kappa=kappa, nu2=nu2, nu3=nu3, X0=X0, nu3_force=nu3_force)
+    amplitude, width = _dark(kappa, nu2, nu3, nu3_force)
     return amplitude * jnp.tanh(width * (X - X0)) * jnp.exp(1j * kappa * T)
 
 
+@checked
 def growth_rate(Q: Parameter, amplitude: Parameter, nu2: Number, nu3: Number) -> Float[Array, "..."]:
     r"""Growth per unit T of a modulation e^{iQX} of a uniform wave: [nu2 Q^2 (2 nu3 |Y|^2 - nu2 Q^2)]^{1/2}.
 
@@ -83,6 +90,7 @@ def growth_rate(Q: Parameter, amplitude: Parameter, nu2: Number, nu3: Number) ->
     Source: T. B. Benjamin, J. E. Feir, J. Fluid Mech. 27, 417 (1967).
     """
     Q, amplitude, nu2, nu3 = map(parameter, ("Q", "amplitude", "nu2", "nu3"), (Q, amplitude, nu2, nu3))
+    broadcast(Q=Q, amplitude=amplitude, nu2=nu2, nu3=nu3)
     square = nu2 * Q**2 * (2 * nu3 * amplitude**2 - nu2 * Q**2)
     # what is not a number, such as a traced one, stays so
     stable = square <= 0
@@ -118,6 +126,7 @@ class Profile(Result):
         return f"A breather of frequency {show(omega)}, that of the linear wave shifted by {show(kappa)}."
 
 
+@checked
 def bright_profile(
     coefficients: Coefficients, omega: Number, cells: Count, centre: Number | None = None
 ) -> Profile:
@@ -144,6 +153,7 @@ def bright_profile(
     return Profile(*strains, amplitude, width, kappa + coefficients.omega, kappa)
 
 
+@checked
 def dark_profile(
     coefficients: Coefficients, omega: Number, cells: Count, centre: Number | None = None
 ) -> Profile:

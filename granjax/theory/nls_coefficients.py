@@ -8,9 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Complex, Float, Integer
 
-from ..checks import concrete, one_of, parameter, positive, refuse, show, whole
+from ..checks import broadcast, concrete, one_of, parameter, positive, refuse, show, whole
+from ..entry import checked
 from ..results import Held, Result
-from ..types import Count, Number, Parameter
+from ..types import Count, Parameter, Scalar
 
 # relative distances of omega^2, in units of rounding, below which branches touch and a harmonic lies on a branch
 TOUCHING, RESONANT = 1e6, 1e5
@@ -72,8 +73,9 @@ class Coefficients(Result):
         return f"nu2 = {nu2:.6g}, nu3 = {nu3:.6g} at constant force: {'bright' if nu2 * nu3 > 0 else 'dark'} solitons."
 
 
+@checked
 def coefficients(
-    mass: Parameter, K2: Parameter, K3: Parameter, K4: Parameter, k: Number, branch: Count = 0,
+    mass: Parameter, K2: Parameter, K3: Parameter, K4: Parameter, k: Scalar, branch: Count = 0,
     constraint: str = "force",
 ) -> Coefficients:
     r"""Coefficients of the envelope equation at one wave number of one branch.
@@ -99,8 +101,6 @@ def coefficients(
     """
     mass, K2, K3, K4 = _cell(mass, K2, K3, K4)
     k = parameter("k", k)
-    if k.ndim:
-        refuse("k", "one number", f"shape {k.shape}", "For many use jax.vmap.")
     sites = mass.size
     if whole("branch", branch) >= sites:
         refuse("branch", f"a branch below {sites}, as the cell has {sites} sites", repr(branch))
@@ -216,16 +216,19 @@ def _coefficients(mass, K2, K3, K4, k, branch, length):
     return found, touches
 
 
+@checked
 def B(K2: Parameter, K3: Parameter, K4: Parameter, mass: Parameter = 1.0) -> Float[Array, "..."]:
     r"""nu3 of the monomer chain at k = pi and constant force: (3 K2 K4 - 4 K3^2)/(K2^{3/2} m^{1/2}).
 
     Power law A [d0 + sign(p) y]^p with m = 1: -p^3 (p - 1) A^2 d0^{2p-4}/(2 K2^{3/2}), positive for 0 < p < 1 alone.
     **Raises** ValueError for K2 or masses that are not positive.
     """
-    K2, mass = positive("K2", K2), positive("mass", mass)
-    return (3 * K2 * parameter("K4", K4) - 4 * parameter("K3", K3) ** 2) / (K2 * jnp.sqrt(K2 * mass))
+    K2, mass, K3, K4 = positive("K2", K2), positive("mass", mass), parameter("K3", K3), parameter("K4", K4)
+    broadcast(K2=K2, K3=K3, K4=K4, mass=mass)
+    return (3 * K2 * K4 - 4 * K3**2) / (K2 * jnp.sqrt(K2 * mass))
 
 
+@checked
 def band_edges(mass: Parameter, K2: Parameter) -> Float[Array, "P 2"]:
     """Edges of all bands, (P, 2): lowest and highest omega of each.
 

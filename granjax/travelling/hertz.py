@@ -3,12 +3,14 @@
 import numpy as np
 from jaxtyping import Float
 
+from ..entry import checked
 from ..types import Count
 
 HALF = 16
 ITERATIONS = 100
 
 
+@checked
 def hertz_wave(points: Count = 32) -> tuple[Float[np.ndarray, " X"], Float[np.ndarray, " X"], Float[np.ndarray, " X"]]:
     r"""Strain of the Hertz chain's solitary wave of speed 1 (A = m = 1) on a grid of so many points per contact.
 

@@ -11,9 +11,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ...checks import refuse
+from ...checks import concrete, described, refuse
+from ...entry import checked
 from ...lattice import Lattice
-from ...types import Count, Number, Numbers, Parameter, Pytree, Scalar, StateLike
+from ...types import AnyArray, Count, Number, Numbers, Parameter, Pytree, Scalar, StateLike
 from .within import crossing, guesses, higher, mean, places, series, span, tops
 
 # the record beside the user's own that says whether a contact opened
@@ -67,14 +68,12 @@ class Record(eqx.Module):
         return q
 
 
-def _function(quantity):
-    if not callable(quantity):
-        refuse("record", FORMS, repr(quantity), "Write gx.Peak(lambda t, y, lattice: ...).")
-    return quantity
-
-
-def _array(x):
-    return x if isinstance(x, jax.Array) else np.asarray(x, float)
+def _array(x: Parameter) -> AnyArray:
+    x = x if isinstance(x, jax.Array) else np.asarray(x, float)
+    value = concrete(x)
+    if value is not None and np.isnan(value).any():
+        refuse("threshold", "numbers", described(x), "Look for NaN in what you pass.")
+    return x
 
 
 def _called(quantity, t, y, lattice):
@@ -88,6 +87,7 @@ def _called(quantity, t, y, lattice):
     return quantity(lattice, y, t=t) if "t" in names else quantity(lattice, y)
 
 
+@checked
 class Peak(Record):
     """Largest value of a quantity over the run, elementwise, found between steps.
 
@@ -97,7 +97,7 @@ class Peak(Record):
     **Result:** an array of the quantity's shape.
     """
 
-    quantity: Callable = eqx.field(static=True, converter=_function)
+    quantity: Callable = eqx.field(static=True)
 
     def start(self, t: Number, q: Numbers, count: Count) -> Any:
         return q
@@ -112,6 +112,7 @@ class Peak(Record):
         return jax.lax.cond(jnp.any(higher(q, near, best)), refined, lambda: best)
 
 
+@checked
 class Lowest(Peak):
     """Smallest value of a quantity over the run, elementwise, found between steps as `Peak` finds the largest."""
 
@@ -125,6 +126,7 @@ class Lowest(Peak):
         return -carried
 
 
+@checked
 class Arrival(Record):
     """First time at which a quantity reaches a threshold from below, elementwise, found between steps; NaN if never.
 
@@ -135,7 +137,7 @@ class Arrival(Record):
     nothing anew.
     """
 
-    quantity: Callable = eqx.field(static=True, converter=_function)
+    quantity: Callable = eqx.field(static=True)
     threshold: Parameter = eqx.field(default=0.0, converter=_array)
 
     def start(self, t: Number, q: Numbers, count: Count) -> Any:
@@ -182,13 +184,14 @@ class Arrival(Record):
         return jax.lax.stop_gradient(self._threshold(carried[1]) - carried[1])
 
 
+@checked
 class Integral(Record):
     """Integral of a quantity over time, elementwise, by Gauss and Lobatto's rule on the samples of each step.
 
     **Arguments:** `quantity`: as in `Peak`, e.g. a power or a momentum flux.
     """
 
-    quantity: Callable = eqx.field(static=True, converter=_function)
+    quantity: Callable = eqx.field(static=True)
 
     def start(self, t: Number, q: Numbers, count: Count) -> Any:
         return jnp.zeros_like(q)
@@ -197,6 +200,7 @@ class Integral(Record):
         return carried + (step * mean(q)).astype(carried.dtype)
 
 
+@checked
 class AtEnds(Record):
     """Smallest value of a quantity at the ends of steps, elementwise: cheap, and not refined between steps.
 
@@ -204,7 +208,7 @@ class AtEnds(Record):
     """
 
     sampled: ClassVar[bool] = False
-    quantity: Callable = eqx.field(static=True, converter=_function)
+    quantity: Callable = eqx.field(static=True)
 
     def start(self, t: Number, q: Numbers, count: Count) -> Any:
         return q
