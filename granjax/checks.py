@@ -209,6 +209,15 @@ def whole(argument: str, x: Any, at_least: int = 0, remedy: str = "") -> int:
     return int(x)
 
 
+def returned(argument: str, tree: Any) -> Any:
+    """What a function of the user's has returned: arrays of numbers, or a tree of such."""
+    numbers = jax.Array, np.ndarray, np.generic, int, float, complex
+    for leaf in jax.tree.leaves(tree, is_leaf=lambda x: x is None):
+        if not isinstance(leaf, numbers) or letter(leaf) not in "biufcV":
+            refuse(argument, "a function that returns arrays of numbers", f"one that returns {described(tree)}")
+    return tree
+
+
 def held_in_memory(argument: str, count: int, each: int = 16, what: str = "sites") -> None:
     """Refuse what the computer's memory does not hold: `count` things of `each` bytes, a state by default."""
     try:

@@ -86,7 +86,10 @@ def shape_of(x: Any, kinds: str = "fiu") -> tuple[int, ...] | None:
             return None
         return None if isinstance(x, int) and not LEAST <= x <= MOST else ()
     if _is_sequence(x):
-        shapes = {()} if x and set(map(type, x)) == {float} else {shape_of(part, kinds) for part in x}
+        try:
+            shapes = {()} if x and set(map(type, x)) == {float} else {shape_of(part, kinds) for part in x}
+        except RecursionError:  # a list that holds itself
+            return None
         return None if len(shapes) > 1 or None in shapes else (len(x), *(shapes.pop() if shapes else ()))
     if hasattr(x, "__array__") and not isinstance(x, type):
         try:
@@ -124,6 +127,11 @@ def _seed(x):
     return _count(x) or isinstance(x, jax.Array) and letter(x) in "iuK"
 
 
+def _moves(x):
+    parts = x.values() if isinstance(x, dict) else (x,)
+    return _over_sites(x, "fiuc") and not any(map(_is_sequence, parts))
+
+
 def _over_sites(x, kinds="fiu"):
     if isinstance(x, dict):
         return bool(x) and all(isinstance(name, str) and bool(shape_of(part, kinds)) for name, part in x.items())
@@ -148,6 +156,14 @@ def _pair_parts(argument, x):
     return [(f"{argument}.{name}", SITES, part) for name, part in zip("uv", x)] if whole else []
 
 
+def _tree(x):
+    try:
+        leaves = jax.tree.leaves(x)
+    except (RecursionError, SystemError):  # a list that holds itself
+        return False
+    return bool(leaves) and all(not _is_sequence(leaf) and shape_of(leaf, "fiuc") is not None for leaf in leaves)
+
+
 SITES = Kind("an array of real numbers over the sites, or a dict of such", _over_sites, parts=_sites_of)
 MOVES = Kind("an array of numbers over the sites, or a dict of such", _moves, parts=_sites_of)
 COUNT = Kind("a whole number", _count, known=True)
@@ -155,8 +171,7 @@ FLAG = Kind("True or False", _flag, known=True)
 ONE = Kind("one number", _scalar)
 GIVE = "Give a number or an array of numbers."
 
-TREE = Kind("a tree of arrays of numbers", lambda x: bool(leaves := jax.tree.leaves(x)) and all(
-    shape_of(leaf, "fiuc") is not None for leaf in leaves))
+TREE = Kind("a tree of arrays of numbers", _tree)
 
 # the words of granjax.types; a word that holds another comes before it
 WORDS = (
@@ -212,8 +227,8 @@ def kind_of(annotation: Any) -> Kind | None:
         return _of_shape(annotation)
     if annotation in PLAIN_KINDS:
         return PLAIN_KINDS[annotation]
-    if origin in (Callable, type(Callable)):
-        return PLAIN_KINDS[Callable]
+    if origin is Callable:
+        return _of_arity(args[0])
     if origin in (dict, Mapping):
         return _mapping(*map(kind_of, args), dict if origin is dict else Mapping)
     if origin is tuple and (len(args) != 2 or args[1] is not Ellipsis):
@@ -261,11 +276,32 @@ def _of_shape(annotation):
     said = said.get(kinds, "an array of real numbers" if kinds else "an array")
     said += "" if any_number or not axes else f", shape ({', '.join(axes)}{',' * (len(axes) == 1)})"
 
+    known = annotation.array_type is np.ndarray
+
     def fits(x):
         array = _array(x, kinds) if kinds else isinstance(x, (np.ndarray, jax.Array))
-        return array and (any_number or x.ndim == len(axes))
+        return array and not (known and isinstance(x, jax.core.Tracer)) and (any_number or x.ndim == len(axes))
 
-    return Kind(said, fits)
+    return Kind(said, fits, known=known)
+
+
+def _of_arity(args):
+    """A function of as many arguments, by position, as the annotation lists; of any where it lists none."""
+    if args is Ellipsis:
+        return PLAIN_KINDS[Callable]
+    count = len(args)
+    said = f"a function of {count} argument{'s' * (count != 1)}"
+    return Kind(said, lambda x: callable(x) and _takes(x, count))
+
+
+def _takes(function, count):
+    try:
+        inspect.signature(function).bind(*range(count))
+    except TypeError:
+        return False
+    except ValueError:  # some of C's say nothing of their arguments
+        return True
+    return True
 
 
 def _mapping(key, value, container):
@@ -297,11 +333,17 @@ def _each(container, kind):
     if kind is None:
         return container
 
+    def inside(x):
+        return np.asarray(x) if isinstance(x, jax.Array) else x
+
+    def known(x):
+        return container.fits(x) and not isinstance(x, jax.core.Tracer)
+
     def parts(argument, x):
-        return [(f"{argument}[{i}]", kind, part) for i, part in enumerate(x)] if container.fits(x) else []
+        return [(f"{argument}[{i}]", kind, part) for i, part in enumerate(inside(x))] if known(x) else []
 
     def fits(x):
-        return container.fits(x) and not isinstance(x, jax.core.Tracer) and all(map(kind.fits, x))
+        return known(x) and all(map(kind.fits, inside(x)))
 
     return Kind(f"{container.expected} (each: {kind.expected})", fits, parts=parts)
 

@@ -47,16 +47,16 @@ Times: TypeAlias = Float[AnyArray, " times"]
 Pytree: TypeAlias = PyTree
 """A tree of arrays: a state, tangents, parameters with names."""
 
-Scene: TypeAlias = Callable[..., Any]
+Scene: TypeAlias = Callable[[Any], Any]
 """A function of parameters that returns a `Lattice`."""
 
-Quantity: TypeAlias = Callable[..., Any]
+Quantity: TypeAlias = Callable[[Any, Any, Any], Any]
 """A function (t, y, lattice) of time, state and lattice that returns an array."""
 
 Waveform: TypeAlias = Callable[[Any], Any]
 """A function of time that returns a number, an array over sites, or a vector."""
 
-VectorField: TypeAlias = Callable[..., Any]
+VectorField: TypeAlias = Callable[[Any, Any, Any], Any]
 """The right-hand side f(t, y, args) of y' = f, in diffrax's form."""
 
 StateLike: TypeAlias = tuple[Any, Any] | list[Any]

@@ -7,6 +7,7 @@ import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.flatten_util import ravel_pytree
 
 from ..checks import described, refuse
@@ -50,7 +51,10 @@ class Flow(eqx.Module):
     def tangents(self, y: Pytree, tangents: Pytree, t0: Scalar, t1: Scalar, args: Any) -> tuple:
         """(phi(y), D phi(y) tangents), with `tangents` like `y` plus a trailing axis."""
         self._moves_lattice(y, args)
-        count = jax.tree.leaves(tangents)[0].shape[-1]
+        shapes, own = ([np.shape(x) for x in jax.tree.leaves(tree)] for tree in (tangents, y))
+        if len(shapes) != len(own) or any(x[:-1] != a or x == a for x, a in zip(shapes, own)):
+            refuse("tangents", f"arrays of the shapes {own} and a trailing axis each", f"shapes {shapes}")
+        count = shapes[0][-1]
         idle = -count % VECTOR if count > VECTOR else 0
         tangents = jax.tree.map(lambda x: jnp.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, idle)]), tangents)
         field, breaks = _variational(self.field, y), breaks_of(self.field, args)

@@ -58,7 +58,7 @@ def _static_power_jvp(p, primals, tangents):
 
 def _power_of_positive(x, p):
     twice = 2 * abs(p)
-    if twice != int(twice) or twice > 16:
+    if twice > 16 or twice != int(twice):
         return real_power(x, p)
     whole, half = divmod(int(twice), 2)
     factors = [x] * whole + ([root(x)] if half else [])

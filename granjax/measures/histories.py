@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
-from ..checks import described, refuse
+from ..checks import described, refuse, returned
 from ..entry import checked
 from ..lattice import Lattice, State
 from ..types import Displacements, Number, Numbers, Pytree, Quantity
@@ -23,7 +23,11 @@ def along(measure: Quantity, lattice: Lattice, run: Any, **options: Any) -> Pytr
     """
     if not all(hasattr(run, name) for name in ("ts", "us", "vs")):
         refuse("run", "a record with ts, us and vs", described(run), "Give the result of simulate.")
-    return jax.vmap(lambda t, u, v: measure(lattice, State(u, v), t, **options))(run.ts, run.us, run.vs)
+
+    def of_frame(t, u, v):
+        return returned("measure", measure(lattice, State(u, v), t, **options))
+
+    return jax.vmap(of_frame)(run.ts, run.us, run.vs)
 
 
 @checked

@@ -102,12 +102,16 @@ def spectrogram(v: Parameter, dt: Scalar, window: Scalar, *, hop: Scalar | None 
     input.
     """
     v, dt = np.asarray(parameter("v", v)), float(positive("dt", dt))
-    size = int(round(float(positive("window", window)) / dt))
-    if v.ndim < 1 or not 4 <= size <= len(v):
-        refuse("window", f"a time from {4 * dt:g} to {(len(v) if v.ndim else 0) * dt:g}, 4 frames to all", f"{window}")
-    step = max(1, size // 4) if hop is None else int(round(float(positive("hop", hop)) / dt))
-    if step < 1:
-        refuse("hop", f"a time not below dt = {dt:g}", f"{hop}")
+    frames = len(v) if v.ndim else 0
+    within_record = f"a time from {{:g}} to {frames * dt:g}".format
+    size = float(positive("window", window)) / dt
+    if not 4 <= round(min(size, frames + 1)) <= frames:
+        refuse("window", within_record(4 * dt) + ", 4 frames to all", f"{window}")
+    size = round(size)
+    step = max(1, size // 4) if hop is None else float(positive("hop", hop)) / dt
+    if not 1 <= round(min(step, frames + 1)) <= frames:
+        refuse("hop", within_record(dt), f"{hop}")
+    step = round(step)
     transform = ShortTimeFFT(hann(size, sym=False), step, 1 / dt, fft_mode="onesided2X", scale_to="psd")
     last = transform.upper_border_begin(len(v))[1]
     first = transform.lower_border_end[1]

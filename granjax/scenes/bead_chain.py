@@ -18,8 +18,8 @@ from ..types import Count, Parameter, Scalar
 
 @checked
 def beads(
-    materials: str | Material | Sequence, radii: Parameter, precompression: Parameter = 0.0, *,
-    cells: Count | None = None, wall: str | Material | Sequence | None = None, boundary: str = "fixed",
+    materials: str | Material | Sequence[str | Material], radii: Parameter, precompression: Parameter = 0.0, *,
+    cells: Count | None = None, wall: str | Material | Sequence[str | Material] | None = None, boundary: str = "fixed",
     damping_time: Scalar | None = None,
 ) -> Lattice:
     r"""Chain of elastic spheres in SI: masses (4/3) pi R^3 rho, Hertz contacts of each pair of neighbours.

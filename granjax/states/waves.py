@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -20,7 +21,7 @@ UNIFORM = 1e-6
 @checked
 def wave_packet(
     lattice: Lattice, k: Parameter, centre: Parameter | None = None, width: Parameter = 10.0,
-    amplitude: Parameter = 0.01, *, omega: Parameter | Callable | None = None, direction: str = "right",
+    amplitude: Parameter = 0.01, *, omega: Parameter | Callable[[Any], Any] | None = None, direction: str = "right",
 ) -> State:
     r"""A Gaussian wave packet that runs one way: u_n = a exp(-(n - n0)^2/(2 w^2)) cos(k (n - n0)).
 

@@ -1,0 +1,567 @@
+"""Bad input for every public callable, from its signature and types: what is given, and what becomes of it.
+
+A valid call is made of the values of `VALID`, one argument at a time is replaced by each of `VALUES`, and the
+annotation decides by `admits` whether it must be refused. Nothing is compiled: what comes as far as that was accepted.
+"""
+
+import dataclasses
+import datetime
+import functools
+import inspect
+import random
+import re
+import signal
+import tempfile
+import types
+import typing
+from collections import abc
+from contextlib import contextmanager
+from decimal import Decimal
+from fractions import Fraction
+from pathlib import Path
+from typing import NamedTuple
+
+import beartype.door
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import matplotlib.figure
+import numpy as np
+import scipy.io
+import typed
+from test_vocabulary import NAMES, public
+
+import granjax as gx
+from granjax.fit.problem import Problem
+from granjax.orbits.problems import Shooting
+from granjax.parameters import Coordinates
+from granjax.results import Result
+from granjax.split_system import Split
+from granjax.types import Pytree
+from granjax.units import Dimensional
+
+# ---------------------------------------------------------------------------------------------------------- the face
+
+# what is no part of the face, by the beginning of its name, and why
+NOT_FACE = {
+    "entry.": "the same",
+    "cli.": "is given text by the shell",
+    "descent.": "a part of `fit` and `design`", "parameters.": "a part of `fit` and `design`",
+    "files.": "what writes", "interrupts.": "what answers Ctrl-C", "outside.": "for functions of the user's alone",
+    "checks.": "what refuses: its input is anything",
+    "split_system.": "between a lattice and a solver, inside of a loop",
+    "tuning.prepare_import": "called by the import, without an argument",
+}
+
+
+# classes whose constructor Equinox writes and a user calls
+MADE = (gx.Arrival, gx.Peak, gx.Integral, gx.Lowest, gx.Flow, gx.orbits.Symmetry)
+# whose methods are what a kind answers to the library, inside of traced programs, or the parts of a computation
+KINDS = (
+    gx.Law, gx.Term, gx.StrainMap, gx.Record, diffrax.AbstractSolver, Shooting, Problem,
+    Dimensional, Coordinates, Split,
+)
+
+
+class Target(NamedTuple):
+    """A public callable: the module that shows it, its name there, and the class whose method it is."""
+
+    module: str
+    name: str
+    function: object
+    cls: type | None
+
+    @property
+    def key(self):
+        return f"{self.function.__module__.removeprefix('granjax.')}.{self.name}"
+
+    def arguments(self):
+        """Parameters that can be given, without `self`."""
+        return {p.name: p for p in inspect.signature(self.function).parameters.values()
+                if p.kind not in (p.VAR_KEYWORD, p.VAR_POSITIONAL) and p.name not in ("self", "cls")}
+
+
+def targets():
+    """Functions, classes that a user makes, and methods with arguments, each once."""
+    seen = set()
+    for module in NAMES:
+        for value in public(module):
+            name, where = getattr(value, "__qualname__", ""), value.__module__
+            if not name or (where, name) in seen or not callable(value):
+                continue
+            seen.add((where, name))
+            found = [Target(module, name, value, None)]
+            if inspect.isclass(value):
+                found = [] if not made_by_user(value) else found
+                kind = issubclass(value, KINDS)
+                found += [] if kind else [Target(module, f"{name}.{k}", v, value) for k, v in vars(value).items()
+                          if inspect.isfunction(v) and not k.startswith("_") and v.__qualname__.startswith(name)]
+            yield from (t for t in found if t.arguments() and not any(t.key.startswith(x) for x in NOT_FACE))
+
+
+def made_by_user(cls):
+    """Whether a class has a constructor of our own; others are records that the library makes, or JAX rebuilds."""
+    own = vars(cls).get("__init__")
+    written = inspect.isfunction(own) and "granjax" in inspect.unwrap(own).__code__.co_filename
+    return cls in MADE or written and not issubclass(cls, Result)
+
+
+# -------------------------------------------------------------------------------------------------------- wrong values
+
+
+def _generator():
+    yield 1.0
+
+
+class Frame:
+    """Looks like pandas: has values and an index, and is no array."""
+
+    values, index, columns = [1.0], [0], ["a"]
+
+    def __len__(self):
+        return 1
+
+    def __iter__(self):
+        return iter(self.columns)
+
+    def __getitem__(self, name):
+        return self.values
+
+
+def _endless():
+    inside = []
+    inside.append(inside)
+    return inside
+
+
+SITES, FRAMES = 5, 17
+
+
+@functools.cache
+def lattice():
+    return gx.scenes.monomer(SITES, precompression=0.3)
+
+
+VALUES = {
+    "None": lambda: None,
+    "True": lambda: True,
+    "text": lambda: "text",
+    "bytes": lambda: b"x",
+    "[]": list,
+    "{}": dict,
+    "()": tuple,
+    "object": object,
+    "lambda": lambda: lambda: None,
+    "class": lambda: Frame,
+    "1j": lambda: 1j,
+    "complex array": lambda: np.ones(5) * 1j,
+    "complex jax array": lambda: jnp.asarray(np.ones(5) * 1j),
+    "complex128": lambda: np.complex128(1j),
+    "nan": lambda: float("nan"),
+    "inf": lambda: float("inf"),
+    "-1": lambda: -1,
+    "-1.5": lambda: -1.5,
+    "0": lambda: 0,
+    "2.5": lambda: 2.5,
+    "10**400": lambda: 10**400,
+    "2**63": lambda: 2**63,
+    "2**62": lambda: 2**62,
+    "1e308": lambda: 1e308,
+    "ragged": lambda: [[1.0], [1.0, 2.0]],
+    "object array": lambda: np.array([1.0, None], dtype=object),
+    "masked": lambda: np.ma.array(np.ones(5), mask=[0, 0, 0, 0, 1]),
+    "texts": lambda: np.array(["a", "b"]),
+    "list of texts": lambda: ["a", "b"],
+    "list of None": lambda: [None, None],
+    "bools": lambda: np.array([True, False]),
+    "wrong length": lambda: np.ones(7),
+    "wrong rank": lambda: np.ones((2, 3, 4)),
+    "nan array": lambda: np.full(5, np.nan),
+    "empty": lambda: np.zeros(0),
+    "empty rows": lambda: np.zeros((0, 3)),
+    "one in an array": lambda: np.ones(1),
+    "date": lambda: datetime.datetime(2020, 1, 1),
+    "dates": lambda: np.array(["2020-01-01"], "datetime64[D]"),
+    "decimal": lambda: Decimal("1.5"),
+    "fraction": lambda: Fraction(3, 2),
+    "lattice": lattice,
+    "state": lambda: gx.State(np.zeros(5), np.zeros(5)),
+    "law": lambda: gx.Hertz(),
+    "generator": _generator,
+    "frame": Frame,
+    "set": lambda: {1.0, 2.0},
+    "path": lambda: Path("no such folder") / "file",
+    "endless": _endless,
+    "range": lambda: range(3),
+    "slice": lambda: slice(2),
+    "Ellipsis": lambda: ...,
+    "module": lambda: np,
+    "gives text": lambda: lambda *x: "text",
+    "gives None": lambda: lambda *x: None,
+    "dict of texts": lambda: {"a": "b"},
+    "dict of numbers": lambda: {1: 2},
+}
+# values under a transformation, by what is traced
+TRACED = {"traced number": 1.0, "traced count": 3, "traced array": np.ones(5)}
+
+# --------------------------------------------------------------------------------------------------- what a type admits
+
+
+def numeric(x, kinds="iuf"):
+    """Whether a list is one of numbers, nested evenly."""
+    try:
+        return np.asarray(x).dtype.kind in kinds
+    except (ValueError, TypeError, OverflowError, RecursionError):
+        return False
+
+
+def takes(function, count):
+    """Whether a function can be called with so many arguments."""
+    try:
+        inspect.signature(function).bind(*[None] * count)
+    except TypeError:
+        return False
+    except ValueError:
+        return True
+    return True
+
+
+def admits(hint, x):
+    """Whether a value is of the kind that an annotation names; what is not must be refused."""
+    if hint in (typing.Any, object, inspect.Parameter.empty):
+        return True
+    if isinstance(hint, str):
+        return True
+    if hint in (None, type(None)):
+        return x is None
+    origin, inside = typing.get_origin(hint), typing.get_args(hint)
+    if origin in (typing.Union, types.UnionType):
+        # numbers or a list: a list of numbers
+        if float in inside and abc.Sequence in inside and isinstance(x, abc.Sequence):
+            return not isinstance(x, (str, bytes)) and numeric(x)
+        return any(admits(one, x) for one in inside)
+    if origin is typing.Annotated:
+        return admits(inside[0], x)
+    if hint in (int, np.integer):
+        return isinstance(x, (int, np.integer)) and not isinstance(x, bool)
+    if hint in (float, np.number):
+        return isinstance(x, (int, float, np.integer, np.floating)) and not isinstance(x, bool)
+    if hint in (bool, np.bool_):
+        return isinstance(x, (bool, np.bool_))
+    if origin is abc.Callable and inside[0] is not Ellipsis:
+        return callable(x) and takes(x, len(inside[0]))
+    if origin is abc.Callable or hint is abc.Callable:
+        return callable(x)
+    if origin in (abc.Sequence, list, tuple, abc.Iterable) or hint in (abc.Sequence, abc.Iterable, tuple, list):
+        kind = origin or hint
+        if kind in (abc.Sequence, abc.Iterable) and isinstance(x, np.ndarray):
+            return x.ndim > 0
+        if isinstance(x, (str, bytes)) or not isinstance(x, kind):
+            return False
+        if not inside or inside == ((),):
+            return True
+        if kind is tuple and inside[-1] is not Ellipsis:
+            return len(x) == len(inside) and all(map(admits, inside, x))
+        return all(admits(inside[0], one) for one in x)
+    if origin in (dict, abc.Mapping):
+        return isinstance(x, origin) and all(admits(inside[0], k) and admits(inside[1], v) for k, v in x.items())
+    if isinstance(x, np.ma.MaskedArray):
+        return False
+    if hint is Pytree:
+        try:
+            leaves = jax.tree.leaves(x)
+        except SystemError:  # a list that holds itself
+            return False
+        return bool(leaves) and all(isinstance(leaf, jax.Array) or numeric(leaf, "iufc") for leaf in leaves)
+    # JAX's arrays are as good as NumPy's where they are known, and whole numbers are real ones
+    if isinstance(x, jax.Array) and not isinstance(x, jax.core.Tracer) and hasattr(hint, "dim_str"):
+        x = np.asarray(x)
+    if isinstance(x, (np.ndarray, jax.Array)) and hasattr(hint, "dim_str") and x.dtype.kind in "iu":
+        x = x.astype(float)
+    return beartype.door.is_bearable(x, hint)
+
+
+# -------------------------------------------------------------------------------------------------------- valid values
+
+
+def times():
+    return np.linspace(0.0, 1.0, FRAMES)
+
+
+def histories():
+    return np.random.default_rng(0).normal(size=(FRAMES, SITES))
+
+
+def traces():
+    return gx.Traces(times=times(), velocity=np.zeros((FRAMES, 2)), sites=[1, 2], sigma=0.1)
+
+
+def scene(parameters):
+    return gx.scenes.monomer(5, stiffness=parameters["stiffness"], precompression=0.3)
+
+
+def shaken(omega):
+    return gx.driven.driven_chain(lattice(), 0.01, omega, damping=0.1)
+
+
+def y():
+    return gx.State(np.zeros(5), np.zeros(5))
+
+
+def run():
+    known = dict(
+        ts=jnp.asarray(times()), us=jnp.asarray(histories()), vs=jnp.asarray(histories()), final=y(), recorded={},
+        energy_error=jnp.asarray(0.0), code=jnp.asarray(0), stats={}, failed_at=None, solver="", choice="", remark="",
+        unseen="",
+    )
+    return gx.Run(**{field.name: known.get(field.name) for field in dataclasses.fields(gx.Run)})
+
+
+@functools.cache
+def folder():
+    """A folder with a file of either kind, removed at the end."""
+    made = tempfile.TemporaryDirectory()
+    np.savetxt(Path(made.name) / "file.csv", np.column_stack([times(), histories()]), delimiter=",")
+    scipy.io.savemat(Path(made.name) / "file.mat", {"t": times(), "v": histories()[:, 0]})
+    return made
+
+
+def file(name):
+    return Path(folder().name) / name
+
+
+VALID = {
+    "lattice": lattice, "state": y, "y": y, "run": run, "traces": traces, "scene": lambda: scene,
+    "make": lambda: shaken, "law": lambda: gx.Hertz(1.0, 0.3), "sites": lambda: 5, "start": lambda: {"stiffness": 1.0},
+    "ts": times, "times": times, "t": lambda: 0.0, "t0": lambda: 0.0, "t1": lambda: 1.0, "period": lambda: 6.0,
+    "omega": lambda: 1.0, "k": lambda: 0.5, "q": histories, "qs": histories, "us": histories, "vs": histories,
+    "material": lambda: "steel", "material_1": lambda: "steel", "family": lambda: "power law",
+    "u": lambda: np.zeros(5), "v": lambda: np.zeros(5), "solver": gx.SRKN6b, "function": lambda: lambda x: x,
+    "residual": lambda: lambda x, *rest: x, "objective": lambda: lambda p: p["stiffness"] ** 2,
+    "flow": lambda: gx.Flow(8),
+    "frames": lambda: 4, "steps": lambda: 8, "guess": y, "path": lambda: "file.csv", "high": lambda: 2.0,
+    "strain_map": lambda: gx.Shift(1, "free"), "pairs": lambda: gx.Shift(1, "free"), "beads": lambda: 2,
+    "measure": lambda: gx.measures.energy, "mass": lambda: 1.0, "cells": lambda: 9, "count": lambda: 2,
+    "masses": lambda: [1.0, 0.5], "offset": lambda: 1, "tail": lambda: [0, 1], "head": lambda: [1, 2],
+    "vector": lambda: [1.0, 0.0], "terms": lambda: (gx.Damping(0.1),), "term": lambda: gx.Damping(0.1),
+    "modulation": lambda: lambda t: 1.0, "waveform": lambda: lambda t: 0.0, "site": lambda: 1,
+    "quantity": lambda: gx.measures.energy, "knots": lambda: [-1.0, 0.0, 1.0], "name": lambda: "steel",
+    "values": lambda: np.array([0.8, 0.9]), "ratios": lambda: np.array([0.3, 0.4]), "radii": lambda: 0.01,
+    "spread": lambda: 0.1, "materials": lambda: ["steel", "steel"], "snapshots": histories,
+    "shape": lambda: (FRAMES, SITES),
+    "fine": lambda: np.eye(4), "half": lambda: np.eye(4), "factors": lambda: [np.eye(4), np.eye(4)],
+    "coefficients": lambda: [0.1, 0.1], "parts": lambda: [("u", 0, 1.0), ("u", 1, -1.0)], "window": lambda: 0.5,
+    "multipliers": lambda: np.ones(4), "error": lambda: np.zeros(4), "expected": lambda: 2, "conserves": lambda: True,
+    "bead": lambda: 1, "dt": lambda: 0.1, "sampling": lambda: 4.0, "units": lambda: gx.units.Units(),
+    "models": lambda: {"one": (scene, {"stiffness": 1.0})}, "candidates": lambda: {"linear": lambda u: -u},
+    "weights": lambda: np.ones(5), "modes": lambda: np.eye(5), "kind": lambda: "bright", "like": y,
+    "x": lambda: np.ones(3), "step": lambda: np.full(3, 0.1), "label": lambda: "fig1.3", "mode": lambda: 0,
+    "index": lambda: 0, "result": run, "velocity": lambda: np.zeros((FRAMES, 2)), "tangents": lambda: gx.State(
+        np.zeros((5, 2)), np.zeros((5, 2))), "args": lattice, "e": lambda: np.zeros(4), "r": lambda: 0.5,
+    "contacts": lambda: np.array([3, 5]), "branch": None, "edge": None, "sweep": None, "mass_ratio": times,
+    "transmission": times, "made": matplotlib.figure.Figure, "wp": None, "fl": None, "br": None, "breather": None,
+    "dispersion_record": None, "run_or_array": run, "parameters": lambda: {"stiffness": 1.0}, "ladders": lambda: [],
+    "reference": y, "problem": None, "cost": lambda: lambda x: x, "both": lambda: lambda x: (x, x), "size": lambda: 1,
+    "optimiser": lambda: None, "max_steps": lambda: 3, "tolerance": lambda: 1e-6, "final": y, "vectors": np.zeros,
+    "direction": lambda: 1.0,
+}
+# of one callable: `function.argument`
+OWN = {
+    "scenes.chains.pattern.masses": lambda: [1.0, 0.5], "scenes.chains.defects.masses": lambda: {2: 0.5},
+    "orbits.guesses.sites.single_site.sites": lambda: [2], "orbits.forced_branch.forced_branch.start": lambda: 0.8,
+    "orbits.forced_branch.forced_branch.until": lambda: 0.9, "identify.wall.wall_modulus.start": lambda: 1e9,
+    "flow.derivative.derivative.step": lambda: 0.1, "flow.derivative.derivative.x": lambda: 1.0,
+    "identify.pinn.physics_informed.sites": lambda: [1, 2], "materials.Material.name": lambda: "glass",
+    "canonical.scenes.scene.name": lambda: gx.canonical.names()[0], "plots.curves.profile.y": times,
+    "plots.curves.profile.x": times, "newton.newton.guess": lambda: 1.0, "terms.base.Term.force.mass": lambda: 1.0,
+    "fit.files.read_csv.path": lambda: file("file.csv"), "fit.files.read_mat.path": lambda: file("file.mat"),
+    "continuation.trace.continuation.x0": lambda: 1.0, "continuation.trace.continuation.p0": lambda: 0.0,
+}
+
+
+# given beside the argument that is replaced, by the callable and the argument; "" for every other
+ALSO = {
+    "fit.files.read_csv": {"": {"velocity": 1, "sites": 2}, "displacement": {"sites": 2}, "force": {"contacts": 2}},
+    "fit.files.read_mat": {"": {"velocity": "v", "time": "t", "sites": 2}, "displacement": {"time": "t", "sites": 2},
+                           "force": {"time": "t", "contacts": 2}},
+    "fit.traces.Traces": {"": {"velocity": np.zeros((FRAMES, 2)), "sites": [1, 2]}, "displacement": {"sites": [1, 2]},
+                          "force": {"contacts": [1, 2]}, "contacts": {"force": np.zeros((FRAMES, 2))}},
+    "identify.law.law": {"": {"stiffness": 1.0}},
+}
+
+
+def blank(cls):
+    """An instance without contents: enough where what is wrong is refused before it is read."""
+    return cls(*[None] * len(cls._fields)) if issubclass(cls, tuple) else object.__new__(cls)
+
+
+def valid(target, p):
+    """A valid value of a parameter, and whether it has contents."""
+    make = OWN.get(f"{target.key}.{p.name}") or VALID.get(p.name)
+    if make is not None:
+        found = make()
+        if admits(p.annotation, found):
+            return found, True
+    hint = p.annotation
+    for one in (hint, *typing.get_args(hint)):
+        if one in (float, int):
+            return one(1), True
+        if inspect.isclass(one) and one.__module__.startswith("granjax"):
+            return blank(one), False
+        if one in (str, abc.Callable) or typing.get_origin(one) is abc.Callable:
+            return ("text" if one is str else lambda *x: x[0]), True
+    if beartype.door.is_bearable(np.ones(3), hint):
+        return np.ones(3), hint is not typing.Any
+    raise LookupError(f"{target.key}({p.name}: {hint}) has no valid value in the table")
+
+
+INSTANCES = {
+    gx.Lattice: lattice, gx.Flow: lambda: gx.Flow(8), gx.units.Units: gx.units.Units, gx.Traces: traces,
+}
+
+
+def instance(cls):
+    make = INSTANCES.get(cls)
+    return (make(), True) if make else (blank(cls), False)
+
+
+# ------------------------------------------------------------------------------------------------------------- a trial
+
+
+class Computing(BaseException):
+    """The call came as far as computing: what it was given was accepted."""
+
+
+class Late(BaseException):
+    """The call took longer than a refusal may."""
+
+
+_watching, COMPILED = [], []
+
+
+def _event(name, *_, **__):
+    if _watching and name == "/jax/core/compile/backend_compile_duration":
+        COMPILED.append(_watching[-1])
+    if _watching and name == "/jax/core/compile/jaxpr_to_mlir_module_duration":
+        raise Computing
+
+
+jax.monitoring.register_event_duration_secs_listener(_event)
+
+
+@contextmanager
+def watched(name, seconds=3.0):
+    """Nothing is compiled inside, and nothing takes long: what would raises `Computing` or `Late`."""
+    def late(*_):
+        raise Late
+
+    before = signal.signal(signal.SIGALRM, late)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    _watching.append(name)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
+        _watching.pop()
+
+
+HOUSE = re.compile(r"(?s)^(?P<argument>.+?): expected .+, got .+")
+
+
+class Case(NamedTuple):
+    """One public callable with one argument replaced."""
+
+    target: Target
+    argument: str
+    value: str
+
+    def __str__(self):
+        return f"{self.target.key}({self.argument}={self.value})"
+
+
+def cases(target):
+    # a list that holds itself ends inside of Equinox, which looks into what a module is made of
+    module = inspect.isclass(target.function) and issubclass(target.function, eqx.Module)
+    values = [value for value in (*VALUES, *TRACED) if not (module and value == "endless")]
+    return [Case(target, name, value) for name in target.arguments() for value in values]
+
+
+class Outcome(NamedTuple):
+    """sentence, raw, accepted or late, whether the value must be refused, and the error."""
+
+    kind: str
+    must: bool
+    told: str
+    good: bool
+
+
+def call(case, x):
+    target, full = case.target, True
+    also = ALSO.get(target.key, {"": {}})
+    keywords = dict(also.get(case.argument, also[""]))
+    for name, p in target.arguments().items():
+        if name == case.argument:
+            keywords[name] = x
+        elif p.default is p.empty and name not in keywords:
+            keywords[name], contents = valid(target, p)
+            full = full and contents
+    positional = [keywords.pop(p.name) for p in target.arguments().values()
+                  if p.kind is p.POSITIONAL_ONLY and p.name in keywords]
+    if target.cls is not None and not isinstance(inspect.getattr_static(target.cls, target.name.split(".")[-1]),
+                                                 (staticmethod, classmethod)):
+        own, contents = instance(target.cls)
+        positional, full = [own, *positional], full and contents
+    return (lambda: target.function(*positional, **keywords)), full
+
+
+def trial(case):
+    """What becomes of a case; `None` where it says nothing: a valid kind, and a call that has no contents."""
+    hint = case.target.arguments()[case.argument].annotation
+    must, full = True, True
+
+    def of(x):
+        nonlocal must, full
+        must = not admits(hint, x)
+        run, full = call(case, x)
+        if must or full:
+            with watched(str(case)):
+                run()
+
+    def traced(x):
+        of(x)
+        return 0.0
+
+    kind, told = "accepted", ""
+    try:
+        with typed.off():
+            if case.value in TRACED:
+                jax.eval_shape(traced, TRACED[case.value])
+            else:
+                of(VALUES[case.value]())
+    except Computing:
+        pass
+    except Late:
+        kind = "late"
+    except (ValueError, TypeError) as error:
+        told = f"{type(error).__name__}: {error}"
+        found = HOUSE.match(str(error))
+        named = found is not None and (not must or re.search(rf"\b{case.argument}\b", found["argument"]) is not None)
+        kind = "sentence" if named else "raw"
+    except BaseException as error:
+        kind, told = "raw", f"{type(error).__name__}: {error}"
+    if not must and not full:
+        return None
+    return Outcome(kind, must, told, kind == "sentence" or kind == "accepted" and not must)
+
+
+def chosen(all_cases, number, seed=0):
+    """A seeded choice that has cases of every argument of every callable."""
+    draw = random.Random(seed)
+    by = {}
+    for case in all_cases:
+        by.setdefault((case.target.key, case.argument), []).append(case)
+    for group in by.values():
+        draw.shuffle(group)
+    return [case for group in by.values() for case in group[: max(1, number // len(by))]]
