@@ -258,6 +258,18 @@ def test_a_second_sweep_compiles_nothing_and_follows_what_its_scene_reads():
     assert (run() < first).all()
 
 
+def test_settling_with_another_period_compiles_nothing(caplog):
+    def each(stretch):
+        w = 1.3 * stretch
+        driven.settle(duffing(0.01, w, damping=0.3), state(duffing(0.01, w)), 2 * np.pi / w, steps=32, tolerance=1e-8)
+        driven.lyapunov(duffing(0.01, w), state(duffing(0.01, w)), 2 * np.pi / w, steps=32, periods=10, transient=0)
+
+    each(1.0)
+    with jax.log_compiles(), caplog.at_level("WARNING"):
+        each(1.001)
+    assert not [record for record in caplog.records if "Compiling" in record.getMessage()]
+
+
 # ------------------------------------------------------------------------------------------------------------- lyapunov
 
 

@@ -85,8 +85,9 @@ def fit(
     reached = ()
     for _ in range(3):
         every, adjoint = _minimised(problem, x0, method, optimiser, tolerance, max_steps)
-        costs = [found.cost if np.isfinite(found.cost) else np.inf for found in every]
-        best = every[int(np.argmin(costs))]
+        costs = np.array([found.cost if np.isfinite(found.cost) else np.inf for found in every])
+        # of those that reach one minimum, as far as the tolerance tells, the first
+        best = every[int(np.argmax(costs <= (1 + tolerance) * costs.min()))]
         reached = reached or tuple(2 * float(cost) for cost in costs)
         x0, plain = best.x[None], problem.plain
         parameters = plain.coordinates.parameters(jnp.asarray(best.x[:count], plain.dtype))

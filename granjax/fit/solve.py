@@ -83,7 +83,9 @@ def least_squares(
         after = evaluated(problem, x + step)
         fall = np.sum(b**2 * (1 - (damping / (s**2 + damping)) ** 2))
         gain = (square - after[0] @ after[0]) / max(fall, np.finfo(float).tiny)
-        if gain > 0 and np.isfinite(after[1]).all():
+        # the last step lowers the sum by less than its rounding
+        better = gain > 0 or arrived and after[0] @ after[0] <= (1 + tolerance) * square
+        if better and np.isfinite(after[1]).all():
             x, (value, jacobian) = x + step, after
             square = value @ value
             damping, growth = max(damping * max(1 / 3, 1 - (2 * gain - 1) ** 3), LEAST_DAMPING), 2.0

@@ -1,5 +1,6 @@
 """Step control: adaptive steps for scenes whose contacts open and close."""
 
+import math
 from typing import Any
 
 import diffrax
@@ -13,6 +14,9 @@ from .breaks import cut
 SAFETY = 0.8
 SHRINK, GROW = 0.2, 3.0
 HALVINGS = 3
+# of an octave, to which a factor is rounded: an error is known to its rounding only, which steps that close in on an
+# opening contact would else make larger from one to the next
+PARTS = 8
 
 
 def least_tolerance(dtype: Any) -> float:
@@ -54,9 +58,9 @@ def _maximum(x):
 class StepControl(diffrax.AbstractAdaptiveStepSizeController):
     r"""Steps whose local error stays below a tolerance: h <- h min(3, max(1/5, 0.8 (tolerance/error)^(1/q))).
 
-    q is the order of the error estimate. A step that fails is tried again, shorter; the next one that holds does not
-    grow, since what a step meets first when a contact opens it meets again at once. The first step is short,
-    `first` tolerance^(1/q), and no force is spent to choose it.
+    q is the order of the error estimate; the factor is rounded to eighths of an octave. A step that fails is tried
+    again, shorter; the next one that holds does not grow, since what a step meets first when a contact opens it meets
+    again at once. The first step is short, `first` tolerance^(1/q), and no force is spent to choose it.
 
     **Arguments:** `atol`: the tolerance, dimensionless. `norm`: of a state, in scales of the scene. `first`: a time.
     `longest`: no step is longer; `None` for no such bound. `breaks`: those of a lattice; steps end there, and what
@@ -85,7 +89,8 @@ class StepControl(diffrax.AbstractAdaptiveStepSizeController):
         keep = error < 1
         failed, meant = controller_state if self.breaks else (controller_state, 0)
         most = jnp.where(failed | ~keep, 1.0, GROW)
-        factor = jnp.clip(SAFETY * error ** (-1 / error_order), SHRINK, most)
+        factor = jnp.exp2(jnp.round(PARTS * (math.log2(SAFETY) - jnp.log2(error) / error_order)) / PARTS)
+        factor = jnp.clip(factor, SHRINK, most)
         step = self._bounded((t1 - t0) * factor.astype(t1.dtype))
         start = jnp.where(keep, t1, t0)
         stuck = ~(start + step > start)

@@ -11,6 +11,7 @@ from ..entry import checked
 from ..types import Parameter
 from .base import Law, checked_preload
 from .power import plus_power
+from .real_power import cube_root
 
 
 def _precompression(F0):
@@ -48,7 +49,7 @@ class _Contact(Law):
             return None
         ratio = self.precompression / self.stiffness
         if isinstance(self.exponent, float) and self.exponent == _HERTZ:
-            return jnp.cbrt(ratio) * jnp.cbrt(ratio)
+            return cube_root(ratio) ** 2
         return plus_power(ratio, 1 / self.exponent)
 
     def overlap(self, e):

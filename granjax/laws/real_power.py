@@ -62,6 +62,19 @@ def root(x):
     return x * y
 
 
+def cube_root(x):
+    """The cube root of x >= 0, elementwise; a power of eight in x is one of two in it, to the last digit.
+
+    XLA's, x^(1/3), loses digits far from 1.
+    """
+    if x.dtype != jnp.float64:
+        return jnp.cbrt(x)
+    exponent = (lax.bitcast_convert_type(x, jnp.int64) >> 52) - 1023
+    n = jnp.clip(exponent // 3, -340, 340)
+    scale = [lax.bitcast_convert_type((power + 1023) << 52, x.dtype) for power in (-3 * n, n)]
+    return jnp.cbrt(x * scale[0]) * scale[1]
+
+
 def logarithm(x):
     """log x for x > 0, elementwise, below the smallest normal number that of it; NaN stays NaN."""
     if x.dtype != jnp.float64:

@@ -102,9 +102,11 @@ def settle(
     steps = steps_per_period(lattice, period) if steps is None else whole("steps", steps, 1)
     checked_period(lattice, state, 0.0, period)
     solver = fixed_step_solver(lattice, solver, SRKN11b())
-    end, used, multiple, changes, _ = _follow(Flow(steps, solver), lattice, state, period, periods, tolerance)
+    # arrays, whose values compile nothing anew
+    flow, T = Flow(jnp.asarray(steps), solver), jnp.asarray(period, lattice.dtype)
+    end, used, multiple, changes, _ = _follow(flow, lattice, state, T, periods, jnp.asarray(tolerance, lattice.dtype))
     used, multiple = int(used), int(multiple)
-    ts, us, vs, amplitude, force, energy = _watch(solver, lattice, end, period, multiple or KEPT, steps)
+    ts, us, vs, amplitude, force, energy = _watch(solver, lattice, end, T, multiple or KEPT, steps)
     seen = np.asarray(changes)[:used]
     change = float(seen[-1, MULTIPLES.index(multiple)] if multiple else seen[-1, 0])
     outcome = _sentence(used, multiple, change, seen[:, 0], tolerance)

@@ -87,7 +87,7 @@ def forced_branch(
     if start == until:
         refuse("until", "another value than start", repr(until))
     period = period if callable(period) else positive("period", period)
-    scenes = [(make(jnp.asarray(p)), period_at(period, p)) for p in (start, until)]
+    scenes = [(make(jnp.asarray(p)), jnp.asarray(period_at(period, p))) for p in (start, until)]
     solver = fixed_step_solver(scenes[0][0], solver, SRKN14a())
     lattice, T = scenes[0]
     guess = State(lattice.zeros(), lattice.zeros()) if guess is None else checked_state(lattice, guess, "guess")

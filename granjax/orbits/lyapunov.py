@@ -86,7 +86,9 @@ def lyapunov(
     steps = steps_per_period(lattice, period) if steps is None else whole("steps", steps, 1)
     solver = fixed_step_solver(lattice, solver, SRKN11b())
     start = np.random.default_rng(seed).normal(size=(size, number))
-    end, logs = _grow(Flow(steps, solver), lattice, state, jnp.asarray(start), period, transient + periods)
+    # arrays, whose values compile nothing anew
+    flow, start, T = Flow(jnp.asarray(steps), solver), *(jnp.asarray(x, lattice.dtype) for x in (start, period))
+    end, logs = _grow(flow, lattice, state, start, T, transient + periods)
     rates = np.asarray(logs)[transient:] / period
     order = np.argsort(-rates.mean(0), kind="stable")
     rates = rates[:, order]

@@ -26,22 +26,24 @@ def nonlinear_length(lattice: Lattice, shape: Displacements) -> float:
     """
     orders = ORDERS if jnp.finfo(lattice.dtype).bits > 32 else SINGLE
     exponents = np.arange(-orders, orders + 1.0)
-    near = _near(lattice, shape, exponents)
+    near = _near(lattice, shape, np.exp2(exponents))
     # below, where rounding is larger than what is looked for, some may be near by chance
     runs = np.flatnonzero(np.convolve(near, np.ones(RUN), "valid") == RUN)
     if not len(runs):
         return 0.0
     if near[runs[0] :].all():
         return np.inf
+    # a power of two apart, so that the unit of length changes no digit
+    order, share = 2.0 ** exponents[int(np.argmin(near[runs[0] :])) + runs[0] - 1], np.array([0.0, 1.0])
     for _ in range(ROUNDS):
-        beyond = int(np.argmin(near[runs[0] :])) + runs[0]
-        exponents = np.linspace(*exponents[beyond - 1 : beyond + 1], len(exponents))
-        near, runs = _near(lattice, shape, exponents), [0]
-    return float(2.0 ** exponents[int(np.argmin(near)) - 1])
+        share = np.linspace(*share, len(exponents))
+        beyond = int(np.argmin(_near(lattice, shape, order * np.exp2(share))))
+        share = share[beyond - 1 : beyond + 1]
+    return float(order * np.exp2(share[0]))
 
 
-def _near(lattice, shape, exponents):
-    return np.asarray(_departures(lattice, shape, jnp.exp2(jnp.asarray(exponents, lattice.dtype)))) <= SHARE
+def _near(lattice, shape, amplitudes):
+    return np.asarray(_departures(lattice, shape, jnp.asarray(amplitudes, lattice.dtype))) <= SHARE
 
 
 @eqx.filter_jit
