@@ -115,10 +115,10 @@ def test_what_cannot_be_meant_is_refused(tmp_path, message, keywords):
 def test_files_without_numbers_and_with_broken_lines_are_refused(tmp_path):
     path = tmp_path / "scan.csv"
     path.write_text("time,one\nnothing,here\n")
-    with pytest.raises(ValueError, match="path: expected a file of numbers in columns, got scan.csv"):
+    with pytest.raises(ValueError, match="path: expected a text file of numbers .*, got '.*scan.csv', that ends"):
         read_csv(path, velocity=1, sites=3)
     path.write_text("0.0,1.0\n0.1,x\n0.2,3.0\n")
-    with pytest.raises(ValueError, match="path: expected 2 numbers in every line after the header, got '0.1,x'"):
+    with pytest.raises(ValueError, match="got '.*scan.csv', whose line 2 is '0.1,x', no row of numbers"):
         read_csv(path, velocity=1, sites=3)
     path.write_text("0.0,1.0\n0.1,2.0\n0.2,3.0\n")
     with pytest.raises(ValueError, match="velocity: expected an index, for the file has no line of names"):

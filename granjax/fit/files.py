@@ -1,19 +1,19 @@
 """Traces from files: comma-separated values and MATLAB's, as vibrometers and oscilloscopes write them."""
 
+import contextlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
 
+from .. import reading
 from ..checks import one_of, parameter, positive, refuse, show
-from ..types import Parameter, Scalar
-from .traces import KINDS, Traces
+from ..types import Count, Parameter, Scalar
+from .traces import KINDS, Origin, Traces
 
 # by index, by name, or both
 Column: TypeAlias = int | str | tuple[str, int]
-COMMENTS = ("#", "%", "//")
-DELIMITERS = ("\t", ";", ",", None)
 # samples before the trigger from which on their standard deviation is taken, and the share of them that counts:
 # a channel that triggers on its own signal rises before it reaches the level
 LEAST_NOISE, QUIET = 16, 0.9
@@ -24,13 +24,20 @@ def read_csv(
     displacement: Column | Sequence[Column] | None = None, force: Column | Sequence[Column] | None = None,
     time: Column = 0, sampling: Scalar | str | None = None, gain: Parameter | str = 1.0,
     trigger: Scalar | tuple[Column, Scalar] | None = None, start: Scalar | None = None, stop: Scalar | None = None,
-    sigma: Parameter | None = None, baseline: bool = False, delimiter: str | None = None, **where: object,
+    sigma: Parameter | None = None, baseline: bool = False, delimiter: str | None = None, decimal: str | None = None,
+    header: Count | None = None, **where: object,
 ) -> Traces:
-    r"""`Traces` from a text file of columns.
+    r"""`Traces` from a text file of columns: UTF-8, UTF-16 with its mark, or Latin-1, of at most 0.5 GiB.
 
-    Header lines, comments (#, %, //), the delimiter (tab, semicolon, comma, blanks) and a decimal comma are recognised:
-    the last line tells how columns are written, the first line of numbers like it is where they begin. An empty field
-    is a sample that is missing.
+    Delimiter (tab, semicolon, comma, blanks) and decimal mark (point, comma) are those under which everything below
+    the header is one table of numbers, with the columns that are asked for and times that rise. A file that can be
+    read in two ways is refused: `0,12` in every line is one column or two. The header ends at the first line of
+    numbers; comments (#, %, //) are passed over. Nothing that may be a sample is: rows of unequal length, words among
+    numbers, a line between names and first row that has something like a number where one is expected, a time out of
+    step with all that follow, and a first row of column numbers (0,1,2 without names above; two columns in step with
+    the times are a row) are refused, naming the line. An empty field, NaN, infinity and an instrument's word or number
+    for what is beyond its range (OVER, 9.9E37) are samples that are missing. `origin` of the traces keeps the header's
+    lines and says what was passed over or is missing.
 
     **Arguments:**
 
@@ -47,24 +54,30 @@ def read_csv(
     - `sigma`: as in `Traces`, in SI. `None` with a trigger and at least 16 samples before it: their standard deviation,
       per sensor, the last tenth of them left out. Else unknown.
     - `baseline`: subtract the mean of the same samples, per sensor: a recorder's direct offset. Needs a trigger.
-    - `delimiter`: of the columns, where it is not recognised.
+    - `delimiter` of the columns, `decimal` mark, lines of `header`: what the file does not tell. Where `header` is
+      given, words in columns that are not asked for, by index, do not matter.
     - `where`: `sites` or `contacts`, and whatever else `Traces` takes (`bond`, `offset`, `field`, `component`).
 
-    **Returns:** `Traces`. **Raises** ValueError for a column that is not there, a file without numbers, a level that is
-    never crossed, a window that holds fewer than two samples, and as `Traces` does; OSError for a file that is not
-    there. Typical: `read_csv("scan.csv", velocity="Vib 1", sites=4, gain=0.125, trigger=("Trig", 2.5), stop=3e-3)`.
+    **Returns:** `Traces`. **Raises** ValueError, which names the file, for one that is not there or no such table, a
+    column that is not there, a level that is never crossed, a window that holds fewer than two samples, and as `Traces`
+    does. Typical: `read_csv("scan.csv", velocity="Vib 1", sites=4, gain=0.125, trigger=("Trig", 2.5), stop=3e-3)`.
     """
-    names, table = _table(Path(path), delimiter)
+    times = None if sampling is not None else time
+    keys = _keys(velocity, displacement, force, times, *(trigger[:1] if isinstance(trigger, tuple) else ()))
+    table = reading.table(path, delimiter=delimiter, decimal=decimal, header=header, asked=keys,
+                          time=times if times in keys else None)
 
     def column(argument, key):
         if isinstance(key, str):
-            return table[:, _named(argument, key, names)]
-        if isinstance(key, bool) or not isinstance(key, (int, np.integer)) or not 0 <= key < table.shape[1]:
-            refuse(argument, f"a column from 0 to {table.shape[1] - 1}, or its name", repr(key))
-        return table[:, key]
+            return table.numbers[:, _named(argument, key, table.names)]
+        count = table.numbers.shape[1]
+        if isinstance(key, bool) or not isinstance(key, (int, np.integer)) or not 0 <= key < count:
+            refuse(argument, f"a column from 0 to {count - 1}, or its name", repr(key))
+        return table.numbers[:, key]
 
-    return _traces(column, (velocity, displacement, force), time, sampling, gain, trigger, start, stop, sigma, baseline,
-                   where)
+    with _naming(path):
+        return _traces(column, (velocity, displacement, force), time, sampling, gain, trigger, start, stop, sigma,
+                       baseline, where | {"origin": Origin(str(path), table.header, table.remark)})
 
 
 def read_mat(
@@ -74,35 +87,66 @@ def read_mat(
     trigger: Scalar | tuple[Column, Scalar] | None = None, start: Scalar | None = None, stop: Scalar | None = None,
     sigma: Parameter | None = None, baseline: bool = False, **where: object,
 ) -> Traces:
-    r"""`Traces` from a MATLAB file, up to version 7 (SciPy) or 7.3 (h5py).
+    r"""`Traces` from a MATLAB file, up to version 7 (SciPy) or 7.3 (h5py), with at most 2 GiB of numbers.
+
+    It is read in a process of its own, so that a damaged one costs a sentence and not the session: 0.4 s for the first
+    file, milliseconds for those that follow within two minutes, at most 10 s and 1 s for 10 MB.
 
     **Arguments:** as in `read_csv`, but a column is a variable by its name, "scan.velocity" for a field of a struct; or
     a pair (name, index) for one column of a matrix. A matrix alone is one column per sensor; its longer axis is time.
     `sampling` may be a name too, such as "Fs". One of `time` and `sampling` is needed.
 
-    **Returns:** `Traces`. **Raises** ValueError for a variable that is not there or holds no numbers, and as `read_csv`
-    does. Typical: `read_mat("scan.mat", velocity="data", sites=[2, 5], sampling="Fs", gain=0.125, trigger=1e-3)`.
+    **Returns:** `Traces`. **Raises** ValueError, which names the file, for one that cannot be read, a variable that is
+    not there or holds no real numbers, and as `read_csv` does. Typical:
+    `read_mat("scan.mat", velocity="data", sites=[2, 5], sampling="Fs", gain=0.125, trigger=1e-3)`.
     """
-    variables = _variables(str(path))
+    rate = sampling if isinstance(sampling, str) else None
+    keys = _keys(velocity, displacement, force, time, rate, *(trigger[:1] if isinstance(trigger, tuple) else ()))
+    variables, others = reading.matlab(path, [key for key in keys if isinstance(key, str)])
 
     def column(argument, key):
         name, index = key if isinstance(key, tuple) and len(key) == 2 else (key, None)
         if not isinstance(name, str):
             refuse(argument, "the name of a variable, or (name, column)", repr(key))
-        x = variables[one_of(argument, name, tuple(variables))]
-        if x.ndim != 2:
+        if name not in variables:
+            if name in others:
+                refuse(argument, "a variable of real numbers", f"{name!r}, which is {others[name] or 'none'}")
+            one_of(argument, name, sorted({*variables, *(other for other, kind in others.items() if not kind)}))
+        x = variables[name]
+        x = x[:, None] if x.ndim == 1 else x
+        if x.ndim != 2 or not x.size:
             refuse(argument, "a vector or a matrix", f"{name} of shape {x.shape}")
         x = x if x.shape[0] >= x.shape[1] else x.T
         if index is None:
             return x[:, 0] if x.shape[1] == 1 else x
-        if index not in range(x.shape[1]):
+        if isinstance(index, bool) or not isinstance(index, (int, np.integer)) or not 0 <= index < x.shape[1]:
             refuse(argument, f"a column from 0 to {x.shape[1] - 1}", repr(index))
         return x[:, index]
 
-    if isinstance(sampling, str):
-        sampling = column("sampling", sampling)[0]
-    return _traces(column, (velocity, displacement, force), time, sampling, gain, trigger, start, stop, sigma, baseline,
-                   where)
+    with _naming(path):
+        if rate is not None:
+            sampling = column("sampling", rate)
+            if sampling.size != 1:
+                refuse("sampling", "one number", f"{rate} of shape {sampling.shape}")
+            sampling = sampling.item()
+        return _traces(column, (velocity, displacement, force), time, sampling, gain, trigger, start, stop, sigma,
+                       baseline, where | {"origin": Origin(str(path))})
+
+
+def _keys(*asked):
+    """What is asked for, without what is no name or index: that is refused where it is used."""
+    keys = [key for keys in asked for key in (keys if isinstance(keys, list) else [keys])]
+    keys = [key[0] if isinstance(key, tuple) and len(key) == 2 else key for key in keys]
+    return tuple(k for k in keys if isinstance(k, (str, int, np.integer)) and not isinstance(k, bool))
+
+
+@contextlib.contextmanager
+def _naming(path):
+    """Refusals that say which file it was."""
+    try:
+        yield
+    except ValueError as error:
+        raise ValueError(f"{error} The file is {str(path)!r}.") from None
 
 
 def _traces(column, data, time, sampling, gain, trigger, start, stop, sigma, baseline, where):
@@ -112,7 +156,12 @@ def _traces(column, data, time, sampling, gain, trigger, start, stop, sigma, bas
         refuse("data", "one of velocity=, displacement=, force=", f"{[kind for kind, _ in given] or 'none'}",
                "Read several kinds one by one and give fit a list.")
     ((kind, keys),) = given
-    data = np.column_stack([column(kind, key) for key in (keys if isinstance(keys, list) else [keys])])
+    data = [column(kind, key) for key in (keys if isinstance(keys, list) else [keys])]
+    if len({len(x) for x in data}) != 1:
+        refuse(kind, "one column or more, equally long", f"lengths {[len(x) for x in data]}")
+    data = np.column_stack(data)
+    if len(data) < 2:
+        refuse(kind, "at least two samples", f"{len(data)}")
     times = _times(column, time, sampling, len(data))
     if not isinstance(gain, str):
         factor = np.asarray(parameter("gain", gain))
@@ -149,6 +198,9 @@ def _times(column, time, sampling, count):
     times = column("time", time)
     if times.shape != (count,):
         refuse("time", f"{count} times", f"shape {times.shape}")
+    if not np.isfinite(times).all():
+        refuse("time", "a time in every row", f"none in {np.count_nonzero(~np.isfinite(times))} of {count}",
+               "Give sampling= where rows are equally spaced.")
     if not (np.diff(times) > 0).all():
         refuse("time", "times that rise", show(times), "Give sampling= where too few digits were written.")
     return times
@@ -166,115 +218,24 @@ def _trigger(column, trigger, times):
     x, level = column("trigger", trigger[0]), float(parameter("trigger", trigger[1]))
     if x.shape != times.shape:
         refuse("trigger", "one channel", f"shape {x.shape}")
-    above = x > level
-    if (above == above[0]).all():
-        refuse("trigger", f"a level that {trigger[0]!r} crosses, from {np.nanmin(x):g} to {np.nanmax(x):g}",
-               f"{level:g}")
+    known = np.flatnonzero(np.isfinite(x))
+    above = x[known] > level
+    if not known.size or (above == above[0]).all():
+        span = f", from {x[known].min():g} to {x[known].max():g}" if known.size else ""
+        refuse("trigger", f"a level that {trigger[0]!r} crosses{span}", f"{level:g}")
     k = int(np.argmax(above != above[0]))
-    part = (level - x[k - 1]) / (x[k] - x[k - 1])
-    return float(times[k - 1] + part * (times[k] - times[k - 1]))
-
-
-# ----------------------------------------------------------------------------------------------------------- text files
-
-
-def _table(path, delimiter):
-    """The header's lines that have as many fields as there are columns, and the numbers (T, columns)."""
-    lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
-    lines = [line for line in lines if line.strip()]
-    last = next((line for line in reversed(lines) if not line.lstrip().startswith(COMMENTS)), "")
-    delimiter, comma = _written(last, delimiter)
-    count = len(_fields(last, delimiter))
-    first = next((k for k, line in enumerate(lines) if _is_row(line, delimiter, comma, count)), None)
-    if first is None:
-        refuse("path", "a file of numbers in columns", f"{path.name} that ends with {last[:60]!r}",
-               "Give delimiter= where it is another than tab, semicolon, comma or blanks.")
-    names = [_fields(line.lstrip("".join(COMMENTS) + " "), delimiter) for line in lines[:first]]
-    rows = [line for line in lines[first:] if not line.lstrip().startswith(COMMENTS)]
-    bad = next((row for row in rows if not _is_row(row, delimiter, comma, count)), None)
-    if bad is not None:
-        refuse("path", f"{count} numbers in every line after the header", repr(bad[:60]))
-    rows = [row.replace('"', "").replace("'", "") for row in rows]
-    rows = [row.replace(",", ".") for row in rows] if comma else rows
-    return [line for line in names if len(line) == count], np.genfromtxt(rows, delimiter=delimiter, ndmin=2)
-
-
-def _written(line, delimiter):
-    """The delimiter of a line of numbers, and whether its decimals follow a comma."""
-    for sign in DELIMITERS if delimiter is None else (delimiter,):
-        for comma in (False, True):
-            fields = _fields(line, sign)
-            if not (comma and sign == ",") and any(fields) and all(_is_number(field, comma) for field in fields):
-                if sign is None or sign in line:
-                    return sign, comma
-    return delimiter, False
-
-
-def _fields(line, delimiter):
-    return [field.strip().strip('"') for field in line.strip(" \r\n").split(delimiter)]
-
-
-def _is_number(field, comma):
-    try:
-        float(field.replace(",", ".") if comma else field or "nan")
-    except ValueError:
-        return field == ""
-    return True
-
-
-def _is_row(line, delimiter, comma, count):
-    fields = _fields(line, delimiter)
-    return len(fields) == count and any(fields) and all(_is_number(field, comma) for field in fields)
+    last, first = known[k - 1], known[k]
+    part = (level - x[last]) / (x[first] - x[last])
+    return float(times[last] + part * (times[first] - times[last]))
 
 
 def _named(argument, key, names):
     """Index of the column that a line of the header names."""
-    for plain in (str.strip, _plain):
-        for line in reversed(names):
-            found = [k for k, name in enumerate(line) if plain(name) == plain(key)]
-            if len(found) > 1:
-                refuse(argument, "the name of one column", f"{key!r}, of {len(found)} columns", "Give its index.")
-            if found:
-                return found[0]
+    found = reading.named(key, names)
+    if len(found) > 1:
+        refuse(argument, "the name of one column", f"{key!r}, of {len(found)} columns", "Give its index.")
     if not names:
         refuse(argument, "an index, for the file has no line of names", repr(key))
-    one_of(argument, key, tuple(dict.fromkeys(name for line in names for name in line)))
-
-
-def _plain(name):
-    for bracket in "([":
-        name = name.split(bracket)[0]
-    return name.strip().lower()
-
-
-# ------------------------------------------------------------------------------------------------------- MATLAB's files
-
-
-def _variables(path):
-    """Every variable and field of a struct that holds numbers, as arrays shaped as in MATLAB."""
-    import h5py
-    from scipy.io import loadmat
-
-    found = {}
-    if h5py.is_hdf5(path):
-
-        def visit(name, item):
-            if isinstance(item, h5py.Dataset) and item.dtype.kind in "fiu":
-                # MATLAB counts columns first
-                found[name.replace("/", ".")] = np.asarray(item[()], float).T
-
-        with h5py.File(path) as file:
-            file.visititems(visit)
-        return found
-
-    def add(name, x):
-        if x.dtype.names:
-            for field in x.dtype.names if x.size == 1 else ():
-                add(f"{name}.{field}", x[field].item())
-        elif x.dtype.kind in "fiu":
-            found[name] = np.asarray(x, float)
-
-    for name, x in loadmat(path).items():
-        if not name.startswith("__") and isinstance(x, np.ndarray):
-            add(name, x)
-    return found
+    if not found:
+        one_of(argument, key, tuple(dict.fromkeys(name for line in names for name in line)))
+    return found[0]

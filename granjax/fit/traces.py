@@ -1,5 +1,6 @@
 """Measured traces: what was recorded, where, how well."""
 
+import dataclasses
 from collections.abc import Sequence
 
 import equinox as eqx
@@ -11,6 +12,18 @@ from ..checks import concrete, parameter, positive, real, refuse, show, whole
 from ..types import AnyArray, Count, Counts, Numbers, Parameter, Scalar
 
 KINDS = ("velocity", "displacement", "force")
+
+
+@dataclasses.dataclass(frozen=True)
+class Origin:
+    """Where traces were read: the file, its header's lines, what was passed over or is missing.
+
+    Two are equal whatever they say: what is compiled for one file serves another.
+    """
+
+    file: str = dataclasses.field(compare=False)
+    header: tuple[str, ...] = dataclasses.field(default=(), compare=False)
+    remark: str = dataclasses.field(default="", compare=False)
 
 
 class Traces(eqx.Module):
@@ -28,6 +41,7 @@ class Traces(eqx.Module):
     - `gain`: a number, one per sensor, or the name of a parameter. `offset`: time of the scene at the recorder's time
       0 [s], a number or the name of a parameter; what was recorded before t0 is compared with the state at t0.
     - `field`: where a cell holds several. `component`: of the displacements, where they are vectors.
+    - `origin`: of traces that were read from a file.
 
     **Raises** ValueError for times that do not rise, data of another shape, no sensor, sigma <= 0.
     """
@@ -42,13 +56,14 @@ class Traces(eqx.Module):
     bond: int = eqx.field(static=True)
     field: str | None = eqx.field(static=True)
     component: int | None = eqx.field(static=True)
+    origin: Origin | None = eqx.field(static=True)
 
     def __init__(
         self, times: Parameter, *, velocity: Parameter | None = None, displacement: Parameter | None = None,
         force: Parameter | None = None, sites: Count | Sequence | Counts | None = None,
         contacts: Count | Sequence | Counts | None = None, bond: Count = 0, sigma: Parameter | None = None,
         gain: Parameter | str = 1.0, offset: Scalar | str = 0.0, field: str | None = None,
-        component: Count | None = None,
+        component: Count | None = None, origin: Origin | None = None,
     ):
         given = {k: x for k, x in zip(KINDS, (velocity, displacement, force)) if x is not None}
         if len(given) != 1:
@@ -78,6 +93,9 @@ class Traces(eqx.Module):
         self.offset = offset if isinstance(offset, str) else checked_shape("offset", parameter("offset", offset))
         self.bond, self.field = whole("bond", bond), field
         self.component = None if component is None else whole("component", component)
+        if origin is not None and not isinstance(origin, Origin):
+            refuse("origin", "an Origin, or None", repr(origin)[:60], "`from_csv` and `from_mat` give it.")
+        self.origin = origin
 
     @property
     def sensors(self) -> list[str]:

@@ -9,7 +9,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ..checks import refuse
+from ..checks import refuse, whole
 from ..results import Held, Result
 from ..types import Pytree, Scalar
 from .advice import Advice, advise
@@ -174,20 +174,42 @@ class WorkPrecision(Result):
             data = json.loads(text) if isinstance(text, str | bytes) else text
             points, methods = data["points"], data["methods"]
             columns = {name: _numbers(point[name] for point in points) for name in _COLUMNS}
-            texts = {name: tuple(point[name] for point in points) for name in _WORDS}
-            drawn = np.array([point["drawn"] for point in points], bool)
-            own = {"methods": tuple(m["name"] for m in methods)}
+            texts = {name: _words(point[name] for point in points) for name in _WORDS}
+            drawn = np.array([{True: True, False: False}[point["drawn"]] for point in points], bool)
+            own = {"methods": _words(m["name"] for m in methods)}
             own["compile_seconds"] = _numbers(m["compile_seconds"] for m in methods)
             own["limit"] = np.nan_to_num(_numbers(m["limit"] for m in methods), nan=np.inf)
-            floor = math.nan if data["floor"] is None else float(data["floor"])
-            own |= {"reference_note": data["reference"], "repeats": data["repeats"], "machine": data["machine"]}
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
-            refuse("text", "a table that `to_json` has written", f"something else ({type(error).__name__}: {error})")
+            (floor,) = _numbers([data["floor"]]).tolist()
+            (note,), machine = _words([data["reference"]]), dict(data["machine"])
+            own |= {"reference_note": note, "repeats": whole("repeats", data["repeats"]), "machine": machine}
+            if len({*own["methods"]}) < len(methods) or not {*texts["method"]} <= {*own["methods"]}:
+                raise ValueError("points of methods that are not listed once")
+            if not {*texts["parameter"]} <= {"step", "tolerance"}:
+                raise ValueError("a parameter that is neither step nor tolerance")
+            if any(type(x) not in (str, int, type(None)) for x in machine.values()):
+                raise ValueError("a machine that is not described by words and whole numbers")
+        except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError) as error:
+            what = f"{type(error).__name__}: {error}"[:200]
+            refuse("text", "a table that `to_json` has written", f"something else ({what})")
         return cls(**columns, **texts, **own, drawn=drawn, floor=floor)
 
 
 def _numbers(values):
-    return np.array([math.nan if x is None else x for x in values], dtype=float)
+    """Finite numbers, NaN where there is `None`."""
+    values = list(values)
+    if any(type(x) not in (int, float, type(None)) for x in values):
+        raise TypeError("words where numbers are")
+    array = np.array([math.nan if x is None else x for x in values], dtype=float)
+    if np.isinf(array).any() or np.isnan(array).sum() > values.count(None):
+        raise ValueError("numbers that are not finite")
+    return array
+
+
+def _words(values):
+    values = tuple(values)
+    if not all(isinstance(x, str) for x in values):
+        raise TypeError("numbers where words are")
+    return values
 
 
 def _plain(x):

@@ -1,0 +1,200 @@
+"""Files that compiled libraries read: MATLAB's and HDF5, in a process that may be lost."""
+
+import atexit
+import contextlib
+import difflib
+import json
+import math
+import os
+import stat
+import subprocess
+import sys
+import threading
+import time
+from multiprocessing.spawn import get_executable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..checks import refuse
+
+if TYPE_CHECKING:
+    import xarray
+
+# bytes of numbers that a file may hold, in all and for each of its own (deflate shrinks zeros to a thousandth); the
+# reader's memory may grow by thrice as many, as they lie in the file, as floating numbers and turned, and by these
+MOST, RATIO = 2**31, 1100
+MEMORY = 2**28
+# seconds that reading may take, beside 1 s for 10 MB
+SECONDS, RATE = 10, 1e7
+WORDS = 2**26
+REMEDY = "Copy or write it anew if it is damaged; arrays that are read by other means go to gx.Traces."
+
+
+def matlab(path: str | Path, names: list[str]) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+    """({name: array}, {name: what it is}) of a MATLAB file: what is asked for, as numbers, and all else.
+
+    "scan.gate" is a field of a struct; what it is is "" for numbers that were not asked for. Arrays are shaped as in
+    MATLAB. **Raises** ValueError for a file that is none, is damaged or states more than 2 GiB of numbers.
+    """
+    arrays, others = _read("matlab", path, "a MATLAB file", names)
+    return arrays, others
+
+
+def netcdf(path: str | Path) -> "xarray.Dataset":
+    """The `xarray.Dataset` of a netCDF file. **Raises** ValueError as `matlab` does."""
+    import xarray
+
+    variables, coordinates, attributes = _read("netcdf", path, "a netCDF file that `save` wrote", [])
+    return xarray.Dataset({k: tuple(v) for k, v in variables.items()}, attrs=attributes).set_coords(coordinates)
+
+
+def regular(path: str | Path, what: str) -> tuple[Path, int]:
+    """A path and how many bytes are there. **Raises** ValueError where that is no file, or an empty one."""
+    try:
+        path = Path(os.fsdecode(path))
+        found = path.stat()
+    except TypeError:
+        refuse("path", "the path of a file", f"{path!r} of type {type(path).__name__}")
+    except FileNotFoundError:
+        refuse("path", what, f"{str(path)!r}, where there is nothing", _near(path))
+    except (OSError, ValueError) as error:
+        refuse("path", what, f"{str(path)[:200]!r} ({getattr(error, 'strerror', None) or error})")
+    if not stat.S_ISREG(found.st_mode):
+        refuse("path", what, f"{str(path)!r}, a {'folder' if stat.S_ISDIR(found.st_mode) else 'device or pipe'}")
+    if not found.st_size:
+        refuse("path", what, f"{str(path)!r}, which is empty")
+    return path, found.st_size
+
+
+def _near(path):
+    try:
+        near = difflib.get_close_matches(path.name, os.listdir(path.parent))
+    except OSError:
+        return f"There is no folder {str(path.parent)!r} that can be read."
+    return f"Did you mean {' or '.join(map(repr, near))}?" if near else ""
+
+
+# ------------------------------------------------------------------------------------------------- the other process
+
+
+class _Running:
+    """The process that reads, where one runs: whose child it is, whether it has answered before and owes an answer."""
+
+    process: subprocess.Popen | None = None
+    owner, used, busy = 0, False, False
+    lock = threading.Lock()
+
+
+def _read(kind, path, what, names):
+    """What the other process answers. One that fails after it has read other files is not taken as this one's word."""
+    path, size = regular(path, what)
+    seconds, most = SECONDS + size / RATE, min(MOST, RATIO * size)
+    request = {"kind": kind, "path": str(path.absolute()), "names": names, "seconds": seconds, "most": most,
+               "memory": MEMORY + size + 3 * most}
+    with _Running.lock:
+        while True:
+            _start()
+            again, began = _Running.used, time.monotonic()
+            try:
+                answer = _exchanged(request)
+                break
+            except (EOFError, OSError):
+                late = time.monotonic() - began > seconds
+                code = _close()
+            if late:
+                refuse("path", what, f"{str(path)!r}, which is not read within {seconds:.3g} s", REMEDY)
+            if not again:
+                refuse("path", what, f"{str(path)!r}, at which reading broke down (exit code {code})", REMEDY)
+    if "error" in answer:
+        refuse("path", what, f"{str(path)!r}, at which reading ended with {answer['error']!r}", REMEDY)
+    return answer["answer"]
+
+
+def _start():
+    """Have a process that waits for requests."""
+    if _Running.owner != os.getpid():
+        # one of the process that this one was forked from, and not to be spoken to
+        _Running.process = None
+    if _Running.process is not None and _Running.process.poll() is None and not _Running.busy:
+        return
+    _close()
+    folders = [os.path.abspath(folder) for folder in sys.path if folder]
+    command = [os.fsdecode(get_executable() or ""), "-I", "-S", str(Path(__file__).with_name("child.py")), *folders]
+    threads = {name: "1" for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")}
+    try:
+        _Running.process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
+            env=os.environ | threads, creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
+        )
+    except OSError as error:
+        refuse("path", "that files can be read in a process of their own",
+               f"{error} from {command[0]!r}", "multiprocessing.set_executable(path) says where Python is.")
+    _Running.owner, _Running.used, _Running.busy = os.getpid(), False, False
+
+
+def _close():
+    """End the process and return its exit code."""
+    process, _Running.process = _Running.process, None
+    if process is None or _Running.owner != os.getpid():
+        return None
+    with contextlib.suppress(OSError):
+        process.stdin.close()
+    process.stdout.close()
+    try:
+        # one that has nothing to do ends, and one that breaks down takes a moment to
+        return process.wait(0.5)
+    except subprocess.TimeoutExpired:
+        process.kill()
+    return process.wait()
+
+
+atexit.register(_close)
+
+
+def _exchanged(request):
+    """Send a request and take the answer. An interrupt ends the process: what is left of the answer is nobody's."""
+    _Running.busy = True
+    try:
+        _Running.process.stdin.write(json.dumps(request).encode() + b"\n")
+        _Running.process.stdin.flush()
+        count = int.from_bytes(_bytes(8), "little")
+        if count > WORDS:
+            raise EOFError
+        answer = json.loads(_bytes(count).tobytes())
+        answer = answer if "error" in answer else {"answer": _unpacked(answer["answer"])}
+        _Running.used, _Running.busy = True, False
+        return answer
+    except (KeyError, TypeError, ValueError):
+        raise EOFError from None
+    except KeyboardInterrupt:
+        _close()
+        raise
+
+
+def _bytes(count):
+    """The next bytes of an answer."""
+    found = np.empty(count, np.uint8)
+    view, done = memoryview(found), 0
+    while done < count:
+        more = _Running.process.stdout.readinto(view[done:])
+        if not more:
+            raise EOFError
+        done += more
+    return found
+
+
+def _unpacked(x):
+    if "dict" in x:
+        return {name: _unpacked(value) for name, value in x["dict"]}
+    if "list" in x:
+        return [_unpacked(value) for value in x["list"]]
+    if "plain" in x:
+        return x["plain"]
+    if "words" in x:
+        array = np.array(x["words"], object).astype(x["type"]).reshape(x["shape"])
+        return array[()] if x["scalar"] else array
+    kind = np.dtype(x["type"])
+    array = _bytes(kind.itemsize * math.prod(x["shape"])).view(kind).reshape(x["shape"])
+    return array[()] if x["scalar"] else array
