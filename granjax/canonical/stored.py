@@ -1,10 +1,14 @@
 """Reading of the data files."""
 
+import zlib
 from functools import cache
 from importlib import resources
 from typing import NamedTuple
+from zipfile import BadZipFile
 
 import numpy as np
+
+from ..checks import refuse
 
 
 class Stored(NamedTuple):
@@ -29,9 +33,13 @@ class Stored(NamedTuple):
 
 @cache
 def read(name: str) -> Stored:
-    """The data of a scene, arrays that cannot be written to."""
-    with resources.files(__package__).joinpath("data", f"{name}.npz").open("rb") as file, np.load(file) as data:
-        arrays = {key: data[key] for key in data.files}
+    """The data of a scene, arrays that cannot be written to. **Raises** ValueError for a file that is damaged."""
+    path = resources.files(__package__).joinpath("data", f"{name}.npz")
+    try:
+        with path.open("rb") as file, np.load(file) as data:
+            arrays = {key: data[key] for key in data.files}
+    except (OSError, ValueError, EOFError, LookupError, BadZipFile, zlib.error) as error:
+        refuse("name", "data that were installed with granjax", f"{path} ({error})", "Install granjax anew.")
     for x in arrays.values():
         x.flags.writeable = False
     return Stored(**{key: x if x.ndim else x.item() for key, x in arrays.items()})

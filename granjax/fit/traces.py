@@ -22,7 +22,7 @@ class Origin:
     """
 
     file: str = dataclasses.field(compare=False)
-    header: tuple[str, ...] = dataclasses.field(default=(), compare=False)
+    header: tuple[str, ...] = dataclasses.field(default=(), compare=False, repr=False)
     remark: str = dataclasses.field(default="", compare=False)
 
 

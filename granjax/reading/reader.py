@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 # reader's memory may grow by thrice as many, as they lie in the file, as floating numbers and turned, and by these
 MOST, RATIO = 2**31, 1100
 MEMORY = 2**28
-# seconds that reading may take, beside 1 s for 10 MB
-SECONDS, RATE = 10, 1e7
+# seconds that reading may take, beside 1 s for 10 MB, and from a disk that is slow to begin with
+SECONDS, RATE, STARTING = 10, 1e7, 60
 WORDS = 2**26
 REMEDY = "Copy or write it anew if it is damaged; arrays that are read by other means go to gx.Traces."
 
@@ -121,12 +121,14 @@ def _start():
         return
     _close()
     folders = [os.path.abspath(folder) for folder in sys.path if folder]
-    command = [os.fsdecode(get_executable() or ""), "-I", "-S", str(Path(__file__).with_name("child.py")), *folders]
+    command = [os.fsdecode(get_executable() or ""), "-sSP", str(Path(__file__).with_name("child.py")), *folders]
+    # nothing that changes what Python does, but where it is
+    kept = {name: x for name, x in os.environ.items() if not name.startswith("PYTHON") or name == "PYTHONHOME"}
     threads = {name: "1" for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")}
     try:
         _Running.process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
-            env=os.environ | threads, creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
+            env=kept | threads, creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
         )
     except OSError as error:
         refuse("path", "that files can be read in a process of their own",
@@ -156,6 +158,10 @@ atexit.register(_close)
 def _exchanged(request):
     """Send a request and take the answer. An interrupt ends the process: what is left of the answer is nobody's."""
     _Running.busy = True
+    # it ends itself before, if it is what should run
+    timer = threading.Timer(STARTING + request["seconds"] + 1, _Running.process.kill)
+    timer.daemon = True
+    timer.start()
     try:
         _Running.process.stdin.write(json.dumps(request).encode() + b"\n")
         _Running.process.stdin.flush()
@@ -171,6 +177,8 @@ def _exchanged(request):
     except KeyboardInterrupt:
         _close()
         raise
+    finally:
+        timer.cancel()
 
 
 def _bytes(count):

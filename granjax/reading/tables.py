@@ -36,6 +36,7 @@ MISSING = {
 }
 # a damaged number too
 LIKE_A_NUMBER = re.compile(r"[\"'+-]*[.,]?[0-9]")
+HALVED = re.compile(r"(?:^|,) *[+-]?\d+,0\d+ *(?:,|$)", re.ASCII)
 # from here on SCPI writes infinity and no number
 BEYOND = 9.9e37
 
@@ -99,6 +100,8 @@ def table(
         _read(lines, *way, header, needed if len(needed) == len(set(asked)) else None)
         for way in itertools.product(delimiters, (".", ",") if decimal is None else (decimal,))
     ]
+    if delimiter is None or decimal is None:
+        tried = [_split(reading) if isinstance(reading, _Reading) else reading for reading in tried]
     readings = [reading for reading in tried if isinstance(reading, _Reading)]
     if any(reading.delimiter == "\t" for reading in readings):
         # a tab is a blank too
@@ -244,19 +247,33 @@ def _read(lines, delimiter, decimal, header, needed):
                             f"where others have {width}", REMEDY)
     numbers = np.full((len(counts), width), np.nan)
     numbers[np.arange(width) < counts[:, None]] = flat
-    names, clear, count = [], header is not None, len(_fields(lines[first][1], delimiter))
-    for place, line in reversed(lines[:first]):
+    names, may_be, count = [], None, len(_fields(lines[first][1], delimiter))
+    for place, line in lines[:first]:
         comment = line.lstrip().startswith(COMMENTS)
         fields = _fields(line.lstrip("".join(COMMENTS) + " "), delimiter)
         fits = len(fields) >= width and (len(fields) == count or not any(fields[width:]))
-        like = {k for k, field in enumerate(fields) if LIKE_A_NUMBER.match(field)}
-        # above a line of names there is no row
-        clear = clear or fits and not like
-        if not (clear or comment) and like & (like if fits and needed is None else {0, *needed} if fits else {0}):
-            return _Failure(len(counts), f"whose line {place} is {line[:60]!r}, which may be a row", REMEDY)
+        like = {k for k, field in enumerate(fields[:width] if fits else fields) if LIKE_A_NUMBER.match(field)}
+        seen = like if names else {0, *needed} if fits and needed is not None else {0}
         if fits:
-            names.insert(0, fields[:width])
+            names.append(fields[:width])
+            # above a line of names there is no row, and below it no number that is none
+            may_be = may_be if like else None
+        if like & seen and not comment:
+            may_be = may_be or (place, line)
+    if may_be and header is None:
+        return _Failure(len(counts), f"whose line {may_be[0]} is {may_be[1][:60]!r}, which may be a row", REMEDY)
     return _Reading(delimiter, decimal, names, numbers, first, lines, words)
+
+
+def _split(reading):
+    """The reading, if it does not take decimals for columns: those of 1,05 begin with a zero, whole numbers do not."""
+    rows = reading.lines[reading.first :] if reading.delimiter == "," else ()
+    if rows and not any("." in line for _, line in rows):
+        for place, line in rows:
+            if HALVED.search(line):
+                return _Failure(len(rows), f"whose line {place}, {line[:60]!r}, may be decimal commas between commas",
+                                "Say delimiter=',' and decimal='.' where it is whole numbers.")
+    return reading
 
 
 def _has(reading, asked, time):
@@ -302,7 +319,8 @@ def _remark(text, reading):
     within = [line for _, line in reading.lines[reading.first :]]
     comments = sum(line.lstrip().startswith(COMMENTS) for line in within)
     missing = int(np.isnan(reading.numbers).sum())
-    words = ", ".join(map(repr, dict.fromkeys(reading.words)))
+    words = dict.fromkeys(word[:20] for word in reading.words)
+    words = ", ".join(map(repr, itertools.islice(words, 5))) + ", ..." * (len(words) > 5)
     said = [
         f"{reading.first} line{'s' * (reading.first > 1)} of header" if reading.first else "",
         f"{comments} comment{'s' * (comments > 1)} between rows" if comments else "",
