@@ -9,6 +9,7 @@ import numpy as np
 
 from .. import reading
 from ..checks import one_of, parameter, positive, refuse, show
+from ..entry import checked
 from ..types import Count, Parameter, Scalar
 from .traces import KINDS, Origin, Traces
 
@@ -19,6 +20,7 @@ Column: TypeAlias = int | str | tuple[str, int]
 LEAST_NOISE, QUIET = 16, 0.9
 
 
+@checked
 def read_csv(
     path: str | Path, *, velocity: Column | Sequence[Column] | None = None,
     displacement: Column | Sequence[Column] | None = None, force: Column | Sequence[Column] | None = None,
@@ -80,6 +82,7 @@ def read_csv(
                        baseline, where | {"origin": Origin(str(path), table.header, table.remark)})
 
 
+@checked
 def read_mat(
     path: str | Path, *, velocity: Column | Sequence[Column] | None = None,
     displacement: Column | Sequence[Column] | None = None, force: Column | Sequence[Column] | None = None,
