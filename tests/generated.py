@@ -52,6 +52,8 @@ NOT_FACE = {
     "outside.": "for functions of the user's alone",
     "checks.": "what refuses: its input is anything",
     "split_system.": "between a lattice and a solver, inside of a loop",
+    "lattice.model.Lattice.sum_forces": "a part of `force`, inside of a loop", "terms.reach.": "asked by terms alone",
+    "lattice.model.Lattice.total": "a part of `force`, inside of a loop",
     "tuning.prepare_import": "called by the import, without an argument",
 }
 
@@ -377,6 +379,7 @@ OWN = {
     "canonical.scenes.scene.name": lambda: gx.canonical.names()[0], "plots.curves.profile.y": times,
     "plots.curves.profile.x": times, "newton.newton.guess": lambda: 1.0, "terms.base.Term.force.mass": lambda: 1.0,
     "fit.files.read_csv.path": lambda: file("file.csv"), "fit.files.read_mat.path": lambda: file("file.mat"),
+    "lattice.tangents.variational.y": lambda: tuple((np.zeros(SITES), np.zeros((SITES, 2))) for _ in "uv"),
     "continuation.trace.continuation.x0": lambda: 1.0, "continuation.trace.continuation.p0": lambda: 0.0,
 }
 

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import held_in_memory, positive, refuse, whole
+from ..checks import described, held_in_memory, positive, refuse, whole
 from ..entry import checked
 from ..outside import Outside
 from ..terms import Term
@@ -173,6 +173,13 @@ class Lattice(eqx.Module):
 
     def astype(self, dtype: Any) -> Any:
         """The lattice with every floating parameter in another type, for a float32 run."""
+        try:
+            floating = dtype is not None and jnp.issubdtype(dtype, jnp.floating)
+        except (TypeError, ValueError):
+            floating = False
+        if not floating:
+            refuse("dtype", "a floating type, such as numpy.float32", described(dtype))
+
         def cast(x):
             return x.astype(dtype) if eqx.is_inexact_array(x) else x
 
