@@ -291,10 +291,13 @@ def _of_arity(args):
         return PLAIN_KINDS[Callable]
     count = len(args)
     said = f"a function of {count} argument{'s' * (count != 1)}"
-    return Kind(said, lambda x: callable(x) and _takes(x, count))
+    return Kind(said, lambda x: takes(x, count))
 
 
-def _takes(function, count):
+def takes(function: Any, count: int) -> bool:
+    """Whether it is a function that can be called with so many arguments."""
+    if not callable(function):
+        return False
     try:
         inspect.signature(function).bind(*range(count))
     except TypeError:

@@ -241,8 +241,8 @@ def admits(hint, x):
     origin, inside = typing.get_origin(hint), typing.get_args(hint)
     if origin in (typing.Union, types.UnionType):
         # numbers or a list: a list of numbers
-        if float in inside and abc.Sequence in inside and isinstance(x, abc.Sequence):
-            return not isinstance(x, (str, bytes)) and numeric(x)
+        if float in inside and abc.Sequence in inside and isinstance(x, abc.Sequence) and not isinstance(x, str):
+            return not isinstance(x, bytes) and numeric(x)
         return any(admits(one, x) for one in inside)
     if origin is typing.Annotated:
         return admits(inside[0], x)
@@ -258,9 +258,8 @@ def admits(hint, x):
         return callable(x)
     if origin in (abc.Sequence, list, tuple, abc.Iterable) or hint in (abc.Sequence, abc.Iterable, tuple, list):
         kind = origin or hint
-        if kind in (abc.Sequence, abc.Iterable) and isinstance(x, np.ndarray):
-            return x.ndim > 0
-        if isinstance(x, (str, bytes)) or not isinstance(x, kind):
+        array = kind in (abc.Sequence, abc.Iterable) and isinstance(x, np.ndarray) and x.ndim > 0
+        if isinstance(x, (str, bytes)) or not (array or isinstance(x, kind)):
             return False
         if not inside or inside == ((),):
             return True
@@ -379,6 +378,8 @@ OWN = {
     "canonical.scenes.scene.name": lambda: gx.canonical.names()[0], "plots.curves.profile.y": times,
     "plots.curves.profile.x": times, "newton.newton.guess": lambda: 1.0, "terms.base.Term.force.mass": lambda: 1.0,
     "fit.files.read_csv.path": lambda: file("file.csv"), "fit.files.read_mat.path": lambda: file("file.mat"),
+    "identify.law.law.scene": lambda: lambda law, others=None: gx.Lattice(
+        np.ones(SITES), gx.Bond(gx.Shift(1, "fixed"), law)),
     "lattice.tangents.variational.y": lambda: tuple((np.zeros(SITES), np.zeros((SITES, 2))) for _ in "uv"),
     "continuation.trace.continuation.x0": lambda: 1.0, "continuation.trace.continuation.p0": lambda: 0.0,
 }

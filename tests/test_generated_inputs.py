@@ -11,8 +11,8 @@ FAST = 3000
 # whose entry is not checked yet: the beginnings of their names
 PENDING = (
     "orbits.", "fit.", "design.", "identify.", "plots.", "continuation.", "newton.", "flow.simulate", "flow.reversible",
-    "flow.stiffness", "flow.record", "flow.derivative", "linear.", "studies.", "work_precision.", "canonical.", "tuning.",
-    "results.",
+    "flow.stiffness", "flow.record", "flow.derivative", "linear.", "studies.", "work_precision.", "canonical.",
+    "tuning.", "results.",
 )
 DONE = ("orbits.floquet", "orbits.spectrum", "orbits.structure")
 

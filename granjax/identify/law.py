@@ -10,7 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..checks import parameter, positive, refuse, whole
+from ..checks import described, parameter, positive, refuse, whole
+from ..entry import takes
 from ..fit import Fit, Traces, fit, prepared
 from ..fit.problem import Start
 from ..fit.traces import checked_traces
@@ -116,6 +117,8 @@ def law(
     Source: the delta method, e.g. Seber, Wild, Nonlinear Regression (1989), section 2.8.
     """
     others = {} if others is None else dict(others)
+    if not takes(scene, 1 + bool(others)):
+        refuse("scene", "a function of the law" + ", and of the dict of others" * bool(others), described(scene))
     if isinstance(family, str):
         if stiffness is None:
             refuse("stiffness", "the linear stiffness, about", "None", "Sound speed c = a sqrt(K/m) gives it.")
@@ -163,6 +166,8 @@ def _acting(of_law, parameters):
     """The terms of the scene that the law acts in, by index."""
     marked = of_law.law(parameters)
     lattice = of_law.lattice(marked, parameters)
+    if not isinstance(lattice, Lattice):
+        refuse("scene", "a function that returns a Lattice", f"one that returns {described(lattice)}")
     acting = tuple(i for i, term in enumerate(lattice.terms) if _holds(term, marked))
     if not acting:
         refuse("scene", "a scene in which the law acts on bonds or sites", f"{lattice}",

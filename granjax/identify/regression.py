@@ -54,8 +54,8 @@ class Regression(Result):
 
 
 def library(
-    strain_map: StrainMap, *, powers: Sequence = (1, 2, 3), contacts: Sequence = (1.5,), overlap: Scalar = 0.0,
-    on_site: Sequence = (1, 3), dissipation: Sequence[str] | None = None,
+    strain_map: StrainMap, *, powers: Sequence[Count] = (1, 2, 3), contacts: Sequence[Scalar] = (1.5,),
+    overlap: Scalar = 0.0, on_site: Sequence[Count] = (1, 3), dissipation: Sequence[str] | None = None,
 ) -> dict[str, Callable]:
     r"""Candidate terms of a lattice, as a dict from names to functions of their coefficient.
 
@@ -78,7 +78,11 @@ def library(
     terms = {_named("e", p): bond(_monomial("powers", p)) for p in powers}
     for p in contacts:
         p = float(positive("contacts", p))
-        terms[f"[e]_+^{p:g}"] = bond(PowerLaw(1.0, p, overlap**p))
+        with np.errstate(over="ignore"):
+            load = float(np.power(overlap, p))
+        if not np.isfinite(load):
+            refuse("overlap", f"one whose power {p:g} is finite", f"{overlap:g}")
+        terms[f"[e]_+^{p:g}"] = bond(PowerLaw(1.0, p, load))
     for p in on_site:
         terms[_named("u", p)] = lambda k, law=_monomial("on_site", p): OnSite(_scaled(law, k))
     kinds = {
@@ -144,6 +148,11 @@ def regression(
     ridge, max_steps = float(non_negative("ridge", ridge)), whole("max_steps", max_steps, 1)
     known = tuple(known) if isinstance(known, (tuple, list)) else (known,)
     ts, us, vs = (jax.tree.map(lambda x: parameter("ts, us, vs", x), x) for x in (ts, us, vs))
+    frames = ts.shape if ts.ndim == 1 and ts.size else None
+    for name, x in (("us", us), ("vs", vs), ("accelerations", accelerations)):
+        shapes = [np.shape(leaf) for leaf in jax.tree.leaves(x)]
+        if x is not None and (not shapes or any(shape[:1] != frames or 0 in shape for shape in shapes)):
+            refuse(name, f"numbers at every one of the times, shape {ts.shape} and sites", f"shapes {shapes}")
     if accelerations is None:
         accelerations, inner = _differentiated(ts, vs, noise)
         ts, us, vs = jax.tree.map(lambda x: x[inner], (ts, us, vs))
@@ -181,7 +190,10 @@ def _differentiated(ts, vs, noise):
     if len(ts) < 12:
         refuse("ts", "twelve times or more, to differentiate velocities", f"{len(ts)}", "Or give accelerations=.")
     t, inner = np.asarray(ts), slice(3, -3)
-    left = len(t) * float(non_negative("noise", noise)) ** 2
+    deviation = float(non_negative("noise", noise))
+    left = len(t) * deviation * deviation
+    if not np.isfinite(left):
+        refuse("noise", "one whose square is finite", f"{noise}")
 
     def derivative(v):
         sites = np.asarray(v).reshape(len(t), -1).T

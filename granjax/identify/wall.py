@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..checks import one_of, positive, refuse, whole, within
+from ..checks import held_in_memory, one_of, positive, refuse, whole, within
 from ..fit import Fit, Traces, fit, linearised, prepared
 from ..fit.problem import Start
 from ..lattice import Lattice
@@ -123,7 +123,9 @@ def wall_modulus(
     one_of("side", side, ("left", "right"))
     scene = WallScene(lattice, material, radius, poisson, precompression, side, tuple(others))
     bounds = {**(options.pop("bounds", None) or {}), NAME: (0.0, None)}
-    ladder = start * np.geomspace(1 / factor, factor, whole("scan", scan, 3))
+    scan = whole("scan", scan, 3)
+    held_in_memory("scan", scan, 1 << 20, "runs")
+    ladder = start * np.geomspace(1 / factor, factor, scan)
     # the stiffest wall sets the step
     given = {name: options[name] for name in ("t0", "step", "solver") if name in options}
     problem = prepared(scene, {**others, NAME: ladder[-1]}, traces, state=state, bounds=bounds, **given)

@@ -174,7 +174,7 @@ class Lattice(eqx.Module):
     def astype(self, dtype: Any) -> Any:
         """The lattice with every floating parameter in another type, for a float32 run."""
         try:
-            floating = dtype is not None and jnp.issubdtype(dtype, jnp.floating)
+            floating = not (dtype is None or isinstance(dtype, jax.Array)) and jnp.issubdtype(dtype, jnp.floating)
         except (TypeError, ValueError):
             floating = False
         if not floating:

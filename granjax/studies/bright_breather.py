@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Integer
 
-from ..checks import positive, whole
+from ..checks import held_in_memory, positive, whole
 from ..driven import driven_chain
 from ..flow import Flow
 from ..lattice import Lattice, State
@@ -83,6 +83,7 @@ def bright_by_instability(
     """
     sites, driven_for, free_for = whole("sites", sites, 20), whole("driven_for", driven_for, 1), \
         whole("free_for", free_for, 30)
+    held_in_memory("sites", sites)
     lattice = beads([MATERIALS[n % 2] for n in range(sites)], RADIUS, positive("precompression", precompression))
     edges = bands(beads(MATERIALS, RADIUS, precompression, cells=4, boundary="periodic"), cell=2)
     low, high = float(edges.upper[0]), float(edges.lower[1])

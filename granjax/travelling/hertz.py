@@ -3,6 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
+from ..checks import held_in_memory, whole
 from ..entry import checked
 from ..types import Count
 
@@ -22,6 +23,8 @@ def hertz_wave(points: Count = 32) -> tuple[Float[np.ndarray, " X"], Float[np.nd
     where contact n lies between the beads n and n + 1.
     Source: English, Pego, Proc. AMS 133, 1763 (2005); Petviashvili, Sov. J. Plasma Phys. 2, 257 (1976).
     """
+    points = whole("points", points, 2)
+    held_in_memory("points", points, 2 * HALF * 64, "points per contact")
     size = 2 * HALF * points
     x = (np.arange(size) - size // 2) / points
     k = 2 * np.pi * np.fft.rfftfreq(size, 1 / points)
