@@ -3,7 +3,7 @@
 import contextlib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -25,7 +25,7 @@ def read_csv(
     path: str | Path, *, velocity: Column | Sequence[Column] | None = None,
     displacement: Column | Sequence[Column] | None = None, force: Column | Sequence[Column] | None = None,
     time: Column = 0, sampling: Scalar | str | None = None, gain: Parameter | str = 1.0,
-    trigger: Scalar | tuple[Column, Scalar] | None = None, start: Scalar | None = None, stop: Scalar | None = None,
+    trigger: Scalar | tuple[Any, ...] | None = None, start: Scalar | None = None, stop: Scalar | None = None,
     sigma: Parameter | None = None, baseline: bool = False, delimiter: str | None = None, decimal: str | None = None,
     header: Count | None = None, **where: object,
 ) -> Traces:
@@ -87,7 +87,7 @@ def read_mat(
     path: str | Path, *, velocity: Column | Sequence[Column] | None = None,
     displacement: Column | Sequence[Column] | None = None, force: Column | Sequence[Column] | None = None,
     time: Column | None = None, sampling: Scalar | str | None = None, gain: Parameter | str = 1.0,
-    trigger: Scalar | tuple[Column, Scalar] | None = None, start: Scalar | None = None, stop: Scalar | None = None,
+    trigger: Scalar | tuple[Any, ...] | None = None, start: Scalar | None = None, stop: Scalar | None = None,
     sigma: Parameter | None = None, baseline: bool = False, **where: object,
 ) -> Traces:
     r"""`Traces` from a MATLAB file, up to version 7 (SciPy) or 7.3 (h5py), with at most 2 GiB of numbers.
@@ -211,14 +211,13 @@ def _times(column, time, sampling, count):
 
 def _trigger(column, trigger, times):
     """The time of the trigger."""
-    if not isinstance(trigger, (tuple, list)):
-        zero = parameter("trigger", trigger)
-        if zero.ndim:
-            refuse("trigger", "a time, or a pair (column, level)", repr(trigger))
-        return float(zero)
-    if len(trigger) != 2:
+    pair = isinstance(trigger, (tuple, list))
+    time = parameter("trigger", trigger[-1] if pair and trigger else trigger)
+    if time.ndim or pair and len(trigger) != 2:
         refuse("trigger", "a time, or a pair (column, level)", repr(trigger))
-    x, level = column("trigger", trigger[0]), float(parameter("trigger", trigger[1]))
+    if not pair:
+        return float(time)
+    x, level = column("trigger", trigger[0]), float(time)
     if x.shape != times.shape:
         refuse("trigger", "one channel", f"shape {x.shape}")
     known = np.flatnonzero(np.isfinite(x))
