@@ -14,10 +14,13 @@ import signal
 import socket
 import sys
 import threading
+import time
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 INTERRUPTED = 130
+# seconds for which an array is asked again and again; then pauses, of a share of what has passed, and the longest
+EAGER, SHARE, LONGEST = 5e-4, 0.02, 0.02
 
 
 def is_command() -> bool:
@@ -79,3 +82,29 @@ def tell(text: str) -> None:
     with contextlib.suppress(OSError):
         bar = "\r\x1b[K" if os.isatty(number) else ""
         os.write(number, f"{bar}{text}\n".encode(errors="replace"))
+
+
+def wait(tree: Any) -> Any:
+    """What a compiled program returns, when it is there.
+
+    JAX itself waits in a way that no signal reaches. An interrupt leaves the program at work, so that what is computed
+    next waits for it.
+    """
+    array = next((x for x in _leaves(tree) if hasattr(x, "is_ready")), None)
+    if array is None:
+        return tree
+    begin = time.perf_counter()
+    while not array.is_ready():
+        passed = time.perf_counter() - begin
+        time.sleep(0 if passed < EAGER else min(SHARE * passed, LONGEST))
+    return tree
+
+
+def _leaves(tree):
+    if isinstance(tree, tuple):
+        for part in tree:
+            yield from _leaves(part)
+    elif isinstance(tree, dict):
+        yield from _leaves(tuple(tree.values()))
+    else:
+        yield tree

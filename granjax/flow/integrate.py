@@ -1,23 +1,20 @@
 """The compiled part of `simulate`."""
 
-import pickle
 from functools import partial
-from typing import Any
+from typing import NamedTuple
 
 import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 
-from ..checks import refuse
 from ..lattice import Lattice, State, vector_field
 from ..outside import Outside
 from ..solvers import AbstractNystrom
-from ..types import Displacements, Flags, Number, Numbers, Scalar, StateLike, Times
+from ..types import Displacements, Number, Numbers, Scalar, StateLike, Times
 from .breaks import Landing, one_sided
-from .control import Scales, StepControl, tighter
-from .dispatch import compiled, joined, parted
+from .control import Scales, StepControl
+from .dispatch import compiled
 from .record import CLOSEST, EXTREMES, AtEnds, Recorded, leaf_by_leaf
 from .record.dips import Dips
 from .run import COMPLETED, FAILED, NOT_FINITE, NOTHING, STEP_TOO_SMALL, TOO_MANY_STEPS, Run, finite
@@ -25,12 +22,6 @@ from .stiffness import compressions, frequency_bound, reached_frequency
 
 # how many times the root of the rounding unit a force may miss the slope of its energy
 KEPT = 100
-# a run with records is confirmed by a tolerance so many times smaller; or by steps so many times shorter, the second
-# one where contacts opened, as errors of order 5/2 that come and go with the mesh may be alike twice
-TIGHTER = 100
-SHORTER = 2, 4
-# the part of the largest gap over a record's entries that every entry's error has at least: gaps may vanish by chance
-SHARED = 0.1
 
 
 @compiled
@@ -46,15 +37,48 @@ def integrate(
     functions read, of which only the structure counts. `dips`: look for openings between steps too, where no second
     run can.
     """
+    records = own_records(lattice, state, t0, records, watch, dips)
+    begin, rest = (state, t0, t1), (solver, adjoint, max_steps, every, progress)
+    part = part_of(lattice, begin, state, t0, t1, dt, tolerance, save_ts, records, None, *rest)
+    return reduced(lattice, begin, dt if tolerance is None else tolerance, records, solver, watch, part)
+
+
+def own_records(
+    lattice: Lattice, state: StateLike, t0: Scalar, records: dict, watch: bool, dips: bool = False,
+) -> dict:
+    """The records of a run with those that it keeps for itself."""
     closest = Dips(_overlap_and_rate) if dips else AtEnds(smallest_overlap)
     records = {**records, CLOSEST: closest} if _overlaps(lattice, t0, state.u) else records
-    records = {**records, EXTREMES: AtEnds(_compressions)} if watch else records
+    return {**records, EXTREMES: AtEnds(_compressions)} if watch else records
+
+
+class Part(NamedTuple):
+    """A part of a run: what was saved, where it ended, what its records carry on, its counts of steps, a code."""
+
+    ts: Times
+    ys: State
+    t: Number
+    final: State
+    carried: dict
+    steps: Number
+    accepted: Number
+    rejected: Number
+    code: Number
+
+
+def part_of(
+    lattice: Lattice, begin: tuple, state: StateLike, t0: Scalar, t1: Scalar, dt: Number | None,
+    tolerance: Number | None, save_ts: Times | None, records: dict, carried: dict | None,
+    solver: diffrax.AbstractSolver, adjoint: diffrax.AbstractAdjoint, max_steps: int | None, every: bool = False,
+    progress: bool = False,
+) -> Part:
+    """The part from t0 to t1 of the run that `begin` = (state, t0, t1) says; `carried`: by its records, until t0."""
     stepper = one_sided(_ready(solver, adjoint), lattice)
-    stepper = Recorded(stepper, records) if records else stepper
+    stepper = Recorded(stepper, records, carried) if records else stepper
     if tolerance is None:
         controller = Landing(lattice.breaks, dt, t1) if lattice.breaks else _FixedStep(dt)
     else:
-        controller = _controller(lattice, state, t0, t1, tolerance, dt, solver, save_ts)
+        controller = _controller(lattice, *begin, tolerance, dt, solver, save_ts)
     subs = [diffrax.SubSaveAt(t1=True)]
     if every:
         subs.append(diffrax.SubSaveAt(t0=True, steps=True))
@@ -69,103 +93,36 @@ def integrate(
     final = jax.tree.map(lambda x: x[0], solution.ys[0])
     ts, ys = (solution.ts[-1], solution.ys[-1])
     carried = solution.solver_state[1] if records else {}
+    counts = (solution.stats[f"num_{kind}steps"] for kind in ("", "accepted_", "rejected_"))
+    return Part(ts, ys, solution.ts[0][0], final, carried, *counts, _code(solution.result, final))
+
+
+def reduced(
+    lattice: Lattice, begin: tuple, size: Number, records: dict, solver: diffrax.AbstractSolver, watch: bool,
+    part: Part,
+) -> Run:
+    """The `Run` of all its parts, `size` the step or the tolerance."""
+    (state, t0, t1), (ts, ys, _, final, carried, steps, accepted, rejected, code) = begin, part
     recorded = {name: leaf_by_leaf(records[name].finish, carried[name]) for name in records}
     short = {name: leaf_by_leaf(records[name].short, carried[name]) for name in records}
     closest, extremes = recorded.pop(CLOSEST, None), recorded.pop(EXTREMES, None)
     margin = jnp.full(lattice.lanes, jnp.inf) if closest is None else _margin(lattice, t0, closest)
-    steps = solution.stats["num_steps"]
     evaluations = type(solver).evaluations() if hasattr(type(solver), "evaluations") else jnp.nan
     stats = {
-        "steps": steps, "accepted": solution.stats["num_accepted_steps"],
-        "rejected": solution.stats["num_rejected_steps"],
-        "step": (t1 - t0) / jnp.maximum(solution.stats["num_accepted_steps"], 1),
+        "steps": steps, "accepted": accepted, "rejected": rejected,
+        "step": (t1 - t0) / jnp.maximum(accepted, 1),
         "force_evaluations": steps * evaluations,
     }
     if watch:
         low, less_high = extremes
         stats["omega"] = reached_frequency(lattice, low, jax.tree.map(jnp.negative, less_high), t0, t1, final.u)
-    meant = _meant(t0, t1, dt if tolerance is None else tolerance)
-    code = jnp.where(meant, _code(solution.result, final), NOTHING)
+    code = jnp.where(_meant(t0, t1, size), code, NOTHING)
     energy_error = _energy_error(lattice, state, t0, ts, ys)
     if lattice.conserves:
         gap = energy_gap(lattice, t1, final.u)
         energy_error = jnp.where(gap > KEPT * jnp.sqrt(jnp.finfo(gap.dtype).eps), jnp.nan, energy_error)
     names = "", "", "", unseen(lattice), 0.0
     return Run(ts, ys.u, ys.v, final, recorded, energy_error, margin, short, code, stats, None, *names)
-
-
-class Confirmation(eqx.Module):
-    """What it takes to run again by finer steps, and the error of records that follows.
-
-    The error is the gap between both runs, taken on to vanishing steps for the solver's order (2 at most, as contacts
-    that open leave little more), doubled, and a tenth of the largest gap over the entries, and rounding. It covers
-    the run's own error, that of the dense output, and that of the record.
-    """
-
-    arrays: list
-    static: tuple = eqx.field(static=True)
-    shapes: tuple = eqx.field(static=True)
-
-    @classmethod
-    def of(cls, *arguments: Any) -> Any:
-        """From lattice, state, t0, t1, dt, tolerance, records and solver of `integrate`."""
-        static, arrays = parted(arguments)
-        return cls(arrays, static, tuple(np.shape(x) for x in arrays))
-
-    def __reduce__(self):
-        # a structure of JAX's does not come back the same; what holds a lambda leaves no confirmation behind
-        arguments = joined(self.static, self.arrays)
-        try:
-            pickle.dumps(arguments)
-        except (pickle.PicklingError, AttributeError, TypeError):
-            return type(None), ()
-        return _restored, (arguments, self.shapes)
-
-    @property
-    def tells(self):
-        """Whether lanes of `jax.vmap`, if any, stand in front."""
-        mapped = np.ndim(self.arrays[0]) - len(self.shapes[0])
-        return all(np.shape(x)[mapped:] == shape for x, shape in zip(self.arrays, self.shapes))
-
-    def errors(self, recorded: dict, short: dict, completed: Flags, opened: Flags) -> dict:
-        """The error of each record, of its shape; infinite where a run did not complete. `opened`: any contact."""
-        function, mapped = self._errors, np.ndim(self.arrays[0]) - len(self.shapes[0])
-        if not self.tells:
-            remedy = "Read it inside of the function that is mapped."
-            refuse("record_error", "a run by itself, or many behind jax.vmap with out_axes=0", "another one", remedy)
-        for _ in range(mapped):
-            function = jax.vmap(function)
-        return function(*jax.lax.stop_gradient((self.arrays, recorded, short, completed, opened)))
-
-    def _errors(self, arrays, recorded, short, completed, opened):
-        lattice, state, t0, t1, dt, tolerance, records, solver = joined(self.static, arrays)
-        if dt is not None:
-            dt = dt / jnp.where(jnp.any(opened), *SHORTER[::-1]).astype(dt.dtype)
-        tolerance = None if tolerance is None else tighter(tolerance, TIGHTER, lattice.dtype)
-        rest = solver, diffrax.ForwardMode(), None, False, False, False, Outside(tuple(records.values()))
-        finer = integrate(lattice, state, t0, t1, dt, tolerance, None, records, *rest)
-        order, lanes = min(solver.order(diffrax.ODETerm(vector_field)), 2), len(lattice.lanes)
-        good = completed & finer.completed
-        error = partial(_error, 2 / (1 - 0.5**order), lanes, good)
-        return {name: jax.tree.map(error, recorded[name], finer.recorded[name], short[name], finer._short[name])
-                for name in recorded}
-
-
-def _restored(arguments, shapes):
-    static, arrays = parted(arguments)
-    return Confirmation(arrays, static, shapes)
-
-
-def _error(factor, lanes, good, x, finer, short, finer_short):
-    gap = jnp.abs(x - finer)
-    known = jnp.where(jnp.isfinite(gap), gap, 0)
-    largest = jnp.max(known, axis=tuple(range(max(x.ndim - lanes, 0))), keepdims=True, initial=0)
-    rounding = 8 * jnp.finfo(x.dtype).eps * jnp.where(jnp.isnan(x), 0, jnp.abs(x))
-    error = factor * known + SHARED * largest + rounding
-    error = jnp.where(jnp.isfinite(gap) & good, error, jnp.inf)
-    # what both runs never saw arrive, and by more than they are known to, has no time that could be wrong
-    missed = finer_short > factor * jnp.abs(short - finer_short)
-    return jnp.where(jnp.isnan(x) & jnp.isnan(finer) & good & missed, jnp.nan, error)
 
 
 def _ready(solver, adjoint):

@@ -9,7 +9,8 @@ import jax.numpy as jnp
 from ..lattice import Lattice, State
 from ..types import Number, Numbers, Scalar, StateLike
 from .control import tighter
-from .integrate import integrate, smallest_overlap
+from .integrate import smallest_overlap
+from .march import march
 from .record import Peak
 
 _FORWARD = diffrax.ForwardMode()
@@ -37,7 +38,7 @@ def approach(
 
 def _closest(lattice, state, t0, t1, dt, tolerance, solver):
     record = {"deepest": Peak(_deepest)}
-    run = integrate(lattice, state, t0, t1, dt, tolerance, None, record, solver, _FORWARD, None, False, False)
+    run = march(lattice, state, t0, t1, dt, tolerance, None, record, solver, _FORWARD, None, False, False)
     deepest = run.recorded["deepest"]
     return -jnp.max(deepest, axis=tuple(range(deepest.ndim - len(lattice.lanes)))), run.completed
 

@@ -15,9 +15,11 @@ from ..checks import one_of, refuse, show, traced, whole
 from ..lattice import Lattice
 from ..outside import Outside
 from ..types import Count, Parameter, Scalar, StateLike
+from .confirmation import Confirmation
 from .dispatch import facts
 from .inputs import checked_records, checked_save_at, checked_state, checked_times
-from .integrate import Confirmation, integrate
+from .integrate import integrate
+from .march import march, refuse_endless
 from .method import checked_method, doubts, fixed_step, linear_bound, number, passed
 from .opening import approach
 from .record import Record
@@ -102,6 +104,7 @@ def simulate(
     else:
         dt, steps, choice, remark, watch = step, None, f"adaptive steps, tolerance {_shown(tolerance)}", "", False
         choice += "" if step is None else f", none longer than {_shown(step)}"
+    refuse_endless(lattice, solver, steps, max_steps, unknown or every)
     backwards = adjoint if isinstance(adjoint, Reversible) else None
     if backwards is not None:
         checked_reversible(lattice, solver, records, every)
@@ -118,7 +121,8 @@ def simulate(
     rest = records, solver, adjoint, limit, every, progress, watch, outside, dips
     try:
         if backwards is None:
-            run = integrate(lattice, state, *span, dt, tolerance, save_ts, *rest)
+            go = integrate if unknown else march
+            run = go(lattice, state, *span, dt, tolerance, save_ts, *rest)
         else:
             run = reversible((lattice, state, backwards), span, dt, save_ts, solver, limit, progress)
     except TypeError as error:
@@ -129,7 +133,7 @@ def simulate(
         choice += ", taken again: energy gathered beyond the bound at the start"
         dt, limit = number(dt, dtype), None if limit is None else max(limit, steps)
         rest = records, solver, adjoint, limit, every, progress, watch, outside
-        run = integrate(lattice, state, *span, dt, tolerance, save_ts, *rest)
+        run = march(lattice, state, *span, dt, tolerance, save_ts, *rest)
     zone = FAR if tolerance is not None or step is not None else DIPPED if dips else NEAR
     if tolerance is None and step is not None and not unknown:
         omega = linear_bound(lattice)
@@ -149,7 +153,8 @@ def simulate(
         run = named(run, run.solver, choice, f"{run.remark} {remark}".strip())
     if not (code == COMPLETED).all():
         if code.max() == NOT_FINITE:
-            run = _located(run, lattice, state, span, dt, tolerance, solver)
+            begin, *last = run.__dict__.get("_last", (state, *span))
+            run = _located(run, lattice, begin, last, dt, tolerance, solver)
         if throw is None or throw:
             raise RuntimeError(run.outcome)
     elif not unknown:

@@ -31,11 +31,17 @@ def leaf_by_leaf(function: Callable, carried: Pytree) -> Pytree:
 
 
 class Recorded(Wrapped):
-    """A solver that carries records beside its own state; a rejected step leaves them untouched."""
+    """A solver that carries records beside its own state; a rejected step leaves them untouched.
+
+    `carried`: by the same records, until the run starts; `None` where they start with it.
+    """
 
     records: dict[str, Record]
+    carried: Any = None
 
     def init(self, terms, t0, t1, y0, args):
+        if self.carried is not None:
+            return self.solver.init(terms, t0, t1, y0, args), self.carried
         count = self._count(terms)
         carried = {}
         for name, record in self.records.items():

@@ -1,0 +1,171 @@
+"""Runs that take long: in pieces, between which Ctrl-C is heard."""
+
+import itertools
+import math
+from functools import cache
+
+import diffrax
+import jax
+import numpy as np
+
+from ..checks import refuse
+from ..interrupts import wait
+from ..lattice import Lattice
+from ..outside import Outside
+from ..types import Number, Scalar, StateLike, Times
+from .dispatch import compiled, facts
+from .integrate import Part, integrate, own_records, part_of, reduced
+from .record import Record
+from .run import COMPLETED, TOO_MANY_STEPS, Run
+
+# seconds that an evaluation of the forces takes, and more for each number of a state: about, and at the least
+TAKES, LEAST = (5e-8, 1e-9), (2e-8, 2e-11)
+# evaluations a step of a solver that does not say
+EVALUATIONS = 10
+# seconds of a piece; and from which on a run has pieces, and from which on it is waited for in a way that hears Ctrl-C
+PIECE, LONG, SHORT = 0.5, 2.0, 0.05
+# what one loop counts; and steps that no lattice takes a day for
+COUNTED, FEW = 2**31 - 1, 1e6
+DAY = 86400.0
+_FORWARD = diffrax.ForwardMode()
+
+
+def march(
+    lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, dt: Number | None, tolerance: Number | None,
+    save_ts: Times | None, records: dict[str, Record], solver: diffrax.AbstractSolver,
+    adjoint: diffrax.AbstractAdjoint, max_steps: int | None, every: bool, progress: bool, watch: bool = False,
+    outside: Outside | None = None, dips: bool = False,
+) -> Run:
+    """`integrate`, for what is not traced; what takes long in pieces, between which Ctrl-C is heard.
+
+    Where the pieces end follows from the number of steps and the size of the lattice alone, so that a run is the same
+    wherever it is computed. An adaptive run has pieces from where its first one, of so many steps, does not suffice.
+    """
+    forward = isinstance(adjoint, diffrax.ForwardMode) and not (every or dips)
+    takes, ends, budget = seconds_a_step(lattice, solver, TAKES), [], None
+    if tolerance is None:
+        steps = math.ceil((float(t1) - float(t0)) / float(dt) * (1 - 1e-12))
+        if steps * takes > LONG and forward and (max_steps is None or max_steps >= steps):
+            ends = [*range(0, steps, max(min(int(PIECE / takes), COUNTED), 1)), steps]
+    elif forward:
+        budget = 1 << int(LONG / takes).bit_length()
+    if not ends:
+        limit = max_steps if budget is None else min(budget, max_steps or budget)
+        run = integrate(
+            lattice, state, t0, t1, dt, tolerance, save_ts, records, solver, adjoint, limit, every, progress, watch,
+            outside, dips)
+        if tolerance is not None or steps * takes > SHORT:
+            wait(run.code)
+        if limit == max_steps or np.asarray(run.code).max() != TOO_MANY_STEPS:
+            return run
+    begin, how = (state, t0, t1), (dt, tolerance, save_ts, records, solver)
+    return _in_pieces(lattice, begin, ends, budget, max_steps, *how, progress, watch, outside)
+
+
+def seconds_a_step(lattice: Lattice, solver: diffrax.AbstractSolver, takes: tuple[float, float] = LEAST) -> float:
+    """What a step of a lattice costs about, or at the least [s]."""
+    found = facts(lattice)
+    known = found.known
+    if "numbers" not in known:
+        known["numbers"] = sum(math.prod(x.shape) for x in jax.tree.leaves(found.template))
+    return _evaluations(type(solver)) * (takes[0] + takes[1] * known["numbers"])
+
+
+@cache
+def _evaluations(kind):
+    return kind.evaluations() if hasattr(kind, "evaluations") else EVALUATIONS
+
+
+def refuse_endless(
+    lattice: Lattice, solver: diffrax.AbstractSolver, steps: int | None, max_steps: int | None, one_loop: bool,
+) -> None:
+    """Refuse steps beyond what a day could do, where nobody says by `max_steps` that so many are meant.
+
+    `one_loop`: whether the run cannot have pieces, so that one loop must count its steps.
+    """
+    if steps is None or steps < FEW:
+        return
+    remedy = "Give an earlier t1, a longer step= or tolerance="
+    if one_loop and steps > COUNTED:
+        refuse("t1", f"at most {COUNTED} steps under a transformation, or where each is saved", f"{steps:.2g}",
+               f"{remedy}.")
+    seconds = steps * seconds_a_step(lattice, solver)
+    if seconds > DAY and (max_steps is None or max_steps < steps):
+        took = f"{seconds / DAY:.2g} days" if seconds < 1000 * DAY else f"{seconds / DAY / 365:.2g} years"
+        refuse("t1", "a run of a day at most", f"{steps:.2g} steps, which take {took} at the least",
+               f"{remedy}; or max_steps={steps} if you mean it.")
+
+
+def _in_pieces(
+    lattice, begin, ends, budget, max_steps, dt, tolerance, save_ts, records, solver, progress, watch, outside,
+):
+    """Pieces between `ends`, numbers of steps; or where these are none as many as it takes, of `budget` steps each."""
+    number = facts(lattice).dtype.type
+    state, t0, t1 = begin = begin[0], *(number(float(t)) for t in begin[1:])
+    records = own_records(lattice, state, t0, records, watch)
+    wanted, width = None if save_ts is None else np.asarray(save_ts), 0
+    if wanted is not None:
+        places = [number(t0 + (t1 - t0) * (k / ends[-1])) for k in ends[1:-1]]
+        width = np.diff(np.searchsorted(wanted, [*places, t1], side="right"), prepend=0).max()
+    t, carried, counts, kept, taken = t0, None, np.zeros(3, np.int64), [], 0
+    bar = _bar(progress)
+    try:
+        for k in itertools.count(1):
+            last = state, t, number(t0 + (t1 - t0) * (ends[k] / ends[-1])) if ends[k + 1 :] else t1
+            size = number((last[-1] - t) / (ends[k] - ends[k - 1])) if ends else dt
+            window, limit = None, budget
+            if wanted is not None:
+                window = wanted[taken : taken + width]
+                window = np.minimum(np.append(window, np.full(width - len(window), t1)), last[-1])
+            if budget and max_steps:
+                limit = int(min(budget, max_steps - counts[0]))
+            part = wait(_piece(
+                lattice, begin, *last, size, tolerance, window, records, carried, solver, limit, outside))
+            state, t, carried, code = part.final, np.asarray(part.t)[()], part.carried, np.asarray(part.code)
+            counts += np.array([part.steps, part.accepted, part.rejected], np.int64)
+            if wanted is not None:
+                new = np.count_nonzero(wanted[taken : taken + width] <= t)
+                kept.append(jax.tree.map(lambda x, new=new: np.asarray(x[:new]), part.ys))
+                taken += new
+            bar.update(100 * float((t - t0) / (t1 - t0)) - bar.n)
+            spent = budget and max_steps and counts[0] >= max_steps
+            if t >= t1 or spent or not np.isin(code, (COMPLETED, TOO_MANY_STEPS)).all():
+                break
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(f"simulate was interrupted at t = {t:g} of {t1:g}; nothing is kept") from None
+    finally:
+        bar.close()
+    if wanted is None:
+        ts, ys = np.asarray([t]), jax.tree.map(lambda x: x[None], state)
+    else:
+        ts, ys = _filled(wanted, kept, taken)
+    part = Part(ts, ys, t, state, carried, *counts, code)
+    run = _reduced(lattice, begin, dt if tolerance is None else tolerance, records, solver, watch, part, outside)
+    # where it may be looked for what went wrong
+    object.__setattr__(run, "_last", last)
+    return run
+
+
+def _filled(wanted, kept, taken):
+    """The times and states that were saved, infinite where a run did not come so far."""
+    left = len(wanted) - taken
+    ts = np.append(wanted[:taken], np.full(left, np.inf))
+    join = lambda *x: np.concatenate([*x, np.full((left, *x[0].shape[1:]), np.inf, x[0].dtype)])
+    return ts, jax.tree.map(join, *kept)
+
+
+def _bar(progress):
+    from tqdm import tqdm
+
+    return tqdm(total=100, unit="%", bar_format="{l_bar}{bar}| {elapsed}<{remaining}", disable=not progress)
+
+
+@compiled
+def _piece(lattice, begin, state, t0, t1, dt, tolerance, save_ts, records, carried, solver, budget, outside):
+    return part_of(
+        lattice, begin, state, t0, t1, dt, tolerance, save_ts, records, carried, solver, _FORWARD, budget)
+
+
+@compiled
+def _reduced(lattice, begin, size, records, solver, watch, part, outside):
+    return reduced(lattice, begin, size, records, solver, watch, part)

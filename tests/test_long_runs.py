@@ -1,0 +1,158 @@
+"""Runs that take long go in pieces, between which Ctrl-C is heard; what would take more than a day is refused."""
+
+import signal
+import sys
+import threading
+import time
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import granjax as gx
+from granjax.flow.march import refuse_endless
+from granjax.interrupts import wait
+
+march = sys.modules["granjax.flow.march"]
+RECORD = {"sum": gx.Integral(gx.measures.contact_force)}
+
+
+@pytest.fixture
+def soon(monkeypatch):
+    """What takes 1e-5 s already takes long."""
+    for name, value in (("LONG", 1e-5), ("PIECE", 1e-5), ("SHORT", 0.0)):
+        monkeypatch.setattr(march, name, value)
+
+
+def chain(**keywords):
+    return gx.scenes.monomer(6, precompression=1.0, **keywords)
+
+
+def pieces(monkeypatch):
+    """How many pieces run from now on, in a list."""
+    counted, one = [], march._piece
+    monkeypatch.setattr(march, "_piece", lambda *arguments: counted.append(1) or one(*arguments))
+    return counted
+
+
+def assert_same(a, b, tolerance=1e-10):
+    # how near a contact came at the ends of steps is a matter of the mesh
+    margins = ((r._margin, r._short) if tolerance < 1e-8 else () for r in (a, b))
+    told = ((r.ts, r.us, r.vs, r.final, r.recorded, r.energy_error, next(margins)) for r in (a, b))
+    for x, y in zip(*map(jax.tree.leaves, told), strict=True):
+        np.testing.assert_allclose(x, y, rtol=tolerance, atol=tolerance)
+    assert {k: np.shape(x) for k, x in a.stats.items()} == {k: np.shape(x) for k, x in b.stats.items()}
+
+
+@pytest.mark.parametrize("save_at", [7, [0.0, 0.35, 2.0, 2.01, 2.02, 5.0]], ids=["frames", "times"])
+def test_pieces_of_equal_steps_are_one_run(save_at, request, monkeypatch):
+    lattice = chain()
+    state = gx.states.impact(lattice, velocity=0.3)
+    keywords = {"step": 0.1, "save_at": save_at, "record": RECORD if save_at == 7 else None}
+    whole = gx.simulate(lattice, state, 5.0, **keywords)
+    request.getfixturevalue("soon")
+    counted = pieces(monkeypatch)
+    parts = gx.simulate(lattice, state, 5.0, **keywords)
+    assert len(counted) > 3
+    assert_same(whole, parts)
+    assert parts.outcome == whole.outcome and parts.choice == whole.choice and parts.opening == whole.opening
+    for name, error in parts.record_error.items():
+        np.testing.assert_allclose(error, whole.record_error[name], rtol=1e-4, atol=1e-12)
+
+
+def test_pieces_of_a_batch_with_jumps_in_time(request):
+    def scene(stiffness):
+        bond = gx.Bond(gx.Shift(1, "fixed"), gx.Hertz(stiffness, 1.0))
+        return gx.Lattice(1.0, (gx.Modulated(bond, lambda t: jnp.where(t < 1.23, 1.0, 1.5), breaks=[1.23]),), sites=5)
+
+    lattice = jax.vmap(scene, out_axes=-1)(jnp.array([1.0, 1.1]))
+    state = gx.states.impact(lattice, velocity=0.3)
+    whole = gx.simulate(lattice, state, 3.0, step=0.02, save_at=4)
+    request.getfixturevalue("soon")
+    assert_same(whole, gx.simulate(lattice, state, 3.0, step=0.02, save_at=4), 1e-7)
+
+
+def test_pieces_of_an_adaptive_run(request, monkeypatch):
+    lattice = gx.scenes.fput(4, alpha=0.25)
+    state = gx.states.impact(lattice, velocity=0.3)
+    keywords = {"tolerance": 1e-9, "save_at": 7}
+    whole = gx.simulate(lattice, state, 20.0, **keywords)
+    request.getfixturevalue("soon")
+    counted = pieces(monkeypatch)
+    parts = gx.simulate(lattice, state, 20.0, **keywords)
+    assert len(counted) > 1 and parts.completed
+    assert_same(whole, parts, 1e-6)
+    spent = gx.simulate(lattice, state, 20.0, max_steps=32, throw=False, **keywords)
+    assert "Stopped after 32 steps" in spent.outcome
+    assert np.isinf(spent.ts[-1]) and np.isfinite(spent.ts[0]), "what was not reached is told so"
+
+
+def test_what_fails_in_a_piece_is_located(soon):
+    lattice = gx.scenes.fput(4, alpha=-3.0)
+    state = gx.states.impact(lattice, velocity=5.0)
+    with pytest.raises(RuntimeError, match="not finite .first between t = [0-9.]+ and [0-9.]+, at sites"):
+        gx.simulate(lattice, state, 50.0, step=0.05)
+
+
+def test_a_long_run_shows_its_progress(soon, capsys):
+    lattice = chain()
+    gx.simulate(lattice, gx.states.impact(lattice, velocity=0.3), 5.0, step=0.1, progress=True)
+    assert "100%" in capsys.readouterr().err
+
+
+def test_derivatives_and_batches_know_nothing_of_pieces(soon, monkeypatch):
+    counted = pieces(monkeypatch)
+    lattice = chain()
+    u, v = gx.states.impact(lattice, velocity=0.3)
+
+    def end(v):
+        return gx.simulate(lattice, (u, v), 1.0, step=0.1).final.u
+
+    both = jnp.stack([v, v])
+    jax.jvp(jax.vmap(end), (both,), (both,))
+    assert not counted
+
+
+def test_a_long_run_is_interrupted(monkeypatch):
+    lattice = chain()
+    state = gx.states.impact(lattice, velocity=0.3)
+    answered, before = {}, signal.signal(signal.SIGINT, signal.default_int_handler)
+    counted, one = threading.Event(), march._piece
+    monkeypatch.setattr(march, "_piece", lambda *arguments: (one(*arguments), counted.set())[0])
+
+    def press():
+        counted.wait(60)
+        answered["from"] = time.perf_counter()
+        signal.pthread_kill(main, signal.SIGINT)
+
+    main = threading.main_thread().ident
+    thread = threading.Thread(target=press)
+    try:
+        thread.start()
+        with pytest.raises(KeyboardInterrupt, match="simulate was interrupted at t = .* of 1e.07; nothing is kept"):
+            gx.simulate(lattice, state, 1e7, step=0.1)
+    finally:
+        thread.join()
+        signal.signal(signal.SIGINT, before)
+    taken = time.perf_counter() - answered["from"]
+    assert taken < 30, "not after the minute that the run takes"
+    assert gx.simulate(lattice, state, 1.0, step=0.1).completed
+
+
+def test_what_takes_more_than_a_day_is_refused():
+    lattice = chain()
+    state = gx.states.impact(lattice, velocity=0.3)
+    with pytest.raises(ValueError, match=r"t1: expected a run of a day at most, got 1e\+13 steps, which take .* days"):
+        gx.simulate(lattice, state, 1e12, step=0.1)
+    with pytest.raises(ValueError, match="years"):
+        gx.simulate(lattice, state, 1e8, step=1e-7, save_at=5)
+    refuse_endless(lattice, gx.SRKN11b(), 10**13, 10**13, False)
+    with pytest.raises(ValueError, match="t1: expected at most 2147483647 steps under a transformation"):
+        jax.jit(lambda v: gx.simulate(lattice, (state.u, v), 1e9, step=0.1).final)(state.v)
+
+
+def test_waiting():
+    assert wait(()) == () and wait({"x": 1.0}) == {"x": 1.0}
+    x = jnp.ones(3) * 2
+    assert wait((1, {"a": x}))[1]["a"] is x
