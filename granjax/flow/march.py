@@ -56,7 +56,7 @@ def march(
             outside, dips)
         if tolerance is not None or steps * takes > SHORT:
             wait(run.code)
-        if limit == max_steps or np.asarray(run.code).max() != TOO_MANY_STEPS:
+        if limit == max_steps or np.asarray(run.code) != TOO_MANY_STEPS:
             return run
     begin, how = (state, t0, t1), (dt, tolerance, save_ts, records, solver)
     return _in_pieces(lattice, begin, ends, budget, max_steps, *how, progress, watch, outside)
