@@ -123,3 +123,15 @@ def test_files_without_numbers_and_with_broken_lines_are_refused(tmp_path):
     path.write_text("0.0,1.0\n0.1,2.0\n0.2,3.0\n")
     with pytest.raises(ValueError, match="velocity: expected an index, for the file has no line of names"):
         read_csv(path, velocity="one", sites=3)
+
+
+def test_a_sensor_that_is_silent_before_the_trigger_or_overflows_is_refused(tmp_path):
+    silent = np.where(np.arange(40) < 20, np.nan, 1.0)
+    path = write(tmp_path / "scan.csv", ["time,gate,one,two"], [T, GATE, silent, BURST[:, 0]])
+    asked = {"velocity": ["one", "two"], "sites": [2, 5], "trigger": ("gate", 2.5)}
+    with pytest.raises(ValueError, match="baseline: expected samples of every sensor before the trigger"):
+        read_csv(path, **asked, baseline=True)
+    with pytest.raises(ValueError, match="sigma: expected noise before the trigger"):
+        read_csv(path, **asked)
+    with pytest.raises(ValueError, match="gain: expected numbers that keep the data finite.*scan.csv"):
+        read_csv(path, **asked | {"velocity": ["two", "two"]}, gain=[1.0, 1.7e308])

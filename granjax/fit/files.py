@@ -163,6 +163,8 @@ def _traces(column, data, time, sampling, gain, trigger, start, stop, sigma, bas
     if len({len(x) for x in data}) != 1:
         refuse(kind, "one column or more, equally long", f"lengths {[len(x) for x in data]}")
     data = np.column_stack(data)
+    # an infinite sample is beyond the recorder's range: nothing is known of it
+    data = np.where(np.isfinite(data), data, np.nan)
     if len(data) < 2:
         refuse(kind, "at least two samples", f"{len(data)}")
     times = _times(column, time, sampling, len(data))
@@ -170,7 +172,11 @@ def _traces(column, data, time, sampling, gain, trigger, start, stop, sigma, bas
         factor = np.asarray(parameter("gain", gain))
         if factor.shape not in ((), (data.shape[1],)):
             refuse("gain", f"a number, or one for each of {data.shape[1]} sensors", f"shape {factor.shape}")
-        data, gain = data * factor, 1.0
+        with np.errstate(over="ignore"):
+            scaled, gain = data * factor, 1.0
+        if np.isinf(scaled).any():
+            refuse("gain", "numbers that keep the data finite", show(factor))
+        data = scaled
     quiet = None
     if trigger is not None:
         zero = _trigger(column, trigger, times)
@@ -180,9 +186,12 @@ def _traces(column, data, time, sampling, gain, trigger, start, stop, sigma, bas
     if baseline:
         if quiet is None:
             refuse("baseline", f"at least {LEAST_NOISE} samples before a trigger", "fewer", "Give trigger=.")
+        if not np.isfinite(quiet).any(axis=0).all():
+            refuse("baseline", "samples of every sensor before the trigger", "none of one")
         data = data - np.nanmean(quiet, axis=0)
     if sigma is None and quiet is not None:
-        sigma = np.nanstd(quiet, axis=0, ddof=1)
+        known = np.isfinite(quiet).sum(axis=0) > 1
+        sigma = np.where(known, np.nanstd(np.where(known, quiet, 0.0), axis=0, ddof=1), np.nan)
         if not (sigma > 0).all():
             refuse("sigma", "noise before the trigger", f"standard deviations {show(sigma)}", "Give sigma=.")
     kept = (times >= (-np.inf if start is None else start)) & (times <= (np.inf if stop is None else stop))

@@ -172,7 +172,7 @@ def _exchanged(request):
         answer = answer if "error" in answer else {"answer": _unpacked(answer["answer"])}
         _Running.used, _Running.busy = True, False
         return answer
-    except (KeyError, TypeError, ValueError):
+    except (KeyError, TypeError, ValueError, MemoryError):
         raise EOFError from None
     except KeyboardInterrupt:
         _close()
