@@ -441,9 +441,14 @@ row("participation_number", *EVERY)(lambda s: gx.measures.participation_number(s
 row("second_moment", *EVERY)(lambda s: gx.measures.second_moment(s.lattice, s.state, s.s(0.7)))
 
 
+def run_to(s, t1, step=0.05):
+    """A run of 81 frames with a given step: one program, whoever asks for one."""
+    return gx.simulate(s.lattice, s.state, s.s(t1), save_at=81, step=s.s(step))
+
+
 @row("along", closed)
 def _(s):
-    run = gx.simulate(s.lattice, s.state, s.s(4.3), save_at=9)
+    run = run_to(s, 4.0)
     return energy(gx.measures.along(gx.measures.site_energy, s.lattice, run))
 
 
@@ -488,9 +493,13 @@ def _(s):
 
 
 # the lattice
-row("linearised", closed, mixed, foreign, slow=(vacuum, dimer, uniform, pairs, fields, plane))(lambda s: strength(
-    gx.lattice.linearised(s.lattice, jnp.asarray(s.s(0.7)), *s.state).force(
-        s.s(0.7), *jax.tree.map(lambda x: x[..., None], s.state))))
+@eqx.filter_jit
+def linear_force(lattice, t, y):
+    return gx.lattice.linearised(lattice, t, *y).force(t, *jax.tree.map(lambda x: x[..., None], y))
+
+
+row("linearised", closed, mixed, foreign, slow=(vacuum, dimer, uniform, pairs, fields, plane))(
+    lambda s: strength(linear_force(s.lattice, jnp.asarray(s.s(0.7)), s.state)))
 row("spread_mass", *EVERY)(lambda s: Of(gx.lattice.spread_mass(s.lattice), 1, -1, 2))
 row("vector_field", *EVERY)(lambda s: [
     speed((f := gx.vector_field(s.s(0.7), s.state, s.lattice))[0]), Of(f[1], 0, 1, -2)])
@@ -627,7 +636,7 @@ class WithLaw(eqx.Module):
         return gx.Lattice(self.mass, (gx.Bond(gx.Shift(1, "fixed"), law), gx.Damping(self.damping)))
 
 
-def identified(family, agree=1e-7, most=6):
+def identified(family, agree=AGREE, most=6):
     @row(f"law_{family}", slow=(closed,), agree=agree, binary=AGREE_BINARY if most < 100 else agree)
     def _(s):
         fixed, y0, traces = measured(s)
@@ -645,7 +654,7 @@ for family in ("polynomial", "spline", "network"):
 identified("power law", 1e-2, 100)
 
 
-@row("wall_modulus", slow=(closed,), agree=1e-8)
+@row("wall_modulus", slow=(closed,))
 def _(s):
     steel = gx.materials.Material("own", s.w(193e3, 1, -2, 0), 0.3, s.w(8.0, 1, -4, 2))
     radius = s.m(0.5)
@@ -671,7 +680,7 @@ OF_TERMS = {
 
 @row("regression", closed)
 def _(s):
-    run = gx.simulate(s.lattice, s.state, s.s(6.0), save_at=121, step=s.s(0.02))
+    run = run_to(s, 4.0, 0.02)
     found = gx.identify.regression(
         s.lattice.mass, gx.identify.library(gx.Shift(1, "fixed"), overlap=s.m(0.6)), run.ts, run.us, run.vs,
         noise=s.speed(1e-5))
@@ -681,12 +690,12 @@ def _(s):
 
 @row("dmd", closed)
 def _(s):
-    run = gx.simulate(s.lattice, s.state, s.s(20.0), save_at=81, step=s.s(0.05))
+    run = run_to(s, 20.0)
     found = gx.identify.dmd(gx.identify.snapshots(run, velocities=True)[:, SITES:], float(s.s(0.25)), 8, delays=4)
     return rate([np.sort(found.omega.real), np.sort(np.abs(found.omega.imag))]), found.outcome.split(",")[0]
 
 
-@row("physics_informed", slow=(closed,), agree=1e-5)
+@row("physics_informed", slow=(closed,))
 def _(s):
     scene, y0, traces = measured(s)
     start = {"stiffness": s.w(1.3, 1, -1.5, 0), "damping": s.hertz(0.03)}
@@ -754,7 +763,7 @@ def drawn(*axes):
 
 @row("plots", closed)
 def _(s):
-    run = gx.simulate(s.lattice, s.state, s.s(4.3), save_at=9)
+    run = run_to(s, 4.0)
     ax = gx.plots.profile(np.arange(SITES), run.vs[-1])
     return [drawn(gx.plots.space_time(run)), drawn(gx.plots.space_time(run, scale="log")),
             drawn(gx.plots.traces(run.ts, run.vs, [1, 3])), drawn(gx.plots.strain_map(run)),
@@ -804,7 +813,7 @@ def orbit_of(b):
 def branch_of(b, **of):
     shown = {name for name, _ in b._fields()}
     given = {"states": state, "bifurcations": None, "multipliers": lambda x: moduli(x, b.error), "error": None,
-             "amplitude": length, "verdict": list, **of}
+             "amplitude": length, "verdict": list, "response_error": None, **of}
     found = fields_of(b, **{name: how for name, how in given.items() if name in shown})
     return found | {"bifurcations": [x.kind for x in b.bifurcations], "places": rate([x.p for x in b.bifurcations])}
 
@@ -894,8 +903,8 @@ def _(s):
 def _(s):
     lattice, period, _ = shaken(s)
     orbit = gx.forced.forced_orbit(lattice, period)
-    rho, _ = gx.floquet.leading(lattice, orbit.state, period, count=2)
-    return np.sort(np.abs(rho))
+    found = gx.floquet.leading(lattice, orbit.state, period, count=2)
+    return moduli(found.multipliers, found.error)
 
 
 @row("settle", closed)
@@ -932,7 +941,7 @@ def over_period(omega):
 def _(s):
     make = Shaken(s.lattice, s.m(jnp.asarray(0.05)), s.hertz(jnp.asarray(0.25)))
     branch = gx.forced.forced_branch(make, s.hertz(0.8), s.hertz(1.0), period=over_period, points=4)
-    return branch_of(branch, p=rate, response=speed)
+    return branch_of(branch, p=rate, response=speed, response_error=lambda x: About(speed(x)))
 
 
 @row("sweep", closed)

@@ -415,7 +415,12 @@ def test_the_word_follows_from_the_error(rho, error, expected, conserves, verdic
 @pytest.mark.slow
 def test_the_leading_multipliers_are_those_of_the_matrix():
     chain, state, growth = inverted(40)
-    values, vectors = leading(chain, state, 3.0, 4)
+    values, vectors, error = leading(chain, state, 3.0, 4)
+    # coarse steps: what is stated holds the truth, and is not much more
+    coarse = leading(chain, state, 3.0, 4, steps=8)
+    off = np.abs(coarse.multipliers - np.exp(3.0 * growth[:4]))
+    assert (off <= coarse.error).all() and (coarse.error <= 1e3 * off).all()
+    assert (np.abs(values - np.exp(3.0 * growth[:4])) <= error).all() and (error < coarse.error).all()
     fl = floquet(chain, state, 3.0)
     np.testing.assert_allclose(values, fl.multipliers[:4], rtol=1e-8)
     np.testing.assert_allclose(values, np.exp(3.0 * growth[:4]), rtol=1e-8)

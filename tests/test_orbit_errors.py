@@ -66,6 +66,8 @@ def test_a_branch_of_forced_orbits_states_its_error():
         period=lambda w: 2 * jnp.pi / w, guess=gx.State(jnp.asarray(known.u), jnp.asarray(known.v)), points=4)
     covers(branch.orbit(0), known)
     assert np.all(branch.state_error.u < 1e-6) and np.all(branch.energy_error < 1e-5)
+    true = np.sqrt(np.mean(branch.orbit(0).rms_velocity ** 2))
+    assert abs(branch.response[0] - true) <= branch.response_error[0] < 1e-6
 
 
 def test_at_a_given_energy_the_frequency_has_an_error():
@@ -118,6 +120,7 @@ def test_errors_of_forced_branches_cover_what_opening_contacts_make_uneven():
             truth = forced_orbit(make(float(branch.p[i])), period, mine.state, steps=2048)
             for x, error, y in zip(mine.state, mine.error.state, truth.state):
                 assert np.all(np.abs(x - y) <= error)
+            assert abs(branch.response[i] - np.sqrt(np.mean(truth.rms_velocity**2))) <= branch.response_error[i]
 
 
 def test_tolerances_that_a_floating_type_cannot_hold_are_refused():

@@ -60,7 +60,7 @@ class Branch(Result):
 
     **Fields:** `p` (P,): the parameter, of a family of breathers their frequency. `periods` (P,). `states` at t0, a
     `State` of (P, N). `energy` (P,) at t0. `response` (P,): the chosen number, of a forced branch. `state_error`,
-    `energy_error`: estimated distances from the truth, of what states and energies are in. `multipliers` (P, 2n), the
+    `energy_error`, `response_error`: estimated distances from the truth, in the same units. `multipliers` (P, 2n), the
     largest modulus first, and `error` of each. `step_error` (P,): change of the tangent map when the steps are doubled.
     `verdict`: P words "stable", "unstable", "undecided", or "" where they were not computed.
     `bifurcations`: a tuple of `Bifurcation` in the order of the branch. `outcome`: why it ended. `t0`.
@@ -70,6 +70,7 @@ class Branch(Result):
         "p": Held("point"), "periods": Held("point", "s", "period"), "states": Held("point site", "", "state"),
         "energy": Held("point", "J"), "response": Held("point"),
         "state_error": Held("point site", "", "state_error"), "energy_error": Held("point", "J"),
+        "response_error": Held("point"),
         "multipliers": Held("point multiplier", "1", "multiplier"),
         "error": Held("point multiplier", "1"), "step_error": Held("point", "1"), "verdict": Held("point"),
         "bifurcations": Held("bifurcation"), "omega": Held("point", "rad/s"), "amplitude": Held("point"),
@@ -82,6 +83,7 @@ class Branch(Result):
     response: Float[np.ndarray, " P"] | None
     state_error: State
     energy_error: Float[np.ndarray, " P"]
+    response_error: Float[np.ndarray, " P"] | None
     multipliers: Inexact[np.ndarray, "P two_n"]
     error: Float[np.ndarray, "P two_n"]
     step_error: Float[np.ndarray, " P"]

@@ -210,7 +210,7 @@ def _branch(problem, curve, stability):
     half, p = problem.shooting.flow, np.asarray(problem.value(curve.p))
     return Branch(
         p, 2 * np.pi / p, jax.tree.map(np.asarray, states), np.asarray(energy), None,
-        jax.tree.map(np.asarray, state_error), np.asarray(energy_error), multipliers, error,
+        jax.tree.map(np.asarray, state_error), np.asarray(energy_error), None, multipliers, error,
         np.array([s.step_error for s in found]), verdict, tuple(special_of(problem, curve)),
         problem.outcome(curve), 0.0, Flow(2 * half.steps, half.solver), problem, curve)
 

@@ -128,11 +128,11 @@ def forced_branch(
     maps = [np.asarray(found.maps) * scale[:, None] / scale for found, scale in zip(looked, scales)]
     spectra = [spectrum(*three)[::2] for three in maps]
     multipliers, errors, verdicts = verdicts_of(spectra, known.expected, False)
-    states, periods, energies, responses, errors_of_orbits = (
-        jax.tree.map(lambda *x: np.stack(x), *part) for part in list(zip(*looked))[:5])
+    states, periods, energies, responses, errors_of_orbits, about = (
+        jax.tree.map(lambda *x: np.stack(x), *part) for part in list(zip(*looked))[:6])
 
     # one that is small by accident is as large as its neighbours
-    errors_of_orbits = jax.tree.map(neighbours, errors_of_orbits)
+    errors_of_orbits, about = jax.tree.map(neighbours, (errors_of_orbits, about))
 
     def look(point):
         return np.linalg.eigvals(np.asarray(_examined(family, flow, point, response).maps[0]))
@@ -140,7 +140,7 @@ def forced_branch(
     found = _bifurcations(family, look, z, curve.special, multipliers, settings)
     return Branch(
         np.asarray(family.value(curve.p)), periods, states, energies, responses, errors_of_orbits.state,
-        errors_of_orbits.energy, multipliers, errors,
+        errors_of_orbits.energy, about, multipliers, errors,
         np.array([np.abs(fine - coarser).max() for fine, _, coarser in maps]), verdicts, found, family.outcome(curve),
         float(t0), flow, family, curve)
 
@@ -156,6 +156,7 @@ class Examined(NamedTuple):
     energy: Numbers
     response: Numbers
     error: OrbitError
+    response_error: Numbers
     maps: Numbers
     changes: Numbers
 
@@ -165,23 +166,30 @@ def _examined(family, flow, z, response):
     """What there is to say of an orbit; its error is the most that the other steps change."""
     (lattice, period), state = family.scene(z[-1]), family.shooting.state(z[:-1])
     t0, period = family.shooting.t0, jnp.asarray(period, lattice.dtype)
-    _, ts, ys = history(flow, lattice, state, t0, period, FRAMES)
-    number = response(lattice, ys.u, ys.v, ts)
+
+    def responded(y, n):
+        _, ts, ys = history(Flow(n, flow.solver), lattice, y, t0, period, FRAMES)
+        return response(lattice, ys.u, ys.v, ts)
 
     def mapped(n):
         end, map_ = Flow(n, flow.solver).derivative(state, t0, t0 + period, lattice)
         return ravel_pytree(end)[0], map_
 
-    ends, maps = jax.lax.map(mapped, jnp.stack([flow.steps, 3 * flow.steps // 4, flow.steps // 2]))
+    counts = jnp.stack([flow.steps, 3 * flow.steps // 4, flow.steps // 2])
+    ends, maps = jax.lax.map(mapped, counts)
     # in one unit for displacements and one for velocities
     flat, unravel = ravel_pytree(state)
     scale = jnp.where(jnp.arange(flat.size) < flat.size // 2, 2 * jnp.pi, period)
     inverse = jnp.linalg.inv(jnp.eye(flat.size) - maps[0] * scale[:, None] / scale)
     changes = jnp.stack([ends[1] - ends[0], ends[2] - ends[0], ends[2] - ends[1]]) * scale @ inverse.T
+    # of each flow's own orbit
+    others = flat + jnp.concatenate([jnp.zeros_like(changes[:1]), changes[:2]]) / scale
+    numbers = jax.lax.map(lambda x: responded(unravel(x[0]), x[1]), (others, counts))
+    about = covering((numbers[1:] - numbers[0])[:, None], rounding(inverse, jnp.abs(numbers[0])))[0]
     state = unravel(nearby(flat * scale, inverse @ ((ends[0] - flat) * scale)) / scale)
     apart = covering(changes, rounding(inverse, jnp.max(jnp.abs(flat * scale))))
     error = error_of(lattice, t0, state, unravel(apart / scale), 2 * jnp.pi / period, jnp.zeros(()))
-    return Examined(state, period, lattice.energy(t0, *state), number, error, maps, changes / scale)
+    return Examined(state, period, lattice.energy(t0, *state), numbers[0], error, about, maps, changes / scale)
 
 
 def _enough(family, flow, curve, looked, response, tolerance, most):

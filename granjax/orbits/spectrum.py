@@ -39,12 +39,20 @@ def spectrum(
     overlap = np.maximum(overlap, np.finfo(float).eps)
     error = (ROUNDING * np.finfo(float).eps * np.linalg.norm(fine, 2) + moved) / overlap
     if coarse is not None:
-        distance = np.abs(values[:, None] - np.linalg.eigvals(coarse)[None])
-        rows, columns = linear_sum_assignment(distance)
-        matched = np.empty(len(values))
-        matched[rows] = distance[rows, columns]
-        error = error + np.maximum(uncertain(fine, coarse, coarser) / overlap, matched)
+        away = matched(values, np.linalg.eigvals(coarse))
+        error = error + np.maximum(uncertain(fine, coarse, coarser) / overlap, away)
     return values, right, error
+
+
+def matched(
+    values: Inexact[np.ndarray, " n"], others: Inexact[np.ndarray, " n"],
+) -> Float[np.ndarray, " n"]:
+    """How far each value is from its partner among others, in the one-to-one matching of the least distances."""
+    distance = np.abs(values[:, None] - others[None])
+    rows, columns = linear_sum_assignment(distance)
+    away = np.empty(len(values))
+    away[rows] = distance[rows, columns]
+    return away
 
 
 def _squares(matrices):
