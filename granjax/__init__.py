@@ -57,7 +57,7 @@ from .terms import (  # noqa: E402
     ViscousContact,
     Wall,
 )
-from .tuning import tune  # noqa: E402
+from .tuning import clear, tune  # noqa: E402
 from .work_precision import WorkPrecision, work_precision  # noqa: E402
 
 __version__ = "0.1.0"

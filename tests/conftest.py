@@ -7,23 +7,19 @@ Most of the tests' time is compiling programs that run once. So they are compile
 kept in the user's cache folder for the next run, unless GRANJAX_CACHE is 0.
 """
 
-import contextlib
-import ctypes
 import gc
 import os
 import time
 from pathlib import Path
 
+import jax
 import pytest
 import typed
 
-CHEAP = (
-    "--xla_llvm_disable_expensive_passes=true --xla_cpu_use_fusion_emitters=false "
-    "--xla_cpu_parallel_codegen_split_count=1"
-)
+# XLA ends a process whose flags it does not know, and has let go of this one
+EMITTERS = "--xla_cpu_use_fusion_emitters=false " if jax.__version_info__ < (0, 12) else ""
+CHEAP = f"--xla_llvm_disable_expensive_passes=true {EMITTERS}--xla_cpu_parallel_codegen_split_count=1"
 os.environ.setdefault("XLA_FLAGS", CHEAP)
-
-import jax  # noqa: E402
 
 # older versions trace literals of a class of their own, which no annotation knows
 if jax.__version_info__ >= (0, 10):
@@ -73,11 +69,7 @@ def _memory():
 def pytest_runtest_teardown(item, nextitem):
     """Compiled programs are let go, most where a module ends: a worker would grow to many GB."""
     if nextitem is not None and _memory() > (MUCH if item.path != nextitem.path else MOST):
-        jax.clear_caches()
-        gc.collect()
-        # glibc keeps what was freed until it is asked
-        with contextlib.suppress(OSError, AttributeError, TypeError):
-            ctypes.CDLL(None).malloc_trim(0)
+        granjax.clear()
 
 
 @pytest.fixture

@@ -107,3 +107,39 @@ print(json.dumps([len(hits), float(run.final.u[0])]))
     first = kept(code, GRANJAX_CACHE=str(tmp_path))
     second = kept(code, GRANJAX_CACHE=str(tmp_path))
     assert first[0] == 0 and second[0] > 0 and first[1] == second[1]
+
+
+ONE_MORE_LENGTH = """
+import json, os
+from pathlib import Path
+import granjax as gx
+from granjax import outside
+from granjax.flow import dispatch
+from granjax.terms import tracing
+
+def resident():
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+def run(sites):
+    chain = gx.scenes.dimer(sites)
+    return chain, gx.simulate(chain, gx.states.impact(chain), 2.0, step=0.1)
+
+run(5)
+gx.clear()
+before = resident()
+chain, found = run(6)
+grown = resident() - before
+gx.clear()
+left = resident() - before
+kept = len(dispatch._FACTS) + outside._known.cache_info().currsize + tracing._traced_force.cache_info().currsize
+again = run(6)[1].final.u
+same = (again == found.final.u).all().item()
+print(json.dumps([grown, left, kept, found.to_xarray().sizes["site"], same]))
+"""
+
+
+@pytest.mark.skipif(not os.path.exists("/proc/self/statm"), reason="the system does not say what is resident")
+def test_clear_hands_memory_back_and_leaves_results():
+    grown, left, caches, sites, same = kept(ONE_MORE_LENGTH)
+    assert grown > 15e6 and left < 0.3 * grown and caches == 0
+    assert sites == 6 and same

@@ -79,6 +79,9 @@ def facts(lattice: Lattice) -> Facts:
     return found
 
 
+facts.cache_clear = _FACTS.clear
+
+
 def _found(lattice):
     velocity = [term for term in lattice.terms if reads(term, lattice).velocity]
     return Facts(
