@@ -334,6 +334,19 @@ def test_a_reader_that_breaks_down_hangs_or_is_interrupted_is_replaced(valid, tm
         read()
 
 
+@pytest.mark.parametrize(("field", "value"), [
+    ("value", -0.1), ("value", 0), ("value", "0.1"), ("steps", 0), ("seconds", 1e308), ("error", float("nan")),
+    ("drawn", 1), ("method", "other"), ("parameter", "size"), ("note", None), ("evaluations", 10**400),
+])
+def test_a_table_of_what_nobody_measures_is_refused(field, value):
+    data = TABLE.to_dict()
+    data["points"][0][field] = value
+    with pytest.raises(ValueError, match="text: expected a table that `to_json` has written, got something else"):
+        WorkPrecision.from_json(data)
+    with pytest.raises(ValueError, match="RecursionError"):
+        WorkPrecision.from_json("[" * 1_000_000)
+
+
 def test_traces_of_two_files_are_compiled_once(tmp_path):
     paths = [tmp_path / name for name in ("a.csv", "b.csv")]
     for path in paths:

@@ -18,6 +18,8 @@ from .ladder import Ladder, number, observed_order, seconds_in_words
 # errors below this many floors are neither drawn nor used
 DRAWN = 4.0
 LARGEST_FLOOR = 1e-3
+# what no number of a table reaches; an error may, where a run blows up
+HUGE, MOST = 1e100, {"error": math.inf}
 _COLUMNS = ("value", "error", "seconds", "fastest", "evaluations", "steps")
 _WORDS = ("method", "parameter", "note")
 
@@ -173,9 +175,13 @@ class WorkPrecision(Result):
         try:
             data = json.loads(text) if isinstance(text, str | bytes) else text
             points, methods = data["points"], data["methods"]
-            columns = {name: _numbers(point[name] for point in points) for name in _COLUMNS}
+            columns = {name: _numbers((point[name] for point in points), MOST.get(name, HUGE)) for name in _COLUMNS}
             texts = {name: _words(point[name] for point in points) for name in _WORDS}
-            drawn = np.array([{True: True, False: False}[point["drawn"]] for point in points], bool)
+            if (columns["value"] == 0).any() or (columns["steps"] == 0).any():
+                raise ValueError("a step of zero")
+            drawn = [point["drawn"] for point in points]
+            if not all(isinstance(x, bool) for x in drawn):
+                raise TypeError("points of which it is not said whether they are drawn")
             own = {"methods": _words(m["name"] for m in methods)}
             own["compile_seconds"] = _numbers(m["compile_seconds"] for m in methods)
             own["limit"] = np.nan_to_num(_numbers(m["limit"] for m in methods), nan=np.inf)
@@ -191,17 +197,18 @@ class WorkPrecision(Result):
         except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError) as error:
             what = f"{type(error).__name__}: {error}"[:200]
             refuse("text", "a table that `to_json` has written", f"something else ({what})")
-        return cls(**columns, **texts, **own, drawn=drawn, floor=floor)
+        return cls(**columns, **texts, **own, drawn=np.array(drawn, bool), floor=floor)
 
 
-def _numbers(values):
-    """Finite numbers, NaN where there is `None`."""
+def _numbers(values, most=HUGE):
+    """Numbers as they are measured, NaN where there is `None`."""
     values = list(values)
     if any(type(x) not in (int, float, type(None)) for x in values):
         raise TypeError("words where numbers are")
     array = np.array([math.nan if x is None else x for x in values], dtype=float)
-    if np.isinf(array).any() or np.isnan(array).sum() > values.count(None):
-        raise ValueError("numbers that are not finite")
+    known = array[[x is not None for x in values]]
+    if not ((known == 0) | (known > 1 / most) & (known < most)).all():
+        raise ValueError("numbers that are negative, not finite or that nobody measures")
     return array
 
 
