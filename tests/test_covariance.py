@@ -910,7 +910,8 @@ def _(s):
 @row("settle", closed)
 def _(s):
     lattice, period, _ = shaken(s)
-    return fields_of(gx.driven.settle(lattice, s.state, period), state=state, periods=None, changes=None, change=None)
+    found = gx.driven.settle(lattice, s.state, period)
+    return fields_of(found, state=state, state_error=lambda y: About(state(y)), periods=None, changes=None, change=None)
 
 
 @row("lyapunov", closed)

@@ -258,6 +258,20 @@ def test_a_second_sweep_compiles_nothing_and_follows_what_its_scene_reads():
     assert (run() < first).all()
 
 
+def test_what_has_settled_states_its_error_where_contacts_open():
+    chain = gx.scenes.monomer(4, precompression=0.05**1.5)
+    lattice = driven.driven_chain(chain, 0.065, 1.2, damping=0.15)
+    settled = lambda steps, **options: driven.settle(lattice, rest(lattice), 2 * np.pi / 1.2, steps=steps, **options)
+    found, true = settled(24), settled(512, tolerance=1e-11)
+    assert found.settled and true.settled
+    for name in ("amplitude", "peak_force", "energy"):
+        off = np.abs(getattr(found, name) - getattr(true, name))
+        assert np.all(off <= getattr(found, f"{name}_error")), name
+    assert np.all(np.abs(found.state.u - true.state.u) <= found.state_error.u) and found.state_error.u.max() < 1e-5
+    assert found.energy_error < 1e-6 < found.energy and found.amplitude_error.max() < 1e-3 * found.amplitude.max()
+    assert np.isnan(settled(24, periods=8).energy_error)
+
+
 def test_settling_with_another_period_compiles_nothing(caplog):
     def each(stretch):
         w = 1.3 * stretch

@@ -31,6 +31,8 @@ APART = 1e3
 DISTURBANCE = 1e2
 # periods that are kept of a motion that does not repeat
 KEPT = 16
+# of what half the steps change: where contacts open that may be small by accident
+SAFETY = 4
 
 
 class Attractor(Result):
@@ -44,10 +46,14 @@ class Attractor(Result):
       nothing repeats. A field's name leads to its array where a cell holds several.
     - `amplitude` (N,): largest speed of each site in it. `peak_force` (contacts,): largest contact force, F0 + F(e),
       all bonds in the order of the terms, then walls. `energy`: mean energy.
+    - `state_error`, `amplitude_error`, `peak_force_error`, `energy_error`: estimated distances from the true motion, by
+      what settles from there with half as many steps, and by what either still changes; NaN where nothing repeats.
     - `outcome`: what became of the motion, a sentence.
     """
 
     held: ClassVar[dict[str, Held]] = {
+        "state_error": Held("site"), "amplitude_error": Held("site", "m/s"),
+        "peak_force_error": Held("contact", "N"), "energy_error": Held(unit="J"),
         "state": Held("site"), "period": Held(unit="s"), "changes": Held("run", "1"), "ts": Held("time", "s", "time"),
         "us": Held("time site", "m", "u"), "vs": Held("time site", "m/s", "v"), "amplitude": Held("site", "m/s"),
         "peak_force": Held("contact", "N"), "energy": Held(unit="J"),
@@ -64,6 +70,10 @@ class Attractor(Result):
     amplitude: Displacements
     peak_force: Numbers
     energy: Numbers
+    state_error: State
+    amplitude_error: Displacements
+    peak_force_error: Numbers
+    energy_error: Numbers
     outcome: str = eqx.field(static=True)
 
     @property
@@ -104,15 +114,19 @@ def settle(
     solver = fixed_step_solver(lattice, solver, SRKN11b())
     # arrays, whose values compile nothing anew
     flow, T = Flow(jnp.asarray(steps), solver), jnp.asarray(period, lattice.dtype)
-    end, used, multiple, changes, _ = _follow(flow, lattice, state, T, periods, jnp.asarray(tolerance, lattice.dtype))
+    tight = jnp.asarray(tolerance, lattice.dtype)
+    end, used, multiple, changes, _ = _follow(flow, lattice, state, T, periods, tight)
     used, multiple = int(used), int(multiple)
-    ts, us, vs, amplitude, force, energy = _watch(solver, lattice, end, T, multiple or KEPT, steps)
-    seen = np.asarray(changes)[:used]
-    change = float(seen[-1, MULTIPLES.index(multiple)] if multiple else seen[-1, 0])
-    outcome = _sentence(used, multiple, change, seen[:, 0], tolerance)
-    return Attractor(
-        end, period, used, multiple, change, seen[:, 0], ts, us, vs, amplitude, force, energy, outcome,
-    )
+    (ts, us, vs), seen, sampling = _watch(solver, lattice, end, T, multiple or KEPT, steps)
+    found = end, *seen
+    errors = jax.tree.map(lambda x: jnp.full_like(x, jnp.nan), found)
+    if multiple:
+        other, left = _otherwise(flow, lattice, end, T, jnp.asarray(multiple), jnp.asarray(periods), tight)
+        errors = _apart(found, (other, *_watch(solver, lattice, other, T, multiple, steps)[1]), left, sampling)
+    changes = np.asarray(changes)[:used]
+    change = float(changes[-1, MULTIPLES.index(multiple)] if multiple else changes[-1, 0])
+    outcome = _sentence(used, multiple, change, changes[:, 0], tolerance)
+    return Attractor(end, period, used, multiple, change, changes[:, 0], ts, us, vs, *seen, *errors, outcome)
 
 
 def steps_per_period(lattice: Lattice, period: Scalar) -> Scalar:
@@ -186,12 +200,52 @@ _follow = eqx.filter_jit(follow)
 
 
 @eqx.filter_jit
+def _otherwise(flow, lattice, state, period, multiple, most, tolerance):
+    """Where half the steps settle from a state on, and the share of its size by which either may still be off.
+
+    What changes by c a repetition and by a factor r less at each is c r/(1 - r) from its end.
+    """
+    coarse = Flow(jnp.maximum(flow.steps // 2, 1), flow.solver)
+    flat, _ = ravel_pytree(state)
+    weight = jnp.where(jnp.arange(flat.size) < flat.size // 2, 2 * jnp.pi / period, 1).astype(flat.dtype)
+
+    def going(carry):
+        i, _, _, change = carry
+        return (i * multiple < most) & (change > tolerance)
+
+    def one(carry):
+        i, y, first, _ = carry
+        after = jax.lax.fori_loop(0, multiple, lambda _, y: coarse(y, jnp.zeros_like(period), period, lattice), y)
+        x, before = (weight * ravel_pytree(s)[0] for s in (after, y))
+        size = jnp.max(jnp.abs(x))
+        change = jnp.max(jnp.abs(x - before)) / jnp.where(size > 0, size, 1)
+        return i + 1, after, jnp.where(i == 0, change, first), change
+
+    infinite = jnp.full((), jnp.inf, flat.dtype)
+    count, y, first, last = jax.lax.while_loop(going, one, (jnp.zeros((), int), state, infinite, infinite))
+    rate = jnp.where((count > 1) & (first > 0), (last / first) ** (1 / jnp.maximum(count - 1, 1)), 0)
+    left = jnp.maximum(last, tolerance) / jnp.maximum(1 - rate, jnp.finfo(flat.dtype).eps)
+    return y, jnp.where(last <= tolerance, left, jnp.nan)
+
+
+@jax.jit
+def _apart(found, other, left, sampling):
+    def error(x, y):
+        return SAFETY * jnp.abs(x - y) + left * jnp.max(jnp.abs(x), initial=0)
+
+    state, *tops, energy = jax.tree.map(error, found, other)
+    return state, *jax.tree.map(jnp.add, tuple(tops), sampling), energy
+
+
+@eqx.filter_jit
 def _watch(solver, lattice, state, period, count, steps):
     _, ts, ys = history(Flow(steps, solver), lattice, state, 0.0, period, steps, count)
-    amplitude = jax.tree.map(lambda v: largest(jnp.abs(v)), ys.v)
-    force = largest(jax.vmap(lambda y, t: forces(lattice, y, t))(ys, ts))
+    speeds, pushes = jax.tree.map(jnp.abs, ys.v), jax.vmap(lambda y, t: forces(lattice, y, t))(ys, ts)
+    tops, others = (jax.tree.map(lambda x: largest(x[::every]), (speeds, pushes)) for every in (1, 2))
     energy = jnp.mean(jax.vmap(lambda y, t: lattice.energy(t, *y))(ys, ts))
-    return ts, ys.u, ys.v, amplitude, force, energy
+    # of the parabola through the samples
+    sampling = jax.tree.map(lambda a, b: jnp.abs(a - b), tops, others)
+    return (ts, ys.u, ys.v), (*tops, energy), sampling
 
 
 def _sentence(used, multiple, change, changes, tolerance):
