@@ -13,6 +13,7 @@ from jaxtyping import Float, Integer
 from .checks import one_of, parameter, refuse, whole, within
 from .checks import tolerance as checked_tolerance
 from .descent import CONVERGED, NO_GRADIENT, NO_START, NOT_FINITE, SPENT, STALLED, descend
+from .interrupts import interruptible, waited
 from .outside import Outside
 from .parameters import Bounds, Coordinates
 from .results import Held, Result
@@ -79,6 +80,7 @@ class Design(Result):
         yield "outcome", self.outcome
 
 
+@interruptible
 def design(
     objective: Callable, start: dict[str, Parameter], *, bounds: Bounds = None, maximise: bool = False,
     optimiser: object = None, max_steps: Count = 200, tolerance: Scalar = 1e-6, mode: str | None = None,
@@ -193,12 +195,14 @@ def _with_gradient(objective, coordinates, maximise, mode):
     return cost, forward if mode == "forward" else jax.value_and_grad(cost)
 
 
+@waited
 @eqx.filter_jit
 def _first(objective, coordinates, mode, outside):
     """The objective and its gradient in the free coordinates, at the start."""
     return _with_gradient(objective, coordinates, False, mode)[1](jnp.zeros(coordinates.size))
 
 
+@waited
 @eqx.filter_jit
 def _solve(objective, coordinates, optimiser, max_steps, tolerance, maximise, mode, outside):
     cost, both = _with_gradient(objective, coordinates, maximise, mode)

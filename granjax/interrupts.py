@@ -9,12 +9,14 @@ Nothing here is imported that takes time.
 """
 
 import contextlib
+import functools
 import os
 import signal
 import socket
 import sys
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -84,27 +86,61 @@ def tell(text: str) -> None:
         os.write(number, f"{bar}{text}\n".encode(errors="replace"))
 
 
+# whether Ctrl-C was pressed since the outermost function that is `interruptible` began
+_pressed: list[bool] = []
+
+
 def wait(tree: Any) -> Any:
-    """What a compiled program returns, when it is there.
+    """What a compiled program returns, when it is there. Nothing happens to what is traced.
 
     JAX itself waits in a way that no signal reaches. An interrupt leaves the program at work, so that what is computed
-    next waits for it.
+    next waits for it. One that Python has lost, because it came while a callback of a library ran, is raised here.
     """
-    array = next((x for x in _leaves(tree) if hasattr(x, "is_ready")), None)
-    if array is None:
-        return tree
-    begin = time.perf_counter()
-    while not array.is_ready():
-        passed = time.perf_counter() - begin
-        time.sleep(0 if passed < EAGER else min(SHARE * passed, LONGEST))
+    import jax
+
+    if _pressed:
+        raise KeyboardInterrupt
+    array = next((x for x in jax.tree.leaves(tree) if hasattr(x, "is_ready")), None)
+    if array is not None:
+        begin = time.perf_counter()
+        while not array.is_ready():
+            passed = time.perf_counter() - begin
+            time.sleep(0 if passed < EAGER else min(SHARE * passed, LONGEST))
     return tree
 
 
-def _leaves(tree):
-    if isinstance(tree, tuple):
-        for part in tree:
-            yield from _leaves(part)
-    elif isinstance(tree, dict):
-        yield from _leaves(tuple(tree.values()))
-    else:
-        yield tree
+def waited(program: Callable) -> Callable:
+    """A compiled program that Ctrl-C reaches while it runs: `wait` for what it returns."""
+
+    @functools.wraps(program)
+    def call(*args, **kwargs):
+        return wait(program(*args, **kwargs))
+
+    return call
+
+
+def interruptible(function: Callable) -> Callable:
+    """A function of many programs in which Ctrl-C is not lost: what a library swallows is raised at the next `wait`."""
+
+    @functools.wraps(function)
+    def call(*args, **kwargs):
+        own = threading.current_thread() is threading.main_thread()
+        if not own or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+            return function(*args, **kwargs)
+        _pressed.clear()
+        signal.signal(signal.SIGINT, _noted)
+        try:
+            result = function(*args, **kwargs)
+            if _pressed:
+                raise KeyboardInterrupt
+            return result
+        finally:
+            _pressed.clear()
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+
+    return call
+
+
+def _noted(number, frame):
+    _pressed.append(True)
+    raise KeyboardInterrupt

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .checks import refuse, traced, unmasked
+from .interrupts import waited
 from .outside import Outside
 from .results import Held, Result
 from .types import Count, Counts, Flags, Numbers, Parameter, Scalar
@@ -101,6 +102,7 @@ def newton(residual: Callable, guess: Parameter, args: Any = None, *, tolerance:
     return root
 
 
+@waited
 @eqx.filter_jit
 def _plain(residual, linearise, x0, args, tolerance, max_steps, finish, outside):
     both = _by_forward_mode(residual) if linearise is None else linearise

@@ -1,12 +1,17 @@
 """Ctrl-C is answered at any moment: one line, code 130, no broken file."""
 
+import contextlib
 import random
 import signal
 import subprocess
 import sys
+import threading
 import time
 
+import jax
+import jax.numpy as jnp
 import matplotlib.image
+import numpy as np
 import pytest
 import xarray as xr
 
@@ -18,16 +23,31 @@ RESONANCE = ["resonance", "--beads", "41", "--ratios", "60"]
 REPRODUCE = ["reproduce", "fig1.3", "fig1.5"]
 # the interpreter itself starts; it knows no granjax before
 STARTING = 0.3
+FIT = """
+import granjax as gx, numpy as np
+def scene(p):
+    return gx.scenes.monomer(20, stiffness=p["stiffness"])
+t, state = np.linspace(0, 30, 100), gx.states.impact(scene({"stiffness": 1.0}))
+seen = np.asarray(gx.simulate(scene({"stiffness": 1.2}), state, 30.0, save_at=t).vs)[:, [5, 9]]
+for k in range(20):
+    traces = gx.Traces(times=t, velocity=seen, sites=[5, 9], sigma=0.01)
+    gx.fit(scene, {"stiffness": 1 + 0.01 * k}, traces, state=state, step=0.02).save("fit.nc")
+"""
+FAMILY = """
+import granjax as gx
+chain = gx.scenes.pattern(13, (1.0, 2.96), precompression=1.0, boundary="free")
+gx.breathers.family(chain, until=0.985 * 3**0.5).save("family.nc")
+"""
 
 
 def started(arguments, folder):
-    """`python -m granjax` in a fresh process, which Ctrl-C reaches whatever started the tests."""
+    """`python -m granjax`, or a script, in a fresh process, which Ctrl-C reaches whatever started the tests."""
     folder.mkdir()
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         return subprocess.Popen(
-            [sys.executable, "-m", "granjax", *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-            cwd=folder,
+            [sys.executable, *(["-c", arguments] if isinstance(arguments, str) else ["-m", "granjax", *arguments])],
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=folder,
         )
     finally:
         signal.signal(signal.SIGINT, before)
@@ -77,6 +97,23 @@ def test_the_command_line_is_interrupted(tmp_path):
 
 
 @pytest.mark.study
+@pytest.mark.parametrize("script", [FIT, FAMILY], ids=["fit", "family"])
+def test_python_is_interrupted_at_twenty_moments(script, tmp_path):
+    begin = time.perf_counter()
+    started(script, tmp_path / "whole").communicate()
+    draw, lasts = random.Random(3), time.perf_counter() - begin
+    for i in range(20):
+        process, folder = started(script, tmp_path / str(i)), tmp_path / str(i)
+        time.sleep(draw.uniform(STARTING, lasts))
+        if process.poll() is None:
+            _, lines = interrupted(process)
+            # Python ends with the signal; what comes behind the last computation may be too late
+            assert process.returncode in (-signal.SIGINT, 0), lines
+            assert process.returncode == 0 or lines[-1].startswith("KeyboardInterrupt"), lines
+        whole(folder)
+
+
+@pytest.mark.study
 @pytest.mark.parametrize("arguments", [RESONANCE, REPRODUCE], ids=["resonance", "reproduce"])
 def test_the_command_line_is_interrupted_at_fifty_moments(arguments, tmp_path):
     begin = time.perf_counter()
@@ -114,3 +151,60 @@ def test_which_process_is_the_command_line(argv, orig, expected, monkeypatch):
 
 def test_python_keeps_its_own_interrupt():
     assert signal.getsignal(signal.SIGINT) is not interrupts._answered_elsewhere
+
+
+@contextlib.contextmanager
+def default_interrupt():
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+        signal.signal(signal.SIGINT, before)
+
+
+def swallowed():
+    """As in a callback of a library, whose exceptions Python does not raise."""
+    with contextlib.suppress(KeyboardInterrupt):
+        signal.raise_signal(signal.SIGINT)
+
+
+def test_an_interrupt_that_python_loses_is_raised_all_the_same():
+    reached = []
+
+    @interrupts.interruptible
+    def computed(then):
+        swallowed()
+        then(np.ones(3))
+        reached.append(1)
+        return 1
+
+    with default_interrupt():
+        with pytest.raises(KeyboardInterrupt):
+            computed(interrupts.wait)
+        assert not reached, "at the next program"
+        with pytest.raises(KeyboardInterrupt):
+            computed(np.sum)
+        assert reached, "at the end, where none follows"
+        assert interrupts.wait(1) == 1, "not later"
+        assert interrupts.interruptible(lambda: 3)() == 3
+
+
+def test_waiting_hears_an_interrupt():
+    class Never:
+        def is_ready(self):
+            return False
+
+    main = threading.get_ident()
+    thread = threading.Timer(0.05, lambda: signal.pthread_kill(main, signal.SIGINT))
+    with default_interrupt():
+        thread.start()
+        with pytest.raises(KeyboardInterrupt):
+            interrupts.waited(Never)()
+        thread.join()
+
+
+def test_waiting_leaves_values_as_they_are():
+    x = jnp.ones(3) * 2
+    assert interrupts.wait(()) == () and interrupts.wait({"a": (1, x)})["a"][1] is x
+    assert jax.jit(interrupts.waited(lambda x: 2 * x))(x)[0] == 4

@@ -12,7 +12,6 @@ import pytest
 
 import granjax as gx
 from granjax.flow.march import refuse_endless
-from granjax.interrupts import wait
 
 march = sys.modules["granjax.flow.march"]
 RECORD = {"sum": gx.Integral(gx.measures.contact_force)}
@@ -150,9 +149,3 @@ def test_what_takes_more_than_a_day_is_refused():
     refuse_endless(lattice, gx.SRKN11b(), 10**13, 10**13, False)
     with pytest.raises(ValueError, match="t1: expected at most 2147483647 steps under a transformation"):
         jax.jit(lambda v: gx.simulate(lattice, (state.u, v), 1e9, step=0.1).final)(state.v)
-
-
-def test_waiting():
-    assert wait(()) == () and wait({"x": 1.0}) == {"x": 1.0}
-    x = jnp.ones(3) * 2
-    assert wait((1, {"a": x}))[1]["a"] is x

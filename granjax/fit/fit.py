@@ -11,6 +11,7 @@ from diffrax import AbstractSolver
 from ..checks import one_of, positive, refuse, whole
 from ..checks import tolerance as checked_tolerance
 from ..flow import Reversible
+from ..interrupts import interruptible
 from ..parameters import Bounds
 from ..tuning import one_thread
 from ..types import Count, Parameter, Scalar, Scene
@@ -31,6 +32,7 @@ MOST = 1e-2
 
 
 @one_thread
+@interruptible
 def fit(
     scene: Scene, start: dict[str, Parameter], traces: Traces | Sequence[Traces], *, state: Start,
     bounds: Bounds = None, t0: Scalar = 0.0, step: Scalar | None = None, solver: AbstractSolver | None = None,

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .. import descent
+from ..interrupts import waited
 from ..types import AnyArray, Scalar
 from .problem import Problem, Signals, misfit
 
@@ -30,6 +31,7 @@ class Found(NamedTuple):
     code: Scalar
 
 
+@waited
 @eqx.filter_jit
 def linearised(
     problem: Problem | eqx.Module, x: Float[AnyArray, " n"],
@@ -98,6 +100,7 @@ def least_squares(
     return Found(x, square / 2, max_steps, SPENT)
 
 
+@waited
 @eqx.filter_jit
 def gradient_descent(
     problem: Problem, x: Float[AnyArray, " n"], optimiser: object, tolerance: Scalar, max_steps: int,

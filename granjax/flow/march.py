@@ -9,7 +9,7 @@ import jax
 import numpy as np
 
 from ..checks import refuse
-from ..interrupts import wait
+from ..interrupts import interruptible, wait
 from ..lattice import Lattice
 from ..outside import Outside
 from ..types import Number, Scalar, StateLike, Times
@@ -96,6 +96,7 @@ def refuse_endless(
                f"{remedy}; or max_steps={steps} if you mean it.")
 
 
+@interruptible
 def _in_pieces(
     lattice, begin, ends, budget, max_steps, dt, tolerance, save_ts, records, solver, progress, watch, outside,
 ):

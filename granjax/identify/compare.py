@@ -11,6 +11,7 @@ from ..checks import positive, refuse
 from ..fit import Fit, Traces, fit
 from ..fit.problem import Start
 from ..fit.traces import checked_traces
+from ..interrupts import interruptible
 from ..results import Held, Result
 from ..types import Scalar
 
@@ -85,6 +86,7 @@ class Comparison(Result):
         return "\n".join([*rows, self.outcome])
 
 
+@interruptible
 def compare(
     models: dict[str, tuple | list], traces: Traces | Sequence[Traces], *, state: Start, level: Scalar = 10.0,
     options: dict[str, dict] | None = None, **common: object,

@@ -15,6 +15,7 @@ from ..entry import takes
 from ..fit import Fit, Traces, fit, prepared
 from ..fit.problem import Start
 from ..fit.traces import checked_traces
+from ..interrupts import interruptible
 from ..lattice import Lattice
 from ..laws import Law, Linear
 from ..parameters import Bounds
@@ -81,6 +82,7 @@ class ForceLaw(Result):
         return f"The force from e = {low:.3g} to {high:.3g} is known {known} (one standard deviation). {said}"
 
 
+@interruptible
 def law(
     scene: Callable[..., Lattice], family: str | Law, traces: Traces | Sequence[Traces], *, state: Start,
     stiffness: Scalar | None = None, reach: Sequence | None = None, others: dict[str, Parameter] | None = None,

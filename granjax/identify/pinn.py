@@ -19,6 +19,7 @@ from jaxtyping import Float
 
 from ..checks import non_negative, parameter, positive, refuse, whole
 from ..flow.stiffness import linear_frequency
+from ..interrupts import interruptible, wait
 from ..parameters import Bounds, Coordinates
 from ..results import Held, Result
 from ..types import AnyArray, Count, Numbers, Parameter, Scalar, Scene, Times
@@ -65,6 +66,7 @@ class PhysicsInformed(Result):
     outcome: str = eqx.field(static=True)
 
 
+@interruptible
 def physics_informed(
     scene: Scene, start: dict[str, Parameter], times: Times, velocity: Float[AnyArray, "T sensors"], *,
     sites: Parameter | None = None, state: tuple | None = None, bounds: Bounds = None, weight: Scalar = 1.0,
@@ -183,6 +185,6 @@ def _trained(loss, model, max_steps, refine, rate):
 
         run = jax.jit(lambda free, step=step, optimiser=optimiser, count=count: jax.lax.scan(
             step, (free, optimiser.init(free)), length=count))
-        (free, _), history = run(free)
+        (free, _), history = wait(run(free))
         histories.append(np.asarray(history))
     return eqx.combine(free, fixed), np.concatenate(histories) if histories else np.zeros(0)

@@ -13,6 +13,7 @@ from jaxtyping import Float
 from ..checks import positive, whole
 from ..checks import tolerance as checked_tolerance
 from ..flow import Flow
+from ..interrupts import interruptible, waited
 from ..lattice import Lattice, State
 from ..measures import contacts
 from ..results import Held, Result
@@ -82,6 +83,7 @@ class Attractor(Result):
         return self.multiple > 0
 
 
+@interruptible
 def settle(
     lattice: Lattice, state: StateLike, period: Scalar, *, periods: Count = 4000, tolerance: Scalar = 1e-8,
     steps: Count | None = None, solver: AbstractSolver | None = None,
@@ -196,9 +198,10 @@ def largest(x: Numbers) -> Numbers:
     return b + (a - c) ** 2 / (8 * jnp.where(curve > 0, curve, 1))
 
 
-_follow = eqx.filter_jit(follow)
+_follow = waited(eqx.filter_jit(follow))
 
 
+@waited
 @eqx.filter_jit
 def _otherwise(flow, lattice, state, period, multiple, most, tolerance):
     """Where half the steps settle from a state on, and the share of its size by which either may still be off.

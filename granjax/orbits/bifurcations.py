@@ -5,6 +5,7 @@ import numpy as np
 
 from ..checks import one_of, refuse
 from ..continuation import continuation
+from ..interrupts import interruptible
 from ..lattice import State
 from ..tuning import one_thread
 from ..types import Scalar
@@ -19,6 +20,7 @@ NEAR, LEAST_ERROR = 1e-4, 1e-12
 
 
 @one_thread
+@interruptible
 def bifurcations(branch: Branch, kinds: tuple[str, ...] = KINDS, *, accuracy: Scalar = 1e-9) -> list[Bifurcation]:
     r"""Bifurcations along a family, each located between two neighbouring breathers.
 

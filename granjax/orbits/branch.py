@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float, Inexact, Shaped
 from ..checks import refuse
 from ..continuation import Curve
 from ..flow import Flow
+from ..interrupts import waited
 from ..lattice import State
 from ..newton import Root
 from ..results import Held, Result
@@ -147,6 +148,7 @@ class Branch(Result):
                      self._family.shooting.symmetry, OrbitError(*apart, exact, exact))
 
 
+@waited
 @eqx.filter_jit
 def _residual(family, x, q):
     return jnp.max(jnp.abs(family.residual(x, q)))

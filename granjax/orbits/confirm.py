@@ -10,6 +10,7 @@ from jax.typing import DTypeLike
 
 from ..checks import refuse
 from ..checks import tolerance as checked_tolerance
+from ..interrupts import waited
 from ..lattice import Lattice, State
 from ..newton import CONVERGED, SPENT, STALLED, Root, newton
 from ..results import Held, Result
@@ -79,6 +80,7 @@ def rounding(inverse: Numbers, size: Scalar = 1.0) -> Numbers:
     return ROUNDING * jnp.finfo(inverse.dtype).eps * size * jnp.max(jnp.sum(jnp.abs(inverse), 1))
 
 
+@waited
 @eqx.filter_jit
 def _corrected(problem, x, jacobian, scene):
     problem, x, jacobian, scene = jax.lax.stop_gradient((problem, x, jacobian, scene))
@@ -141,6 +143,7 @@ def confirmed(
     return problem, root, jnp.asarray(np.maximum(change, SHARED * change.max()))
 
 
+@waited
 @eqx.filter_jit
 def error_of(lattice: Lattice, t0: Scalar, state: State, apart: State, omega: Scalar, in_omega: Scalar) -> OrbitError:
     """The `OrbitError` of a state that is known up to `apart`, at a frequency that is known up to `in_omega`."""

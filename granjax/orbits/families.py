@@ -14,6 +14,7 @@ from jaxtyping import Complex, Float, Inexact
 from ..checks import positive, refuse, whole
 from ..continuation import continuation
 from ..flow import Flow
+from ..interrupts import interruptible, waited
 from ..lattice import Lattice, State, spread_mass
 from ..linear import normal_modes
 from ..newton import nearby
@@ -40,6 +41,7 @@ SLOW = 20
 
 
 @one_thread
+@interruptible
 def family(
     lattice: Lattice, until: Scalar | None = None, *, guess: Orbit | None = None, amplitude: Scalar | None = None,
     mode: Count | None = None, arclength: Scalar | None = None, longest_arclength: Scalar | None = None,
@@ -255,6 +257,7 @@ def over_frequency(
     return Family(half, lattice, over_omega, jnp.zeros(()), jnp.asarray(omega))
 
 
+@waited
 @eqx.filter_jit
 def _states(problem, xs):
     """States and energies of several unknowns along a leading axis."""
@@ -269,6 +272,7 @@ def energy_slope(problem: Family, z: Numbers, tangent: Numbers) -> Numbers:
     return jax.jvp(total, (z[:-1],), (tangent[:-1],))[1]
 
 
+@waited
 @eqx.filter_jit
 def _errors(problem, xs, aparts):
     """Errors of states and energies from those of the unknowns."""
@@ -281,6 +285,7 @@ def _errors(problem, xs, aparts):
     return jax.lax.map(one, (xs, aparts))
 
 
+@waited
 @eqx.filter_jit
 def _half_maps(problem, x, q):
     """Tangent maps over half a period by the problem's flow and by twice its steps, and how far x moves between them.

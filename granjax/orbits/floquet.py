@@ -14,6 +14,7 @@ from ..checks import refuse, whole
 from ..checks import tolerance as checked_tolerance
 from ..entry import checked
 from ..flow import Flow, linear_frequency
+from ..interrupts import interruptible, waited
 from ..lattice import Lattice, vector_field
 from ..results import Held, Result
 from ..solvers import KahanLi8
@@ -133,12 +134,14 @@ def decide(
     return STABLE, f"Every multiplier is inside the unit circle, by {-(excess + error).max():.1e} at least.{left_out}"
 
 
+@waited
 @eqx.filter_jit
 def _derivative(flow, y, t0, t1, args):
     return flow.derivative(y, t0, t1, args)
 
 
 @checked
+@interruptible
 def floquet(
     lattice: Lattice | Flow, state: Pytree, period: Scalar, *, t0: Scalar = 0.0, steps: Count | None = None,
     solver: AbstractSolver | None = None, segments: Count = 1, tolerance: Scalar = TOLERANCE, args: Any = None,

@@ -14,6 +14,7 @@ from scipy.optimize import brentq
 from ..checks import parameter, positive, refuse
 from ..continuation import continuation
 from ..flow import Flow
+from ..interrupts import interruptible, waited
 from ..lattice import State
 from ..measures import rms_velocity
 from ..newton import nearby
@@ -50,6 +51,7 @@ LOCATED, APART = 1e-10, 1e-7
 
 
 @one_thread
+@interruptible
 def forced_branch(
     make: Callable, start: Scalar, until: Scalar, *, period: Callable | Scalar, guess: StateLike | None = None,
     transient: Count = 0, t0: Scalar = 0.0, steps: Count | None = None, segments: Count = 1,
@@ -161,6 +163,7 @@ class Examined(NamedTuple):
     changes: Numbers
 
 
+@waited
 @eqx.filter_jit
 def _examined(family, flow, z, response):
     """What there is to say of an orbit; its error is the most that the other steps change."""

@@ -15,6 +15,7 @@ from ..checks import refuse, whole
 from ..checks import tolerance as checked_tolerance
 from ..entry import checked
 from ..flow import Flow
+from ..interrupts import waited
 from ..lattice import Lattice
 from ..solvers import KahanLi8
 from ..types import Count, Scalar, StateLike
@@ -37,11 +38,13 @@ class Leading(NamedTuple):
     error: Float[np.ndarray, " count"]
 
 
+@waited
 @eqx.filter_jit
 def _end(flow, y, t0, period, args):
     return ravel_pytree(flow(y, t0, t0 + period, args))[0]
 
 
+@waited
 @eqx.filter_jit
 def _push(flow, y, t0, period, args, direction):
     _, unravel = ravel_pytree(y)

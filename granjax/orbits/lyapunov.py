@@ -13,6 +13,7 @@ from jaxtyping import Float
 from ..checks import positive, refuse, whole
 from ..flow import Flow
 from ..flow.stepping import columns, matrix
+from ..interrupts import interruptible, waited
 from ..lattice import Lattice, State
 from ..results import Held, Result
 from ..solvers import SRKN11b
@@ -48,6 +49,7 @@ class Lyapunov(Result):
         return bool(self.exponents[0] > self.uncertainty[0])
 
 
+@interruptible
 def lyapunov(
     lattice: Lattice, state: StateLike, period: Scalar, *, periods: Count = 1000, transient: Count = 100,
     number: Count = 1, windows: Count = 10, steps: Count | None = None, solver: AbstractSolver | None = None,
@@ -96,6 +98,7 @@ def lyapunov(
     return Lyapunov(exponents, uncertainty, rates, end, *_verdict(lattice, exponents, uncertainty))
 
 
+@waited
 @eqx.filter_jit
 def _grow(flow, lattice, state, start, period, periods):
     weight = jnp.concatenate([

@@ -13,6 +13,7 @@ from jax.flatten_util import ravel_pytree
 
 from ..checks import positive, refuse, traced, whole
 from ..flow import Flow
+from ..interrupts import interruptible, waited
 from ..lattice import Lattice, State, vector_field
 from ..newton import CONVERGED, Root
 from ..results import Held, Result
@@ -179,6 +180,7 @@ class Orbit(Result):
 
 
 @one_thread
+@interruptible
 def orbit(
     lattice: Lattice, guess: StateLike, period: Scalar, *, symmetry: Symmetry = Symmetry(), t0: Scalar = 0.0,
     steps: Count | None = None, segments: Count = 1, transient: Count = 0, solver: AbstractSolver | None = None,
@@ -274,6 +276,7 @@ def checked_orbit(orbit: Orbit, guess: State, throw: bool | None) -> Orbit:
     return orbit
 
 
+@waited
 @eqx.filter_jit
 def prepared(
     lattice: Lattice, period: Scalar, guess: State, flow: Flow, t0: Scalar, segments: int, transient: Counts,
@@ -296,5 +299,5 @@ def prepared(
     return shooting, shooting.guess(guess, (lattice, period))
 
 
-_history = eqx.filter_jit(history)
+_history = waited(eqx.filter_jit(history))
 _energy = eqx.filter_jit(lambda lattice, t, state: lattice.energy(t, state.u, state.v))

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..checks import refuse, traced
+from ..interrupts import waited
 from ..lattice import Lattice, State
 from ..terms.tracing import reads
 from ..types import Numbers, Pytree, Scalar, StateLike
@@ -103,6 +104,7 @@ def checked_period(lattice: Lattice, state: StateLike, t0: Scalar, period: Scala
         refuse("period", "one after which the forces repeat", repr(float(period)), "Give the drive's, or a multiple.")
 
 
+@waited
 @eqx.filter_jit
 def _repeated(lattice, shape, sizes, t0, period):
     """By how much the forces that read time differ a period later, by how much they change, how large they are.

@@ -13,6 +13,7 @@ from jaxtyping import Float, Integer
 from ..checks import concrete, parameter, positive, refuse, whole
 from ..checks import tolerance as checked_tolerance
 from ..flow import Flow
+from ..interrupts import interruptible, waited
 from ..lattice import State
 from ..measures import rms_velocity
 from ..outside import Outside
@@ -98,6 +99,7 @@ class Sweep(Result):
         return f"Up: {self.up.outcome} Down: {self.down.outcome} They differ {where}."
 
 
+@interruptible
 def sweep(
     make: Callable, values: Parameter, period: Callable | Scalar, *, state: StateLike | None = None,
     response: Callable = rms_velocity, jump: Scalar = 0.2, accuracy: Scalar = 1e-3, periods: Count = 2000,
@@ -175,6 +177,7 @@ def sweep(
     return Sweep(values, up, back, _hysteresis(values, up, back, jump))
 
 
+@waited
 @eqx.filter_jit
 def _run(make, period, response, flow, periods, watch, value, y, tolerance, most, outside):
     """What is found at a value, and whether it settles still."""

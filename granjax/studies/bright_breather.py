@@ -12,6 +12,7 @@ from jaxtyping import Float, Integer
 from ..checks import held_in_memory, positive, whole
 from ..driven import driven_chain
 from ..flow import Flow
+from ..interrupts import waited
 from ..lattice import Lattice, State
 from ..linear import bands
 from ..measures import site_energy
@@ -113,6 +114,7 @@ def bright_by_instability(
                           period / steps, driven_for, free, state, outcome)
 
 
+@waited
 @eqx.filter_jit
 def _run(lattice, state, period, steps, count):
     """Period by period: the state at the end, (share, place, energy) after each, and all velocities."""

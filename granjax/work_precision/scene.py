@@ -12,6 +12,7 @@ import numpy as np
 from ..checks import non_negative, positive, refuse, whole
 from ..flow import simulate
 from ..flow.inputs import checked_state, checked_times
+from ..interrupts import interruptible
 from ..lattice import Lattice
 from ..solvers import RKN86, RKN1210, SofroniouSpaletta10
 from ..types import Count, Parameter, Pytree, Scalar
@@ -43,6 +44,7 @@ PATIENCE, GAIN = 2, 0.7
 OTHER_MESH = 1.3
 
 
+@interruptible
 def work_precision(
     lattice: Lattice, state: Pytree, t1: Scalar,
     solvers: diffrax.AbstractSolver | Sequence | Mapping[str, diffrax.AbstractSolver] | None = None,

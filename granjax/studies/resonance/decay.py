@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ...checks import held_in_memory, refuse, whole, within
+from ...interrupts import interruptible
 from ...types import Parameter, Scalar
 from .lanes import LANES, checked_ratios, peak_forces
 
@@ -37,6 +38,7 @@ def contact_forces(
     return peak_forces(ratios, beads, "free", bonds, 1.5 * beads + 10, progress)
 
 
+@interruptible
 def decay_rate(
     ratios: Parameter, contacts: Sequence[int] = (200, 600), *, progress: bool = False
 ) -> Float[np.ndarray, " n"]:
@@ -68,6 +70,7 @@ def _pair(contacts):
     return contacts
 
 
+@interruptible
 def anti_resonance(
     low: Scalar, high: Scalar, *, contacts: Sequence[int] = (200, 600), progress: bool = False
 ) -> float:

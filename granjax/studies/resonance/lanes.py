@@ -17,6 +17,7 @@ from jaxtyping import Float
 
 from ...checks import refuse, show, within
 from ...flow import Peak, simulate
+from ...interrupts import wait
 from ...measures import contact_force
 from ...scenes import dimer
 from ...states import impact
@@ -48,7 +49,7 @@ def peak_forces(
     padded = np.pad(ratios[order], (0, -len(ratios) % width), mode="edge").reshape(-1, width)
     program = _program(beads, boundary, bonds, devices)
     waiting = [program(chunk, float(t1)) for chunk in padded]
-    done = [np.asarray(forces) for forces in _followed(waiting, progress)]
+    done = [np.asarray(wait(forces)) for forces in _followed(waiting, progress)]
     forces = np.empty((len(bonds), len(ratios)))
     forces[:, order] = np.concatenate(done, axis=1)[:, : len(ratios)]
     return forces
