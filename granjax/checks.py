@@ -161,6 +161,18 @@ def within(
     return array
 
 
+def passable(argument: str, tree: Any) -> None:
+    """Refuse leaves of a tree that JAX neither traces nor tells apart: no numbers, and nothing that has a hash."""
+    for leaf in jax.tree.leaves(tree):
+        unmasked(argument, leaf)
+        if isinstance(leaf, (np.ndarray, np.generic, jax.Array)):
+            wrong = letter(leaf) in "OUSMm"
+        else:
+            wrong = isinstance(leaf, (set, bytearray, slice)) or isinstance(leaf, int) and not LEAST <= leaf <= MOST
+        if wrong:
+            refuse(argument, "a tree of arrays and of what has a hash", described(leaf))
+
+
 def broadcast(**arrays: Any) -> None:
     """Refuse arrays, by their names, whose shapes do not broadcast."""
     shapes = {name: np.shape(x) for name, x in arrays.items()}

@@ -183,7 +183,7 @@ WORDS = (
     (words.Flags, Kind("True or False, or an array of them", lambda x: _flag(x) or _array(x, "b"))),
     (words.Displacements, MOVES),
     (words.Seed, Kind("a whole number or a JAX key", _seed, "Equal seeds give equal draws.")),
-    (words.StateLike, Kind("a State(u, v) or a pair (u, v)", _pair, "See gx.states.", _pair_parts)),
+    (words.StateLike, Kind("State(u, v) or a pair (u, v)", _pair, "See gx.states.", _pair_parts)),
     (words.Numbers, Kind("an array of real numbers", lambda x: _array(x, "fiu"))),
     (words.Counts, Kind("an array of whole numbers", lambda x: _array(x, "iu"))),
     (words.ComplexNumbers, Kind("an array of numbers", lambda x: _array(x, "fiuc"))),

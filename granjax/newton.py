@@ -8,7 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .checks import refuse, traced, unmasked
+from .checks import described, passable, refuse, traced, whole
+from .entry import checked
 from .interrupts import waited
 from .outside import Outside
 from .results import Held, Result
@@ -62,6 +63,7 @@ class Root(Result):
         return f"Newton did not converge: {went}, {wanted}; {why}."
 
 
+@checked
 def newton(residual: Callable, guess: Parameter, args: Any = None, *, tolerance: Scalar = 1e-10,
            max_steps: Count = 20, linearise: Callable | None = None, throw: bool | None = None,
            finish: bool = True) -> Root:
@@ -83,9 +85,10 @@ def newton(residual: Callable, guess: Parameter, args: Any = None, *, tolerance:
     **Returns:** `Root`, with the best iterate. **Raises** ValueError for complex or masked numbers, a tolerance that is
     infinite or below zero; RuntimeError where `throw` and it did not converge: the sentence says how far it came.
     """
-    x0 = jnp.asarray(unmasked("guess", guess))
-    if jnp.issubdtype(x0.dtype, jnp.complexfloating):
-        refuse("guess", "real numbers", f"{x0.dtype}", "Write real and imaginary parts as unknowns of their own.")
+    passable("args", args)
+    x0, max_steps = jnp.asarray(guess), whole("max_steps", max_steps, 1)
+    if x0.ndim != 1 or not x0.size:
+        refuse("guess", "a row of unknowns, shape (n,)", f"shape {x0.shape}")
     if not isinstance(tolerance, jax.core.Tracer) and not 0 <= float(tolerance) < np.inf:
         refuse("tolerance", "one finite number not below zero", repr(tolerance))
     x0 = x0.astype(jnp.result_type(x0, float)) if not jnp.issubdtype(x0.dtype, jnp.floating) else x0
@@ -105,14 +108,14 @@ def newton(residual: Callable, guess: Parameter, args: Any = None, *, tolerance:
 @waited
 @eqx.filter_jit
 def _plain(residual, linearise, x0, args, tolerance, max_steps, finish, outside):
-    both = _by_forward_mode(residual) if linearise is None else linearise
+    both = _by_forward_mode(residual) if linearise is None else _given(linearise)
     x, (jacobian, size, first, steps, code) = _iterate(both, x0, args, tolerance, max_steps, finish)
     return Root(x, jacobian, size, first, steps, code, tolerance)
 
 
 @eqx.filter_jit
 def _differentiable(residual, linearise, x0, args, tolerance, max_steps, finish, outside):
-    both = _by_forward_mode(residual) if linearise is None else linearise
+    both = _by_forward_mode(residual) if linearise is None else _given(linearise)
 
     def solve(f, x0):
         del f
@@ -123,18 +126,38 @@ def _differentiable(residual, linearise, x0, args, tolerance, max_steps, finish,
     def tangent_solve(g, y):
         return jnp.linalg.solve(jax.jacfwd(g)(jnp.zeros_like(y)), y)
 
-    x, rest = jax.lax.custom_root(lambda x: residual(x, args), x0, solve, tangent_solve, has_aux=True)
+    x, rest = jax.lax.custom_root(lambda x: evaluated(residual, x, args), x0, solve, tangent_solve, has_aux=True)
     jacobian, size, first, steps, code = rest
     return Root(x, jacobian, size, first, steps.astype(int), code.astype(int), tolerance)
 
 
 def _by_forward_mode(residual):
     def both(x, args):
-        f = lambda x: (residual(x, args),) * 2
+        f = lambda x: (evaluated(residual, x, args),) * 2
         jacobian, value = jax.jacfwd(f, has_aux=True)(x)
         return value, jacobian
 
     return both
+
+
+def _given(linearise):
+    def both(x, args):
+        found = linearise(x, args)
+        shapes = [getattr(part, "shape", None) for part in found] if isinstance(found, tuple) else []
+        if shapes != [x.shape, 2 * x.shape]:
+            refuse("linearise", f"a function that gives (F, J) of shapes {x.shape} and {2 * x.shape}",
+                   f"one that gives {described(found)}")
+        return found
+
+    return both
+
+
+def evaluated(residual: Callable, x: Numbers, *others: Any) -> Numbers:
+    """F(x, ...), as many numbers as unknowns."""
+    found = residual(x, *others)
+    if not isinstance(found, (jax.Array, np.ndarray)) or found.shape != x.shape:
+        refuse("residual", f"a function that gives an array of shape {x.shape}", f"one that gives {described(found)}")
+    return found
 
 
 def _size(f):
@@ -188,6 +211,7 @@ def _iterate(both, x0, args, tolerance, max_steps, finish):
     return x, (end["jacobian"], end["size"], end["first"], end["steps"], code)
 
 
+@checked
 def nearby(x: Numbers, step: Numbers) -> Numbers:
     """x + step where that is a small part of x, and x where it is not (or not finite)."""
     return jnp.where(jnp.max(jnp.abs(step)) <= FLAT * jnp.max(jnp.abs(x)), x + step, x)

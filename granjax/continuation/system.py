@@ -9,7 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..newton import CONVERGED, newton
+from ..checks import described, refuse
+from ..newton import CONVERGED, evaluated, newton
 from ..outside import Outside
 from ..types import Numbers, Parameter, Pytree, Scalar
 
@@ -50,7 +51,7 @@ class Bordered(eqx.Module):
     def residual(self, z: Numbers, args: Any) -> Numbers:
         """F and what is missing along the border."""
         inner, border, predicted = args
-        return jnp.append(self.function(z[:-1], z[-1], inner), border @ (z - predicted))
+        return jnp.append(evaluated(self.function, z[:-1], z[-1], inner), border @ (z - predicted))
 
     def linearise(self, z: Numbers, args: Any) -> tuple:
         """The residual and its derivatives."""
@@ -62,10 +63,14 @@ class Bordered(eqx.Module):
         """F and (dF/dx, dF/dp), (n, n + 1)."""
         x, p = z[:-1], z[-1]
         if self.slopes is None:
-            twice = lambda z: (self.function(z[:-1], z[-1], inner),) * 2
+            twice = lambda z: (evaluated(self.function, z[:-1], z[-1], inner),) * 2
             jacobian, f = jax.jacfwd(twice, has_aux=True)(z)
             return f, jacobian
-        f, in_x, *in_p = self.slopes(x, p, inner)
+        found = self.slopes(x, p, inner)
+        if not isinstance(found, tuple) or len(found) not in (2, 3):
+            got = f"one that gives {described(found)}"
+            refuse("linearise", "a function that gives (F, dF/dx) or (F, dF/dx, dF/dp)", got)
+        f, in_x, *in_p = found
         if not in_p:
             in_p = [jax.jvp(lambda p: self.function(x, p, inner), (p,), (jnp.ones_like(p),))[1]]
         return f, jnp.column_stack([in_x, *in_p])

@@ -1,11 +1,12 @@
 """The walk along a branch."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
-from ..checks import one_of, real, refuse
+from ..checks import described, one_of, parameter, positive, real, refuse, whole
+from ..entry import checked
 from ..types import Count, Parameter, Scalar
 from .curve import Curve
 from .locate import bound_met, located
@@ -15,12 +16,13 @@ TARGET = 4
 LEAST_COSINE = 0.9
 
 
+@checked
 def continuation(
     residual: Callable, x0: Parameter, p0: Scalar, *, args: Any = None, until: Parameter | None = None,
     direction: Parameter = 1.0, arclength: Scalar = 0.01, least_arclength: Scalar | None = None,
     longest_arclength: Scalar | None = None, points: Count = 200, tolerance: Scalar = 1e-10,
     linearise: Callable | None = None, veto: Callable | None = None, stop: Callable | None = None,
-    find: tuple[str, ...] = ("fold", "branch point"),
+    find: Sequence[str] = ("fold", "branch point"),
 ) -> Curve:
     r"""Follow F(x, p) = 0 from (x0, p0) by pseudo-arclength.
 
@@ -47,12 +49,21 @@ def continuation(
     """
     for kind in find:
         one_of("find", kind, ("fold", "branch point"))
-    if not arclength > 0:
-        refuse("arclength", "a length above zero", repr(arclength))
-    least_arclength, longest_arclength = least_arclength or arclength * 1e-4, longest_arclength or arclength * 10
-    bounds = () if until is None else tuple(np.atleast_1d(np.asarray(until, float)))
+    arclength = float(positive("arclength", arclength))
+    least_arclength, longest_arclength = (
+        float(positive(name, arclength * share if x is None else x)) for name, x, share in (
+            ("least_arclength", least_arclength, 1e-4), ("longest_arclength", longest_arclength, 10)))
+    bounds = () if until is None else tuple(np.atleast_1d(np.asarray(parameter("until", until))))
+    if until is not None and np.shape(bounds) not in ((1,), (2,)):
+        refuse("until", "one number, or two", described(until))
+    points, x0 = whole("points", points, 1), real("x0", x0)
+    if x0.ndim != 1 or not x0.size:
+        refuse("x0", "a row of unknowns, shape (n,)", f"shape {x0.shape}")
+    direction = np.asarray(parameter("direction", direction))
+    if direction.shape not in ((), (x0.size + 1,)) or not direction.any():
+        refuse("direction", f"1, -1 or a tangent of shape ({x0.size + 1},)", f"shape {direction.shape}")
     system = System(residual, linearise, args, tolerance)
-    here = system.first(real("x0", x0), float(p0), direction, arclength)
+    here = system.first(x0, float(parameter("p0", p0)), direction, arclength)
     trace, special, outcome = [here], [], f"The {points} points that were asked for."
     iterations, reason = here.iterations, ""
     while len(trace) < points:

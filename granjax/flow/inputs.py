@@ -1,6 +1,7 @@
 """What `simulate` is given, checked before tracing."""
 
 import math
+from functools import partial
 from typing import Any
 
 import jax
@@ -9,19 +10,15 @@ import numpy as np
 
 from ..checks import concrete, one_of, real, refuse, show, whole
 from ..lattice import Lattice, State
-from ..types import Scalar
+from ..types import Scalar, StateLike
 from .dispatch import facts
-from .record import CLOSEST, EXTREMES, FORMS, Record
+from .record import CLOSEST, EXTREMES, FORMS
 
 RESERVED = ("time", "ts", "us", "vs", "u", "v", CLOSEST, EXTREMES)
 
 
-def checked_state(lattice: Any, state: Any) -> State:
+def checked_state(lattice: Lattice, state: StateLike) -> State:
     """The state as arrays of the lattice's structure, shape and floating type."""
-    if not isinstance(lattice, Lattice):
-        refuse("lattice", "a Lattice, such as gx.scenes.monomer(100)", repr(lattice))
-    if not isinstance(state, (tuple, list)) or len(state) != 2:
-        refuse("state", "State(u, v) or a pair (u, v)", repr(type(state).__name__), "See gx.states.")
     template, dtype = facts(lattice)[:2]
     out = []
     for name, x in zip(("u", "v"), state):
@@ -123,19 +120,22 @@ def _intervals(ts, t0, t1):
     return int(round((t1 - t0) / spacing)) if fits else 1
 
 
+def _started(record, lattice, y):
+    """What a record carries at first, of as many samples as there may be."""
+    t = jnp.zeros((), lattice.dtype)
+    return jax.tree.map(lambda q: record.start(t, q, 2), record.value(t, y, lattice))
+
+
 def checked_records(record: Any, lattice: Lattice, state: State) -> dict:
     """The records as a dict, empty where there are none."""
     if record is None:
         return {}
-    named = isinstance(record, dict) and all(isinstance(name, str) for name in record)
-    if not named or not all(isinstance(r, Record) for r in record.values()):
-        refuse("record", "a dict from names to records", repr(record), 'Write record={"peak": gx.Peak(quantity)}.')
     for name, one in record.items():
         if name in RESERVED or name.startswith(("u_", "v_")) or name.removesuffix("_error") in {*record} - {name}:
             taken = f"Taken: {', '.join(RESERVED)}, and NAME_error."
             refuse("record", "names other than those of a run's own results", repr(name), taken)
         try:
-            jax.eval_shape(lambda y, one=one: one.value(jnp.zeros((), lattice.dtype), y, lattice), state)
+            jax.eval_shape(partial(_started, one, lattice), state)
         except (TypeError, AttributeError, KeyError, IndexError) as error:
             refuse(f"record[{name!r}]", f"{FORMS} that works on the lattice", f"an error: {error}")
     return dict(record)

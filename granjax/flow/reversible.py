@@ -74,6 +74,7 @@ def refuse_forward_mode(adjoint: eqx.Module, error: TypeError) -> None:
            "Leave adjoint= out, which serves both, or give diffrax.ForwardMode().")
 
 
+@checked
 @compiled
 def return_error(
     lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, steps: Number, solver: diffrax.AbstractSolver,

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import one_of, refuse, show, traced, whole
+from ..entry import checked
 from ..lattice import Lattice
 from ..outside import Outside
 from ..types import Count, Parameter, Scalar, StateLike
@@ -41,6 +42,7 @@ _FORWARD, _BOTH_MODES = diffrax.ForwardMode(), diffrax.DirectAdjoint()
 KEYWORDS = ("t0", "solver", "step", "tolerance", "save_at", "record", "adjoint", "progress", "throw", "max_steps")
 
 
+@checked
 def simulate(
     lattice: Lattice, state: StateLike, t1: Scalar, *, t0: Scalar = 0.0, solver: diffrax.AbstractSolver | None = None,
     step: Scalar | None = None, tolerance: Scalar | None = None, save_at: Parameter | str | None = None,

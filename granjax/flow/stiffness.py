@@ -18,9 +18,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..entry import checked
 from ..lattice import Lattice
 from ..terms import Reach, Reached
-from ..types import Displacements, Number, Numbers, Scalar, StateLike
+from ..types import Count, Displacements, Number, Numbers, Scalar, StateLike
 from .dispatch import compiled
 
 # of power iteration; few are enough for a look, which a tenth too much does not mislead
@@ -32,9 +33,10 @@ NEIGHBOURHOOD = 16
 OPENING = 2.0
 
 
+@checked
 @compiled
 def frequency_bound(
-    lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, neighbourhood: Any = NEIGHBOURHOOD,
+    lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, neighbourhood: Count | None = NEIGHBOURHOOD,
 ) -> Number:
     """Bound on the angular frequencies that linearisation finds at what the scene's energy can reach.
 
@@ -77,8 +79,9 @@ def gathered_frequency(
     return jnp.stack([bound, beyond.astype(bound.dtype)])
 
 
+@checked
 @compiled
-def linear_frequency(lattice: Lattice, power_steps: int = POWER_STEPS) -> Number:
+def linear_frequency(lattice: Lattice, power_steps: Count = POWER_STEPS) -> Number:
     """The same bound for infinitesimal motion about equilibrium: zero in a sonic vacuum.
 
     `power_steps`: how close; none gives a bound all the same.

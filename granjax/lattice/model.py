@@ -73,7 +73,7 @@ class Lattice(eqx.Module):
         self._outside = Outside(self.terms)
         if self.dimension is not None:
             self.terms = tuple(term.per_vector(self.axes) for term in self.terms)
-        self._check_terms()
+        self.check_terms()
 
     def _one_mass(self, name, mass, sites):
         mass = positive(name, mass, "A site needs a mass.")
@@ -92,7 +92,8 @@ class Lattice(eqx.Module):
             mass = mass[..., None]
         return mass, shape, per_site
 
-    def _check_terms(self):
+    def check_terms(self) -> None:
+        """Refuse terms whose parameters do not fit the sites, naming them."""
         u = self.template()
         for i, term in enumerate(self.terms):
             name = f"terms[{i}] ({type(term).__name__})"

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import concrete, refuse
+from ..entry import checked
 from ..lattice import Lattice
 from ..results import Held, Result
 from ..types import Count, Numbers
@@ -71,6 +72,7 @@ class Bands(Result):
         yield "outcome", self.outcome
 
 
+@checked
 def bands(lattice: Lattice, cell: Count | tuple[Count, ...] | None = None) -> Bands:
     r"""Edges of the bands of omega(k), and the gaps between them.
 

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import refuse, whole
+from ..entry import checked
 from ..lattice import Lattice
 from ..types import AnyArray, Cell, ComplexNumbers, Displacements, Numbers
 from .stiffness import at_rest, blocks, grid, masses, measure, offsets, refuse_one_way, unpack
@@ -58,6 +59,7 @@ class UnitCell(eqx.Module):
         return jax.tree.map(lambda x: jnp.moveaxis(x, back, -1), unpack(x, self.fields, self.dimension))
 
 
+@checked
 def unit_cell(lattice: Lattice, cell: Cell | None = None) -> UnitCell:
     """The unit cell of a lattice, as a `UnitCell` with its dynamical matrix.
 

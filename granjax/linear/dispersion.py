@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import parameter, refuse
+from ..entry import checked
 from ..lattice import Lattice
 from ..results import Held, Result
 from ..types import ComplexNumbers, Count, Numbers, Parameter
@@ -60,6 +61,7 @@ class Dispersion(Result):
                f"omega = {omega.min():.6g} ... {omega.max():.6g} rad/s."
 
 
+@checked
 def dispersion(
     lattice: Lattice, k: Parameter, cell: Count | tuple[Count, ...] | None = None,
 ) -> Dispersion:
@@ -83,6 +85,8 @@ def dispersion(
     axes = len(found.cell)
     k = parameter("k", k).astype(found.mass.dtype)
     given = k
+    if not k.size:
+        refuse("k", "at least one wave number", "none")
     if axes == 1:
         k = k[..., None]
     elif k.ndim == 0 or k.shape[-1] != axes:

@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from ..checks import positive, whole
 from ..checks import tolerance as checked_tolerance
+from ..entry import checked
 from ..flow import Flow
 from ..interrupts import interruptible, waited
 from ..lattice import Lattice, State
@@ -83,6 +84,7 @@ class Attractor(Result):
         return self.multiple > 0
 
 
+@checked
 @interruptible
 def settle(
     lattice: Lattice, state: StateLike, period: Scalar, *, periods: Count = 4000, tolerance: Scalar = 1e-8,
@@ -131,6 +133,7 @@ def settle(
     return Attractor(end, period, used, multiple, change, changes[:, 0], ts, us, vs, *seen, *errors, outcome)
 
 
+@checked
 def steps_per_period(lattice: Lattice, period: Scalar) -> Scalar:
     """Steps in a period such that h omega_max <= 0.4, with omega_max the highest linear frequency."""
     return default_steps(lattice, period, fineness=STEP_FRACTION)

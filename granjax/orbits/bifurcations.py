@@ -1,10 +1,13 @@
 """Where a family of breathers changes: its stability, its energy's extrema."""
 
+from collections.abc import Sequence
+
 import jax.numpy as jnp
 import numpy as np
 
 from ..checks import one_of, refuse
 from ..continuation import continuation
+from ..entry import checked
 from ..interrupts import interruptible
 from ..lattice import State
 from ..tuning import one_thread
@@ -19,9 +22,10 @@ HALVINGS = 40
 NEAR, LEAST_ERROR = 1e-4, 1e-12
 
 
+@checked
 @one_thread
 @interruptible
-def bifurcations(branch: Branch, kinds: tuple[str, ...] = KINDS, *, accuracy: Scalar = 1e-9) -> list[Bifurcation]:
+def bifurcations(branch: Branch, kinds: Sequence[str] = KINDS, *, accuracy: Scalar = 1e-9) -> list[Bifurcation]:
     r"""Bifurcations along a family, each located between two neighbouring breathers.
 
     With mu = (rho + 1/rho)/2: a pair leaves the circle at +1 where mu crosses 1, at -1 (period doubling) where it

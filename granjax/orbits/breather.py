@@ -8,6 +8,7 @@ from diffrax import AbstractSolver
 from jaxtyping import Float
 
 from ..checks import one_of, positive, refuse, traced
+from ..entry import checked
 from ..flow import Flow
 from ..interrupts import interruptible
 from ..lattice import Lattice, State
@@ -33,6 +34,7 @@ GUESSES = ("bright", "dark")
 NEARER = (0.5, 0.2, 0.1)
 
 
+@checked
 @one_thread
 @interruptible
 def breather(
@@ -220,6 +222,7 @@ def _check(lattice, omega, guess, kind):
         refuse_bright(lattice, omega)
 
 
+@checked
 def bands_of(lattice: Lattice) -> tuple[Float[np.ndarray, "bands 2"], Float[np.ndarray, " modes"]]:
     """Intervals of omega that waves fill, (bands, 2), and the discrete spectrum.
 
@@ -242,6 +245,7 @@ def bands_of(lattice: Lattice) -> tuple[Float[np.ndarray, "bands 2"], Float[np.n
     return np.array([[run[0], run[-1]] for run in np.split(extended, apart + 1)]), omega
 
 
+@checked
 def resonant_harmonic(lattice: Lattice, omega: Scalar, first: Count = 1) -> tuple | None:
     """The least n >= first with n omega in a band, with that band and the nearest frequency of the finite lattice.
 

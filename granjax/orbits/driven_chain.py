@@ -4,7 +4,8 @@ from collections.abc import Sequence
 
 import equinox as eqx
 
-from ..checks import one_of, parameter, refuse
+from ..checks import one_of, parameter, per_lane, refuse
+from ..entry import checked
 from ..lattice import Lattice
 from ..terms import Damping, Harmonic, Wall
 from ..types import Parameter
@@ -12,6 +13,7 @@ from ..types import Parameter
 SIDES = ("left", "right")
 
 
+@checked
 def driven_chain(
     lattice: Lattice, amplitude: Parameter, omega: Parameter, *, ends: str | Sequence[str] = SIDES,
     damping: Parameter | None = None, phase: Parameter | tuple = 0.0, field: str | None = None,
@@ -38,8 +40,10 @@ def driven_chain(
     """
     ends = _checked_ends(ends)
     phases = _checked_phases(phase, ends)
-    if not isinstance(lattice, Lattice) or lattice.axes != 1 or lattice.dimension is not None:
-        refuse("lattice", "a chain with scalar displacements", _name(lattice))
+    if lattice.axes != 1 or lattice.dimension is not None:
+        refuse("lattice", "a chain with scalar displacements", f"a lattice of shape {lattice.shape}")
+    amplitude, omega = per_lane("amplitude", amplitude, lattice.lanes), per_lane("omega", omega, lattice.lanes)
+    phases = tuple(per_lane("phase", x, lattice.lanes) for x in phases)
     terms, laws = [], None
     for i, term in enumerate(lattice.terms):
         parted = term.without_walls(lattice, field) if laws is None else None
@@ -58,11 +62,9 @@ def driven_chain(
     for side, law in zip(SIDES, laws):
         motion = Harmonic(amplitude, omega, phases[ends.index(side)]) if side in ends else None
         terms.append(Wall(law, side, motion, field=field))
-    return eqx.tree_at(lambda c: c.terms, lattice, tuple(terms))
-
-
-def _name(x):
-    return f"a lattice of shape {x.shape}" if isinstance(x, Lattice) else repr(x)
+    driven = eqx.tree_at(lambda c: c.terms, lattice, tuple(terms))
+    driven.check_terms()
+    return driven
 
 
 def _checked_ends(ends):

@@ -13,6 +13,7 @@ from jaxtyping import Complex, Float, Inexact
 
 from ..checks import positive, refuse, whole
 from ..continuation import continuation
+from ..entry import checked
 from ..flow import Flow
 from ..interrupts import interruptible, waited
 from ..lattice import Lattice, State, spread_mass
@@ -40,6 +41,7 @@ EQUAL = 1e-6
 SLOW = 20
 
 
+@checked
 @one_thread
 @interruptible
 def family(
@@ -76,8 +78,10 @@ def family(
     checked_lattice(lattice)
     if guess is not None and mode is not None:
         refuse("mode", "a mode or a guess", "both", "A guess says where the family begins.")
-    if guess is not None and not isinstance(guess, Orbit):
-        refuse("guess", "a breather, an Orbit", f"a {type(guess).__name__}", "gx.breathers.breather finds one.")
+    for name, x in (("until", until), ("amplitude", amplitude), ("longest_arclength", longest_arclength)):
+        if x is not None:
+            positive(name, x)
+    points = whole("points", points, 1)
     modes = normal_modes(lattice) if guess is None else None
     ways = [_from(guess)] if guess is not None else _modes(lattice, modes, until, mode)
     arclength = ARCLENGTH if arclength is None else positive("arclength", arclength)

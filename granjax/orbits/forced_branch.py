@@ -13,6 +13,7 @@ from scipy.optimize import brentq
 
 from ..checks import parameter, positive, refuse
 from ..continuation import continuation
+from ..entry import checked
 from ..flow import Flow
 from ..interrupts import interruptible, waited
 from ..lattice import State
@@ -35,10 +36,10 @@ from .confirm import (
     rounding,
 )
 from .orbit import FRAMES, checked_free, prepared
-from .problems import Family, period_at
+from .problems import Family, made
 from .repeats import checked_state, checked_symmetry
 from .spectrum import spectrum
-from .steps import fixed_step_solver, flow_over, history
+from .steps import answered, fixed_step_solver, flow_over, history
 from .structure import structure, weights
 from .symmetry import Symmetry
 
@@ -50,6 +51,7 @@ HELPS = 4
 LOCATED, APART = 1e-10, 1e-7
 
 
+@checked
 @one_thread
 @interruptible
 def forced_branch(
@@ -89,7 +91,7 @@ def forced_branch(
     if start == until:
         refuse("until", "another value than start", repr(until))
     period = period if callable(period) else positive("period", period)
-    scenes = [(make(jnp.asarray(p)), jnp.asarray(period_at(period, p))) for p in (start, until)]
+    scenes = [made(make, period, p) for p in (start, until)]
     solver = fixed_step_solver(scenes[0][0], solver, SRKN14a())
     lattice, T = scenes[0]
     guess = State(lattice.zeros(), lattice.zeros()) if guess is None else checked_state(lattice, guess, "guess")
@@ -172,7 +174,7 @@ def _examined(family, flow, z, response):
 
     def responded(y, n):
         _, ts, ys = history(Flow(n, flow.solver), lattice, y, t0, period, FRAMES)
-        return response(lattice, ys.u, ys.v, ts)
+        return answered(response, lattice, ys, ts)
 
     def mapped(n):
         end, map_ = Flow(n, flow.solver).derivative(state, t0, t0 + period, lattice)

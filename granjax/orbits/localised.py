@@ -9,9 +9,11 @@ import numpy as np
 from jaxtyping import Float
 
 from ..checks import traced
+from ..entry import checked
 from ..lattice import Lattice, State
 from ..linear.cell import unit_cell
 from ..measures import participation, site_energy
+from ..types import StateLike
 from .orbit import SPREAD, Orbit
 
 # shares of the cells over which the energy of what is no bright breather spreads: a wave between walls has two thirds;
@@ -66,7 +68,8 @@ class Localisation(NamedTuple):
         return f"Not localised: {self} (participation number; of the guess {guess.participation:.3g}){dip}. {WAVES}"
 
 
-def localisation(lattice: Lattice, state: State) -> Localisation:
+@checked
+def localisation(lattice: Lattice, state: StateLike) -> Localisation:
     """The `Localisation` of a state at rest."""
     energies = _cell_energies(lattice, state)
     return Localisation(float(participation(energies.ravel())), energies.size, _dip(energies))

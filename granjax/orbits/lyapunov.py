@@ -11,6 +11,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
 from ..checks import positive, refuse, whole
+from ..entry import checked
 from ..flow import Flow
 from ..flow.stepping import columns, matrix
 from ..interrupts import interruptible, waited
@@ -49,6 +50,7 @@ class Lyapunov(Result):
         return bool(self.exponents[0] > self.uncertainty[0])
 
 
+@checked
 @interruptible
 def lyapunov(
     lattice: Lattice, state: StateLike, period: Scalar, *, periods: Count = 1000, transient: Count = 100,

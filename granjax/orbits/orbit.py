@@ -12,6 +12,7 @@ from diffrax import AbstractSolver
 from jax.flatten_util import ravel_pytree
 
 from ..checks import positive, refuse, traced, whole
+from ..entry import checked
 from ..flow import Flow
 from ..interrupts import interruptible, waited
 from ..lattice import Lattice, State, vector_field
@@ -179,6 +180,7 @@ class Orbit(Result):
         return floquet(self.lattice, self.state, float(self.period), t0=float(self.t0), **keywords)
 
 
+@checked
 @one_thread
 @interruptible
 def orbit(
@@ -238,6 +240,7 @@ def orbit(
     return checked_orbit(Orbit(state, period, lattice, root, flow, t0, symmetry, error), guess, throw)
 
 
+@checked
 def forced_orbit(lattice: Lattice, period: Scalar, guess: StateLike | None = None, **keywords: Any) -> Orbit:
     """A T-periodic orbit of a lattice under T-periodic forcing, y(t0 + T) = y(t0): `gx.orbits.orbit`.
 

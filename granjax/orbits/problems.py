@@ -5,10 +5,13 @@ from collections.abc import Callable
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
+from ..checks import described, refuse
 from ..continuation import Curve
+from ..entry import shape_of
 from ..flow import Flow
 from ..lattice import Lattice, State, spread_mass, vector_field
 from ..outside import Outside
@@ -240,6 +243,16 @@ class Family(eqx.Module):
 def period_at(period: Callable | Scalar, p: Scalar) -> Scalar:
     """The period at a value of the parameter: a number, or a function of it."""
     return period(p) if callable(period) else period
+
+
+def made(make: Callable, period: Callable | Scalar, p: Scalar) -> tuple[Lattice, Scalar]:
+    """The lattice and the period at a value of the parameter, as functions of the user's give them."""
+    lattice, T = make(jnp.asarray(p)), period_at(period, p)
+    if not isinstance(lattice, Lattice):
+        refuse("make", "a function of a number that gives a Lattice", f"one that gives {described(lattice)}")
+    if shape_of(T) != () or not 0 < float(T) < np.inf:
+        refuse("period", "a time above zero, or a function that gives one", described(T))
+    return lattice, jnp.asarray(T)
 
 
 def over_omega(omega: Scalar) -> Scalar:

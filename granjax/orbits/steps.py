@@ -1,17 +1,19 @@
 """The time steps of a period: how many, the flow over it, and the motion along it."""
 
 import math
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from diffrax import AbstractSolver, Dopri8
 
-from ..checks import concrete, refuse, whole
+from ..checks import concrete, described, refuse, whole
+from ..entry import checked, shape_of
 from ..flow import Flow, frequency_bound, linear_frequency
 from ..flow.dispatch import facts
 from ..lattice import Lattice, State
-from ..types import Count, Scalar, StateLike, Times
+from ..types import Count, Numbers, Scalar, StateLike, Times
 
 # h omega of a step, with omega the highest linear frequency, and the fewest steps of a period
 FINE, LEAST_STEPS = 0.3, 16
@@ -24,8 +26,9 @@ def fixed_step_solver(lattice: Lattice, solver: AbstractSolver | None, otherwise
     return otherwise if facts(lattice).splits else Dopri8()
 
 
+@checked
 def default_steps(
-    lattice: Lattice, period: Scalar, multiple: Count = 1, *, fineness: float = FINE, doubled: bool = False,
+    lattice: Lattice, period: Scalar, multiple: Count = 1, *, fineness: Scalar = FINE, doubled: bool = False,
     guess: StateLike | None = None,
 ) -> Scalar:
     """Steps of a period such that h omega_max <= fineness, with omega_max the highest linear frequency; at least 16.
@@ -34,6 +37,7 @@ def default_steps(
     that frequency is zero, omega_max is the bound at the energy of a `guess`. **Raises** ValueError there without one,
     unless the steps are `doubled` by the caller as need be.
     """
+    multiple = whole("multiple", multiple, 1)
     turned = period * linear_frequency(lattice)
     known = concrete(turned)
     least = -(-LEAST_STEPS // multiple)
@@ -61,6 +65,15 @@ def flow_over(
     return Flow(int(steps), solver)
 
 
+def answered(response: Callable, lattice: Lattice, ys: State, ts: Times) -> Numbers:
+    """The number that a response gives of a history."""
+    found = response(lattice, ys.u, ys.v, ts)
+    if shape_of(found) != ():
+        refuse("response", "a function (lattice, u, v, t) that gives one number", f"one that gives {described(found)}")
+    return jnp.asarray(found)
+
+
+@checked
 def history(
     flow: Flow, lattice: Lattice, state: StateLike, t0: Scalar, period: Scalar, frames: Count, periods: Count = 1,
 ) -> tuple[State, Times, State]:
@@ -69,6 +82,7 @@ def history(
     Times and states have a leading axis and leave the end out; `flow` has the steps of one period. Every period begins
     at the same phase, so that what is periodic does not drift by the rounding of the time.
     """
+    frames, periods = whole("frames", frames, 1), whole("periods", periods, 1)
     between = Flow(-(-flow.steps // frames), flow.solver)
     length = period / frames
     ts = t0 + length * jnp.arange(frames)

@@ -12,6 +12,7 @@ from jaxtyping import Float, Integer
 
 from ..checks import concrete, parameter, positive, refuse, whole
 from ..checks import tolerance as checked_tolerance
+from ..entry import checked
 from ..flow import Flow
 from ..interrupts import interruptible, waited
 from ..lattice import State
@@ -22,9 +23,9 @@ from ..solvers import SRKN11b
 from ..types import Count, Displacements, Parameter, Scalar, StateLike
 from .attractors import follow, steps_per_period
 from .branch import Bifurcation
-from .problems import period_at
+from .problems import made, period_at
 from .repeats import checked_period, checked_state, one_lattice
-from .steps import fixed_step_solver, history
+from .steps import answered, fixed_step_solver, history
 
 # periods over which a response is taken: a multiple of those after which a motion may repeat
 WATCHED = 12
@@ -99,6 +100,7 @@ class Sweep(Result):
         return f"Up: {self.up.outcome} Down: {self.down.outcome} They differ {where}."
 
 
+@checked
 @interruptible
 def sweep(
     make: Callable, values: Parameter, period: Callable | Scalar, *, state: StateLike | None = None,
@@ -137,7 +139,7 @@ def sweep(
     jump, accuracy = float(positive("jump", jump)), float(positive("accuracy", accuracy))
     tolerance, periods = float(checked_tolerance("tolerance", tolerance)), whole("periods", periods, 8)
     watch = whole("watch", watch, 1)
-    scenes = [(make(jnp.asarray(w)), float(period_at(period, w))) for w in values[[0, -1]]]
+    scenes = [(scene, float(T)) for scene, T in (made(make, period, w) for w in values[[0, -1]])]
     first = one_lattice(scenes[0][0])
     if steps is None:
         steps = max(steps_per_period(*scene) for scene in scenes)
@@ -192,7 +194,7 @@ def _response(flow, lattice, y, period, response, watch, multiple, used):
     end, ts, ys = history(flow, lattice, y, 0.0, period, flow.steps, watch)
     velocity = jax.tree.map(lambda v: jnp.sqrt(jnp.mean(v * v, 0)), ys.v)
     energy = jnp.mean(jax.vmap(lambda t, y: lattice.energy(t, *y))(ts, ys))
-    return {"response": response(lattice, ys.u, ys.v, ts), "velocity": velocity, "energy": energy,
+    return {"response": answered(response, lattice, ys, ts), "velocity": velocity, "energy": energy,
             "multiple": multiple, "periods": used, "states": end}
 
 

@@ -6,7 +6,8 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from ...checks import refuse
+from ...checks import one_of, refuse
+from ...entry import checked
 from ...lattice import Lattice, State
 from ...laws import taylor
 from ...linear import bands
@@ -36,6 +37,7 @@ class Edge(NamedTuple):
     coefficients: nls.Coefficients
 
 
+@checked
 def cell_of(lattice: Lattice) -> tuple | None:
     """(mass, K2, K3, K4) of the unit cell of a chain of next neighbours, (P,) each, or `None` where it is none."""
     found = lattice.terms[0].next_neighbours() if len(lattice.terms) == 1 else None
@@ -56,6 +58,7 @@ def cell_of(lattice: Lattice) -> tuple | None:
     return mass, *(np.broadcast_to(x, (size,)) for x in parts)
 
 
+@checked
 def edges_beside(lattice: Lattice, omega: Scalar) -> list[Edge]:
     """The edges of the gap that holds omega, as `Edge`s; none inside a band or where there is no unit cell."""
     cell = cell_of(lattice)
@@ -78,21 +81,24 @@ def _at_symmetry(k):
     return near if abs(k - near) < SAME_K else float(k)
 
 
+@checked
 def supports_bright(edge: Edge) -> bool:
     """Whether a bright breather leaves this edge into the gap: focusing, and its frequency shifts that way."""
     c = edge.coefficients
     return bool(c.focusing) and (float(c.nu3_force) > 0) == edge.above
 
 
+@checked
 def edge_of(lattice: Lattice, omega: Scalar, kind: str) -> Scalar:
     """Frequency of the edge from which the bright or dark breathers at omega come."""
-    if kind == "dark":
+    if one_of("kind", kind, ("bright", "dark")) == "dark":
         upper = np.asarray(bands(lattice).upper)
         return float(upper[np.argmin(np.abs(upper - omega))])
     found = [edge.omega for edge in edges_beside(lattice, omega) if supports_bright(edge)]
     return min(found, key=lambda edge: abs(edge - omega)) if found else omega
 
 
+@checked
 def bright_guess(lattice: Lattice, omega: Scalar, centre: Scalar | None = None) -> State:
     """The envelope's bright breather of a chain at a frequency in a gap, `State` at rest.
 
@@ -107,6 +113,7 @@ def bright_guess(lattice: Lattice, omega: Scalar, centre: Scalar | None = None) 
     return _state(lattice, nls.bright_profile, edge.coefficients, omega, centre)
 
 
+@checked
 def dark_guess(lattice: Lattice, omega: Scalar, centre: Scalar | None = None) -> State:
     """The envelope's dark breather below the highest edge of a band, `State` at rest, N bonds wide.
 
@@ -150,6 +157,7 @@ def _state(lattice, profile, coefficients, omega, centre):
     return State(u, jnp.zeros_like(u))
 
 
+@checked
 def refuse_bright(lattice: Lattice, omega: Scalar) -> None:
     """Say why a chain has no bright breather at a frequency."""
     edges = edges_beside(lattice, omega)

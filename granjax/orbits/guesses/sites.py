@@ -10,6 +10,7 @@ from jax.flatten_util import ravel_pytree
 from scipy.optimize import brentq
 
 from ...checks import one_of, refuse
+from ...entry import checked
 from ...flow import Flow
 from ...lattice import Lattice, State, spread_mass
 from ...newton import newton
@@ -36,6 +37,7 @@ STRETCH, DEGREES = 1.01, (1.2, 5.0)
 BESIDE = 3
 
 
+@checked
 def single_site(
     lattice: Lattice, omega: Scalar, sites: Count | Sequence, *, amplitudes: Sequence | None = None,
     field: str | None = None,
