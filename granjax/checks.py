@@ -163,7 +163,11 @@ def within(
 
 def passable(argument: str, tree: Any) -> None:
     """Refuse leaves of a tree that JAX neither traces nor tells apart: no numbers, and nothing that has a hash."""
-    for leaf in jax.tree.leaves(tree):
+    try:
+        leaves = jax.tree.leaves(tree)
+    except (RecursionError, SystemError):
+        refuse(argument, "a tree of arrays", "a list that holds itself")
+    for leaf in leaves:
         unmasked(argument, leaf)
         if isinstance(leaf, (np.ndarray, np.generic, jax.Array)):
             wrong = letter(leaf) in "OUSMm"

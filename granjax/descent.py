@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
+from .checks import described, refuse
 from .types import AnyArray, Scalar
 
 CONVERGED, STALLED, SPENT, NOT_FINITE, NO_GRADIENT, NO_START = range(6)
@@ -42,6 +43,14 @@ class _Place(eqx.Module):
     gradient: Float[AnyArray, " P"]
     step: Float[AnyArray, " P"]
     state: object
+
+
+def checked_optimiser(optimiser: object) -> object:
+    """An optimiser of optax, or `None`."""
+    methods = (getattr(optimiser, name, None) for name in ("init", "update"))
+    if optimiser is not None and not all(map(callable, methods)):
+        refuse("optimiser", "an optimiser of optax, or None", described(optimiser), "Such as optax.adam(0.1).")
+    return optimiser
 
 
 def descend(

@@ -1,6 +1,6 @@
 """`design`: parameters that make a scalar of a simulation, of modes or of bands as small or as large as it gets."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import ClassVar
 
@@ -10,9 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Integer
 
-from .checks import one_of, parameter, refuse, whole, within
+from .checks import described, one_of, parameter, refuse, whole, within
 from .checks import tolerance as checked_tolerance
-from .descent import CONVERGED, NO_GRADIENT, NO_START, NOT_FINITE, SPENT, STALLED, descend
+from .descent import CONVERGED, NO_GRADIENT, NO_START, NOT_FINITE, SPENT, STALLED, checked_optimiser, descend
+from .entry import checked, shape_of
 from .interrupts import interruptible, waited
 from .outside import Outside
 from .parameters import Bounds, Coordinates
@@ -80,11 +81,12 @@ class Design(Result):
         yield "outcome", self.outcome
 
 
+@checked
 @interruptible
 def design(
     objective: Callable, start: dict[str, Parameter], *, bounds: Bounds = None, maximise: bool = False,
     optimiser: object = None, max_steps: Count = 200, tolerance: Scalar = 1e-6, mode: str | None = None,
-    starts: Count | list | tuple | None = None, seed: Count = 0, throw: bool = True,
+    starts: Count | Sequence[dict[str, Parameter]] | None = None, seed: Count = 0, throw: bool = True,
 ) -> Design:
     r"""Parameters that minimise (maximise) an objective, by its gradient.
 
@@ -117,9 +119,7 @@ def design(
     coordinates = Coordinates(start, bounds)
     mode = one_of("mode", mode or MODES[coordinates.size > FEW], MODES)
     max_steps = whole("max_steps", max_steps, 1)
-    tolerance = jnp.asarray(checked_tolerance("tolerance", tolerance))
-    if not callable(objective):
-        refuse("objective", "a function of the dict of parameters", repr(objective))
+    optimiser, tolerance = checked_optimiser(optimiser), jnp.asarray(checked_tolerance("tolerance", tolerance))
     outside = Outside(objective)
     if coordinates.sizeless:
         coordinates = coordinates.sized(*_first(objective, coordinates, mode, outside))
@@ -133,6 +133,7 @@ def design(
     return found
 
 
+@checked
 def smooth_peak(values: Parameter, power: Scalar = 40, axis: int | tuple[int, ...] | None = None) -> Numbers:
     r"""Smooth largest value of positive quantities, such as forces: the p-norm (mean [v]_+^p)^{1/p}.
 
@@ -164,8 +165,8 @@ def _others(coordinates, bounds, starts, seed):
     if isinstance(starts, (list, tuple)):
         own = []
         for i, start in enumerate(starts):
-            if not isinstance(start, dict) or sorted(start) != sorted(coordinates.start):
-                refuse(f"starts[{i}]", f"a dict of {sorted(coordinates.start)}", repr(start))
+            if sorted(start) != sorted(coordinates.start):
+                refuse(f"starts[{i}]", f"a dict of {sorted(coordinates.start)}", described(start))
             full = {name: jnp.broadcast_to(parameter(f"starts[{i}][{name!r}]", start[name]), x.shape)
                     for name, x in coordinates.start.items()}
             own.append(Coordinates(full, bounds))
@@ -182,10 +183,11 @@ def _listed(names, which):
 def _with_gradient(objective, coordinates, maximise, mode):
     """The cost of free coordinates, less is better, and its value with the gradient by the mode."""
     def cost(x):
-        value = jnp.asarray(objective(coordinates.parameters(x)))
-        if value.shape != () or not jnp.issubdtype(value.dtype, jnp.floating):
+        value = objective(coordinates.parameters(x))
+        value = jnp.asarray(value) if shape_of(value) is not None else value
+        if shape_of(value) != () or not jnp.issubdtype(value.dtype, jnp.floating):
             remedy = "Reduce it, such as by .sum() or smooth_peak."
-            refuse("objective", "one real number", f"shape {value.shape}, {value.dtype}", remedy)
+            refuse("objective", "a function that gives one real number", f"one that gives {described(value)}", remedy)
         return -value if maximise else value
 
     def forward(x):

@@ -72,12 +72,12 @@ def shape_of(x: Any, kinds: str = "fiu") -> tuple[int, ...] | None:
     """Shape of real numbers (or of those of NumPy's `kinds`), an array or nested sequences; `None` where it is none."""
     kind = type(x)
     if kind is float:
-        return ()
+        return () if "f" in kinds else None
     if isinstance(x, (np.ndarray, np.generic)):
         hidden = isinstance(x, np.ma.MaskedArray) and np.ma.is_masked(x)
         return x.shape if x.dtype.kind in kinds and not hidden else None
     if isinstance(x, jax.Array):
-        real = letter(x) in kinds or jnp.issubdtype(x.dtype, jnp.floating)
+        real = letter(x) in kinds or "f" in kinds and jnp.issubdtype(x.dtype, jnp.floating)
         return x.shape if real else None
     if isinstance(x, str):
         return () if "U" in kinds else None
@@ -87,7 +87,8 @@ def shape_of(x: Any, kinds: str = "fiu") -> tuple[int, ...] | None:
         return None if isinstance(x, int) and not LEAST <= x <= MOST else ()
     if _is_sequence(x):
         try:
-            shapes = {()} if x and set(map(type, x)) == {float} else {shape_of(part, kinds) for part in x}
+            plain = x and set(map(type, x)) == {float}
+            shapes = {shape_of(part, kinds) for part in (x[:1] if plain else x)}
         except RecursionError:  # a list that holds itself
             return None
         return None if len(shapes) > 1 or None in shapes else (len(x), *(shapes.pop() if shapes else ()))
@@ -125,11 +126,6 @@ def _array(x, kinds):
 
 def _seed(x):
     return _count(x) or isinstance(x, jax.Array) and letter(x) in "iuK"
-
-
-def _moves(x):
-    parts = x.values() if isinstance(x, dict) else (x,)
-    return _over_sites(x, "fiuc") and not any(map(_is_sequence, parts))
 
 
 def _over_sites(x, kinds="fiu"):
@@ -269,7 +265,8 @@ def _either(kinds):
 
 def _of_shape(annotation):
     """An array with jaxtyping's names of its axes."""
-    axes, kinds = annotation.dim_str.split(), {str(dtype)[:1] for dtype in annotation.dtypes}
+    dtypes = annotation.dtypes if isinstance(annotation.dtypes, (tuple, list)) else ()
+    axes, kinds = annotation.dim_str.split(), {str(dtype)[:1] for dtype in dtypes}
     any_number = any("..." in name or "*" in name for name in axes)
     kinds = "fiuc" if "c" in kinds else "fiu" if "f" in kinds else "iu" if "i" in kinds else "b" if "b" in kinds else ""
     said = {"fiuc": "an array of numbers", "iu": "an array of whole numbers", "b": "an array of True and False"}
@@ -279,7 +276,7 @@ def _of_shape(annotation):
     known = annotation.array_type is np.ndarray
 
     def fits(x):
-        array = _array(x, kinds) if kinds else isinstance(x, (np.ndarray, jax.Array))
+        array = _array(x, kinds) if kinds else isinstance(x, (np.ndarray, jax.Array)) and not np.ma.is_masked(x)
         return array and not (known and isinstance(x, jax.core.Tracer)) and (any_number or x.ndim == len(axes))
 
     return Kind(said, fits, known=known)
@@ -405,11 +402,10 @@ def checked(target: T) -> T:
 
 def _refuse_traced(given, error):
     """Say of a value that had to be known which arguments are not, if any."""
-    for name, x in given:
-        leaves = [leaf for leaf in jax.tree.leaves(x) if isinstance(leaf, jax.core.Tracer)]
-        if leaves:
-            got = described(leaves[0])
-            raise ValueError(f"{name}: expected what is known before tracing, got {got}. {KNOWN}") from error
+    traced = {name: leaf for name, x in given for leaf in jax.tree.leaves(x) if isinstance(leaf, jax.core.Tracer)}
+    if traced:
+        got = " and ".join(map(described, traced.values()))
+        raise ValueError(f"{', '.join(traced)}: expected what is known before tracing, got {got}. {KNOWN}") from error
 
 
 UNNAMED = ("", None, None, None)

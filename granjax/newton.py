@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .checks import described, passable, refuse, traced, whole
+from .checks import broadcast, described, passable, refuse, traced, whole
 from .entry import checked
 from .interrupts import waited
 from .outside import Outside
@@ -152,6 +152,7 @@ def _given(linearise):
     return both
 
 
+@checked
 def evaluated(residual: Callable, x: Numbers, *others: Any) -> Numbers:
     """F(x, ...), as many numbers as unknowns."""
     found = residual(x, *others)
@@ -213,5 +214,6 @@ def _iterate(both, x0, args, tolerance, max_steps, finish):
 
 @checked
 def nearby(x: Numbers, step: Numbers) -> Numbers:
-    """x + step where that is a small part of x, and x where it is not (or not finite)."""
+    """x + step, of one shape, where that is a small part of x, and x where it is not (or not finite)."""
+    broadcast(x=x, step=step)
     return jnp.where(jnp.max(jnp.abs(step)) <= FLAT * jnp.max(jnp.abs(x)), x + step, x)

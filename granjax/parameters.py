@@ -8,7 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from .checks import concrete, one_of, parameter, refuse, show
+from .checks import concrete, described, one_of, parameter, refuse, show
+from .entry import checked
 from .types import AnyArray, Numbers, Parameter, Scalar
 
 Bounds: TypeAlias = dict[str, tuple | list | None] | None
@@ -37,9 +38,10 @@ class Coordinates(eqx.Module):
     scale: dict[str, Numbers]
     order: tuple[str, ...] = eqx.field(static=True)
 
+    @checked
     def __init__(self, start: dict[str, Parameter], bounds: Bounds = None):
-        if not isinstance(start, dict) or not start or not all(isinstance(name, str) for name in start):
-            refuse("start", 'a dict from names to numbers, such as {"stiffness": 1.0}', repr(start))
+        if not start:
+            refuse("start", 'a dict from names to numbers, such as {"stiffness": 1.0}', "an empty one")
         bounds = {} if bounds is None else bounds
         for name in bounds:
             one_of("bounds", name, tuple(start))
@@ -143,8 +145,8 @@ def _scale(value):
 def _interval(name, value, bounds):
     if bounds is None:
         return None, None
-    if not isinstance(bounds, (tuple, list)) or len(bounds) != 2:
-        refuse(f"bounds[{name!r}]", "a pair (low, high), None for no bound", repr(bounds))
+    if len(bounds) != 2:
+        refuse(f"bounds[{name!r}]", "a pair (low, high), None for no bound", described(bounds))
     low, high = (None if bound is None else parameter(f"bounds[{name!r}]", bound) for bound in bounds)
     at = concrete(value)
     for bound, side, inside in ((low, "above", np.greater), (high, "below", np.less)):

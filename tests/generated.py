@@ -377,6 +377,9 @@ OWN = {
     "identify.pinn.physics_informed.sites": lambda: [1, 2], "materials.Material.name": lambda: "glass",
     "canonical.scenes.scene.name": lambda: gx.canonical.names()[0], "plots.curves.profile.y": times,
     "plots.curves.profile.x": times, "newton.newton.guess": lambda: 1.0, "terms.base.Term.force.mass": lambda: 1.0,
+    "lattice.model.Lattice.total.parts": lambda: [np.zeros(5)],
+    "identify.law.law.scene": lambda: lambda law: gx.Lattice(1.0, gx.Bond(gx.Shift(1, "fixed"), law), sites=5),
+    "lattice.tangents.variational.y": lambda: tuple((x, np.zeros((5, 2))) for x in y()),
     "fit.files.read_csv.path": lambda: file("file.csv"), "fit.files.read_mat.path": lambda: file("file.mat"),
     "identify.law.law.scene": lambda: lambda law, others=None: gx.Lattice(
         np.ones(SITES), gx.Bond(gx.Shift(1, "fixed"), law)),

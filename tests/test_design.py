@@ -166,7 +166,7 @@ def test_smooth_peak():
 
 
 def test_refusals():
-    with pytest.raises(ValueError, match="objective: expected one real number"):
+    with pytest.raises(ValueError, match="objective: expected a function that gives one real number"):
         design(lambda p: p["x"], {"x": np.ones(2)})
     with pytest.raises(ValueError, match="objective: expected a function"):
         design(3, {"x": 1.0})

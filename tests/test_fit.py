@@ -268,7 +268,7 @@ def test_what_cannot_be_meant_is_refused(short):
     refused("start: expected a dict", start=1.0)
     refused("bounds: expected one of 'stiffness'", bounds={"stifness": (0, None)})
     refused("stiffness: expected a start above its bound", bounds={"stiffness": (2.0, None)})
-    refused("traces: expected Traces", traces=v)
+    refused("traces.0.: expected a Traces", traces=v)
     refused("sites: expected indices within", traces=gx.Traces(times, velocity=v[:, [1]], sites=6, sigma=0.01))
     refused("offset: expected one of", traces=gx.Traces(times, velocity=v[:, [1]], sites=1, offset="delay"))
     refused("times: expected samples from t0", traces=gx.Traces(times - 1, velocity=v[:, [1]], sites=1))
@@ -310,4 +310,4 @@ def test_coordinates_keep_bounds_and_know_their_slopes():
 @pytest.mark.parametrize("tolerance", [-1, True, np.inf, 1e308, np.nan, 0.5])
 def test_a_tolerance_that_every_start_meets_is_refused(tolerance):
     with pytest.raises(ValueError, match="tolerance: expected"):
-        gx.fit(lambda p: None, {"k": 1.0}, None, state=None, tolerance=tolerance)
+        gx.fit(lambda p: None, {"k": 1.0}, [], state=lambda p, lattice: None, tolerance=tolerance)

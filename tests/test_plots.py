@@ -308,3 +308,9 @@ def test_a_figure_is_saved_without_pyplot(tmp_path):
     assert plt.imread(path).shape[:2] == (200, 300)
     with pytest.raises(ValueError, match="width"):
         plots.figure(0.0)
+
+
+def test_what_is_masked_is_a_gap(ax):
+    masked = np.ma.array(np.ones((5, 2)), mask=np.eye(5, 2, dtype=bool))
+    assert len(gx.plots.traces(np.arange(5.0), masked, ax=ax).lines) > 1
+    assert gx.plots.profile(np.arange(5.0), masked[:, 0], inset=None) is not None

@@ -96,7 +96,7 @@ def test_the_listing_says_what_is_made_and_what_is_chosen():
 
 
 @pytest.mark.parametrize("label, message", [
-    ("fig1.33", "Did you mean 'fig1.3'"), ("dsw1", "DSW.1"), (3, "one of 'fig1.2'"),
+    ("fig1.33", "Did you mean 'fig1.3'"), ("dsw1", "DSW.1"), (3, "label: expected a string"),
 ])
 def test_an_unknown_figure_meets_the_nearest(label, message):
     with pytest.raises(ValueError, match=message):

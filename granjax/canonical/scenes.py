@@ -8,6 +8,7 @@ import numpy as np
 
 from .. import scenes, states
 from ..checks import one_of
+from ..entry import checked
 from ..lattice import Lattice, State
 from ..laws import Hertz
 from ..strains import Shift
@@ -48,11 +49,13 @@ class Scene(NamedTuple):
     smooth: bool
     tangents: bool
 
+    @checked
     def error(self, final: Pytree) -> float:
         """max(max|du|/max|u|, max|dv|/max|v|) of a final state against the reference; max|dM|/max|M| of a map."""
         return measure(final, self.reference)
 
 
+@checked
 def measure(found: Pytree, reference: Pytree) -> float:
     """The relative difference of two states, or of two maps of tangents, as in `Scene.error`."""
     pairs = ((found, reference),) if isinstance(reference, np.ndarray) else zip(found, reference)
@@ -70,11 +73,13 @@ class Recipe(NamedTuple):
     tangents: bool = False
 
 
+@checked
 def names() -> tuple[str, ...]:
     """Names of the canonical scenes."""
     return tuple(RECIPES)
 
 
+@checked
 def scene(name: str) -> Scene:
     """A canonical scene by its name. **Returns** `Scene`. **Raises** ValueError for an unknown one, with the nearest.
 

@@ -56,7 +56,7 @@ def continuation(
     bounds = () if until is None else tuple(np.atleast_1d(np.asarray(parameter("until", until))))
     if until is not None and np.shape(bounds) not in ((1,), (2,)):
         refuse("until", "one number, or two", described(until))
-    points, x0 = whole("points", points, 1), real("x0", x0)
+    points, x0 = whole("points", points, 1), np.atleast_1d(real("x0", x0))
     if x0.ndim != 1 or not x0.size:
         refuse("x0", "a row of unknowns, shape (n,)", f"shape {x0.shape}")
     direction = np.asarray(parameter("direction", direction))

@@ -10,6 +10,8 @@ from diffrax import AbstractSolver
 
 from ..checks import one_of, positive, refuse, whole
 from ..checks import tolerance as checked_tolerance
+from ..descent import checked_optimiser
+from ..entry import checked
 from ..flow import Reversible
 from ..interrupts import interruptible
 from ..parameters import Bounds
@@ -31,6 +33,7 @@ TOO_LONG = 1.3
 MOST = 1e-2
 
 
+@checked
 @one_thread
 @interruptible
 def fit(
@@ -72,11 +75,12 @@ def fit(
     problem = prepared(scene, start, traces, state=state, bounds=bounds, t0=t0, step=step, solver=solver)
     windows, starts, spread = whole("windows", windows, 1), whole("starts", starts, 1), positive("spread", spread)
     max_steps = whole("max_steps", max_steps, 1)
+    optimiser = checked_optimiser(optimiser)
     if one_of("method", method, METHODS) == METHODS[1] and windows > 1:
         refuse("method", f"{METHODS[0]!r} with windows", repr(method))
     count = problem.coordinates.size
     x0 = np.zeros((starts, count))
-    x0[1:] = np.random.default_rng(seed).normal(size=x0[1:].shape) * float(spread)
+    x0[1:] = np.random.default_rng(whole("seed", seed)).normal(size=x0[1:].shape) * float(spread)
     if windows > 1:
         problem = cut(problem, windows)
         x0 = np.concatenate([x0, np.zeros((starts, problem.starts.size))], axis=1)

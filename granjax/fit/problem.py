@@ -11,7 +11,8 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
-from ..checks import one_of, positive, refuse
+from ..checks import described, one_of, parameter, positive, refuse
+from ..entry import checked, kind_of
 from ..flow import Run, frequency_bound, simulate
 from ..flow.dispatch import facts
 from ..flow.inputs import checked_state
@@ -21,14 +22,14 @@ from ..measures import contact_force
 from ..outside import Outside
 from ..parameters import Bounds, Coordinates
 from ..solvers import SRKN11b
-from ..types import AnyArray, Numbers, Parameter, Scalar, Scene
+from ..types import AnyArray, Numbers, Parameter, Scalar, Scene, StateLike
 from .traces import Traces, checked_shape, checked_traces, number
 
 # room behind the last sample for an offset that is fitted, in record lengths
 ROOM = 0.1
 # the longest step times the fastest decay, which is 4 c/m in a chain of dashpots; steps of the iteration for it
 FASTEST, POWER_STEPS = 4.0, 64
-Start: TypeAlias = State | tuple | list | Callable[..., State | tuple | list]
+Start: TypeAlias = StateLike | Callable[..., StateLike]
 """A state at t0, or a function (parameters, lattice) that returns one."""
 Signals: TypeAlias = tuple[Float[AnyArray, "_ _"], ...]
 """One (T, S) per trace."""
@@ -162,6 +163,7 @@ def _fastest_decay(lattice, t, u, v):
     return jax.lax.fori_loop(0, POWER_STEPS, power, (first / jnp.linalg.norm(first), jnp.zeros((), flat.dtype)))[1]
 
 
+@checked
 def prepared(
     scene: Scene, start: dict[str, Parameter], traces: Traces | Sequence[Traces], *, state: Start,
     bounds: Bounds = None, t0: Scalar = 0.0, step: Scalar | None = None, solver: diffrax.AbstractSolver | None = None,
@@ -173,14 +175,14 @@ def prepared(
     if len(traces) > 1 and any(trace.sigma is None for trace in traces):
         refuse("sigma", "one for each of several traces", "None", "It says how they weigh against each other.")
     given = None if callable(state) else checked_state(lattice, state)
-    begin = given if given is not None else checked_state(lattice, as_state(state(parameters, lattice), lattice.dtype))
+    begin = given if given is not None else checked_state(lattice, _made(state, parameters, lattice))
     _check_places(traces, lattice, begin, parameters)
     dtype = lattice.dtype
     if any(trace.data.dtype != dtype for trace in traces):
         refuse("scene", f"a lattice of {traces[0].data.dtype}, as the traces are", f"{dtype}")
     if solver is None:
         solver = SRKN11b() if facts(lattice).splits else diffrax.Dopri8()
-    t0, unknown = jnp.asarray(t0, dtype), jnp.ones((), dtype)
+    t0, unknown = jnp.asarray(parameter("t0", t0), dtype), jnp.ones((), dtype)
     make_state = state if given is None else None
     problem = Problem(scene, make_state, given, coordinates, traces, t0, unknown, unknown, solver,
                       Outside((scene, make_state)))
@@ -189,6 +191,15 @@ def prepared(
         refuse("times", f"samples from t0 = {t0} on", f"{times.min()}", "Give offset=, or an earlier t0.")
     problem = eqx.tree_at(lambda p: p.t1, problem, problem.end(parameters))
     return problem.with_step(problem.wanted_step(parameters) if step is None else float(positive("step", step)))
+
+
+def _made(state, parameters, lattice):
+    """The state that a function of the user's gives."""
+    found = state(parameters, lattice)
+    if not kind_of(StateLike).fits(found):
+        wanted = "a function (parameters, lattice) that gives State(u, v)"
+        refuse("state", wanted, f"one that gives {described(found)}")
+    return as_state(found, lattice.dtype)
 
 
 def as_state(state: State | tuple | list, dtype: object) -> State:
@@ -246,11 +257,8 @@ def _check_places(traces, lattice, state, parameters):
 
 def _checked_scene(scene, parameters):
     """The lattice that a scene makes of the start."""
-    if not callable(scene):
-        refuse("scene", "a function of a dict of parameters that returns a Lattice", repr(scene),
-               "lambda p: gx.scenes.monomer(20, stiffness=p['stiffness'])")
     lattice = scene(parameters)
     if not isinstance(lattice, Lattice) or lattice.lanes:
         refuse("scene", "a function that returns one Lattice", "lanes" if isinstance(lattice, Lattice) else
-               repr(lattice))
+               described(lattice))
     return lattice

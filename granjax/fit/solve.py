@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .. import descent
+from ..entry import checked
 from ..interrupts import waited
 from ..types import AnyArray, Scalar
 from .problem import Problem, Signals, misfit
@@ -31,6 +32,7 @@ class Found(NamedTuple):
     code: Scalar
 
 
+@checked
 @waited
 @eqx.filter_jit
 def linearised(

@@ -8,7 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..checks import concrete, parameter, positive, real, refuse, show, whole
+from ..checks import concrete, described, parameter, positive, real, refuse, show, whole
+from ..entry import checked, shape_of
 from ..types import AnyArray, Count, Counts, Numbers, Parameter, Scalar
 
 KINDS = ("velocity", "displacement", "force")
@@ -58,6 +59,7 @@ class Traces(eqx.Module):
     component: int | None = eqx.field(static=True)
     origin: Origin | None = eqx.field(static=True)
 
+    @checked
     def __init__(
         self, times: Parameter, *, velocity: Parameter | None = None, displacement: Parameter | None = None,
         force: Parameter | None = None, sites: Count | Sequence | Counts | None = None,
@@ -87,7 +89,8 @@ class Traces(eqx.Module):
             refuse(self.kind, "some finite numbers", "none")
         self.data = data
         self.sigma = None if sigma is None else positive("sigma", sigma, "It is the noise's standard deviation.")
-        if self.sigma is not None and np.broadcast_shapes(self.sigma.shape, wanted) != wanted:
+        own = () if self.sigma is None else self.sigma.shape
+        if len(own) > 2 or any(n not in (1, whole) for n, whole in zip(own[::-1], wanted[::-1])):
             refuse("sigma", f"a number, or shape {wanted[1:]} or {wanted}", f"shape {self.sigma.shape}")
         self.gain = gain if isinstance(gain, str) else checked_shape("gain", parameter("gain", gain), wanted[1:])
         self.offset = offset if isinstance(offset, str) else checked_shape("offset", parameter("offset", offset))
@@ -132,17 +135,18 @@ def checked_shape(name: str, x: Numbers, *others: tuple[int, ...]) -> Numbers:
 
 def _places(name, where):
     """Indices of the sensors, each a tuple; one tuple is one place on a grid."""
-    single = isinstance(where, tuple) and all(isinstance(i, (int, np.integer)) for i in where) or np.ndim(where) == 0
+    single = isinstance(where, tuple) and all(isinstance(i, (int, np.integer)) for i in where) or shape_of(where) == ()
     where = [where] if single else list(where)
+    shapes = [shape_of(place, "iu") for place in where]
+    if not shapes or any(shape is None or len(shape) > 1 or shape == (0,) for shape in shapes):
+        refuse(name, "whole numbers, such as [2, 5] (tuples on a grid: [(1, 2), (3, 4)])", described(where))
     places = [np.atleast_1d(np.asarray(place)) for place in where]
-    if not places or any(place.ndim != 1 or place.dtype.kind not in "iu" for place in places):
-        refuse(name, "whole numbers, such as [2, 5] (tuples on a grid: [(1, 2), (3, 4)])", repr(where))
     return tuple(tuple(int(i) for i in place) for place in places)
 
 
 def checked_traces(traces: Traces | Sequence[Traces]) -> tuple[Traces, ...]:
     """A tuple of `Traces`."""
-    traces = (traces,) if isinstance(traces, Traces) else tuple(traces) if isinstance(traces, (list, tuple)) else traces
-    if not isinstance(traces, tuple) or not traces or not all(isinstance(t, Traces) for t in traces):
-        refuse("traces", "Traces, or a list of them", repr(traces), "Traces(times=t, velocity=data, sites=[2, 5])")
+    traces = (traces,) if isinstance(traces, Traces) else tuple(traces)
+    if not traces:
+        refuse("traces", "Traces, or a list of them", "none", "Traces(times=t, velocity=data, sites=[2, 5])")
     return traces

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import positive
+from ..checks import positive, refuse
 from ..entry import checked
 from ..outside import Outside
 from ..results import Held, Result
@@ -73,8 +73,10 @@ def derivative(function: Callable, x: Pytree, step: Scalar) -> Derivative:
 
     **Returns:** `Derivative`. **Raises** ValueError for a step <= 0 or a function that takes no step.
     """
+    if any(jnp.iscomplexobj(leaf) for leaf in jax.tree.leaves(x)):
+        refuse("x", "real numbers", "complex ones", "Write real and imaginary parts as parameters of their own.")
     ladder = float(positive("step", step)) * np.asarray(LADDER)
-    x = jax.tree.map(lambda a: jnp.asarray(a, float) if not isinstance(a, jax.Array) else a, x)
+    x = jax.tree.map(lambda a: a if hasattr(a, "dtype") and a.dtype.kind == "f" else jnp.asarray(a, float), x)
     slopes = _slopes(function, x, jnp.asarray(ladder), Outside(function))
     value = jax.tree.map(lambda s: s[-1], slopes)
 

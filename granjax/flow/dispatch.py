@@ -1,5 +1,6 @@
 """What a call of `simulate` costs beside the run: compiled functions that are found quickly, and facts found once."""
 
+import inspect
 import weakref
 from collections.abc import Callable
 from functools import partial, wraps
@@ -19,15 +20,21 @@ _ARRAYS = (jax.Array, np.ndarray, np.generic)
 def compiled(function: Callable) -> Callable:
     """`jax.jit` of a function of pytrees, in which everything but arrays is static.
 
-    As `equinox.filter_jit`, for positional arguments alone, with less to do at each call.
+    As `equinox.filter_jit`, for arguments that may be given by position, with less to do at each call.
     """
 
     @partial(jax.jit, static_argnums=0)
     def flat(static, arrays):
         return function(*joined(static, arrays))
 
+    signature = inspect.signature(function)
+
     @wraps(function)
-    def call(*arguments):
+    def call(*arguments, **named):
+        if named:
+            arguments = signature.bind(*arguments, **named)
+            arguments.apply_defaults()
+            arguments = arguments.args
         return flat(*parted(arguments))
 
     call.lower = lambda *arguments: flat.lower(*parted(arguments))

@@ -10,7 +10,7 @@ from ..checks import positive, refuse
 from ..entry import checked
 from ..lattice import Lattice, split_system, vector_field
 from ..solvers import AbstractSplitting
-from ..types import Number, Scalar, StateLike, Times
+from ..types import Count, Counts, Number, Scalar, StateLike, Times
 from .dispatch import compiled
 from .integrate import integrate
 from .run import Run
@@ -77,7 +77,7 @@ def refuse_forward_mode(adjoint: eqx.Module, error: TypeError) -> None:
 @checked
 @compiled
 def return_error(
-    lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, steps: Number, solver: diffrax.AbstractSolver,
+    lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, steps: Count | Counts, solver: diffrax.AbstractSolver,
 ) -> Number:
     """What integrating to t1 and back to t0 misses: max |y - y0| over the largest entry at both ends, of u or of v.
 

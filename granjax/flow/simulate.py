@@ -97,8 +97,8 @@ def simulate(
     if throw and unknown:
         remedy = "What becomes of a traced run is not known yet."
         refuse("throw", "None or False under a transformation", "True", remedy)
-    solver, step, tolerance = checked_method(lattice, solver, step, tolerance)
     save_ts, frames, every = checked_save_at(save_at, t0, t1)
+    solver, step, tolerance = checked_method(lattice, solver, step, tolerance)
     records = checked_records(record, lattice, state)
     outside = Outside(tuple(records.values())) if records else None
     if tolerance is None:

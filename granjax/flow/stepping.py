@@ -15,7 +15,7 @@ from ..entry import checked
 from ..lattice import Lattice, vector_field
 from ..lattice.model import check_shape
 from ..solvers import SRKN14a
-from ..types import Number, Numbers, Pytree, Scalar
+from ..types import Count, Counts, Numbers, Pytree, Scalar
 from .breaks import OneSided, breaks_of, shared_out
 
 # numbers that go through a processor at once, at most: rows of tangents that are a multiple of it are up to 1.2x faster
@@ -35,7 +35,7 @@ class Flow(eqx.Module):
     `Breaks`, the steps are shared out to the stretches between.
     """
 
-    steps: Number
+    steps: Count | Counts
     solver: diffrax.AbstractSolver = SRKN14a()
     field: Callable = eqx.field(static=True, default=vector_field)
 

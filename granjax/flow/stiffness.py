@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..entry import checked
-from ..lattice import Lattice
+from ..lattice import Lattice, State
 from ..terms import Reach, Reached
 from ..types import Count, Displacements, Number, Numbers, Scalar, StateLike
 from .dispatch import compiled
@@ -34,7 +34,6 @@ OPENING = 2.0
 
 
 @checked
-@compiled
 def frequency_bound(
     lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, neighbourhood: Count | None = NEIGHBOURHOOD,
 ) -> Number:
@@ -48,6 +47,12 @@ def frequency_bound(
 
     **Returns:** omega_max, one number for all lanes; zero for a lattice without any stiffness at its energy.
     """
+    arrays = jax.tree.map(jnp.asarray, tuple(state), is_leaf=lambda x: isinstance(x, list))
+    return _bound_at(lattice, State(*arrays), t0, t1, neighbourhood)
+
+
+@compiled
+def _bound_at(lattice, state, t0, t1, neighbourhood):
     return gathered_frequency(lattice, state, t0, t1, neighbourhood)[0]
 
 

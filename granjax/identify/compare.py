@@ -7,7 +7,8 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Integer
 
-from ..checks import positive, refuse
+from ..checks import described, positive, refuse
+from ..entry import checked
 from ..fit import Fit, Traces, fit
 from ..fit.problem import Start
 from ..fit.traces import checked_traces
@@ -86,6 +87,7 @@ class Comparison(Result):
         return "\n".join([*rows, self.outcome])
 
 
+@checked
 @interruptible
 def compare(
     models: dict[str, tuple | list], traces: Traces | Sequence[Traces], *, state: Start, level: Scalar = 10.0,
@@ -118,11 +120,11 @@ def compare(
     (2002).
     """
     options, level = options or {}, float(positive("level", level))
-    if not isinstance(models, dict) or not models:
-        refuse("models", "a dict from names to pairs (scene, start)", repr(models))
+    if not models:
+        refuse("models", "a dict from names to pairs (scene, start)", "an empty one")
     for name, model in models.items():
-        if not isinstance(model, (tuple, list)) or len(model) != 2:
-            refuse(f"models[{name!r}]", "a pair (scene, start)", repr(model))
+        if len(model) != 2:
+            refuse(f"models[{name!r}]", "a pair (scene, start)", described(model))
     if set(options) - set(models):
         refuse("options", f"names among {list(models)}", f"{sorted(set(options) - set(models))}")
     traces = checked_traces(traces)

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..checks import described, parameter, positive, refuse, whole
-from ..entry import takes
+from ..entry import checked, takes
 from ..fit import Fit, Traces, fit, prepared
 from ..fit.problem import Start
 from ..fit.traces import checked_traces
@@ -59,6 +59,7 @@ class ForceLaw(Result):
         deviation = _along(self.fit, np.asarray(gradients))
         return np.where(inside, force, np.nan), np.where(inside, deviation, np.nan)
 
+    @checked
     def band(self, points: Count = 201, deviations: Scalar = 2.0) -> tuple[Float[np.ndarray, " points"], ...]:
         """(strain, force, low, high), each (points,), over the strain range: the force and deviations to each side."""
         deviations = float(positive("deviations", deviations))
@@ -82,6 +83,7 @@ class ForceLaw(Result):
         return f"The force from e = {low:.3g} to {high:.3g} is known {known} (one standard deviation). {said}"
 
 
+@checked
 @interruptible
 def law(
     scene: Callable[..., Lattice], family: str | Law, traces: Traces | Sequence[Traces], *, state: Start,

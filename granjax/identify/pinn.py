@@ -18,6 +18,7 @@ import optax
 from jaxtyping import Float
 
 from ..checks import non_negative, parameter, positive, refuse, whole
+from ..entry import checked
 from ..flow.stiffness import linear_frequency
 from ..interrupts import interruptible, wait
 from ..parameters import Bounds, Coordinates
@@ -40,6 +41,7 @@ class Motion(eqx.Module):
         phase = self.frequencies * t
         return self.scale * self.net(jnp.concatenate([t[None] / self.span, jnp.sin(phase), jnp.cos(phase)]))
 
+    @checked
     def state(self, t: Scalar) -> tuple[Float[AnyArray, " N"], Float[AnyArray, " N"], Float[AnyArray, " N"]]:
         """Displacements, velocities and accelerations at one time."""
         t = jnp.asarray(t, self.span.dtype)
@@ -66,6 +68,7 @@ class PhysicsInformed(Result):
     outcome: str = eqx.field(static=True)
 
 
+@checked
 @interruptible
 def physics_informed(
     scene: Scene, start: dict[str, Parameter], times: Times, velocity: Float[AnyArray, "T sensors"], *,

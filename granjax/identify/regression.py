@@ -10,6 +10,7 @@ from jaxtyping import Float
 from scipy.interpolate import UnivariateSpline
 
 from ..checks import non_negative, parameter, positive, refuse, whole
+from ..entry import checked
 from ..lattice import Lattice
 from ..laws import Polynomial, PowerLaw, Scaled
 from ..results import Held, Result
@@ -53,6 +54,7 @@ class Regression(Result):
     outcome: str = eqx.field(static=True)
 
 
+@checked
 def library(
     strain_map: StrainMap, *, powers: Sequence[Count] = (1, 2, 3), contacts: Sequence[Scalar] = (1.5,),
     overlap: Scalar = 0.0, on_site: Sequence[Count] = (1, 3), dissipation: Sequence[str] | None = None,
@@ -112,6 +114,7 @@ def _monomial(argument, p):
     return Polynomial(*(1.0 if q == p else 0.0 for q in (1, 2, 3)))
 
 
+@checked
 def regression(
     mass: Parameter | dict[str, Parameter], candidates: dict[str, Callable], ts: Times, us: Displacements,
     vs: Displacements, accelerations: Displacements | None = None, *, noise: Scalar = 0.0,
@@ -142,8 +145,8 @@ def regression(
     candidate that gives no force at all, or a threshold that drops them all.
     Source: Brunton, Proctor, Kutz, PNAS 113, 3932 (2016).
     """
-    if not isinstance(candidates, dict) or not candidates:
-        refuse("candidates", "a dict from names to functions of a coefficient", repr(candidates), "See library().")
+    if not candidates:
+        refuse("candidates", "a dict from names to functions of a coefficient", "an empty one", "See library().")
     threshold = float(non_negative("threshold", threshold))
     ridge, max_steps = float(non_negative("ridge", ridge)), whole("max_steps", max_steps, 1)
     known = tuple(known) if isinstance(known, (tuple, list)) else (known,)

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..checks import held_in_memory, one_of, positive, refuse, whole, within
+from ..entry import checked
 from ..fit import Fit, Traces, fit, linearised, prepared
 from ..fit.problem import Start
 from ..lattice import Lattice
@@ -82,6 +83,7 @@ class WallScene(eqx.Module):
         return Lattice(free.mass, (*free.terms, wall), sites=free.sites, dimension=free.dimension)
 
 
+@checked
 def wall_modulus(
     lattice: Lattice | Callable[..., Lattice], traces: Traces | Sequence[Traces], *, state: Start,
     material: str | Material, radius: Scalar, start: Scalar, poisson: Scalar = 0.3, precompression: Scalar = 0.0,

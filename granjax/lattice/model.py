@@ -172,6 +172,7 @@ class Lattice(eqx.Module):
         """Displacements (or velocities) that are zero, lanes included."""
         return jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), self.template())
 
+    @checked
     def astype(self, dtype: Any) -> Any:
         """The lattice with every floating parameter in another type, for a float32 run."""
         try:
@@ -193,11 +194,13 @@ class Lattice(eqx.Module):
         check_shape(self, "v", v)
         return self.sum_forces(t, u, v, self.terms)
 
-    def sum_forces(self, t: Number, u: Displacements, v: Displacements, terms: Sequence) -> Displacements:
+    @checked
+    def sum_forces(self, t: Number, u: Displacements, v: Displacements, terms: Sequence[Term]) -> Displacements:
         """Sum of the forces of some terms, of the structure of `u`."""
         return self.total([term.force(t, u, v, self.mass) for term in terms], u)
 
-    def total(self, parts: Sequence, u: Displacements) -> Displacements:
+    @checked
+    def total(self, parts: Sequence[Displacements | None], u: Displacements) -> Displacements:
         """Sum of arrays over the sites, or of dicts of those fields that they touch; `None` is nothing."""
         parts = [part for part in parts if part is not None]
         if isinstance(u, dict):

@@ -33,6 +33,7 @@ class UnitCell(eqx.Module):
     fields: tuple[str, ...] | None = eqx.field(static=True)
     dimension: int | None = eqx.field(static=True)
 
+    @checked
     def dynamical_matrix(self, k: Numbers) -> ComplexNumbers:
         """D(k), (P, P), complex and Hermitian, for one `k` of shape (axes,)."""
         uniform = self.coupling.sum(0)
@@ -44,6 +45,7 @@ class UnitCell(eqx.Module):
         turn = 2j * jnp.sin(half) * jnp.exp(1j * half)
         return uniform + jnp.einsum("r,rab->ab", turn, self.coupling)
 
+    @checked
     def slopes(self, k: Numbers) -> tuple:
         """First and second derivatives of D(k): (axes, P, P) and (axes, axes, P, P)."""
         R = np.array(self.shells)
@@ -51,6 +53,7 @@ class UnitCell(eqx.Module):
         first = jnp.einsum("r,rj,rab->jab", 1j * phase, R, self.coupling)
         return first, -jnp.einsum("r,rj,rl,rab->jlab", phase, R, R, self.coupling)
 
+    @checked
     def displacements(self, q: AnyArray) -> Displacements:
         """Displacements M^{-1/2} q of vectors (..., P, bands): (..., cell..., [vector], bands), or a dict of such."""
         x = jnp.moveaxis(q / jnp.sqrt(self.mass)[:, None], -2, -1)

@@ -10,7 +10,7 @@ from diffrax import AbstractSolver
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
-from ..checks import positive, whole
+from ..checks import positive, refuse, whole
 from ..checks import tolerance as checked_tolerance
 from ..entry import checked
 from ..flow import Flow
@@ -193,8 +193,11 @@ def forces(lattice: Lattice, y: StateLike, t: Scalar) -> Numbers:
     return jnp.concatenate(each) if each else jnp.zeros(0, lattice.dtype)
 
 
+@checked
 def largest(x: Numbers) -> Numbers:
     """Largest value over the first axis, equal steps of whole periods: top of the parabola through its neighbours."""
+    if not x.ndim:
+        refuse("x", "values over time on the first axis", "one number")
     i = jnp.argmax(x, 0, keepdims=True)
     a, b, c = (jnp.take_along_axis(x, (i + k) % len(x), 0)[0] for k in (-1, 0, 1))
     curve = 2 * b - a - c

@@ -11,7 +11,7 @@ from diffrax import AbstractSolver
 from jax.flatten_util import ravel_pytree
 from scipy.optimize import brentq
 
-from ..checks import parameter, positive, refuse
+from ..checks import parameter, positive, refuse, whole
 from ..continuation import continuation
 from ..entry import checked
 from ..flow import Flow
@@ -91,6 +91,10 @@ def forced_branch(
     if start == until:
         refuse("until", "another value than start", repr(until))
     period = period if callable(period) else positive("period", period)
+    arclength, points = float(positive("arclength", arclength)), whole("points", points, 1)
+    longest_arclength = 5 * arclength if longest_arclength is None else longest_arclength
+    longest_arclength = float(positive("longest_arclength", longest_arclength))
+    segments, transient = whole("segments", segments, 1), whole("transient", transient, 0)
     scenes = [made(make, period, p) for p in (start, until)]
     solver = fixed_step_solver(scenes[0][0], solver, SRKN14a())
     lattice, T = scenes[0]
@@ -116,7 +120,7 @@ def forced_branch(
     while True:
         curve = continuation(
             family.residual, x0, 0.0, until=(0.0, 1.0), arclength=arclength,
-            longest_arclength=longest_arclength or 5 * arclength, points=points, **settings)
+            longest_arclength=longest_arclength, points=points, **settings)
         z = np.column_stack([curve.x, curve.p])
         looked = [_examined(family, flow, point, response) for point in z]
         if steps is not None:

@@ -56,6 +56,7 @@ class Localisation(NamedTuple):
     def __str__(self) -> str:
         return f"{self.participation:.3g} of {self.cells} cells share its energy"
 
+    @checked
     def why_not(self, kind: str, guess: "Localisation") -> str | None:
         """A sentence on why this is no breather of a kind, "bright", "dark" or "any", or `None` where it is one."""
         strayed = kind == "bright" and self.participation > max(2 * guess.participation, STRAYED * self.cells)

@@ -127,11 +127,13 @@ class Orbit(Result):
         size, error = (max(float(largest(y.u)), float(largest(y.v) / self.omega)) for y in pair)
         return f"It is known to {error / size:.1e} of its size." if size > 0 and np.isfinite(error) else ""
 
+    @checked
     def run(self, frames: Count = FRAMES) -> OrbitRun:
         """The orbit in time, `OrbitRun`."""
         _, ts, ys = _history(self.flow, self.lattice, self.state, self.t0, self.period, whole("frames", frames, 2))
         return OrbitRun(ts, ys.u, ys.v)
 
+    @checked
     def harmonics(self, count: Count = 1, frames: Count = FRAMES) -> Displacements:
         r"""Complex Fourier amplitudes c_k of every displacement, u = Re sum_k c_k exp(2 pi i k t/T), k = 0 ... count.
 
@@ -218,9 +220,7 @@ def orbit(
     lattices, steps that the segments do not divide, what is no symmetry of the lattice, or a guess at rest where
     nothing moves it; RuntimeError where `throw` and it did not converge, or fell to such rest.
     """
-    if not isinstance(lattice, Lattice) or lattice.lanes:
-        refuse("lattice", "one Lattice", "a batch" if isinstance(lattice, Lattice) else repr(lattice),
-               "For a batch use jax.vmap(lambda c: forced_orbit(c, T, throw=False), in_axes=-1).")
+    _refuse_batch(lattice)
     period, segments = positive("period", period), whole("segments", segments, 1)
     transient = whole("transient", transient, 0)
     guess = checked_state(lattice, guess, "guess")
@@ -247,9 +247,16 @@ def forced_orbit(lattice: Lattice, period: Scalar, guess: StateLike | None = Non
     `guess`: a `State` at t0; `None` is rest, from where Newton's first iterate is the linear response, as far as one
     period from rest is linear. `keywords`: of `gx.orbits.orbit`. **Returns:** `Orbit`.
     """
-    if guess is None and isinstance(lattice, Lattice) and not lattice.lanes:
+    _refuse_batch(lattice)
+    if guess is None:
         guess = State(lattice.zeros(), lattice.zeros())
     return orbit(lattice, guess, period, **keywords)
+
+
+def _refuse_batch(lattice):
+    if lattice.lanes:
+        refuse("lattice", "one Lattice", "a batch",
+               "For a batch use jax.vmap(lambda c: forced_orbit(c, T, throw=False), in_axes=-1).")
 
 
 def checked_free(lattice: Lattice) -> bool:

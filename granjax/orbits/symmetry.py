@@ -38,6 +38,7 @@ class Symmetry(eqx.Module):
         """Whether it is the identity."""
         return self == Symmetry()
 
+    @checked
     def matrix(self, like: StateLike) -> Float[np.ndarray, "two_n two_n"]:
         """S over the raveled state, (2n, 2n); S^-1 is its transpose."""
         flat, unravel = ravel_pytree(like)
@@ -47,6 +48,7 @@ class Symmetry(eqx.Module):
         turned = -other.cells if self.mirror else other.cells
         return Symmetry(self.cells + turned, self.mirror != other.mirror, self.sign * other.sign)
 
+    @checked
     def __call__(self, y: Pytree) -> Pytree:
         """S of displacements, or of a state."""
         def one(x):

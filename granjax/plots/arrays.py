@@ -1,12 +1,16 @@
 """What the plots are given, as NumPy arrays of known shape."""
 
-from typing import Any
+from typing import Any, TypeAlias
 
 import jax
 import numpy as np
 from jaxtyping import Float
 
-from ..checks import parameter, real, refuse, show
+from ..checks import described, parameter, real, refuse, show
+from ..types import Parameter
+
+Samples: TypeAlias = Parameter | np.ma.MaskedArray
+"""Numbers to draw; what is masked is a gap."""
 
 
 def numbers(argument: str, x: Any, ndim: int | None = None, finite: bool = True) -> Float[np.ndarray, "..."]:
@@ -22,6 +26,13 @@ def numbers(argument: str, x: Any, ndim: int | None = None, finite: bool = True)
         names = {1: "one row, shape (N,)", 2: "frames of sites, shape (T, N)"}
         refuse(argument, names.get(ndim, f"{ndim} axes"), f"shape {array.shape}")
     return array
+
+
+def having(argument: str, x: Any, expected: str, *names: str) -> None:
+    """Refuse what has not the attributes that are drawn."""
+    missing = [name for name in names if not hasattr(x, name)]
+    if missing or isinstance(x, type):
+        refuse(argument, f"{expected}, or anything with {', '.join(names)}", described(x))
 
 
 def rising(argument: str, x: Any, size: int) -> Float[np.ndarray, " size"]:

@@ -10,14 +10,16 @@ from matplotlib.patches import Ellipse
 from matplotlib.ticker import MaxNLocator
 
 from ..checks import refuse, show, whole
+from ..entry import checked
 from ..types import Count, Parameter, Scalar
-from .arrays import numbers, rising
+from .arrays import having, numbers, rising
 from .style import COLOURS, FAINT, AxesOrNone, style
 
 # half-width of a corner plot's axes, in standard deviations
 REACH = 3.5
 
 
+@checked
 def fit(
     result: Any, ax: Axes | Shaped[np.ndarray, "..."] | None = None, *, sensors: Sequence[Count] | None = None,
     x_label: str = "time", y_label: str | None = None, scale: Scalar | Sequence[Scalar] = 1.0,
@@ -36,6 +38,7 @@ def fit(
     **Returns:** an array of Axes (2, columns). **Raises** ValueError for sensors that are not there or Axes of another
     shape.
     """
+    having("result", result, "a Fit", "traces", "signals", "residuals")
     scales = scale if isinstance(scale, (tuple, list)) else (1.0, scale)
     if len(scales) != 2:
         refuse("scale", "a number, or a pair (times, data)", repr(scale))
@@ -69,6 +72,7 @@ def fit(
     return axes
 
 
+@checked
 def corner(
     result: Any, axes: Axes | Shaped[np.ndarray, "..."] | None = None, *, truths: dict[str, Scalar] | None = None,
     labels: Sequence[str] | None = None,
@@ -85,6 +89,7 @@ def corner(
     **Returns:** the Axes (P, P), hidden above the diagonal. **Raises** ValueError for a covariance that is not finite
     (parameters that are not determined) or Axes or labels that do not fit.
     """
+    having("result", result, "a Fit", "parameters", "names", "covariance")
     # a tree of parameters may have been sorted on the way: their places are those of their names
     order = sorted(result.parameters, key=lambda k: next(
         i for i, name in enumerate(result.names) if name == k or name.startswith(f"{k}[")))
@@ -137,6 +142,7 @@ def corner(
     return axes
 
 
+@checked
 def law(
     strain: Parameter, force: Parameter, low: Parameter, high: Parameter, ax: AxesOrNone = None, *,
     label: str = "identified", band: str | None = None, truth: Parameter | None = None, truth_label: str = "true",

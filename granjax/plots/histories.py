@@ -8,8 +8,9 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm, Normalize, TwoSlopeNorm
 
 from ..checks import one_of, positive, refuse, within
+from ..entry import checked
 from ..types import Parameter, Scalar
-from .arrays import history, numbers, rising
+from .arrays import Samples, history, numbers, rising
 from .style import AxesOrNone, add_colour_bar, axes_or_new, colour
 
 SCALES = ("linear", "log")
@@ -20,8 +21,9 @@ SIGNED = 0.02
 FINE = 1000
 
 
+@checked
 def space_time(
-    run_or_array: Any, ax: AxesOrNone = None, *, quantity: str | Parameter = "v", ts: Parameter | None = None,
+    run_or_array: Any, ax: AxesOrNone = None, *, quantity: str | Samples = "v", ts: Parameter | None = None,
     sites: Parameter | None = None, scale: str = "linear", floor: Scalar = 1e-4, limit: Scalar | None = None,
     label: str | None = None, unit: str = "scaled", time_label: str = "time (scaled)", site_label: str = "site",
     colour_bar: bool = True,
@@ -108,8 +110,9 @@ def _ends(x):
     return x[0] - half, x[-1] + half
 
 
+@checked
 def traces(
-    ts: Parameter, qs: Parameter, sites: Parameter | None = None, ax: AxesOrNone = None, *,
+    ts: Parameter, qs: Samples, sites: Parameter | None = None, ax: AxesOrNone = None, *,
     offset: Scalar | None = None, labels: Sequence | None = None, label: str = "velocity", unit: str = "scaled",
     time_label: str = "time (scaled)", site_label: str = "site",
 ) -> Axes:

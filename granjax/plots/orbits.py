@@ -8,8 +8,9 @@ from matplotlib.axes import Axes
 from scipy.interpolate import Akima1DInterpolator
 
 from ..checks import refuse
+from ..entry import checked
 from ..types import Count, Scalar
-from .arrays import history, numbers, rising
+from .arrays import having, history, numbers, rising
 from .histories import space_time
 from .style import COLOURS, FAINT, AxesOrNone, axes_or_new, style
 
@@ -29,6 +30,7 @@ _ORBITS = {
 }
 
 
+@checked
 def floquet_circle(fl: Any, ax: AxesOrNone = None, *, legend: bool = True) -> Axes:
     r"""Floquet multipliers in the complex plane with the unit circle.
 
@@ -41,6 +43,7 @@ def floquet_circle(fl: Any, ax: AxesOrNone = None, *, legend: bool = True) -> Ax
 
     **Returns:** the Axes; the rings are the last of `ax.lines`, labelled "unstable".
     """
+    having("fl", fl, "a Floquet", "multipliers", "krein", "error", "expected", "rate", "period")
     rho, signature = np.asarray(fl.multipliers), np.nan_to_num(np.asarray(fl.krein))
     ax = axes_or_new(ax, 4.2, 4.0)
     angle = np.linspace(0, 2 * np.pi, 361)
@@ -72,6 +75,7 @@ def unstable_of(fl: Any) -> np.ndarray:
     return np.setdiff1d(outside, symmetry)
 
 
+@checked
 def breather(
     breather: Any, fl: Any = None, axes: Sequence[Axes] | np.ndarray | None = None, *, mode: Count | None = None,
 ) -> np.ndarray:
@@ -89,7 +93,9 @@ def breather(
     **Returns:** the Axes, (2, 2) or as given. **Raises** ValueError for several fields or lanes, other than four Axes,
     a mode that is not there.
     """
+    having("breather", breather, "an Orbit", "state", *(["floquet"] if fl is None else []))
     fl = breather.floquet() if fl is None else fl
+    having("fl", fl, "a Floquet", "multipliers", "vectors", "krein", "error", "expected", "rate", "period")
     axes = _axes(axes, 2, 2, 8.4, 6.4)
     a, b, c, d = axes.ravel()
     u = numbers("breather.state.u", breather.state[0], 1)
@@ -156,6 +162,7 @@ def _written(rho, complex_pair):
     return f"{rho.real:.6f} {'-' if rho.imag < 0 else '+'} {abs(rho.imag):.6f}i"
 
 
+@checked
 def branch(
     br: Any, axes: Sequence[Axes] | np.ndarray | None = None, *, bands: Any = None, marks: Any = None,
     omega_label: str = r"frequency $\omega_b$",
@@ -176,6 +183,7 @@ def branch(
 
     **Returns:** the two Axes. **Raises** ValueError for shapes that do not fit, or other than two Axes.
     """
+    having("br", br, "a Branch", "omega", "energy", "amplitude", "verdict")
     omega = numbers("br.omega", br.omega, 1)
     heights = [numbers(f"br.{name}", getattr(br, name), 1) for name in ("energy", "amplitude")]
     bands = np.zeros((0, 2)) if bands is None else numbers("bands", bands, 2)
@@ -242,6 +250,7 @@ def _within(at, low, high, event, i):
     return places[np.argmin(np.abs(away))] if inside else None
 
 
+@checked
 def hysteresis(
     sweep: Any, ax: AxesOrNone = None, *, orbits: Any = None, x_label: str = "parameter", y_label: str = "response",
     scale: Scalar = 1.0,
@@ -262,6 +271,7 @@ def hysteresis(
     for low, high in intervals:
         ax.axvspan(low, high, color=FAINT, alpha=0.2, lw=0, zorder=0)
     if orbits is not None:
+        having("orbits", orbits, "a Branch", "p", "response", "verdict")
         p, response = numbers("orbits.p", orbits.p, 1), numbers("orbits.response", orbits.response, 1)
         _line(ax, p, scale * response, orbits, _ORBITS)
     ax.plot(values, scale * up, ">-", color=COLOURS[0], ms=5, lw=1.2, mec="white", mew=0.3, label="up")
@@ -289,6 +299,7 @@ def _ways(sweep):
     return values, up, down, intervals
 
 
+@checked
 def strain_map(run: Any, ax: AxesOrNone = None, **options: Any) -> Axes:
     """Space-time map of the strain of a chain, y_n = u_n - u_{n+1} (compression positive) at n + 1/2.
 

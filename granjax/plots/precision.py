@@ -6,7 +6,8 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from ..checks import one_of, refuse
-from .arrays import numbers
+from ..entry import checked
+from .arrays import having, numbers
 from .style import FAINT, AxesOrNone, axes_or_new, colour
 
 AGAINST = {"time": ("seconds", "time of one run (s)"), "evaluations": ("evaluations", "force evaluations of one run")}
@@ -14,6 +15,7 @@ MARKS = ("o", "s", "^", "D", "v", "P", "X")
 DEFAULT = "default"
 
 
+@checked
 def work_precision(wp: Any, ax: AxesOrNone = None, *, against: str = "time") -> Axes:
     """Error against the work that it takes, both logarithmic: down and to the left is better.
 
@@ -27,6 +29,7 @@ def work_precision(wp: Any, ax: AxesOrNone = None, *, against: str = "time") -> 
     **Returns:** the Axes; one line per method in `ax.lines`. **Raises** ValueError for anything else to draw against,
     or a table where no point is drawn.
     """
+    having("wp", wp, "a WorkPrecision", "method", "error", "seconds", "evaluations", "drawn", "methods", "floor")
     column, label = AGAINST[one_of("against", against, tuple(AGAINST))]
     work, error = numbers(f"wp.{column}", getattr(wp, column), 1, finite=False), numbers("wp.error", wp.error, 1, False)
     method = np.array(wp.method, dtype=object)

@@ -12,6 +12,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from ..checks import one_of, positive
+from ..entry import checked
 from ..files import target, write
 from ..types import Count, Scalar
 
@@ -53,6 +54,7 @@ def style() -> Iterator[None]:
         matplotlib.rcParams.update(kept)
 
 
+@checked
 def figure(width: Scalar = 5.0, height: Scalar = 3.6) -> Figure:
     """An empty figure without a window, to be filled by `.subplots(rows, columns)` inside `with style()`.
 
@@ -66,6 +68,7 @@ def figure(width: Scalar = 5.0, height: Scalar = 3.6) -> Figure:
     return made
 
 
+@checked
 def save(made: Figure, path: str | Path, *, dpi: Scalar = 200) -> Path:
     """Write a figure; the path's ending says how (png, pdf, svg). Returns the path.
 
@@ -76,6 +79,7 @@ def save(made: Figure, path: str | Path, *, dpi: Scalar = 200) -> Path:
     return write(path, drawn(made, path.suffix, dpi=dpi))
 
 
+@checked
 def drawn(made: Figure, ending: str, *, dpi: Scalar = 200) -> bytes:
     """What a file with this ending (`".png"`, `".pdf"`, `".svg"`) of a figure holds."""
     known = [f".{name}" for name in made.canvas.get_supported_filetypes()]

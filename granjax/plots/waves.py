@@ -7,6 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 
 from ..checks import refuse, within
+from ..entry import checked
 from ..types import Scalar
 from .arrays import numbers
 from .style import COLOURS, AxesOrNone, add_colour_bar, axes_or_new
@@ -14,6 +15,7 @@ from .style import COLOURS, AxesOrNone, add_colour_bar, axes_or_new
 CLOSED = 1e-6
 
 
+@checked
 def dispersion(
     dispersion_record: Any, ax: AxesOrNone = None, *, spectrum: Any = None, floor: Scalar = 1e-6, unit: str = "scaled",
     colour_bar: bool = True,

@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from ..checks import non_negative, positive, whole
 from ..driven import Sweep, driven_chain, sweep
+from ..entry import checked
 from ..linear import normal_modes
 from ..results import Held, Result
 from ..scenes import beads
@@ -50,6 +51,7 @@ class Rectifier(Result):
         )
 
 
+@checked
 def rectifier(
     amplitudes: Parameter, *, sites: Count = 20, detuning: Scalar = -0.02, defect_radius: Scalar = DEFECT_RADIUS,
     precompression: Scalar = 8.0, damping_time: Scalar = 1.75e-3, periods: Count = 1500, tolerance: Scalar = 1e-6,

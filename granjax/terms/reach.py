@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..entry import checked
 from ..strains.maps import spectral_radius
 from ..types import Flags, Numbers
 
@@ -29,10 +30,12 @@ class Reach(eqx.Module):
     ts: jax.Array
     u: object
 
+    @checked
     def stiffest(self, law: Any, index: int) -> Numbers:
         """Largest |F'(x)| over the compressions x within reach, per bond; `index` counts the term's compressions."""
         return steepest(law, *self._ends(law))
 
+    @checked
     def opens(self, law: Any) -> Flags:
         """Whether some contact of the law may open."""
         overlaps = [law.overlap(x) for x in self._ends(law)]
@@ -58,6 +61,7 @@ class Reached(eqx.Module):
     u: object
     energy: jax.Array
 
+    @checked
     def stiffest(self, law: Any, index: int) -> Numbers:
         """Largest |F'(x)| over the compressions that were reached, per bond."""
         return steepest(law, jnp.minimum(self.low[index], 0), jnp.maximum(self.high[index], 0))

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..checks import one_of, real, refuse, show
+from ..entry import checked
 from ..types import Count, Parameter, Pytree, Scalar
 
 PARAMETERS = ("step", "tolerance")
@@ -136,6 +137,7 @@ def in_turns(
     return np.array([[np.median(times), np.min(times)] for times in spent]).reshape(-1, 2).T
 
 
+@checked
 def distance(state: Pytree, reference: Pytree) -> float:
     r"""Largest error of a state, each of its parts by its own scale.
 

@@ -10,12 +10,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import non_negative, positive, refuse, whole
+from ..entry import checked
 from ..flow import simulate
 from ..flow.inputs import checked_state, checked_times
 from ..interrupts import interruptible
 from ..lattice import Lattice
 from ..solvers import RKN86, RKN1210, SofroniouSpaletta10
-from ..types import Count, Parameter, Pytree, Scalar
+from ..types import Count, Parameter, Pytree, Scalar, StateLike
 from .ladder import distance, number, warmed
 from .measuring import measure
 from .solvers import (
@@ -44,9 +45,10 @@ PATIENCE, GAIN = 2, 0.7
 OTHER_MESH = 1.3
 
 
+@checked
 @interruptible
 def work_precision(
-    lattice: Lattice, state: Pytree, t1: Scalar,
+    lattice: Lattice, state: StateLike, t1: Scalar,
     solvers: diffrax.AbstractSolver | Sequence | Mapping[str, diffrax.AbstractSolver] | None = None,
     steps: Parameter | Mapping[str, Parameter] | None = None, *, t0: Scalar = 0.0, reference: Pytree = None,
     uncertainty: Parameter | None = None, repeats: Count = 5, longest: Scalar | None = None, tangents: bool = False,

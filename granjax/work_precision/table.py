@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ..checks import refuse, whole
+from ..entry import checked
 from ..results import Held, Result
 from ..types import Pytree, Scalar
 from .advice import Advice, advise
@@ -103,6 +104,7 @@ class WorkPrecision(Result):
         steps = 1 / self.steps[own] if np.all(np.isfinite(self.steps[own])) else self.value[own]
         return observed_order(steps, self.error[own], self.floor)
 
+    @checked
     def advice(self, error: Scalar) -> Advice:
         """What to use for an error that you can live with, in the measure of `distance`.
 
@@ -162,6 +164,7 @@ class WorkPrecision(Result):
             "methods": methods, "points": points,
         })
 
+    @checked
     def to_json(self, indent: int | None = None) -> str:
         """`to_dict` as one JSON object, a string."""
         return json.dumps(self.to_dict(), indent=indent, allow_nan=False)

@@ -15,7 +15,7 @@ from ...flow import Flow
 from ...lattice import Lattice, State, spread_mass
 from ...newton import newton
 from ...solvers import KahanLi8
-from ...types import Count, Scalar
+from ...types import Scalar, Site
 from ..families import checked_lattice
 from ..symmetry import shifts
 from .envelope import bright_guess, edges_beside, supports_bright
@@ -39,7 +39,7 @@ BESIDE = 3
 
 @checked
 def single_site(
-    lattice: Lattice, omega: Scalar, sites: Count | Sequence, *, amplitudes: Sequence | None = None,
+    lattice: Lattice, omega: Scalar, sites: Site | Sequence[Site], *, amplitudes: Sequence | None = None,
     field: str | None = None,
 ) -> State:
     r"""A breather about the named sites, from the anticontinuous limit where it is near.

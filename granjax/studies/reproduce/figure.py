@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from ...checks import one_of, refuse
+from ...entry import checked
 
 
 class Choice(NamedTuple):
@@ -15,6 +16,7 @@ class Choice(NamedTuple):
     about: str
 
 
+@checked
 @dataclass(frozen=True)
 class Figure:
     """One figure of the review.
@@ -42,6 +44,7 @@ class Figure:
     binding: tuple[str, ...] = ()
     size: tuple[float, float] = (8.8, 3.6)
 
+    @checked
     def parameters(self, overrides: Mapping[str, object] | None = None) -> dict[str, object]:
         """The chosen parameters with some replaced; text is read as the kind of number that it replaces.
 
@@ -54,6 +57,7 @@ class Figure:
         return values
 
 
+@checked
 @dataclass(frozen=True)
 class Awaited:
     """A figure of the review that is not made yet: `needs` says what for."""

@@ -10,6 +10,7 @@ import equinox as eqx
 import numpy as np
 
 from ...checks import one_of, refuse
+from ...entry import checked
 from ...files import folder, netcdf, rescue, target
 from ...results import Result
 from .figure import Figure
@@ -45,6 +46,7 @@ class Made(Result):
         return self.outcome
 
 
+@checked
 def run(
     labels: str | Figure | Sequence[str | Figure] | None = None, out: str | Path | None = None, check: bool = False,
     plots: ModuleType | None = None, overrides: Mapping[str, object] | None = None,
@@ -67,6 +69,7 @@ def run(
     return list(one_by_one(labels, out, check, plots, overrides))
 
 
+@checked
 def one_by_one(
     labels: str | Figure | Sequence[str | Figure] | None = None, out: str | Path | None = None, check: bool = False,
     plots: ModuleType | None = None, overrides: Mapping[str, object] | None = None,

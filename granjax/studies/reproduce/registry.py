@@ -1,6 +1,7 @@
 """The review's sixteen figures by their labels: those that are made, and those that wait for a capability."""
 
 from ...checks import one_of, refuse
+from ...entry import checked
 from . import breather_figures, dimer_pulse, dimer_transmission, monomer_pulse, solitary
 from .figure import Awaited, Figure
 
@@ -31,6 +32,7 @@ def figures() -> dict[str, Figure | Awaited]:
     return {label: _BY_LABEL[label] for label in _LABELS}
 
 
+@checked
 def figure(label: str) -> Figure:
     """The figure of a label. **Raises** ValueError for an unknown label, naming the nearest, or one not made yet."""
     found = _BY_LABEL[one_of("figure", label, _LABELS)]

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ...checks import held_in_memory, refuse, whole, within
+from ...entry import checked
 from ...interrupts import interruptible
 from ...types import Parameter, Scalar
 from .lanes import LANES, checked_ratios, peak_forces
@@ -16,6 +17,7 @@ MARGIN = 12
 FIT_WIDTH = 0.01
 
 
+@checked
 def contact_forces(
     ratios: Parameter, contacts: Parameter, *, progress: bool = False
 ) -> Float[np.ndarray, "contacts n"]:
@@ -38,6 +40,7 @@ def contact_forces(
     return peak_forces(ratios, beads, "free", bonds, 1.5 * beads + 10, progress)
 
 
+@checked
 @interruptible
 def decay_rate(
     ratios: Parameter, contacts: Sequence[int] = (200, 600), *, progress: bool = False
@@ -70,6 +73,7 @@ def _pair(contacts):
     return contacts
 
 
+@checked
 @interruptible
 def anti_resonance(
     low: Scalar, high: Scalar, *, contacts: Sequence[int] = (200, 600), progress: bool = False

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ...checks import positive, refuse, whole
+from ...entry import checked
 from ...interrupts import interruptible
 from ...results import Held, Result
 from ...types import Count, Parameter, Scalar
@@ -67,6 +68,7 @@ def _run_time(beads):
     return 1.5 * beads + 10
 
 
+@checked
 @interruptible
 def transmission(
     ratios: Parameter, beads: Count = 101, *, run_time: Scalar | None = None, progress: bool = False
@@ -109,6 +111,7 @@ def _wall_forces(ratios, beads, run_time, progress):
     return peak_forces(ratios, beads, "fixed", (beads,), run_time, progress)[0]
 
 
+@checked
 @interruptible
 def refine(sweep: Transmission, *, accuracy: Scalar = 1e-4, progress: bool = False) -> Extrema:
     """Local extrema of a transmission over the mass ratio, by search between the neighbours of the grid's.
