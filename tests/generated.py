@@ -373,13 +373,12 @@ OWN = {
     "scenes.chains.pattern.masses": lambda: [1.0, 0.5], "scenes.chains.defects.masses": lambda: {2: 0.5},
     "orbits.guesses.sites.single_site.sites": lambda: [2], "orbits.forced_branch.forced_branch.start": lambda: 0.8,
     "orbits.forced_branch.forced_branch.until": lambda: 0.9, "identify.wall.wall_modulus.start": lambda: 1e9,
+    "flow.derivative.derivative.function": lambda: lambda x, step: x,
     "flow.derivative.derivative.step": lambda: 0.1, "flow.derivative.derivative.x": lambda: 1.0,
     "identify.pinn.physics_informed.sites": lambda: [1, 2], "materials.Material.name": lambda: "glass",
     "canonical.scenes.scene.name": lambda: gx.canonical.names()[0], "plots.curves.profile.y": times,
     "plots.curves.profile.x": times, "newton.newton.guess": lambda: 1.0, "terms.base.Term.force.mass": lambda: 1.0,
     "lattice.model.Lattice.total.parts": lambda: [np.zeros(5)],
-    "identify.law.law.scene": lambda: lambda law: gx.Lattice(1.0, gx.Bond(gx.Shift(1, "fixed"), law), sites=5),
-    "lattice.tangents.variational.y": lambda: tuple((x, np.zeros((5, 2))) for x in y()),
     "fit.files.read_csv.path": lambda: file("file.csv"), "fit.files.read_mat.path": lambda: file("file.mat"),
     "identify.law.law.scene": lambda: lambda law, others=None: gx.Lattice(
         np.ones(SITES), gx.Bond(gx.Shift(1, "fixed"), law)),
@@ -561,7 +560,7 @@ def trial(case):
         kind, told = "raw", f"{type(error).__name__}: {error}"
     if not must and not full:
         return None
-    return Outcome(kind, must, told, kind == "sentence" or kind == "accepted" and not must)
+    return Outcome(kind, must, told, kind == "sentence" or kind in ("accepted", "late") and not must)
 
 
 def chosen(all_cases, number, seed=0):

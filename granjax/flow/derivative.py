@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from functools import partial
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -58,7 +58,7 @@ class Derivative(Result):
 
 
 @checked
-def derivative(function: Callable, x: Pytree, step: Scalar) -> Derivative:
+def derivative(function: Callable[[Any, Any], Any], x: Pytree, step: Scalar) -> Derivative:
     """df/dx of a function of runs, and what the time steps leave uncertain of it.
 
     The derivative of a run is that of its discrete steps. Where a force has a kink, a slope that jumps (a bilinear
