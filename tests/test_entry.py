@@ -1,5 +1,6 @@
 """The entry of public functions: what is of the wrong kind meets a sentence before anything is computed."""
 
+import functools
 import inspect
 import pickle
 import re
@@ -13,11 +14,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jaxtyping import Float
+from test_vocabulary import NAMES, public
 
 import granjax as gx
 from granjax import types as words
 from granjax.checks import described
 from granjax.entry import checked, kind_of
+from granjax.results import Result
 
 LATTICE = gx.scenes.monomer(4, precompression=1.0)
 STATE = gx.states.rest(LATTICE)
@@ -186,3 +189,52 @@ def test_what_was_given_is_said_in_few_words():
 
 def test_an_annotation_that_says_nothing_lets_everything_through():
     assert all(kind_of(hint) is None for hint in (Any, object, "later", words.Count | Any))
+
+
+# inside of the library, called by the command line or before JAX is there, and what refuses itself
+INSIDE = {"checks", "cli", "descent", "entry", "files", "interrupts", "outside", "reading", "split_system", "tuning"}
+# classes that only the library makes
+MADE = {"Function", "InUnits", "Motion", "Problem", "Reach", "Reached", "Shooting", "UnitCell"}
+
+
+def open_entries():
+    """Public functions with arguments, and classes that a user makes, whose entry is not checked."""
+    for value in (value for module in NAMES for value in public(module) if callable(value)):
+        entry = value.__init__ if inspect.isclass(value) else value
+        made = inspect.isclass(value) and (issubclass(value, (Result, tuple)) or value.__name__ in MADE)
+        if made or value.__module__.split(".")[1] in INSIDE or getattr(entry, "is_checked", False):
+            continue
+        if inspect.signature(value).parameters:
+            yield f"{value.__module__}.{value.__qualname__}"
+
+
+def test_every_public_function_is_checked():
+    assert not sorted(set(open_entries()))
+
+
+def test_named_findings_meet_a_sentence():
+    """Those of the trials that no type tells: shapes of the lattice, of sensors, of what a user's function gives."""
+    chain = gx.scenes.monomer(7, precompression=1.0)
+    times, data = np.linspace(0.1, 1.0, 6), np.zeros((6, 2))
+    scene, traces = lambda p: gx.scenes.monomer(7, stiffness=p["k"]), gx.Traces(times, velocity=data, sites=[1, 2])
+    fit = functools.partial(gx.fit, scene, {"k": 1.0}, traces)
+    cases = (
+        (lambda: gx.driven.driven_chain(chain, np.ones(7), 1.0), "amplitude: expected one number, got shape (7,)"),
+        (lambda: gx.driven.driven_chain(chain, 0.1, 1.0, damping=np.ones(3)), "(Damping): expected"),
+        (lambda: gx.Traces(times, velocity=data, sites=[1, 2], sigma=[0.1] * 3), "sigma: expected a number, or"),
+        (lambda: gx.Traces(times, velocity=data, sites=[1, [2, 3]]), "sites: expected whole numbers"),
+        (lambda: fit(state=lambda p, lattice: 3.0), "state: expected a function (parameters, lattice)"),
+        (lambda: fit(state=gx.states.impact(chain), t0=[0.0]), "t0: expected one number"),
+        (lambda: fit(state=gx.states.impact(chain), seed=1.5), "seed: expected a whole number"),
+        (lambda: fit(state=gx.states.impact(chain), bounds=[(0, 1)]), "bounds: expected a dict"),
+        (lambda: fit(state=gx.states.impact(chain), optimiser=3), "optimiser: expected an optimiser of optax"),
+        (lambda: gx.simulate(chain, gx.states.rest(chain), 1.0, save_at=[0.1, [0.2]]), "save_at: expected"),
+        (lambda: gx.scenes.monomer(10**12), "GB of memory hold"),
+        (lambda: gx.newton.newton(lambda x, args: None, np.ones(2)), "residual: expected a function that gives"),
+        (lambda: gx.forced.forced_branch(lambda p: None, 0.1, 0.2, period=1.0), "make: expected a function"),
+        (lambda: gx.plots.profile(np.arange(3.0), np.ones(3), ax="axes"), "ax: expected matplotlib's Axes or None"),
+    )
+    for use, said in cases:
+        with pytest.raises(ValueError, match=re.escape(said)):
+            use()
+            pytest.fail(said)

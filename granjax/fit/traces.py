@@ -138,7 +138,8 @@ def _places(name, where):
     single = isinstance(where, tuple) and all(isinstance(i, (int, np.integer)) for i in where) or shape_of(where) == ()
     where = [where] if single else list(where)
     shapes = [shape_of(place, "iu") for place in where]
-    if not shapes or any(shape is None or len(shape) > 1 or shape == (0,) for shape in shapes):
+    one = bool(shapes) and all(shape == () or shape and len(shape) == 1 for shape in shapes)
+    if not one or len({shape or (1,) for shape in shapes}) > 1:
         refuse(name, "whole numbers, such as [2, 5] (tuples on a grid: [(1, 2), (3, 4)])", described(where))
     places = [np.atleast_1d(np.asarray(place)) for place in where]
     return tuple(tuple(int(i) for i in place) for place in places)
