@@ -38,7 +38,10 @@ def highest_frequency(lattice, us):
     return np.sqrt(max(eigvalsh_tridiagonal(row[:-1] + row[1:], -row[1:-1]).max() for row in k))
 
 
-@pytest.mark.parametrize("case", SHOCKS)
+SLOW = ("granular strain", "FPUT", "softening")
+
+
+@pytest.mark.parametrize("case", [pytest.param(x, marks=pytest.mark.slow) if x in SLOW else x for x in SHOCKS])
 def test_a_shock_takes_at_most_three_times_the_steps_of_what_it_reaches(case):
     """h omega between 1/6 and 1/2 (and a tenth) with the frequencies of 41 frames; energy kept to 1e-8."""
     lattice, state = SHOCKS[case]

@@ -170,7 +170,8 @@ def test_friction_gets_a_solver_that_reads_velocities():
         gx.simulate(lattice, moving(case), 5.0, solver=gx.SRKN11b(), step=0.1)
 
 
-@pytest.mark.parametrize("case", CASES[2:5:2], ids=["bend", "friction"])
+@pytest.mark.parametrize(
+    "case", [pytest.param(CASES[2], marks=pytest.mark.slow), CASES[4]], ids=["bend", "friction"])
 def test_a_tolerance_suits_every_kind(case):
     """A tolerance, alone and with a longest step, against another method."""
     lattice, state = case.make(K), moving(case)
@@ -282,6 +283,7 @@ def test_a_breather_and_its_multipliers(case):
     assert near.sum() == floquet.expected == case.at_one
 
 
+@pytest.mark.slow
 def test_a_driven_orbit_with_friction():
     lattice = _bead(CHAIN, gx.OnSite(gx.Linear(0.3)), Friction(K), gx.Drive(gx.Harmonic(0.5, 1.1), 0))
     orbit = gx.forced.forced_orbit(lattice, 2 * np.pi / 1.1, transient=40, steps=200)

@@ -27,7 +27,8 @@ def covers(orbit, known):
     assert abs(orbit.energy - known.energy) <= orbit.error.energy + known.energy_error
 
 
-@pytest.mark.parametrize("name", ("light_centred", "hard_pair", "forced_branch_upper"))
+@pytest.mark.parametrize("name", (
+    "light_centred", "hard_pair", pytest.param("forced_branch_upper", marks=pytest.mark.slow)))
 def test_the_stated_error_covers_the_truth_and_is_what_was_asked_for(name):
     known = reference(name)
     size = np.abs(known.u).max()
@@ -49,6 +50,7 @@ def test_other_orbits_too(name):
         covers(ask(known, **keywords), known)
 
 
+@pytest.mark.slow
 def test_the_light_centred_breather_from_its_family():
     known = reference("light_centred")
     family = gx.breathers.family(known.lattice, until=known.omega, stability=False)
@@ -70,6 +72,7 @@ def test_a_branch_of_forced_orbits_states_its_error():
     assert abs(branch.response[0] - true) <= branch.response_error[0] < 1e-6
 
 
+@pytest.mark.slow
 def test_at_a_given_energy_the_frequency_has_an_error():
     known = reference("family")
     guess = gx.State(jnp.asarray(known.u), jnp.asarray(known.v))
@@ -92,7 +95,7 @@ def test_the_length_at_which_a_lattice_is_no_longer_linear():
     assert nonlinear_length(chain(gx.Hertz(1.0)), zigzag) == 0
 
 
-@pytest.mark.parametrize("material", ("aluminium 6061-T6", "PTFE"))
+@pytest.mark.parametrize("material", ("aluminium 6061-T6", pytest.param("PTFE", marks=pytest.mark.slow)))
 def test_a_family_in_metres_is_the_scaled_one(material):
     chain = gx.scenes.beads(["steel 440C", material] * 5 + ["steel 440C"], 9.53e-3, 10.0, boundary="free")
     scaled, units = gx.scenes.scaled(chain)

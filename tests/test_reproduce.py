@@ -180,6 +180,7 @@ def test_the_resonant_chain_has_its_ratio_and_keeps_its_energy(data_of):
     assert 0 < share.min() and share.max() < 1 and (np.diff(share) < 0).all() and share[-1] < 0.3
 
 
+@pytest.mark.slow
 def test_the_energy_of_a_pulse_that_is_not_scattered_goes_on():
     """Hertz, free ends, equal beads: 99.366 % of the striker's energy runs ahead of every later contact."""
     chain = gx.scenes.monomer(24, boundary="free")

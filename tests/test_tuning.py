@@ -91,6 +91,7 @@ def test_the_environment_chooses_where_and_turns_it_off(tmp_path):
     assert kept(GRANJAX_CACHE=str(tmp_path / "file")) == [None, None]
 
 
+@pytest.mark.slow
 def test_a_folder_of_the_users_own_stays(tmp_path):
     assert kept(JAX_COMPILATION_CACHE_DIR=str(tmp_path)) == [str(tmp_path)] * 2
 
