@@ -19,7 +19,7 @@ from ..lattice import Lattice, State
 from ..measures import contacts
 from ..results import Held, Result
 from ..solvers import SRKN11b
-from ..types import Count, Counts, Displacements, Numbers, Scalar, StateLike, Times
+from ..types import Count, Counts, Displacements, Numbers, Pytree, Scalar, StateLike, Times
 from .repeats import checked_period, checked_state, one_lattice
 from .steps import default_steps, fixed_step_solver, history
 
@@ -33,6 +33,8 @@ APART = 1e3
 DISTURBANCE = 1e2
 # periods that are kept of a motion that does not repeat
 KEPT = 16
+# repetitions over which changes are compared with those of as many before
+STRETCH = 8
 # of what half the steps change: where contacts open that may be small by accident
 SAFETY = 4
 
@@ -119,13 +121,13 @@ def settle(
     # arrays, whose values compile nothing anew
     flow, T = Flow(jnp.asarray(steps), solver), jnp.asarray(period, lattice.dtype)
     tight = jnp.asarray(tolerance, lattice.dtype)
-    end, used, multiple, changes, _ = _follow(flow, lattice, state, T, periods, tight)
+    end, used, multiple, changes, _, rate = _follow(flow, lattice, state, T, periods, tight)
     used, multiple = int(used), int(multiple)
     (ts, us, vs), seen, sampling = _watch(solver, lattice, end, T, multiple or KEPT, steps)
     found = end, *seen
     errors = jax.tree.map(lambda x: jnp.full_like(x, jnp.nan), found)
     if multiple:
-        other, left = _otherwise(flow, lattice, end, T, jnp.asarray(multiple), jnp.asarray(periods), tight)
+        other, left = _otherwise(flow, lattice, end, T, jnp.asarray(multiple), jnp.asarray(periods), tight, rate)
         errors = _apart(found, (other, *_watch(solver, lattice, other, T, multiple, steps)[1]), left, sampling)
     changes = np.asarray(changes)[:used]
     change = float(changes[-1, MULTIPLES.index(multiple)] if multiple else changes[-1, 0])
@@ -143,10 +145,11 @@ def follow(
     flow: Flow, lattice: Lattice, state: StateLike, period: Scalar, periods: Count, tolerance: Scalar,
     most: Counts | None = None,
 ) -> tuple:
-    """From phase 0 on until a state repeats, twice: (state, periods used, multiple or 0, changes (periods, 4), once).
+    """From phase 0 on until a state repeats, twice: (state, periods used, multiple or 0, changes, once, rate).
 
-    `once`: whether it has repeated before it was disturbed. For use inside of `jax.jit`; `periods` is a Python integer,
-    how many changes are kept, and unless there is `most`, which may be traced, also the most that are run.
+    `changes` (periods, 4); `once`: whether it has repeated before it was disturbed; `rate`: by which a change becomes
+    less from one repetition to the next, after the disturbance. For use inside of `jax.jit`; `periods` is a Python
+    integer, how many changes are kept, and unless there is `most`, which may be traced, also the most that are run.
     """
     most = periods if most is None else most
     flat, unravel = ravel_pytree(State(*state))
@@ -183,8 +186,19 @@ def follow(
     used, y, _, before, changes = run(State(*state), begin, jnp.zeros((periods, len(MULTIPLES)), flat.dtype))
     x = ravel_pytree(y)[0]
     y = unravel(x + DISTURBANCE * tolerance * jnp.max(jnp.abs(weight * x)) * noise)
-    used, y, _, multiple, changes = run(y, used, changes)
-    return y, used, multiple, changes, before > 0
+    begin = used
+    used, y, _, multiple, changes = run(y, begin, changes)
+    return y, used, multiple, changes, before > 0, _rate(changes, used, used - begin, multiple)
+
+
+def _rate(changes, used, count, multiple):
+    """The rate of the last `count` periods' changes, from the largest of two stretches one after the other."""
+    column = jnp.searchsorted(jnp.array(MULTIPLES), jnp.maximum(multiple, 1))
+    age = (used - 1 - jnp.arange(len(changes))) % len(changes)
+    stretch = jnp.clip(count // 2, 1, STRETCH * jnp.maximum(multiple, 1))
+    late, early = (jnp.max(jnp.where((age >= k * stretch) & (age < (k + 1) * stretch), changes[:, column], 0))
+                   for k in (0, 1))
+    return jnp.where(early > 0, late / jnp.where(early > 0, early, 1), 0) ** (multiple / stretch)
 
 
 def forces(lattice: Lattice, y: StateLike, t: Scalar) -> Numbers:
@@ -207,12 +221,14 @@ def largest(x: Numbers) -> Numbers:
 _follow = waited(eqx.filter_jit(follow))
 
 
-@waited
-@eqx.filter_jit
-def _otherwise(flow, lattice, state, period, multiple, most, tolerance):
+def otherwise(
+    flow: Flow, lattice: Lattice, state: StateLike, period: Scalar, multiple: Counts, most: Counts, tolerance: Scalar,
+    rate: Scalar,
+) -> tuple[State, Scalar]:
     """Where half the steps settle from a state on, and the share of its size by which either may still be off.
 
-    What changes by c a repetition and by a factor r less at each is c r/(1 - r) from its end.
+    What changes by c a repetition and by a factor r less at each, `rate` at the least, is c r/(1 - r) from its end. For
+    use inside of `jax.jit`; NaN where it does not settle within `most` periods.
     """
     coarse = Flow(jnp.maximum(flow.steps // 2, 1), flow.solver)
     flat, _ = ravel_pytree(state)
@@ -232,17 +248,23 @@ def _otherwise(flow, lattice, state, period, multiple, most, tolerance):
 
     infinite = jnp.full((), jnp.inf, flat.dtype)
     count, y, first, last = jax.lax.while_loop(going, one, (jnp.zeros((), int), state, infinite, infinite))
-    rate = jnp.where((count > 1) & (first > 0), (last / first) ** (1 / jnp.maximum(count - 1, 1)), 0)
+    own = jnp.where((count > 1) & (first > 0), (last / first) ** (1 / jnp.maximum(count - 1, 1)), 0)
+    rate = jnp.maximum(own, rate)
     left = jnp.maximum(last, tolerance) / jnp.maximum(1 - rate, jnp.finfo(flat.dtype).eps)
     return y, jnp.where(last <= tolerance, left, jnp.nan)
 
 
+_otherwise = waited(eqx.filter_jit(otherwise))
+
+
+def apart(found: Pytree, other: Pytree, left: Scalar) -> Pytree:
+    """The errors of what is seen of an attractor, from what `otherwise` leads to."""
+    return jax.tree.map(lambda x, y: SAFETY * jnp.abs(x - y) + left * jnp.max(jnp.abs(x), initial=0), found, other)
+
+
 @jax.jit
 def _apart(found, other, left, sampling):
-    def error(x, y):
-        return SAFETY * jnp.abs(x - y) + left * jnp.max(jnp.abs(x), initial=0)
-
-    state, *tops, energy = jax.tree.map(error, found, other)
+    state, *tops, energy = apart(found, other, left)
     return state, *jax.tree.map(jnp.add, tuple(tops), sampling), energy
 
 

@@ -21,7 +21,7 @@ from ..outside import Outside
 from ..results import Held, Result
 from ..solvers import SRKN11b
 from ..types import Count, Displacements, Parameter, Scalar, StateLike
-from .attractors import follow, steps_per_period
+from .attractors import apart, follow, otherwise, steps_per_period
 from .branch import Bifurcation
 from .problems import made, period_at
 from .repeats import checked_period, checked_state, one_lattice
@@ -52,17 +52,24 @@ class Way(Result):
 
     - `response` (P,): the chosen number. `velocity` (P, N): root mean square of each site's. `energy` (P,): mean.
     - `multiple` (P,): periods after which the motion repeats, 0 where it does not. `periods` (P,): run at each value.
+    - `response_error` (P,), `velocity_error` (P, N), `energy_error` (P,): estimated distances from the true motion, as
+      of `settle`; NaN where nothing repeats.
     - `states`: at phase 0, (P, N). `jumps`, `bifurcations`: tuples of `Jump` and `Bifurcation`, as they were met.
     """
 
     held: ClassVar[dict[str, Held]] = {
         "response": Held("value"), "velocity": Held("value site", "m/s"), "energy": Held("value", "J"),
+        "response_error": Held("value"), "velocity_error": Held("value site", "m/s"),
+        "energy_error": Held("value", "J"),
         "multiple": Held("value"), "periods": Held("value"), "states": Held("value site", "", "state"),
         "jumps": Held("jump"), "bifurcations": Held("bifurcation"),
     }
     response: Float[np.ndarray, " P"]
     velocity: Displacements
     energy: Float[np.ndarray, " P"]
+    response_error: Float[np.ndarray, " P"]
+    velocity_error: Displacements
+    energy_error: Float[np.ndarray, " P"]
     multiple: Integer[np.ndarray, " P"]
     periods: Integer[np.ndarray, " P"]
     states: State
@@ -171,11 +178,15 @@ def sweep(
                 break
         return found
 
-    up = _way(attractor, values, state, jump, accuracy, 1)
+    def with_errors(value, found):
+        rest = flow, watch, jnp.asarray(value), found, jnp.asarray(periods), jnp.asarray(tolerance), outside
+        return {name: x for name, x in found.items() if name != "rate"} | _errors(make, period, response, *rest)
+
+    up = _way(attractor, with_errors, values, state, jump, accuracy, 1)
     if not down:
         return Sweep(values, up, None, [])
     last = jax.tree.map(lambda x: x[-1], up.states)
-    back = _way(attractor, values, last, jump, accuracy, -1)
+    back = _way(attractor, with_errors, values, last, jump, accuracy, -1)
     return Sweep(values, up, back, _hysteresis(values, up, back, jump))
 
 
@@ -184,10 +195,23 @@ def sweep(
 def _run(make, period, response, flow, periods, watch, value, y, tolerance, most, outside):
     """What is found at a value, and whether it settles still."""
     lattice, T = make(value), period_at(period, value)
-    y, used, multiple, changes, once = follow(flow, lattice, y, T, periods, tolerance, most)
+    y, used, multiple, changes, once, rate = follow(flow, lattice, y, T, periods, tolerance, most)
     part, change = max(1, periods // 8), changes[:, 0]
     early, late = jnp.median(change[periods // 2 - part : periods // 2]), jnp.median(change[-part:])
-    return _response(flow, lattice, y, T, response, watch, multiple, used), once | (late < early / 2)
+    found = _response(flow, lattice, y, T, response, watch, multiple, used)
+    return found | {"rate": rate}, once | (late < early / 2)
+
+
+@waited
+@eqx.filter_jit
+def _errors(make, period, response, flow, watch, value, found, periods, tolerance, outside):
+    """The errors of what is found at a value."""
+    lattice, T, multiple = make(value), jnp.asarray(period_at(period, value)), found["multiple"]
+    y, left = otherwise(flow, lattice, found["states"], T, jnp.maximum(multiple, 1), periods, tolerance, found["rate"])
+    coarse = Flow(max(flow.steps // 2, 1), flow.solver)
+    other = _response(coarse, lattice, y, T, response, watch, multiple, found["periods"])
+    left = jnp.where(multiple > 0, left, jnp.nan)
+    return {f"{name}_error": apart(found[name], other[name], left) for name in ("response", "velocity", "energy")}
 
 
 def _response(flow, lattice, y, period, response, watch, multiple, used):
@@ -198,7 +222,7 @@ def _response(flow, lattice, y, period, response, watch, multiple, used):
             "multiple": multiple, "periods": used, "states": end}
 
 
-def _way(attractor, values, state, jump, accuracy, direction):
+def _way(attractor, with_errors, values, state, jump, accuracy, direction):
     found = []
     for value in values[::direction]:
         found.append(attractor(value, state))
@@ -207,6 +231,7 @@ def _way(attractor, values, state, jump, accuracy, direction):
     steps = list(zip(values[::direction][:-1], found[:-1], values[::direction][1:], found[1:]))
     jumps = [_jump(attractor, step, accuracy, jump, floor) for step in steps]
     changes = [_bifurcation(attractor, step, accuracy, i) for i, step in enumerate(steps)]
+    found = [with_errors(value, x) for value, x in zip(values[::direction], found)]
     stacked = jax.tree.map(lambda *x: np.stack(x), *found[::direction])
     return Way(**stacked, jumps=tuple(filter(None, jumps)), bifurcations=tuple(filter(None, changes)))
 
