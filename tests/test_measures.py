@@ -422,8 +422,8 @@ def test_velocity_trace_has_the_noise_it_was_asked_for():
 REST = states.rest(chain(8))
 TS, Q = np.linspace(0, 1, 10), np.ones((10, 8))
 BAD = {
-    "a pair of three": (lambda: measures.energy(chain(8), (1, 2, 3)), "y: expected a State"),
-    "an array": (lambda: measures.energy(chain(8), REST.u), "y: expected a State"),
+    "a pair of three": (lambda: measures.energy(chain(8), (1, 2, 3)), "y: expected State"),
+    "an array": (lambda: measures.energy(chain(8), REST.u), "y: expected State"),
     "another shape": (lambda: measures.energy(chain(9), REST), r"y.u: expected shape \(9,\)"),
     "a trajectory": (lambda: measures.energy(chain(8), gx.State(Q, Q)), "measures.along"),
     "fields": (lambda: measures.energy(cells(), REST), "y.u: expected fields"),

@@ -181,7 +181,7 @@ def test_an_interval_without_anti_resonance():
         (lambda: gx.resonance.refine(gx.resonance.transmission([0.5, 1.0], 21)), "sweep: expected at least three"),
         (lambda: gx.resonance.decay_rate([0.5], (600, 200)), "contacts: expected two contacts"),
         (lambda: gx.resonance.decay_rate([0.5], (200, 401)), "both even or both odd"),
-        (lambda: gx.resonance.decay_rate([0.5], 200), "contacts: expected two contacts"),
+        (lambda: gx.resonance.decay_rate([0.5], 200), "contacts: expected a sequence .each: a whole number., got 200"),
         (lambda: gx.resonance.contact_forces([0.5], [-1]), r"contacts\[0\]"),
         (lambda: gx.resonance.anti_resonance(0.4, 0.3), "high: expected a mass ratio above low"),
         (lambda: gx.resonance.anti_resonance(0.0, 0.3), "low: expected numbers in"),

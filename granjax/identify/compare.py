@@ -14,7 +14,7 @@ from ..fit.problem import Start
 from ..fit.traces import checked_traces
 from ..interrupts import interruptible
 from ..results import Held, Result
-from ..types import Scalar
+from ..types import Parameter, Scalar, Scene
 
 # probability of chi^2 below which even the best model does not describe the data
 IMPLAUSIBLE = 0.01
@@ -90,8 +90,8 @@ class Comparison(Result):
 @checked
 @interruptible
 def compare(
-    models: dict[str, tuple | list], traces: Traces | Sequence[Traces], *, state: Start, level: Scalar = 10.0,
-    options: dict[str, dict] | None = None, **common: object,
+    models: dict[str, tuple[Scene, dict[str, Parameter]] | list], traces: Traces | Sequence[Traces], *, state: Start,
+    level: Scalar = 10.0, options: dict[str, dict] | None = None, **common: object,
 ) -> Comparison:
     r"""Models fitted to the same traces, and ranked: which one they speak for.
 

@@ -1,7 +1,7 @@
 """Branches of forced orbits over a parameter, with their stability and bifurcations."""
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -55,9 +55,9 @@ LOCATED, APART = 1e-10, 1e-7
 @one_thread
 @interruptible
 def forced_branch(
-    make: Callable, start: Scalar, until: Scalar, *, period: Callable | Scalar, guess: StateLike | None = None,
-    transient: Count = 0, t0: Scalar = 0.0, steps: Count | None = None, segments: Count = 1,
-    solver: AbstractSolver | None = None, tolerance: Scalar = BRANCH, arclength: Scalar = 0.02,
+    make: Callable[[Any], Any], start: Scalar, until: Scalar, *, period: Callable[[Any], Any] | Scalar,
+    guess: StateLike | None = None, transient: Count = 0, t0: Scalar = 0.0, steps: Count | None = None,
+    segments: Count = 1, solver: AbstractSolver | None = None, tolerance: Scalar = BRANCH, arclength: Scalar = 0.02,
     longest_arclength: Scalar | None = None, points: Count = 400, response: Callable = rms_velocity,
 ) -> Branch:
     r"""Follow the periodic orbits of a forced lattice over a parameter, through folds, stable or not.

@@ -1,7 +1,7 @@
 """Response curves: the attractor followed up and down a parameter, with its jumps and its hysteresis."""
 
 from collections.abc import Callable
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -110,9 +110,9 @@ class Sweep(Result):
 @checked
 @interruptible
 def sweep(
-    make: Callable, values: Parameter, period: Callable | Scalar, *, state: StateLike | None = None,
-    response: Callable = rms_velocity, jump: Scalar = 0.2, accuracy: Scalar = 1e-3, periods: Count = 2000,
-    tolerance: Scalar = 1e-6, watch: Count = WATCHED, steps: Count | None = None,
+    make: Callable[[Any], Any], values: Parameter, period: Callable[[Any], Any] | Scalar, *,
+    state: StateLike | None = None, response: Callable = rms_velocity, jump: Scalar = 0.2, accuracy: Scalar = 1e-3,
+    periods: Count = 2000, tolerance: Scalar = 1e-6, watch: Count = WATCHED, steps: Count | None = None,
     solver: AbstractSolver | None = None, down: bool = True,
 ) -> Sweep:
     r"""Follow the attractor of a forced lattice while one parameter goes up its values, and then down again.
