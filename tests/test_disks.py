@@ -3,6 +3,7 @@
 import contextlib
 import json
 import os
+import re
 import resource
 import stat
 import subprocess
@@ -77,6 +78,13 @@ def test_a_file_is_replaced_whole(tmp_path):
     assert path.read_text() == link.read_text() == "second" and link.is_symlink()
     assert stat.S_IMODE(path.stat().st_mode) == 0o640
     assert names(tmp_path) == ["a.json", "link.json"]
+
+
+def test_files_are_written_in_one_place():
+    root = Path(gx.__file__).parent
+    writes = re.compile(r"write_text|write_bytes|to_netcdf|np\.save|json\.dump\(|open\([^)]*[\"'][wax]b?[\"']")
+    found = {path.name for path in root.rglob("*.py") if writes.search(path.read_text().replace("open(os.devnull", ""))}
+    assert found == {"files.py"}
 
 
 def test_rights_of_a_new_file_are_those_of_any(tmp_path):

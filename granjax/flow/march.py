@@ -2,6 +2,7 @@
 
 import itertools
 import math
+import time
 from functools import cache
 
 import diffrax
@@ -43,19 +44,27 @@ def march(
     """
     forward = isinstance(adjoint, diffrax.ForwardMode) and not (every or dips)
     takes, ends, budget = seconds_a_step(lattice, solver, TAKES), [], None
+    span = float(t1) - float(t0)
     if tolerance is None:
-        steps = math.ceil((float(t1) - float(t0)) / float(dt) * (1 - 1e-12))
+        steps = math.ceil(span / float(dt) * (1 - 1e-12))
+        long = steps * takes > SHORT
         if steps * takes > LONG and forward and (max_steps is None or max_steps >= steps):
             ends = [*range(0, steps, max(min(int(PIECE / takes), COUNTED), 1)), steps]
-    elif forward:
-        budget = 1 << int(LONG / takes).bit_length()
+    else:
+        # what an adaptive run takes is known from the one before
+        known = facts(lattice).known
+        long = known.get("pace", math.inf) * span > SHORT
+        budget = 1 << int(LONG / takes).bit_length() if forward else None
     if not ends:
+        begin = time.perf_counter()
         limit = max_steps if budget is None else min(budget, max_steps or budget)
         run = integrate(
             lattice, state, t0, t1, dt, tolerance, save_ts, records, solver, adjoint, limit, every, progress, watch,
             outside, dips)
-        if tolerance is not None or steps * takes > SHORT:
+        if long:
             wait(run.code)
+            if tolerance is not None:
+                known["pace"] = (time.perf_counter() - begin) / span
         if limit == max_steps or np.asarray(run.code) != TOO_MANY_STEPS:
             return run
     begin, how = (state, t0, t1), (dt, tolerance, save_ts, records, solver)
