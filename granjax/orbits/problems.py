@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from ..checks import described, refuse
 from ..continuation import Curve
-from ..entry import shape_of, takes
+from ..entry import shape_of
 from ..flow import Flow
 from ..lattice import Lattice, State, spread_mass, vector_field
 from ..outside import Outside
@@ -247,9 +247,6 @@ def period_at(period: Callable | Scalar, p: Scalar) -> Scalar:
 
 def made(make: Callable, period: Callable | Scalar, p: Scalar) -> tuple[Lattice, Scalar]:
     """The lattice and the period at a value of the parameter, as functions of the user's give them."""
-    for name, function in (("make", make), ("period", period)):
-        if callable(function) and not takes(function, 1):
-            refuse(name, "a function of one argument, the parameter", described(function))
     lattice, T = make(jnp.asarray(p)), period_at(period, p)
     if not isinstance(lattice, Lattice):
         refuse("make", "a function of a number that gives a Lattice", f"one that gives {described(lattice)}")
