@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from .checks import described, refuse
+from .checks import described, held_in_memory, refuse
 from .types import AnyArray, Scalar
 
 CONVERGED, STALLED, SPENT, NOT_FINITE, NO_GRADIENT, NO_START = range(6)
@@ -106,6 +106,7 @@ def descend(
         place = jax.tree.map(lambda new, old: jnp.where(accepted, new, old), onward, place)
         return place, part, tried + 1, i + accepted, best, largest, start, code, values, norms
 
+    held_in_memory("max_steps", max_steps, 32, "steps")
     none = jnp.full(max_steps + 1, jnp.nan)
     place = _Place(zero, jnp.inf, zero, zero, optimiser.init(zero))
     carry = (place, 1.0, 0, 0, (jnp.inf, zero), 0.0, zero, -1, none, none)

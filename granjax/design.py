@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Integer
 
-from .checks import described, one_of, parameter, refuse, whole, within
+from .checks import described, held_in_memory, one_of, parameter, refuse, whole, within
 from .checks import tolerance as checked_tolerance
 from .descent import CONVERGED, NO_GRADIENT, NO_START, NOT_FINITE, SPENT, STALLED, checked_optimiser, descend
 from .entry import checked, shape_of
@@ -145,6 +145,9 @@ def smooth_peak(values: Parameter, power: Scalar = 40, axis: int | tuple[int, ..
     """
     values = jnp.maximum(parameter("values", values), 0)
     power = within("power", power, 1, np.inf, open_low=True, open_high=True)
+    axes, ndim = () if axis is None else axis if isinstance(axis, tuple) else (axis,), values.ndim
+    if not all(-ndim <= one < ndim for one in axes) or len({one % ndim for one in axes}) < len(axes):
+        refuse("axis", f"axes of the values, shape {values.shape}, each once", described(axis))
     return _peak(values, power, axis)
 
 
@@ -171,7 +174,9 @@ def _others(coordinates, bounds, starts, seed):
                     for name, x in coordinates.start.items()}
             own.append(Coordinates(full, bounds))
         return own
-    draws = np.random.default_rng(whole("seed", seed)).normal(size=(whole("starts", starts, 0), coordinates.size))
+    starts = whole("starts", starts, 0)
+    held_in_memory("starts", starts, 64 * coordinates.size, "starts")
+    draws = np.random.default_rng(whole("seed", seed)).normal(size=(starts, coordinates.size))
     return [Coordinates(coordinates.parameters(jnp.asarray(x)), bounds) for x in draws]
 
 

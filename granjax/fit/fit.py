@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from diffrax import AbstractSolver
 
-from ..checks import one_of, positive, refuse, whole
+from ..checks import held_in_memory, one_of, positive, refuse, whole
 from ..checks import tolerance as checked_tolerance
 from ..descent import checked_optimiser
 from ..entry import checked
@@ -79,6 +79,7 @@ def fit(
     if one_of("method", method, METHODS) == METHODS[1] and windows > 1:
         refuse("method", f"{METHODS[0]!r} with windows", repr(method))
     count = problem.coordinates.size
+    held_in_memory("starts", starts, 64 * count, "starts")
     x0 = np.zeros((starts, count))
     x0[1:] = np.random.default_rng(whole("seed", seed)).normal(size=x0[1:].shape) * float(spread)
     if windows > 1:

@@ -10,7 +10,7 @@ from diffrax import AbstractSolver
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
-from ..checks import positive, refuse, whole
+from ..checks import held_in_memory, positive, refuse, whole
 from ..checks import tolerance as checked_tolerance
 from ..entry import checked
 from ..flow import Flow
@@ -115,6 +115,7 @@ def settle(
     state, period = checked_state(one_lattice(lattice), state), float(positive("period", period))
     tolerance = float(checked_tolerance("tolerance", tolerance))
     periods = whole("periods", periods, 8)
+    held_in_memory("periods", periods, 64, "periods")
     steps = steps_per_period(lattice, period) if steps is None else whole("steps", steps, 1)
     checked_period(lattice, state, 0.0, period)
     solver = fixed_step_solver(lattice, solver, SRKN11b())

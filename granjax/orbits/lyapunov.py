@@ -10,7 +10,7 @@ from diffrax import AbstractSolver
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
-from ..checks import positive, refuse, whole
+from ..checks import held_in_memory, positive, refuse, whole
 from ..entry import checked
 from ..flow import Flow
 from ..flow.stepping import columns, matrix
@@ -87,6 +87,8 @@ def lyapunov(
     if number > size:
         refuse("number", f"at most {size}, twice the number of displacements", f"{number}")
     periods, transient = whole("periods", periods, windows), whole("transient", transient, 0)
+    for name, count in (("periods", periods), ("transient", transient)):
+        held_in_memory(name, count, 32 * number, "periods")
     steps = steps_per_period(lattice, period) if steps is None else whole("steps", steps, 1)
     solver = fixed_step_solver(lattice, solver, SRKN11b())
     start = np.random.default_rng(seed).normal(size=(size, number))

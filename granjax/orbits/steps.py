@@ -17,6 +17,8 @@ from ..types import Count, Numbers, Scalar, StateLike, Times
 
 # h omega of a step, with omega the highest linear frequency, and the fewest steps of a period
 FINE, LEAST_STEPS = 0.3, 16
+# steps that a floating number no longer counts one by one
+UNCOUNTED = 2.0**53
 
 
 def fixed_step_solver(lattice: Lattice, solver: AbstractSolver | None, otherwise: AbstractSolver) -> AbstractSolver:
@@ -47,7 +49,10 @@ def default_steps(
         known = np.asarray(period * frequency_bound(lattice, guess, 0.0, period))
     elif not (doubled or known > 0):
         refuse("steps", "steps per period", "None", "Nothing is stiff at rest (a sonic vacuum): give steps=.")
-    return multiple * max(math.ceil(known / fineness / multiple), least)
+    count = float(known) / fineness
+    if not count < UNCOUNTED:
+        refuse("period", f"a time of fewer than {UNCOUNTED:.1g} steps", f"{float(period):g}, which takes {count:.2g}")
+    return multiple * max(math.ceil(count / multiple), least)
 
 
 def flow_over(

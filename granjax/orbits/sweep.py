@@ -10,7 +10,7 @@ import numpy as np
 from diffrax import AbstractSolver
 from jaxtyping import Float, Integer
 
-from ..checks import concrete, parameter, positive, refuse, whole
+from ..checks import concrete, held_in_memory, parameter, positive, refuse, whole
 from ..checks import tolerance as checked_tolerance
 from ..entry import checked
 from ..flow import Flow
@@ -146,6 +146,8 @@ def sweep(
     jump, accuracy = float(positive("jump", jump)), float(positive("accuracy", accuracy))
     tolerance, periods = float(checked_tolerance("tolerance", tolerance)), whole("periods", periods, 8)
     watch = whole("watch", watch, 1)
+    for name, count in (("periods", periods), ("watch", watch)):
+        held_in_memory(name, count, 64, "periods")
     scenes = [(scene, float(T)) for scene, T in (made(make, period, w) for w in values[[0, -1]])]
     first = one_lattice(scenes[0][0])
     if steps is None:
