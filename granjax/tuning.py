@@ -99,10 +99,12 @@ def keep_compiled(folder: str | Path | None = None) -> Path | None:
     folder. Below it every kind of processor has its own folder.
 
     **Returns:** the folder, or `None` where nothing is kept: `GRANJAX_CACHE=0`, or it cannot be written. A folder that
-    the user has given to JAX itself stays.
+    the user has given to JAX itself stays. **Raises** ValueError for what is no path.
     """
     import jax
 
+    if folder is not None and not isinstance(folder, (str, os.PathLike)):
+        raise ValueError(f"folder: expected a string, a path or None, got {folder!r}")
     if jax.config.jax_compilation_cache_dir:
         return Path(jax.config.jax_compilation_cache_dir)
     chosen = folder or os.environ.get("GRANJAX_CACHE") or _user_cache() / "granjax"

@@ -54,6 +54,7 @@ NOT_FACE = {
     "split_system.": "between a lattice and a solver, inside of a loop",
     "lattice.model.Lattice.sum_forces": "a part of `force`, inside of a loop", "terms.reach.": "asked by terms alone",
     "lattice.model.Lattice.total": "a part of `force`, inside of a loop",
+    "tuning.keep_compiled": "sets where JAX keeps its programs, for the whole process",
     "tuning.prepare_import": "called by the import, without an argument",
 }
 

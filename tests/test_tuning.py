@@ -7,6 +7,8 @@ import sys
 
 import pytest
 
+import granjax as gx
+
 REPORT = """
 import json, os, sys
 {before}
@@ -144,3 +146,9 @@ def test_clear_hands_memory_back_and_leaves_results():
     grown, left, caches, sites, same = kept(ONE_MORE_LENGTH)
     assert grown > 15e6 and left < 0.3 * grown and caches == 0
     assert sites == 6 and same
+
+
+def test_a_folder_that_is_no_path_is_refused():
+    for folder in (3, ["a"], object()):
+        with pytest.raises(ValueError, match="folder: expected a string, a path or None, got"):
+            gx.tuning.keep_compiled(folder)
