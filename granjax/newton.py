@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .checks import broadcast, described, passable, refuse, traced, whole
-from .entry import checked
+from .entry import checked, takes
 from .interrupts import waited
 from .outside import Outside
 from .results import Held, Result
@@ -155,6 +155,9 @@ def _given(linearise):
 @checked
 def evaluated(residual: Callable, x: Numbers, *others: Any) -> Numbers:
     """F(x, ...), as many numbers as unknowns."""
+    count = 1 + len(others)
+    if not takes(residual, count):
+        refuse("residual", f"a function of {count} argument{'s' * (count != 1)}", described(residual))
     found = residual(x, *others)
     if not isinstance(found, (jax.Array, np.ndarray)) or found.shape != x.shape:
         refuse("residual", f"a function that gives an array of shape {x.shape}", f"one that gives {described(found)}")

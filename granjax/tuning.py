@@ -177,6 +177,8 @@ def _pools():
 
 def one_thread(function: Callable) -> Callable:
     """The function with LAPACK on one thread: below some 500 rows more threads only wait for each other."""
+    if not callable(function):
+        raise ValueError(f"function: expected a function, got {function!r}")
 
     @wraps(function)
     def limited(*arguments, **keywords):

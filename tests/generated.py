@@ -259,6 +259,8 @@ def admits(hint, x):
         return callable(x)
     if origin in (abc.Sequence, list, tuple, abc.Iterable) or hint in (abc.Sequence, abc.Iterable, tuple, list):
         kind = origin or hint
+        if isinstance(x, jax.Array) and not isinstance(x, jax.core.Tracer):
+            x = np.asarray(x)
         array = kind in (abc.Sequence, abc.Iterable) and isinstance(x, np.ndarray) and x.ndim > 0
         if isinstance(x, (str, bytes)) or not (array or isinstance(x, kind)):
             return False
@@ -270,19 +272,18 @@ def admits(hint, x):
     if origin in (dict, abc.Mapping):
         return isinstance(x, origin) and all(admits(inside[0], k) and admits(inside[1], v) for k, v in x.items())
     if isinstance(x, np.ma.MaskedArray):
-        return False
+        return hint is np.ndarray
     if hint is Pytree:
         try:
             leaves = jax.tree.leaves(x)
         except SystemError:  # a list that holds itself
             return False
         return bool(leaves) and all(isinstance(leaf, jax.Array) or numeric(leaf, "iufc") for leaf in leaves)
+    if beartype.door.is_bearable(x, hint) or not hasattr(hint, "dim_str") or not isinstance(x, (np.ndarray, jax.Array)):
+        return beartype.door.is_bearable(x, hint)
     # JAX's arrays are as good as NumPy's where they are known, and whole numbers are real ones
-    if isinstance(x, jax.Array) and not isinstance(x, jax.core.Tracer) and hasattr(hint, "dim_str"):
-        x = np.asarray(x)
-    if isinstance(x, (np.ndarray, jax.Array)) and hasattr(hint, "dim_str") and x.dtype.kind in "iu":
-        x = x.astype(float)
-    return beartype.door.is_bearable(x, hint)
+    x = np.asarray(x) if isinstance(x, jax.Array) and not isinstance(x, jax.core.Tracer) else x
+    return beartype.door.is_bearable(x.astype(float) if x.dtype.kind in "iu" else x, hint)
 
 
 # -------------------------------------------------------------------------------------------------------- valid values

@@ -81,6 +81,10 @@ def is_sequence(x: Any) -> bool:
     return isinstance(x, Sequence) and not isinstance(x, (str, bytes, bytearray, memoryview))
 
 
+def _many(x):
+    return is_sequence(x) or not isinstance(x, jax.core.Tracer) and array_of(x, "fiucbUS") and x.ndim > 0
+
+
 def _scalar(x):
     return type(x) is float or shape_of(x) == ()
 
@@ -178,7 +182,7 @@ PLAIN_KINDS = {
     tuple: Kind("a tuple", lambda x: isinstance(x, tuple)),
     list: Kind("a list", lambda x: isinstance(x, list)),
     dict: Kind("a dict", lambda x: isinstance(x, dict)),
-    Sequence: Kind("a sequence", lambda x: is_sequence(x) or array_of(x, "fiucbUS") and x.ndim > 0),
+    Sequence: Kind("a sequence", _many, known=True),
     Iterable: Kind("several values", lambda x: hasattr(x, "__iter__")),
     Callable: Kind("a function", callable),
 }

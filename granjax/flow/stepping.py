@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from ..checks import described, refuse
+from ..checks import described, refuse, whole
 from ..entry import checked
 from ..lattice import Lattice, vector_field
 from ..lattice.model import check_shape
@@ -38,6 +38,10 @@ class Flow(eqx.Module):
     steps: Count | Counts
     solver: diffrax.AbstractSolver = SRKN14a()
     field: Callable = eqx.field(static=True, default=vector_field)
+
+    def __check_init__(self):
+        if isinstance(self.steps, (int, np.integer)):
+            whole("steps", self.steps, 1)
 
     @checked
     def __call__(self, y: Pytree, t0: Scalar, t1: Scalar, args: Any) -> Pytree:

@@ -99,8 +99,8 @@ def physics_informed(
     do not hold the start, or a lattice without linear frequency (a sonic vacuum).
     Source: Raissi, Perdikaris, Karniadakis, J. Comput. Phys. 378, 686 (2019).
     """
-    lattice = scene(jax.tree.map(jnp.asarray, start))
     coordinates = Coordinates(start, bounds)
+    lattice = scene(jax.tree.map(jnp.asarray, start))
     times, velocity, sites = _checked(lattice, times, velocity, sites)
     weight, rate = non_negative("weight", weight), float(positive("rate", rate))
     max_steps, refine = whole("max_steps", max_steps, 0), whole("refine", refine, 0)

@@ -138,6 +138,8 @@ def traces(
     chosen = qs[:, sites]
     span = float(np.nanmax(np.nanmax(chosen, 0) - np.nanmin(chosen, 0))) or 1.0
     offset = span if offset is None else float(within("offset", offset, 0, np.inf))
+    if not offset < np.finfo(float).max / 4 / (1 + len(names)):
+        refuse("offset", "one that a picture can hold", f"{offset:g}")
     ax = axes_or_new(ax, 5.2, 3.8)
     for i, name in enumerate(names):
         trace = chosen[:, i] + i * offset

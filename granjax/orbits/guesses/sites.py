@@ -39,7 +39,7 @@ BESIDE = 3
 
 @checked
 def single_site(
-    lattice: Lattice, omega: Scalar, sites: Site | Sequence[Site], *, amplitudes: Sequence | None = None,
+    lattice: Lattice, omega: Scalar, sites: Site | Sequence[Site], *, amplitudes: Sequence[Scalar] | None = None,
     field: str | None = None,
 ) -> State:
     r"""A breather about the named sites, from the anticontinuous limit where it is near.
