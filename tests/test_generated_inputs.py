@@ -4,6 +4,7 @@ The cases are made of signatures and types (`generated.py`); a fixed seed choose
 """
 
 import generated
+import jax
 import pytest
 from generated import cases, chosen, targets, trial
 
@@ -31,6 +32,13 @@ def check(some):
 def elsewhere(tmp_path, monkeypatch):
     """What is written by name is written into a folder of the test's."""
     monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def forgotten():
+    """Programs that were given up while they were lowered are not left to the tests that follow."""
+    yield
+    jax.clear_caches()
 
 
 @pytest.mark.parametrize("name", PACKAGES)
