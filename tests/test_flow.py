@@ -458,7 +458,8 @@ def test_a_tolerance_with_a_longest_step(closed):
 def test_a_loose_tolerance_is_said():
     chain = gx.scenes.monomer(20)
     run = gx.simulate(chain, gx.states.impact(chain), 30.0, tolerance=1.0)
-    assert float(run.energy_error) > 0.1 and "loose" in run.outcome and "0.32 of it" in run.outcome
+    lost = float(run.energy_error)
+    assert lost > 0.1 and "loose" in run.outcome and f"{lost:.2g} of it" in run.outcome
     fine = gx.simulate(chain, gx.states.impact(chain), 30.0, tolerance=1e-5)
     assert float(fine.energy_error) < 1e-3 and fine.outcome == f"Completed at t = 30 after {fine.stats['steps']} steps."
 
