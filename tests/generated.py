@@ -527,12 +527,13 @@ def call(case, x):
 
 def trial(case):
     """What becomes of a case; `None` where it says nothing: a valid kind, and a call that has no contents."""
-    hint = case.target.arguments()[case.argument].annotation
+    given = case.target.arguments()[case.argument]
+    hint, default = given.annotation, given.default
     must, full = True, True
 
     def of(x):
         nonlocal must, full
-        must = not admits(hint, x)
+        must = x is not default and not admits(hint, x)
         run, full = call(case, x)
         if must or full:
             with watched(str(case)):
