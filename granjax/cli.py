@@ -279,14 +279,14 @@ def _bench(arguments):
             code = _complain(f"{name}: {error}", 1)
             continue
         done[name] = {"scene": name, "title": scene.title, "t0": scene.t0, "t1": scene.t1, **table.to_dict()}
+        data, picture = places[name]
+        code = _keep(data, json.dumps(done[name], indent=1) + "\n") or code
+        code = _keep(picture, _chart(scene, table, picture.suffix)) or code
         if not arguments.json:
             said = _say("\n".join([f"{name}: {scene.title}", str(table), *_advice(table), ""]))
             if said == UNREAD:
                 return said
             code = code or said
-        data, picture = places[name]
-        code = _keep(data, json.dumps(done[name], indent=1) + "\n") or code
-        code = _keep(picture, _chart(scene, table, picture.suffix)) or code
     if arguments.json:
         code = _say(json.dumps(done, allow_nan=False)) or code
     return code

@@ -77,7 +77,7 @@ def reason(error: BaseException) -> str:
 def _beside(path):
     """A free name beside a file: hidden, and of its folder, so that moving is a change of names alone."""
     path = Path(os.path.realpath(path))
-    name = path.name.encode()[:LONGEST].decode(errors="ignore")
+    name = os.fsencode(path.name)[:LONGEST].decode(errors="ignore")
     return path, path.with_name(f".{name}.{secrets.token_hex(6)}.part")
 
 
@@ -102,7 +102,7 @@ def _made(part):
 def write(path: str | Path, content: bytes | str) -> Path:
     """A file of this content at a path, whole or not at all; what was there stays where writing fails.
 
-    A link is followed, the rights of what was there are kept. **Raises** OSError with a sentence.
+    A link is followed, the permissions of what was there are kept. **Raises** OSError with a sentence.
     """
     try:
         return _write(Path(path), content)

@@ -88,24 +88,24 @@ def tell(text: str) -> None:
 
 # whether Ctrl-C was pressed since the outermost function that is `interruptible` began
 _pressed: list[bool] = []
+_inside = False
 
 
 def wait(tree: Any) -> Any:
-    """What a compiled program returns, when it is there. Nothing happens to what is traced.
+    """What a compiled program returns, when all of it is there. Nothing happens to what is traced.
 
     JAX itself waits in a way that no signal reaches. An interrupt leaves the program at work, so that what is computed
     next waits for it. One that Python has lost, because it came while a callback of a library ran, is raised here.
     """
     import jax
 
-    if _pressed:
+    if _inside and _pressed and _is_main():
         raise KeyboardInterrupt
-    array = next((x for x in jax.tree.leaves(tree) if hasattr(x, "is_ready")), None)
-    if array is not None:
-        begin = time.perf_counter()
-        while not array.is_ready():
-            passed = time.perf_counter() - begin
-            time.sleep(0 if passed < EAGER else min(SHARE * passed, LONGEST))
+    arrays = [x for x in jax.tree.leaves(tree) if hasattr(x, "is_ready")]
+    begin = time.perf_counter()
+    while not all(x.is_ready() for x in arrays):
+        passed = time.perf_counter() - begin
+        time.sleep(0 if passed < EAGER else min(SHARE * passed, LONGEST))
     return tree
 
 
@@ -124,23 +124,31 @@ def interruptible(function: Callable) -> Callable:
 
     @functools.wraps(function)
     def call(*args, **kwargs):
-        own = threading.current_thread() is threading.main_thread()
-        if not own or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        global _inside
+        if _inside or not _is_main() or signal.getsignal(signal.SIGINT) not in (signal.default_int_handler, _noted):
             return function(*args, **kwargs)
-        _pressed.clear()
-        signal.signal(signal.SIGINT, _noted)
         try:
+            _inside = True
+            _pressed.clear()
+            signal.signal(signal.SIGINT, _noted)
             result = function(*args, **kwargs)
             if _pressed:
                 raise KeyboardInterrupt
             return result
         finally:
+            # an interrupt that comes between these lines leaves the handler, which the next call takes over
+            _inside = False
             _pressed.clear()
             signal.signal(signal.SIGINT, signal.default_int_handler)
 
     return call
 
 
+def _is_main():
+    return threading.current_thread() is threading.main_thread()
+
+
 def _noted(number, frame):
-    _pressed.append(True)
+    if _inside:
+        _pressed.append(True)
     raise KeyboardInterrupt

@@ -192,6 +192,24 @@ def test_an_interrupt_that_python_loses_is_raised_all_the_same():
         assert interrupts.interruptible(lambda: 3)() == 3
 
 
+def test_an_interrupt_at_the_end_leaves_nothing_behind(monkeypatch):
+    put_back, late = signal.signal, [True]
+
+    def restoring(number, handler):
+        if handler is signal.default_int_handler and late.pop():
+            late.append(False)
+            raise KeyboardInterrupt
+        return put_back(number, handler)
+
+    with default_interrupt():
+        monkeypatch.setattr(interrupts.signal, "signal", restoring)
+        with pytest.raises(KeyboardInterrupt):
+            interrupts.interruptible(lambda: 3)()
+        assert interrupts.wait(1) == 1 and interrupts.interruptible(lambda: 3)() == 3
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+        monkeypatch.undo()
+
+
 def test_waiting_hears_an_interrupt():
     class Never:
         def is_ready(self):

@@ -5,6 +5,7 @@ import sys
 import threading
 import time
 
+import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -92,6 +93,27 @@ def test_what_fails_in_a_piece_is_located(soon):
     state = gx.states.impact(lattice, velocity=5.0)
     with pytest.raises(RuntimeError, match="not finite .first between t = [0-9.]+ and [0-9.]+, at sites"):
         gx.simulate(lattice, state, 50.0, step=0.05)
+    run = gx.simulate(lattice, state, 50.0, step=0.05, save_at=6, throw=False)
+    np.testing.assert_allclose(run.ts, [0.0, 10.0, 20.0, 30.0, 40.0, 50.0])
+    assert np.isnan(run.us[-1]).all() and np.isnan(run.energy_error)
+
+
+def test_pieces_keep_the_floating_type_and_their_number_of_steps(soon):
+    lattice = chain()
+    state = jax.tree.map(lambda x: x.astype("float32"), gx.states.impact(lattice, velocity=0.3))
+    run = gx.simulate(lattice.astype("float32"), state, 100.0, step=0.05, save_at=5)
+    assert run.ts.dtype == run.us.dtype == np.float32 and run.stats["steps"] == 2000
+
+
+def test_a_run_that_a_program_closes_over_is_a_part_of_it(soon):
+    lattice = chain()
+    state = gx.states.impact(lattice, velocity=0.3)
+    for how in ({"step": 0.1}, {"tolerance": 1e-6}):
+        def end(x):
+            return x * gx.simulate(lattice, state, 1.0, **how).final.u
+
+        np.testing.assert_allclose(jax.jit(end)(2.0), end(2.0), rtol=1e-5)
+        assert jax.eval_shape(end, 2.0).shape == (6,)
 
 
 def test_a_long_run_shows_its_progress(soon, capsys):
@@ -147,5 +169,8 @@ def test_what_takes_more_than_a_day_is_refused():
     with pytest.raises(ValueError, match="years"):
         gx.simulate(lattice, state, 1e8, step=1e-7, save_at=5)
     refuse_endless(lattice, gx.SRKN11b(), 10**13, 10**13, False)
+    refuse_endless(lattice, gx.SRKN11b(), 10**13, 1000, False)
     with pytest.raises(ValueError, match="t1: expected at most 2147483647 steps under a transformation"):
         jax.jit(lambda v: gx.simulate(lattice, (state.u, v), 1e9, step=0.1).final)(state.v)
+    with pytest.raises(ValueError, match="t1: expected at most 2147483647 steps .*, with an adjoint"):
+        gx.simulate(lattice, state, 1e9, step=0.1, adjoint=diffrax.DirectAdjoint())

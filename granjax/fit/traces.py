@@ -19,7 +19,8 @@ KINDS = ("velocity", "displacement", "force")
 class Origin:
     """Where traces were read: the file, its header's lines, what was passed over or is missing.
 
-    Two are equal whatever they say: what is compiled for one file serves another.
+    Two are equal whatever they say: what is compiled for one file serves another, and traces that a compiled function
+    returns may name the file that it was compiled for.
     """
 
     file: str = dataclasses.field(compare=False)

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..checks import positive, refuse
 from ..entry import checked
+from ..interrupts import wait
 from ..outside import Outside
 from ..results import Held, Result
 from ..types import Numbers, Pytree, Scalar
@@ -77,7 +78,7 @@ def derivative(function: Callable[[Any, Any], Any], x: Pytree, step: Scalar) -> 
         refuse("x", "real numbers", "complex ones", "Write real and imaginary parts as parameters of their own.")
     ladder = float(positive("step", step)) * np.asarray(LADDER)
     x = jax.tree.map(lambda a: a if hasattr(a, "dtype") and a.dtype.kind == "f" else jnp.asarray(a, float), x)
-    slopes = _slopes(function, x, jnp.asarray(ladder), Outside(function))
+    slopes = wait(_slopes(function, x, jnp.asarray(ladder), Outside(function)))
     value = jax.tree.map(lambda s: s[-1], slopes)
 
     def error(s):

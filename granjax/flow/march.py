@@ -4,12 +4,14 @@ import itertools
 import math
 import time
 from functools import cache
+from typing import Any
 
 import diffrax
 import jax
+import jax.numpy as jnp
 import numpy as np
 
-from ..checks import refuse
+from ..checks import refuse, traced
 from ..interrupts import interruptible, wait
 from ..lattice import Lattice
 from ..outside import Outside
@@ -17,7 +19,7 @@ from ..types import Number, Scalar, StateLike, Times
 from .dispatch import compiled, facts
 from .integrate import Part, integrate, own_records, part_of, reduced
 from .record import Record
-from .run import COMPLETED, TOO_MANY_STEPS, Run
+from .run import COMPLETED, NOT_FINITE, TOO_MANY_STEPS, Run
 
 # seconds that an evaluation of the forces takes, and more for each number of a state: about, and at the least
 TAKES, LEAST = (5e-8, 1e-9), (2e-8, 2e-11)
@@ -37,38 +39,58 @@ def march(
     adjoint: diffrax.AbstractAdjoint, max_steps: int | None, every: bool, progress: bool, watch: bool = False,
     outside: Outside | None = None, dips: bool = False,
 ) -> Run:
-    """`integrate`, for what is not traced; what takes long in pieces, between which Ctrl-C is heard.
+    """`integrate`, and where nothing is traced what takes long in pieces, between which Ctrl-C is heard.
 
     Where the pieces end follows from the number of steps and the size of the lattice alone, so that a run is the same
     wherever it is computed. An adaptive run has pieces from where its first one, of so many steps, does not suffice.
     """
-    forward = isinstance(adjoint, diffrax.ForwardMode) and not (every or dips)
+    arguments = lattice, state, t0, t1, dt, tolerance, save_ts, records, solver, adjoint
+    rest = every, progress, watch, outside, dips
+    forward = in_pieces(adjoint, every) and not dips
     takes, ends, budget = seconds_a_step(lattice, solver, TAKES), [], None
     span = float(t1) - float(t0)
     if tolerance is None:
-        steps = math.ceil(span / float(dt) * (1 - 1e-12))
+        steps = _steps(span / float(dt), facts(lattice).dtype)
         long = steps * takes > SHORT
         if steps * takes > LONG and forward and (max_steps is None or max_steps >= steps):
             ends = [*range(0, steps, max(min(int(PIECE / takes), COUNTED), 1)), steps]
     else:
         # what an adaptive run takes is known from the one before
-        known = facts(lattice).known
-        long = known.get("pace", math.inf) * span > SHORT
+        known, pace = facts(lattice).known, ("pace", type(solver), float(tolerance))
+        long = not forward or known.get(pace, math.inf) * span > SHORT
         budget = 1 << int(LONG / takes).bit_length() if forward else None
+    # in a program that somebody else traces, constants too become its values
+    if (long or budget) and traced(-_one()):
+        return integrate(*arguments, max_steps, *rest)
     if not ends:
-        begin = time.perf_counter()
+        since = time.perf_counter()
         limit = max_steps if budget is None else min(budget, max_steps or budget)
-        run = integrate(
-            lattice, state, t0, t1, dt, tolerance, save_ts, records, solver, adjoint, limit, every, progress, watch,
-            outside, dips)
+        run = integrate(*arguments, limit, *rest)
         if long:
             wait(run.code)
             if tolerance is not None:
-                known["pace"] = (time.perf_counter() - begin) / span
+                known[pace] = (time.perf_counter() - since) / span
         if limit == max_steps or np.asarray(run.code) != TOO_MANY_STEPS:
             return run
     begin, how = (state, t0, t1), (dt, tolerance, save_ts, records, solver)
     return _in_pieces(lattice, begin, ends, budget, max_steps, *how, progress, watch, outside)
+
+
+def _steps(count, dtype):
+    """Steps in a run that is `count` of them long, as well as the type knows it."""
+    known = max(4 * float(jnp.finfo(dtype).eps), 1e-12) * count
+    return round(count) if abs(count - round(count)) <= known else math.ceil(count)
+
+
+@cache
+def _one():
+    with jax.ensure_compile_time_eval():
+        return jnp.ones(())
+
+
+def in_pieces(adjoint: Any, every: bool) -> bool:
+    """Whether a run may have pieces: one that is not saved at each step, and whose adjoint keeps nothing of it."""
+    return isinstance(adjoint, diffrax.ForwardMode) and not every
 
 
 def seconds_a_step(lattice: Lattice, solver: diffrax.AbstractSolver, takes: tuple[float, float] = LEAST) -> float:
@@ -95,11 +117,11 @@ def refuse_endless(
     if steps is None or steps < FEW:
         return
     remedy = "Give an earlier t1, a longer step= or tolerance="
-    if one_loop and steps > COUNTED:
-        refuse("t1", f"at most {COUNTED} steps under a transformation, or where each is saved", f"{steps:.2g}",
-               f"{remedy}.")
-    seconds = steps * seconds_a_step(lattice, solver)
-    if seconds > DAY and (max_steps is None or max_steps < steps):
+    if one_loop and min(steps, max_steps or steps) > COUNTED:
+        refuse("t1", f"at most {COUNTED} steps under a transformation, with an adjoint, or where each is saved",
+               f"{steps:.2g}", f"{remedy}.")
+    seconds = min(steps, max_steps or steps) * seconds_a_step(lattice, solver)
+    if seconds > DAY and max_steps is None:
         took = f"{seconds / DAY:.2g} days" if seconds < 1000 * DAY else f"{seconds / DAY / 365:.2g} years"
         refuse("t1", "a run of a day at most", f"{steps:.2g} steps, which take {took} at the least",
                f"{remedy}; or max_steps={steps} if you mean it.")
@@ -131,7 +153,7 @@ def _in_pieces(
                 limit = int(min(budget, max_steps - counts[0]))
             part = wait(_piece(
                 lattice, begin, *last, size, tolerance, window, records, carried, solver, limit, outside))
-            state, t, carried, code = part.final, np.asarray(part.t)[()], part.carried, np.asarray(part.code)
+            state, t, carried, code = part.final, np.asarray(part.t)[()], part.carried or None, np.asarray(part.code)
             counts += np.array([part.steps, part.accepted, part.rejected], np.int64)
             if wanted is not None:
                 new = np.count_nonzero(wanted[taken : taken + width] <= t)
@@ -145,22 +167,24 @@ def _in_pieces(
         raise KeyboardInterrupt(f"simulate was interrupted at t = {t:g} of {t1:g}; nothing is kept") from None
     finally:
         bar.close()
+    # of what is not finite any more every time is one at which it is not
+    lost = bool((code == NOT_FINITE).any())
     if wanted is None:
-        ts, ys = np.asarray([t]), jax.tree.map(lambda x: x[None], state)
+        ts, ys = np.asarray([t1 if lost else t]), jax.tree.map(lambda x: x[None], state)
     else:
-        ts, ys = _filled(wanted, kept, taken)
-    part = Part(ts, ys, t, state, carried, *counts, code)
+        ts, ys = _filled(wanted, kept, taken, lost)
+    part = Part(ts, ys, t, state, carried or {}, *counts, code)
     run = _reduced(lattice, begin, dt if tolerance is None else tolerance, records, solver, watch, part, outside)
     # where it may be looked for what went wrong
     object.__setattr__(run, "_last", last)
     return run
 
 
-def _filled(wanted, kept, taken):
-    """The times and states that were saved, infinite where a run did not come so far."""
-    left = len(wanted) - taken
-    ts = np.append(wanted[:taken], np.full(left, np.inf))
-    join = lambda *x: np.concatenate([*x, np.full((left, *x[0].shape[1:]), np.inf, x[0].dtype)])
+def _filled(wanted, kept, taken, lost):
+    """The times and states that were saved, infinite where a run did not come so far, NaN where it is `lost`."""
+    left, none = len(wanted) - taken, np.nan if lost else np.inf
+    ts = wanted if lost else np.append(wanted[:taken], np.full(left, np.inf, wanted.dtype))
+    join = lambda *x: np.concatenate([*x, np.full((left, *x[0].shape[1:]), none, x[0].dtype)])
     return ts, jax.tree.map(join, *kept)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from ..checks import positive, refuse
 from ..entry import checked
+from ..interrupts import waited
 from ..lattice import Lattice, split_system, vector_field
 from ..solvers import AbstractSplitting
 from ..types import Count, Counts, Number, Scalar, StateLike, Times
@@ -75,6 +76,7 @@ def refuse_forward_mode(adjoint: eqx.Module, error: TypeError) -> None:
 
 
 @checked
+@waited
 @compiled
 def return_error(
     lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, steps: Count | Counts, solver: diffrax.AbstractSolver,

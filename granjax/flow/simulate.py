@@ -13,6 +13,7 @@ import numpy as np
 
 from ..checks import one_of, refuse, show, traced, whole
 from ..entry import checked
+from ..interrupts import wait
 from ..lattice import Lattice
 from ..outside import Outside
 from ..types import Count, Parameter, Scalar, StateLike
@@ -20,7 +21,7 @@ from .confirmation import Confirmation
 from .dispatch import facts
 from .inputs import checked_records, checked_save_at, checked_state, checked_times
 from .integrate import integrate
-from .march import march, refuse_endless
+from .march import in_pieces, march, refuse_endless
 from .method import checked_method, doubts, fixed_step, linear_bound, number, passed
 from .opening import approach
 from .record import Record
@@ -106,7 +107,8 @@ def simulate(
     else:
         dt, steps, choice, remark, watch = step, None, f"adaptive steps, tolerance {_shown(tolerance)}", "", False
         choice += "" if step is None else f", none longer than {_shown(step)}"
-    refuse_endless(lattice, solver, steps, max_steps, unknown or every)
+    one_loop = unknown or not in_pieces(_FORWARD if adjoint is None else adjoint, every)
+    refuse_endless(lattice, solver, steps, max_steps, one_loop)
     backwards = adjoint if isinstance(adjoint, Reversible) else None
     if backwards is not None:
         checked_reversible(lattice, solver, records, every)
@@ -127,6 +129,7 @@ def simulate(
             run = go(lattice, state, *span, dt, tolerance, save_ts, *rest)
         else:
             run = reversible((lattice, state, backwards), span, dt, save_ts, solver, limit, progress)
+            wait(run.code)
     except TypeError as error:
         refuse_forward_mode(backwards or adjoint, error)
     again = passed(solver, run, dt) if watch and backwards is None else None
@@ -204,6 +207,7 @@ def _located(run, lattice, state, span, dt, tolerance, solver):
         ts = jnp.linspace(low, high, 65, dtype=lattice.dtype)[1:]
         arguments = (dt, tolerance, ts, {}, solver, diffrax.ForwardMode(), None, False, False)
         again = integrate(lattice, state, *span, *arguments)
+        wait(again.code)
         bad = [~np.isfinite(np.asarray(u)) for u in jax.tree.leaves(again.us)]
         first = int(np.argmax(np.any([b.reshape(len(ts), -1).any(1) for b in bad], axis=0)))
         sites = tuple(int(i) for b in bad for i in np.unique(np.argwhere(b[first])[:, 0])[:4])

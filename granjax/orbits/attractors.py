@@ -51,7 +51,8 @@ class Attractor(Result):
     - `amplitude` (N,): largest speed of each site in it. `peak_force` (contacts,): largest contact force, F0 + F(e),
       all bonds in the order of the terms, then walls. `energy`: mean energy.
     - `state_error`, `amplitude_error`, `peak_force_error`, `energy_error`: estimated distances from the true motion, by
-      what settles from there with half as many steps, and by what either still changes; NaN where nothing repeats.
+      what settles from there with half as many steps, and by what either still changes; NaN where nothing
+      repeats, or half the steps settle to nothing.
     - `outcome`: what became of the motion, a sentence.
     """
 

@@ -53,7 +53,7 @@ class Way(Result):
     - `response` (P,): the chosen number. `velocity` (P, N): root mean square of each site's. `energy` (P,): mean.
     - `multiple` (P,): periods after which the motion repeats, 0 where it does not. `periods` (P,): run at each value.
     - `response_error` (P,), `velocity_error` (P, N), `energy_error` (P,): estimated distances from the true motion, as
-      of `settle`; NaN where nothing repeats.
+      of `settle`; NaN where nothing repeats, or half the steps settle to nothing.
     - `states`: at phase 0, (P, N). `jumps`, `bifurcations`: tuples of `Jump` and `Bifurcation`, as they were met.
     """
 

@@ -48,20 +48,29 @@ def peak_forces(
     # sorted, so that lanes of a chunk are about equally stiff; filled up with the softest
     padded = np.pad(ratios[order], (0, -len(ratios) % width), mode="edge").reshape(-1, width)
     program = _program(beads, boundary, bonds, devices)
-    waiting = [program(chunk, float(t1)) for chunk in padded]
-    done = [np.asarray(wait(forces)) for forces in _followed(waiting, progress)]
+    done = list(map(np.asarray, _one_ahead(program, _followed(padded, progress), float(t1))))
     forces = np.empty((len(bonds), len(ratios)))
     forces[:, order] = np.concatenate(done, axis=1)[:, : len(ratios)]
     return forces
 
 
-def _followed(waiting, progress):
+def _one_ahead(program, chunks, t1):
+    """Forces of each chunk, while the next one is at work: no more, since an interrupt leaves what has begun."""
+    coming = None
+    for chunk in chunks:
+        last, coming = coming, program(chunk, t1)
+        if last is not None:
+            yield wait(last)
+    yield wait(coming)
+
+
+def _followed(chunks, progress):
     if not progress:
-        return waiting
+        return chunks
     from tqdm import tqdm
 
     # no bar where nobody watches
-    return tqdm(waiting, desc="mass ratios", unit="chunk", leave=False, disable=None)
+    return tqdm(chunks, desc="mass ratios", unit="chunk", leave=False, disable=None)
 
 
 @cache
