@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import positive, refuse
+from ..checks import positive, refuse, returned
 from ..entry import checked
 from ..interrupts import wait
 from ..outside import Outside
@@ -90,4 +90,7 @@ def derivative(function: Callable[[Any, Any], Any], x: Pytree, step: Scalar) -> 
 
 @partial(jax.jit, static_argnums=0)
 def _slopes(function, x, ladder, outside):
-    return jax.lax.map(lambda step: jax.jacfwd(function)(x, step), ladder)
+    def looked_at(x, step):
+        return returned("function", function(x, step))
+
+    return jax.lax.map(lambda step: jax.jacfwd(looked_at)(x, step), ladder)
