@@ -234,6 +234,20 @@ def returned(argument: str, tree: Any) -> Any:
     return tree
 
 
+def given_by_name(argument: str, function: Callable, parameters: dict, *others: Any) -> Any:
+    """What a function of the user's gives for a dict of parameters; ValueError where it looks for another name."""
+    try:
+        return function(parameters, *others)
+    except KeyError as error:
+        name = error.args[0] if error.args else ""
+        if not isinstance(name, str) or name in parameters:
+            raise
+        near = difflib.get_close_matches(name, parameters, n=1, cutoff=0.4)
+        remedy = f"Did you mean {near[0]!r}?" if near else "Every parameter has its start."
+        names = ", ".join(map(repr, parameters))
+        refuse(argument, f"a function of a dict with {names}", f"one that looks for {name!r}", remedy)
+
+
 def held_in_memory(argument: str, count: int, each: int = 16, what: str = "sites") -> None:
     """Refuse what the computer's memory does not hold: `count` things of `each` bytes, a state by default."""
     try:

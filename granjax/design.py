@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Integer
 
-from .checks import described, held_in_memory, one_of, parameter, refuse, whole, within
+from .checks import described, given_by_name, held_in_memory, one_of, parameter, refuse, whole, within
 from .checks import tolerance as checked_tolerance
 from .descent import CONVERGED, NO_GRADIENT, NO_START, NOT_FINITE, SPENT, STALLED, checked_optimiser, descend
 from .entry import checked, shape_of
@@ -84,7 +84,7 @@ class Design(Result):
 @checked
 @interruptible
 def design(
-    objective: Callable, start: dict[str, Parameter], *, bounds: Bounds = None, maximise: bool = False,
+    objective: Callable[[Any], Any], start: dict[str, Parameter], *, bounds: Bounds = None, maximise: bool = False,
     optimiser: object = None, max_steps: Count = 200, tolerance: Scalar = 1e-6, mode: str | None = None,
     starts: Count | Sequence[dict[str, Parameter]] | None = None, seed: Count = 0, throw: bool = True,
 ) -> Design:
@@ -188,7 +188,7 @@ def _listed(names, which):
 def _with_gradient(objective, coordinates, maximise, mode):
     """The cost of free coordinates, less is better, and its value with the gradient by the mode."""
     def cost(x):
-        value = objective(coordinates.parameters(x))
+        value = given_by_name("objective", objective, coordinates.parameters(x))
         value = jnp.asarray(value) if shape_of(value) is not None else value
         if shape_of(value) != () or not jnp.issubdtype(value.dtype, jnp.floating):
             remedy = "Reduce it, such as by .sum() or smooth_peak."

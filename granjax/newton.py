@@ -64,8 +64,8 @@ class Root(Result):
 
 
 @checked
-def newton(residual: Callable, guess: Parameter, args: Any = None, *, tolerance: Scalar = 1e-10,
-           max_steps: Count = 20, linearise: Callable | None = None, throw: bool | None = None,
+def newton(residual: Callable[[Any, Any], Any], guess: Parameter, args: Any = None, *, tolerance: Scalar = 1e-10,
+           max_steps: Count = 20, linearise: Callable[[Any, Any], Any] | None = None, throw: bool | None = None,
            finish: bool = True) -> Root:
     r"""A root of F(x, args) = 0 by Newton's method with halved steps.
 

@@ -4,10 +4,14 @@ import functools
 import inspect
 import pickle
 import re
+import sys
+import threading
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, Literal
 
+import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -19,7 +23,7 @@ from test_vocabulary import NAMES, public
 import granjax as gx
 from granjax import types as words
 from granjax.checks import described
-from granjax.entry import checked, kind_of
+from granjax.entry import checked, kind_of, takes
 from granjax.results import Result
 
 LATTICE = gx.scenes.monomer(4, precompression=1.0)
@@ -135,6 +139,47 @@ def test_a_value_that_must_be_known_is_named():
         jax.jit(lambda y: checked(lambda x: float(y))(1.0))(2.0)
 
 
+def test_functions_are_asked_for_their_arguments():
+    class Object:
+        def __call__(self, a, b):
+            pass
+
+        def method(self, a, b):
+            pass
+
+    functions = (
+        lambda a, b: 0, lambda a, b=1: 0, lambda *a: 0, lambda a, *, b: 0, lambda a, *, b=1: 0, lambda a, /, b: 0,
+        lambda **a: 0, Object(), Object().method, Object, functools.partial(lambda a, b: 0, 1), gx.measures.energy,
+        jax.jit(lambda a, b: 0), checked(lambda a, b: 0), gx.Hertz, gx.Hertz(1.0).force, gx.Flow(2).tangents, len,
+    )
+    for function in functions:
+        for count in range(5):
+            try:
+                inspect.signature(function).bind(*range(count))
+                fits = True
+            except TypeError:
+                fits = False
+            assert takes(function, count) == fits, (function, count)
+    assert takes(lambda a, *, b: 0, 1, ["b"]) and not takes(lambda a, *, b: 0, 1, ["c"])
+
+
+def test_a_first_call_in_two_threads(monkeypatch):
+    function, both = checked(lambda a, b: a), threading.Barrier(2)
+    function.__wrapped__.__annotations__ = {"a": words.Scalar, "b": str}
+    kind = kind_of
+
+    def together(hint):
+        both.wait(60)
+        return kind(hint)
+
+    monkeypatch.setattr(sys.modules["granjax.entry.checked"], "kind_of", together)
+    with ThreadPoolExecutor(2) as pool:
+        assert list(pool.map(lambda i: function(i, "b"), range(2))) == [0, 1]
+    assert function(1.0, "b") == 1.0
+    with pytest.raises(ValueError, match="^b: expected a string"):
+        function(1.0, 2.0)
+
+
 @checked
 def module_level(lattice: gx.Lattice, steps: words.Count = 3, *, name: str = "a", **options: Any) -> int:
     """Said."""
@@ -157,6 +202,41 @@ class Own(Sized):
 @checked
 class Plain(eqx.Module):
     size: words.Scalar = 1.0
+
+
+def asks(function):
+    """A function of the user's that asks for the value of what it is given."""
+    return lambda x, *others: function(x if not isinstance(x, dict) else x["k"])
+
+
+class Asking(gx.Law):
+    stiffness: jax.Array
+
+    def force(self, e):
+        return self.stiffness * e
+
+    def energy(self, e):
+        return self.stiffness * e**2 / 2
+
+    def overlap(self, e):
+        return e if float(self.stiffness) > 0 else -e
+
+
+def test_a_function_that_asks_for_a_value_is_named():
+    """And the argument that is traced only where granjax itself asks for it."""
+    said = ": expected a function that JAX can trace, got one that asks for a known value in line .* of test_entry.py"
+    x = np.ones(1)
+    asked = np.sin, lambda x: float(x.sum()), lambda x: 1 if x.sum() > 0 else 2, lambda x: (1, 2)[x.sum().astype(int)]
+    for function in map(asks, asked):
+        with pytest.raises(ValueError, match="^residual" + said):
+            gx.newton.newton(function, x)
+        with pytest.raises(ValueError, match="^objective" + said):
+            gx.design(function, {"k": 1.0})
+    with pytest.raises(ValueError, match="^field" + said):
+        gx.Flow(2, diffrax.Euler(), lambda t, y, args: np.sin(y))(x, 0.0, 1.0, None)
+    lattice = gx.Lattice(1.0, gx.Bond(gx.Shift(1, "fixed"), Asking(jnp.asarray(1.0))), sites=4)
+    with pytest.raises(jax.errors.ConcretizationTypeError):
+        jax.jit(gx.measures.overlap)(lattice, STATE)
 
 
 def test_a_checked_function_stays_what_it_was():
@@ -228,6 +308,15 @@ def test_named_findings_meet_a_sentence():
         (lambda: fit(state=gx.states.impact(chain), seed=1.5), "seed: expected a whole number"),
         (lambda: fit(state=gx.states.impact(chain), bounds=[(0, 1)]), "bounds: expected a dict"),
         (lambda: fit(state=gx.states.impact(chain), optimiser=3), "optimiser: expected an optimiser of optax"),
+        (lambda: fit(state=lambda p: gx.states.rest(chain)), "state: expected State(u, v) or a pair (u, v) or a fun"),
+        (lambda: gx.fit(lambda p: gx.scenes.monomer(7, stiffness=p["K"]), {"k": 1.0}, traces, state=gx.states.rest(
+            chain)), "scene: expected a function of a dict with 'k', got one that looks for 'K'. Every parameter has"),
+        (lambda: gx.design(lambda p: p["kk"], {"k": 1.0}), "objective: expected a function of a dict with 'k', got"),
+        (lambda: gx.design(lambda p, q: p["k"], {"k": 1.0}), "objective: expected a function of 1 argument"),
+        (lambda: gx.newton.newton(lambda x, args: x, np.ones(1), linearise=lambda x: x), "linearise: expected a fun"),
+        (lambda: gx.continuation.continuation(lambda x, p, args: x, np.ones(1), 0.0, stop=lambda x: None), "stop: exp"),
+        (lambda: gx.continuation.continuation(lambda x, p, args: x, np.ones(1), 0.0, veto=lambda x: None), "veto: exp"),
+        (lambda: gx.Flow(8, field=lambda t: t), "field: expected a function of 3 arguments"),
         (lambda: gx.simulate(chain, gx.states.rest(chain), 1.0, save_at=[0.1, [0.2]]), "save_at: expected"),
         (lambda: gx.scenes.monomer(10**12), "GB of memory hold"),
         (lambda: gx.newton.newton(lambda x, args: None, np.ones(2)), "residual: expected a function that gives"),

@@ -207,6 +207,19 @@ def test_along_a_run_gives_every_frame():
     np.testing.assert_allclose(kinds[0] + kinds[1], measures.along(measures.energy, lattice, Run), rtol=1e-14)
 
 
+def test_a_measure_along_a_run_has_options():
+    class Run:
+        ts, us, vs = jnp.arange(3.0), jnp.arange(24.0).reshape(3, 8), jnp.zeros((3, 8))
+
+    def at(lattice, y, t, *, site):
+        return y.u[site]
+
+    np.testing.assert_array_equal(measures.along(at, chain(8), Run, site=2), Run.us[:, 2])
+    for options, said in (({}, ""), ({"place": 2}, ", and of place")):
+        with pytest.raises(ValueError, match=rf"^measure: expected a function of \(lattice, y, t\){said}, got"):
+            measures.along(at, chain(8), Run, **options)
+
+
 def test_a_derivative_goes_through_a_measure():
     def force(A):
         lattice = gx.Lattice(jnp.ones(4), (gx.Bond(gx.Shift(1), gx.Hertz(A)),))

@@ -73,7 +73,6 @@ class Recipe(NamedTuple):
     tangents: bool = False
 
 
-@checked
 def names() -> tuple[str, ...]:
     """Names of the canonical scenes."""
     return tuple(RECIPES)

@@ -18,10 +18,11 @@ LEAST_COSINE = 0.9
 
 @checked
 def continuation(
-    residual: Callable, x0: Parameter, p0: Scalar, *, args: Any = None, until: Parameter | None = None,
-    direction: Parameter = 1.0, arclength: Scalar = 0.01, least_arclength: Scalar | None = None,
-    longest_arclength: Scalar | None = None, points: Count = 200, tolerance: Scalar = 1e-10,
-    linearise: Callable | None = None, veto: Callable | None = None, stop: Callable | None = None,
+    residual: Callable[[Any, Any, Any], Any], x0: Parameter, p0: Scalar, *, args: Any = None,
+    until: Parameter | None = None, direction: Parameter = 1.0, arclength: Scalar = 0.01,
+    least_arclength: Scalar | None = None, longest_arclength: Scalar | None = None, points: Count = 200,
+    tolerance: Scalar = 1e-10, linearise: Callable[[Any, Any, Any], Any] | None = None,
+    veto: Callable[[Any, Any, Any, Any], Any] | None = None, stop: Callable[[Any, Any], Any] | None = None,
     find: Sequence[str] = ("fold", "branch point"),
 ) -> Curve:
     r"""Follow F(x, p) = 0 from (x0, p0) by pseudo-arclength.

@@ -2,6 +2,9 @@
 
 import functools
 import inspect
+import os
+import sys
+import traceback
 import types
 import typing
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -16,7 +19,13 @@ from .kinds import KNOWN, PLAIN_KINDS, TREE, WORDS, Kind, array_of
 
 T = TypeVar("T", bound=Callable)
 
-UNKNOWN = (jax.errors.ConcretizationTypeError, jax.errors.TracerArrayConversionError)
+UNKNOWN = (jax.errors.ConcretizationTypeError, jax.errors.TracerArrayConversionError,
+           jax.errors.TracerIntegerConversionError)
+# whose frames say nothing of who asked for a value
+LIBRARIES = sys.stdlib_module_names | {
+    "jax", "jaxlib", "numpy", "equinox", "diffrax", "lineax", "optimistix", "optax", "scipy", "matplotlib", "xarray",
+    "jaxtyping", "beartype",
+}
 # for classes whose name says too little: what is expected, and what helps
 CLASSES = {
     "Lattice": ("a Lattice, such as gx.scenes.monomer(100)", ""),
@@ -117,17 +126,29 @@ def _of_arity(args):
     return Kind(said, lambda x: takes(x, count))
 
 
-def takes(function: Any, count: int) -> bool:
-    """Whether it is a function that can be called with so many arguments."""
+def takes(function: Any, count: int, options: Iterable[str] = ()) -> bool:
+    """Whether it is a function that can be called with so many arguments, and with options by their names."""
     if not callable(function):
         return False
+    # some twenty times faster than a signature
+    plain = inspect.unwrap(function, stop=_says)
+    if type(plain) is types.FunctionType and not _says(plain) and not options:
+        code, named = plain.__code__, plain.__kwdefaults__ or ()
+        least = code.co_argcount - len(plain.__defaults__ or ())
+        most = np.inf if code.co_flags & inspect.CO_VARARGS else code.co_argcount
+        return least <= count <= most and len(named) == code.co_kwonlyargcount
     try:
-        inspect.signature(function).bind(*range(count))
+        inspect.signature(function).bind(*range(count), **dict.fromkeys(options))
     except TypeError:
         return False
     except ValueError:  # some of C's say nothing of their arguments
         return True
     return True
+
+
+def _says(function):
+    """Whether it has a signature of its own, or is a method, whose function has one argument more."""
+    return isinstance(function, types.MethodType) or hasattr(function, "__signature__")
 
 
 def _mapping(key, value, container):
@@ -190,25 +211,27 @@ def checked(target: T) -> T:
     if isinstance(target, type):
         target.__init__ = checked(target.__init__)
         return target
-    ordered, named = [], {}
 
-    def prepare():
+    def prepared():
         signature = inspect.signature(target).parameters.values()
         hints = {p.name: p.annotation for p in signature}
         if any(isinstance(hint, str) for hint in hints.values()):
             hints |= typing.get_type_hints(inspect.unwrap(target))
-        found = {}
+        named = {}
         for p in signature:
             plain = p.kind not in (p.VAR_POSITIONAL, p.VAR_KEYWORD) and p.annotation is not p.empty
             kind = kind_of(hints[p.name]) if plain else None
-            found[p.name] = (p.name, kind.fits if kind else None, p.default, kind)
-        ordered.extend(found[p.name] for p in signature if p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD))
-        named.update(found)
+            named[p.name] = (p.name, kind.fits if kind else None, p.default, kind)
+        return [named[p.name] for p in signature if p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD)], named
+
+    tests = None
 
     @functools.wraps(target)
     def call(*args, **kwargs):
-        if not named:
-            prepare()
+        nonlocal tests
+        if tests is None:
+            tests = prepared()  # at once, whichever thread is first
+        ordered, named = tests
         for (name, fits, default, kind), x in zip(ordered, args):
             if fits is not None and x is not default and not fits(x):
                 kind.refuse(name, x)
@@ -219,19 +242,47 @@ def checked(target: T) -> T:
         try:
             return target(*args, **kwargs)
         except UNKNOWN as error:
-            _refuse_traced(zip([*(name for name, *_ in ordered), *kwargs], (*args, *kwargs.values())), error)
+            given = [*zip([name for name, *_ in ordered], args), *kwargs.items()]
+            _refuse_unknown(given, error, target.__module__.split(".")[0])
             raise
 
     call.is_checked = True
     return call
 
 
-def _refuse_traced(given, error):
-    """Say of a value that had to be known which arguments are not, if any."""
-    traced = {name: leaf for name, x in given for leaf in jax.tree.leaves(x) if isinstance(leaf, jax.core.Tracer)}
-    if traced:
-        got = " and ".join(map(described, traced.values()))
-        raise ValueError(f"{', '.join(traced)}: expected what is known before tracing, got {got}. {KNOWN}") from error
+def _refuse_unknown(given, error, package):
+    """Say of a value that had to be known which argument is traced, or which function of the user's asks for it."""
+    frames = [(frame, line, frame.f_globals.get("__name__", "").split(".")[0])
+              for frame, line in traceback.walk_tb(error.__traceback__)]
+    frames = [own for own in frames if own[2] not in LIBRARIES]
+    frame, line, last = frames[-1]
+    if last == package:
+        traced = {name: leaf for name, x in given for leaf in jax.tree.leaves(x) if isinstance(leaf, jax.core.Tracer)}
+        if traced:
+            got = " and ".join(map(described, traced.values()))
+            raise ValueError(
+                f"{', '.join(traced)}: expected what is known before tracing, got {got}. {KNOWN}") from error
+        return
+    asking = {frame.f_code for frame, _, root in frames if root != package}
+    for name, x in _functions(given):
+        if callable(x) and _code(x) in asking:
+            place = f"line {line} of {os.path.basename(frame.f_code.co_filename)}"
+            raise ValueError(
+                f"{name}: expected a function that JAX can trace, got one that asks for a known value in {place}. "
+                "Take jax.numpy for numpy, jnp.where for if, and no float() of what it is given.") from error
+
+
+def _functions(given):
+    """What is given, or is a part of the object whose method this is."""
+    for name, x in given:
+        yield from getattr(x, "__dict__", {}).items() if name == "self" else [(name, x)]
+
+
+def _code(function):
+    """What Python runs where a function, or an object that can be called, is called."""
+    function = inspect.unwrap(function)
+    function = getattr(function, "func", function)  # functools.partial
+    return getattr(function, "__code__", None) or getattr(type(function).__call__, "__code__", None)
 
 
 UNNAMED = ("", None, None, None)

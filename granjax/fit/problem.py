@@ -1,7 +1,7 @@
 """The scene beside its traces: signals and residuals as functions of the parameters."""
 
 from collections.abc import Callable, Sequence
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import diffrax
 import equinox as eqx
@@ -11,7 +11,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
-from ..checks import described, one_of, parameter, positive, refuse
+from ..checks import described, given_by_name, one_of, parameter, positive, refuse
 from ..entry import checked, kind_of
 from ..flow import Run, frequency_bound, simulate
 from ..flow.dispatch import facts
@@ -29,7 +29,7 @@ from .traces import Traces, checked_shape, checked_traces, number
 ROOM = 0.1
 # the longest step times the fastest decay, which is 4 c/m in a chain of dashpots; steps of the iteration for it
 FASTEST, POWER_STEPS = 4.0, 64
-Start: TypeAlias = StateLike | Callable[..., StateLike]
+Start: TypeAlias = StateLike | Callable[[Any, Any], StateLike]
 """A state at t0, or a function (parameters, lattice) that returns one."""
 Signals: TypeAlias = tuple[Float[AnyArray, "_ _"], ...]
 """One (T, S) per trace."""
@@ -195,7 +195,7 @@ def prepared(
 
 def _made(state, parameters, lattice):
     """The state that a function of the user's gives."""
-    found = state(parameters, lattice)
+    found = given_by_name("state", state, parameters, lattice)
     if not kind_of(StateLike).fits(found):
         wanted = "a function (parameters, lattice) that gives State(u, v)"
         refuse("state", wanted, f"one that gives {described(found)}")
@@ -257,7 +257,7 @@ def _check_places(traces, lattice, state, parameters):
 
 def _checked_scene(scene, parameters):
     """The lattice that a scene makes of the start."""
-    lattice = scene(parameters)
+    lattice = given_by_name("scene", scene, parameters)
     if not isinstance(lattice, Lattice) or lattice.lanes:
         refuse("scene", "a function that returns one Lattice", "lanes" if isinstance(lattice, Lattice) else
                described(lattice))

@@ -1,6 +1,5 @@
 """The map of a state over a time by a fixed number of steps, with tangents: what orbits and Floquet theory stand on."""
 
-from collections.abc import Callable
 from typing import Any
 
 import diffrax
@@ -15,7 +14,7 @@ from ..entry import checked
 from ..lattice import Lattice, vector_field
 from ..lattice.model import check_shape
 from ..solvers import SRKN14a
-from ..types import Count, Counts, Numbers, Pytree, Scalar
+from ..types import Count, Counts, Numbers, Pytree, Scalar, VectorField
 from .breaks import OneSided, breaks_of, shared_out
 
 # numbers that go through a processor at once, at most: rows of tangents that are a multiple of it are up to 1.2x faster
@@ -37,7 +36,7 @@ class Flow(eqx.Module):
 
     steps: Count | Counts
     solver: diffrax.AbstractSolver = SRKN14a()
-    field: Callable = eqx.field(static=True, default=vector_field)
+    field: VectorField = eqx.field(static=True, default=vector_field)
 
     def __check_init__(self):
         if isinstance(self.steps, (int, np.integer)):

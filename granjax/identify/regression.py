@@ -1,7 +1,7 @@
 """Sparse regression of the forces of a lattice on a library of terms."""
 
 from collections.abc import Callable, Sequence
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -116,7 +116,7 @@ def _monomial(argument, p):
 
 @checked
 def regression(
-    mass: Parameter | dict[str, Parameter], candidates: dict[str, Callable], ts: Times, us: Displacements,
+    mass: Parameter | dict[str, Parameter], candidates: dict[str, Callable[[Any], Any]], ts: Times, us: Displacements,
     vs: Displacements, accelerations: Displacements | None = None, *, noise: Scalar = 0.0,
     known: Term | Sequence[Term] = (), threshold: Scalar = 0.02, ridge: Scalar = 0.0, max_steps: Count = 20,
 ) -> Regression:

@@ -1,7 +1,7 @@
 """Elastic modulus of a wall, from a wave that a granular chain sends against it: the actuator-sensor for bone."""
 
 from collections.abc import Callable, Sequence
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -85,7 +85,7 @@ class WallScene(eqx.Module):
 
 @checked
 def wall_modulus(
-    lattice: Lattice | Callable[..., Lattice], traces: Traces | Sequence[Traces], *, state: Start,
+    lattice: Lattice | Callable[[Any], Lattice], traces: Traces | Sequence[Traces], *, state: Start,
     material: str | Material, radius: Scalar, start: Scalar, poisson: Scalar = 0.3, precompression: Scalar = 0.0,
     side: str = "right", others: dict[str, Parameter] | None = None, factor: Scalar = 10.0, scan: Count = 13,
     **options: object,

@@ -1,5 +1,6 @@
 """Measures of histories: a state's measure frame by frame, and means over all frames."""
 
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -7,13 +8,13 @@ import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
 from ..checks import described, refuse, returned
-from ..entry import checked
+from ..entry import checked, takes
 from ..lattice import Lattice, State
-from ..types import Displacements, Number, Numbers, Pytree, Quantity
+from ..types import Displacements, Number, Numbers, Pytree
 
 
 @checked
-def along(measure: Quantity, lattice: Lattice, run: Any, **options: Any) -> Pytree:
+def along(measure: Callable, lattice: Lattice, run: Any, **options: Any) -> Pytree:
     """A measure of every frame of a run: `measure(lattice, State(u, v), t, **options)`, stacked on a leading axis.
 
     **Arguments:** `measure`: such as `contact_force`, or a function of (lattice, y, t); `run`: anything with `ts`,
@@ -23,6 +24,10 @@ def along(measure: Quantity, lattice: Lattice, run: Any, **options: Any) -> Pytr
     """
     if not all(hasattr(run, name) for name in ("ts", "us", "vs")):
         refuse("run", "a record with ts, us and vs", described(run), "Give the result of simulate.")
+
+    if not takes(measure, 3, options):
+        also = f", and of {', '.join(options)}" if options else ""
+        refuse("measure", f"a function of (lattice, y, t){also}", described(measure))
 
     def of_frame(t, u, v):
         return returned("measure", measure(lattice, State(u, v), t, **options))

@@ -1,7 +1,7 @@
 """Families of breathers by continuation from a linear mode or from a breather, and what is computed at each member."""
 
 from collections.abc import Callable, Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -48,7 +48,7 @@ def family(
     lattice: Lattice, until: Scalar | None = None, *, guess: Orbit | None = None, amplitude: Scalar | None = None,
     mode: Count | None = None, arclength: Scalar | None = None, longest_arclength: Scalar | None = None,
     points: Count = 200, steps: Count | None = None, solver: AbstractSolver | None = None,
-    tolerance: Scalar = BRANCH, stability: bool = True, stop: Callable | None = None,
+    tolerance: Scalar = BRANCH, stability: bool = True, stop: Callable[[Any, Any], Any] | None = None,
 ) -> Branch:
     r"""A family of time-reversible breathers, followed in (u, omega) with its stability.
 

@@ -58,7 +58,8 @@ def forced_branch(
     make: Callable[[Any], Any], start: Scalar, until: Scalar, *, period: Callable[[Any], Any] | Scalar,
     guess: StateLike | None = None, transient: Count = 0, t0: Scalar = 0.0, steps: Count | None = None,
     segments: Count = 1, solver: AbstractSolver | None = None, tolerance: Scalar = BRANCH, arclength: Scalar = 0.02,
-    longest_arclength: Scalar | None = None, points: Count = 400, response: Callable = rms_velocity,
+    longest_arclength: Scalar | None = None, points: Count = 400,
+    response: Callable[[Any, Any, Any, Any], Any] = rms_velocity,
 ) -> Branch:
     r"""Follow the periodic orbits of a forced lattice over a parameter, through folds, stable or not.
 

@@ -111,7 +111,8 @@ class Sweep(Result):
 @interruptible
 def sweep(
     make: Callable[[Any], Any], values: Parameter, period: Callable[[Any], Any] | Scalar, *,
-    state: StateLike | None = None, response: Callable = rms_velocity, jump: Scalar = 0.2, accuracy: Scalar = 1e-3,
+    state: StateLike | None = None, response: Callable[[Any, Any, Any, Any], Any] = rms_velocity,
+    jump: Scalar = 0.2, accuracy: Scalar = 1e-3,
     periods: Count = 2000, tolerance: Scalar = 1e-6, watch: Count = WATCHED, steps: Count | None = None,
     solver: AbstractSolver | None = None, down: bool = True,
 ) -> Sweep:
