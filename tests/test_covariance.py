@@ -971,8 +971,8 @@ def test_every_public_function_that_takes_a_lattice_is_in_the_table():
     assert taking - own == ELSEWHERE.keys()
 
 
-# rows of several compiled programs; of orbits `breather` always runs
-LONG = {"simulate", "simulate_tolerance", "frequency_bound", "fit", "fit_from_zero", "family", "forced_orbit",
+# rows of several compiled programs; of orbits `bright_guess` and `single_site` always run
+LONG = {"breather", "simulate", "simulate_tolerance", "frequency_bound", "fit", "fit_from_zero", "family", "forced_orbit",
         "forced_branch", "settle", "sweep", "lyapunov"}
 LONGER = {"law_polynomial", "law_spline", "law_network", "law_power law", "physics_informed", "wall_modulus"}
 

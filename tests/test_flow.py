@@ -490,12 +490,13 @@ def deepest(chain, state, t1):
     return (1 + u[:, :-1] - u[:, 1:]).min()
 
 
-def test_a_contact_that_opens_between_steps_is_seen():
+@pytest.mark.parametrize("seeds", [2, pytest.param(5, marks=pytest.mark.slow)])
+def test_a_contact_that_opens_between_steps_is_seen(seeds):
     """Random starts, scaled until the closest approach is a little off zero; default step and a loose tolerance."""
     chain = gx.scenes.monomer(4, precompression=1.0)
     traced = jax.jit(lambda state: gx.simulate(chain, state, 4.0).contact_opened)
     missed = 0
-    for seed in range(5):
+    for seed in range(seeds):
         start = gx.states.random(chain, seed, velocity=1.0)
         low, high = 0.01, 3.0
         for _ in range(14):
@@ -511,7 +512,7 @@ def test_a_contact_that_opens_between_steps_is_seen():
                 missed += want and not bool(run._margin < 0)
                 assert bool(run.contact_opened) == want and run.opening == ("yes" if want else "no")
                 assert "smallest overlap" in repr(run)
-    assert missed > 3  # by the ends of the steps alone
+    assert missed > seeds / 2  # by the ends of the steps alone
 
 
 def test_an_opening_within_the_error_is_unsure(closed):

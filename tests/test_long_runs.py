@@ -61,6 +61,7 @@ def test_pieces_of_equal_steps_are_one_run(save_at, request, monkeypatch):
         np.testing.assert_allclose(error, whole.record_error[name], rtol=1e-4, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_pieces_of_a_batch_with_jumps_in_time(request):
     def scene(stiffness):
         bond = gx.Bond(gx.Shift(1, "fixed"), gx.Hertz(stiffness, 1.0))

@@ -141,6 +141,7 @@ print(json.dumps([grown, left, kept, found.to_xarray().sizes["site"], same]))
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not os.path.exists("/proc/self/statm"), reason="the system does not say what is resident")
 def test_clear_hands_memory_back_and_leaves_results():
     grown, left, caches, sites, same = kept(ONE_MORE_LENGTH)
