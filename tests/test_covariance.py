@@ -972,8 +972,8 @@ def test_every_public_function_that_takes_a_lattice_is_in_the_table():
 
 
 # rows of several compiled programs; of orbits `bright_guess` and `single_site` always run
-LONG = {"breather", "simulate", "simulate_tolerance", "frequency_bound", "fit", "fit_from_zero", "family", "forced_orbit",
-        "forced_branch", "settle", "sweep", "lyapunov"}
+LONG = {"breather", "simulate", "simulate_tolerance", "frequency_bound", "fit", "fit_from_zero", "family",
+        "forced_orbit", "forced_branch", "settle", "sweep", "lyapunov"}
 LONGER = {"law_polynomial", "law_spline", "law_network", "law_power law", "physics_informed", "wall_modulus"}
 
 
