@@ -8,13 +8,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import concrete, one_of, real, refuse, show, whole
+from ..checks import concrete, held_in_memory, one_of, real, refuse, show, whole
 from ..lattice import Lattice, State
 from ..types import Scalar, StateLike
 from .dispatch import facts
 from .record import CLOSEST, EXTREMES, FORMS
 
 RESERVED = ("time", "ts", "us", "vs", "u", "v", CLOSEST, EXTREMES)
+# bytes of a frame at least: t, u and v of one site
+FRAME = 24
 
 
 def checked_state(lattice: Lattice, state: StateLike) -> State:
@@ -90,6 +92,7 @@ def checked_save_at(save_at: Any, t0: Scalar, t1: Scalar) -> tuple:
         return None, 1, True
     if np.ndim(save_at) == 0:
         frames = whole("save_at", save_at, 1, "A number of frames, an array of times, or 'steps'.")
+        held_in_memory("save_at", frames, FRAME, "frames")
         if frames == 1:
             return None, 1, False
         return t0 + (t1 - t0) * jnp.linspace(0.0, 1.0, frames), frames - 1, False

@@ -103,6 +103,8 @@ def spectrogram(v: Parameter, dt: Scalar, window: Scalar, *, hop: Scalar | None 
     """
     v, dt = np.asarray(parameter("v", v)), float(positive("dt", dt))
     frames = len(v) if v.ndim else 0
+    if frames < 4:
+        refuse("v", "a record of at least 4 frames", f"shape {v.shape}")
     within_record = f"a time from {{:g}} to {frames * dt:g}".format
     size = float(positive("window", window)) / dt
     if not 4 <= round(min(size, frames + 1)) <= frames:

@@ -63,9 +63,9 @@ class Breaks(Dimensional):
 
     @checked
     def __init__(self, times: Parameter, period: Parameter | None = None):
-        self.times = jnp.atleast_1d(parameter("breaks", times))
+        self.times = jnp.atleast_1d(parameter("times of breaks", times))
         if self.times.size == 0:
-            refuse("breaks", "times at which the function jumps", "none", "Leave breaks out.")
+            refuse("times of breaks", "times at which the function jumps", "none", "Leave breaks out.")
         self.period = None if period is None else positive("period", period)
 
     def _wrapped(self, units):

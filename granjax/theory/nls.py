@@ -32,10 +32,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
-from ..checks import broadcast, concrete, parameter, refuse, show, whole
+from ..checks import broadcast, concrete, held_in_memory, parameter, refuse, show, whole
 from ..entry import checked
 from ..results import Held, Result
-from ..types import Count, Number, Parameter
+from ..types import Count, Number, Parameter, Scalar
 from .nls_coefficients import B, Coefficients, band_edges, coefficients
 
 __all__ = [
@@ -128,7 +128,7 @@ class Profile(Result):
 
 @checked
 def bright_profile(
-    coefficients: Coefficients, omega: Number, cells: Count, centre: Number | None = None
+    coefficients: Coefficients, omega: Scalar, cells: Count, centre: Scalar | None = None
 ) -> Profile:
     r"""Bright breather of frequency omega: 2 (2 kappa/nu3)^{1/2} sech[(kappa/nu2)^{1/2} x], kappa = omega - omega(k).
 
@@ -155,7 +155,7 @@ def bright_profile(
 
 @checked
 def dark_profile(
-    coefficients: Coefficients, omega: Number, cells: Count, centre: Number | None = None
+    coefficients: Coefficients, omega: Scalar, cells: Count, centre: Scalar | None = None
 ) -> Profile:
     r"""Dark breather of frequency omega: 2 (kappa/nu3)^{1/2} tanh[b x], b as in `dark`, kappa = omega - omega(k).
 
@@ -220,6 +220,7 @@ def _kappa(coefficients, omega):
 
 def _places(coefficients, cells, centre):
     cells = whole("cells", cells, 1)
+    held_in_memory("cells", cells, 64, "cells")
     return cells, parameter("centre", (len(coefficients.mode) * cells - 1) / 2 if centre is None else centre)
 
 

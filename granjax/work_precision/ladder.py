@@ -152,7 +152,7 @@ def distance(state: Pytree, reference: Pytree) -> float:
     **Arguments:** two trees of arrays of equal shapes. **Returns:** a float; NaN where the state is not finite.
     **Raises** ValueError where shapes differ.
     """
-    state, reference = _parts(state), _parts(reference)
+    state, reference = _parts("state", state), _parts("reference", reference)
     shapes = [[x.shape for x in part] for part in state], [[x.shape for x in part] for part in reference]
     if shapes[0] != shapes[1]:
         refuse("reference", f"arrays of the shapes {shapes[0]}, those of the state", f"{shapes[1]}")
@@ -160,9 +160,9 @@ def distance(state: Pytree, reference: Pytree) -> float:
     return float(np.max([_relative(x, y) for x, y in zip(state, reference)]))
 
 
-def _parts(tree):
+def _parts(argument, tree):
     parts = tree if isinstance(tree, (tuple, list)) else (tree,)
-    return [[real("reference", x) for x in jax.tree.leaves(part)] for part in parts]
+    return [[real(argument, x) for x in jax.tree.leaves(part)] for part in parts]
 
 
 def _relative(part, reference):

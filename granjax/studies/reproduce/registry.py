@@ -35,9 +35,9 @@ def figures() -> dict[str, Figure | Awaited]:
 @checked
 def figure(label: str) -> Figure:
     """The figure of a label. **Raises** ValueError for an unknown label, naming the nearest, or one not made yet."""
-    found = _BY_LABEL[one_of("figure", label, _LABELS)]
+    found = _BY_LABEL[one_of("label", label, _LABELS)]
     if isinstance(found, Awaited):
-        refuse("figure", f"one that is made ({', '.join(made())})", repr(label),
+        refuse("label", f"one that is made ({', '.join(made())})", repr(label),
                f"{label} is not made yet: it needs {found.needs}.")
     return found
 
