@@ -85,10 +85,12 @@ def material(name: str | Material) -> Material:
     Names: `granjax.materials.NAMES`. `"rigid"` is a body that does not yield (E infinite), for walls. A `Material`
     passes through. **Raises** ValueError for another name, suggesting the nearest.
     """
-    return _find(name)
+    return named("name", name)
 
 
-def _find(name):
+@checked
+def named(argument: str, name: str | Material) -> Material:
+    """As `material`, for an argument of another name, which the sentence says."""
     if isinstance(name, Material):
         return name
     known = _PLAIN.get(_plain(name))
@@ -100,7 +102,7 @@ def _find(name):
         near = [_PLAIN[n] for n in difflib.get_close_matches(_plain(name), _PLAIN, n=3, cutoff=0.5)]
         near = dict.fromkeys(_ALIASES.get(n, n) for n in near)
         remedy = f"Did you mean {' or '.join(map(repr, near))}?" if near else "Or give Material(name, E, nu, rho)."
-        refuse("material", "one of " + ", ".join(map(repr, NAMES)), repr(name), remedy)
+        refuse(argument, "one of " + ", ".join(map(repr, NAMES)), repr(name), remedy)
     known = _ALIASES.get(known, known)
     return Material(known, *_TABLE[known])
 
@@ -108,9 +110,9 @@ def _find(name):
 @checked
 def stack(materials: Sequence[str | Material]) -> Material:
     """One `Material` whose numbers are arrays (N,), from a sequence of N materials or names."""
-    bodies = [_find(m) for m in materials]
+    bodies = [named(f"materials[{i}]", m) for i, m in enumerate(materials)]
     if not bodies or any(jnp.ndim(x) for b in bodies for x in (b.young, b.poisson, b.density)):
-        refuse("materials", "at least one, each of one kind", described(materials))
+        refuse("materials", "at least one, none of them stacked already", described(materials))
     young, poisson, density = (jnp.stack([getattr(b, n) for b in bodies]) for n in ("young", "poisson", "density"))
     placed = Material("mixed", jnp.ones(len(bodies)), 0.0, 1.0, "; ".join(dict.fromkeys(b.source for b in bodies)))
     return eqx.tree_at(lambda m: (m.young, m.poisson, m.density), placed, (young, poisson, density))
@@ -157,8 +159,8 @@ def hertz_coefficient(
     2.38 mm 4.3e7. **Raises** ValueError for a radius that is not above zero, two planes, or two rigid bodies.
     Source: K. L. Johnson, Contact Mechanics (1985), section 4.2; valid for contacts small against the radii.
     """
-    first = _find(material_1)
-    second = first if material_2 is None else _find(material_2)
+    first = named("material_1", material_1)
+    second = first if material_2 is None else named("material_2", material_2)
     R1 = _radius_or_plane("radius_1", radius_1)
     R2 = R1 if radius_2 is None else _radius_or_plane("radius_2", radius_2)
     broadcast(radius_1=R1, radius_2=R2, material_1=first.compliance, material_2=second.compliance)
@@ -176,7 +178,7 @@ def bead_mass(material: str | Material, radius: Parameter) -> Number:
     **Arguments:** a `Material` or a name of the table; `radius` R > 0 [m], a number or an array.
     **Raises** ValueError for a radius that is not above zero, or a rigid body, which has no density.
     """
-    body = _find(material)
+    body = named("material", material)
     density = concrete(body.density)
     if density is not None and not np.all(np.isfinite(density)):
         refuse("material", "a material with a density", "'rigid'", "A rigid body stands for a wall, not for a bead.")
@@ -207,8 +209,8 @@ def crossed_cylinders(
     (0, pi/2], or two rigid bodies.
     Source: K. L. Johnson, Contact Mechanics (1985), section 4.2; Khatri, Ngo, Daraio, Granular Matter 14, 63 (2012).
     """
-    first = _find(material_1)
-    second = first if material_2 is None else _find(material_2)
+    first = named("material_1", material_1)
+    second = first if material_2 is None else named("material_2", material_2)
     R1 = _radius("radius_1", radius_1)
     R2 = R1 if radius_2 is None else _radius("radius_2", radius_2)
     remedy = "The angle is in radians; parallel cylinders touch along a line, which is another law."

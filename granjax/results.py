@@ -13,6 +13,7 @@ import numpy as np
 
 from . import reading
 from .checks import concrete, refuse, traced
+from .entry import checked
 from .files import netcdf, target, write
 
 if TYPE_CHECKING:
@@ -114,10 +115,10 @@ class Result(eqx.Module):
         folder, no right to); OSError where writing fails (a full disk).
         """
         path = target("path", path)
-        if path.suffix not in (".nc", ".mat"):
+        if path.suffix.lower() not in (".nc", ".mat"):
             refuse("path", "a name that ends in .nc or .mat", repr(path.name))
         data = self.to_xarray()
-        if path.suffix == ".nc":
+        if path.suffix.lower() == ".nc":
             return write(path, netcdf(data))
         from scipy.io import savemat
 
@@ -126,6 +127,7 @@ class Result(eqx.Module):
         return write(path, buffer.getvalue())
 
     @staticmethod
+    @checked
     def load(path: str | Path) -> "xarray.Dataset":
         """What `save` wrote as netCDF: the `xarray.Dataset`, with everything in memory and the file closed.
 

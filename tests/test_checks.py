@@ -92,7 +92,7 @@ BAD = (
     *((f"drive of site {k}", lambda k=k: chain(gx.Drive(gx.Harmonic(1.0, 1.0), k)), "terms[0] (Drive)")
       for k in (6, -7, 100, (0, 1))),
     *((f"drive of site {k}", lambda k=k: gx.Drive(gx.Harmonic(1.0, 1.0), k), "site") for k in (1.5, "last", True)),
-    ("no material", lambda: gx.materials.stack([]), "materials"),
+    ("no material", lambda: gx.materials.stack([]), "materials: expected at least one, none of them stacked"),
     ("materials of materials", lambda: gx.materials.stack([gx.materials.stack(["brass"])]), "materials"),
     ("no law in a sum", lambda: gx.laws.Sum([]), "parts"),
     ("terms of none", lambda: chain(BOND, None), "terms[1]"),

@@ -59,8 +59,9 @@ KINDS = (
     (words.Numbers, (np.ones(2), jnp.ones(()), np.arange(2)), (*NONE, [1.0], 1.0)),
     (words.Times, (np.ones(2),), (*NONE, [1.0], np.ones((2, 2)))),
     (words.Displacements, (np.ones(2), np.ones(2) * 1j, {"u": jnp.ones(2)}), (None, 1.0, {}, {"u": None}, MASKED)),
-    (words.StateLike, (STATE, (np.ones(2), [1, 2]), [{"u": np.ones(2)}] * 2),
+    (words.StateLike, (STATE, (np.ones(2), jnp.ones(2)), [{"u": np.ones(2)}] * 2),
      (None, 1, (), (1.0, 2.0), (np.ones(2),), (np.ones(2),) * 3, (np.ones(2), None), (MASKED, MASKED), "ab",
+      (np.ones(2), [1, 2]), (range(2), range(2)), (np.ones(()), np.ones(())), ({"u": [1.0]}, {"u": [1.0]}),
       (np.ones(2) * 1j, np.ones(2)))),
     (words.Site, (0, -1, (1, 2), [0]), (None, True, 1.0, (1, 0.5), "a", np.ones(2))),
     (words.Cell, (1, (2, 2), None), (1.5, "a", (1.5,))),
@@ -297,6 +298,7 @@ def test_named_findings_meet_a_sentence():
     chain = gx.scenes.monomer(7, precompression=1.0)
     times, data = np.linspace(0.1, 1.0, 6), np.zeros((6, 2))
     scene, traces = lambda p: gx.scenes.monomer(7, stiffness=p["k"]), gx.Traces(times, velocity=data, sites=[1, 2])
+    none = jax.vmap(lambda k: gx.scenes.monomer(7, stiffness=k), out_axes=-1)(np.ones(0))
     fit = functools.partial(gx.fit, scene, {"k": 1.0}, traces)
     cases = (
         (lambda: gx.driven.driven_chain(chain, np.ones(7), 1.0), "amplitude: expected one number, got shape (7,)"),
@@ -316,6 +318,12 @@ def test_named_findings_meet_a_sentence():
         (lambda: gx.newton.newton(lambda x, args: x, np.ones(1), linearise=lambda x: x), "linearise: expected a fun"),
         (lambda: gx.continuation.continuation(lambda x, p, args: x, np.ones(1), 0.0, stop=lambda x: None), "stop: exp"),
         (lambda: gx.continuation.continuation(lambda x, p, args: x, np.ones(1), 0.0, veto=lambda x: None), "veto: exp"),
+        (lambda: gx.vector_field(0.0, gx.State(np.ones(6), np.ones(6)), chain), "y.u: expected shape (7,)"),
+        (lambda: gx.Lattice(1.0, gx.Damping(0.1), sites=2.5), "sites: expected a whole number, or one per axis"),
+        (lambda: gx.simulate(none, gx.states.rest(none), 1.0), "lattice: expected at least one lane, got an empty"),
+        (lambda: gx.plots.drawn(gx.plots.figure(), "doc"), "ending: expected one of"),
+        (lambda: gx.plots.save(gx.plots.figure(), "a.doc"), "path: expected one of"),
+        (lambda: gx.Run.load(b"run.nc"), "path: expected a string or a path, got b'run.nc'"),
         (lambda: gx.Flow(8, field=lambda t: t), "field: expected a function of 3 arguments"),
         (lambda: gx.simulate(chain, gx.states.rest(chain), 1.0, save_at=[0.1, [0.2]]), "save_at: expected"),
         (lambda: gx.scenes.monomer(10**12), "GB of memory hold"),

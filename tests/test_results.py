@@ -36,7 +36,7 @@ def test_a_result_has_named_axes_units_and_an_origin(sample):
 
 
 def test_a_result_is_read_back_from_its_file(sample, tmp_path):
-    again = Result.load(sample.save(tmp_path / "sample.nc"))
+    again = Result.load(sample.save(tmp_path / "sample.NC"))
     assert again.equals(sample.to_xarray()) and again.attrs["outcome"] == "Found."
     from scipy.io import loadmat
 

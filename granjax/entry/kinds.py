@@ -112,13 +112,12 @@ def _seed(x):
 
 def _over_sites(x, kinds="fiu"):
     if isinstance(x, dict):
-        return bool(x) and all(isinstance(name, str) and bool(shape_of(part, kinds)) for name, part in x.items())
-    return bool(shape_of(x, kinds))
+        return bool(x) and all(isinstance(name, str) and _array_over_sites(part, kinds) for name, part in x.items())
+    return _array_over_sites(x, kinds)
 
 
-def _moves(x):
-    parts = x.values() if isinstance(x, dict) else (x,)
-    return bool(parts) and all(array_of(part, "fiuc") and part.ndim for part in parts) and _over_sites(x, "fiuc")
+def _array_over_sites(x, kinds):
+    return array_of(x, kinds) and x.ndim > 0
 
 
 def _sites_of(argument, x):
@@ -143,7 +142,7 @@ def _tree(x):
 
 
 SITES = Kind("an array of real numbers over the sites, or a dict of such", _over_sites, parts=_sites_of)
-MOVES = Kind("an array of numbers over the sites, or a dict of such", _moves, parts=_sites_of)
+MOVES = Kind("an array of numbers over the sites, or a dict of such", lambda x: _over_sites(x, "fiuc"), parts=_sites_of)
 COUNT = Kind("a whole number", _count, known=True)
 FLAG = Kind("True or False", _flag, known=True)
 ONE = Kind("one number", _scalar)
@@ -157,7 +156,7 @@ WORDS = (
     (words.Scalar, ONE),
     (words.Number, Kind("real numbers", _number, GIVE)),
     (words.Site, Kind("a whole number, or one per axis", lambda x: _count(x) or type(x) in (tuple, list)
-                      and all(map(_count, x)), "Sites are counted from 0, negative ones from the end.")),
+                      and all(map(_count, x)))),
     (words.Flags, Kind("True or False, or an array of them", lambda x: _flag(x) or array_of(x, "b"))),
     (words.Displacements, MOVES),
     (words.Seed, Kind("a whole number or a JAX key", _seed, "Equal seeds give equal draws.")),

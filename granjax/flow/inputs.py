@@ -36,6 +36,8 @@ def checked_state(lattice: Lattice, state: StateLike) -> State:
 
 
 def _checked_array(name, x, shape, dtype):
+    if 0 in shape:
+        refuse("lattice", "at least one lane", f"an empty batch, shape {shape}")
     if not isinstance(x, jax.Array):
         x = real(name, x) if isinstance(x, np.ma.MaskedArray) else np.asarray(x)
     if x.dtype.kind != "f":

@@ -15,7 +15,7 @@ from ..entry import checked
 from ..laws import Law
 from ..split_system import Split, pair
 from ..types import Number, StateLike
-from .model import Lattice
+from .model import Lattice, check_shape
 
 
 class PlainSplit(Split):
@@ -224,6 +224,8 @@ def vector_field(t: Number, y: StateLike, lattice: Lattice) -> StateLike:
     `y` is a `State` (or a pair (u, v)); the result has its structure.
     """
     u, v = y
+    for name, x in zip("uv", y):
+        check_shape(lattice, f"y.{name}", x)
     return pair(y, v, lattice.acceleration(t, u, v))
 
 

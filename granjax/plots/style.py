@@ -76,14 +76,18 @@ def save(made: Figure, path: str | Path, *, dpi: Scalar = 200) -> Path:
     there; OSError where writing fails (a full disk).
     """
     path = target("path", path)
-    return write(path, drawn(made, path.suffix, dpi=dpi))
+    return write(path, _drawn("path", made, path.suffix, dpi))
 
 
 @checked
 def drawn(made: Figure, ending: str, *, dpi: Scalar = 200) -> bytes:
     """What a file with this ending (`".png"`, `".pdf"`, `".svg"`) of a figure holds."""
+    return _drawn("ending", made, ending, dpi)
+
+
+def _drawn(argument, made, ending, dpi):
     known = [f".{name}" for name in made.canvas.get_supported_filetypes()]
-    kind, buffer = one_of("path", ending.lower(), known)[1:], io.BytesIO()
+    kind, buffer = one_of(argument, ending.lower(), known)[1:], io.BytesIO()
     with style():
         made.savefig(buffer, format=kind, dpi=float(positive("dpi", dpi)), facecolor="white")
     return buffer.getvalue()

@@ -6,11 +6,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import held_in_memory, one_of, positive, refuse, whole
+from ..checks import described, held_in_memory, one_of, positive, refuse, whole
 from ..entry import checked
 from ..lattice import Lattice
 from ..laws import Hertz
-from ..materials import Material, bead_mass, hertz_coefficient, material, stack
+from ..materials import Material, bead_mass, hertz_coefficient, named, stack
 from ..strains import BOUNDARIES, Shift
 from ..terms import Bond, Damping
 from ..types import Count, Parameter, Scalar
@@ -77,9 +77,9 @@ def _cell(materials, radii):
     else:
         R = positive("radii", radii, "A radius is in metres, above zero.")
     if isinstance(materials, (str, Material)):
-        bodies = material(materials)
+        bodies = named("materials", materials)
     else:
-        kinds = tuple(materials) if isinstance(materials, (tuple, list)) else ()
+        kinds = tuple(materials)
         if not kinds:
             refuse("materials", "a material, or a sequence of them, one per bead", repr(materials))
         bodies = stack(kinds)
@@ -109,6 +109,9 @@ def _contacts(bodies, R, sites, boundary, wall):
         pairs = hertz_coefficient(*pick(slice(None, -1)), *pick(slice(1, None)))
         if boundary == "free":
             return pairs
-    left, right = wall if isinstance(wall, (tuple, list)) and len(wall) == 2 else (wall, wall)
+    walls = (wall, wall) if wall is None or isinstance(wall, (str, Material)) else tuple(wall)
+    if len(walls) != 2:
+        refuse("wall", "a material, or a pair (left, right)", described(wall))
+    left, right = (None if w is None else named("wall", w) for w in walls)
     ends = [hertz_coefficient(*bead, w, jnp.inf) for bead, w in ((first, left), (last, right))]
     return jnp.concatenate([ends[0][None], pairs, ends[1][None]])
