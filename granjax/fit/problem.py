@@ -203,8 +203,8 @@ def _made(state, parameters, lattice):
 
 
 def as_state(state: State | tuple | list, dtype: object) -> State:
-    """A pair of arrays, lists or dicts of them as a `State` of a floating type."""
-    return jax.tree.map(lambda x: jnp.asarray(x, dtype), State(*state), is_leaf=lambda x: isinstance(x, list))
+    """A pair of arrays, or of dicts of them, as a `State` of a floating type."""
+    return jax.tree.map(lambda x: jnp.asarray(x, dtype), State(*state))
 
 
 def misfit(trace: Traces, signal: Float[AnyArray, "T S"]) -> Float[AnyArray, "T S"]:
