@@ -175,6 +175,7 @@ def _draw_bright(plots, figure, data):
     fl = SimpleNamespace(
         multipliers=data["multiplier_real"].values + 1j * data["multiplier_imag"].values, krein=data["krein"].values,
         error=data["error"].values, expected=int(data.attrs["expected_at_one"]), rate=0.0,
+        period=2 * np.pi / data.attrs["omega"],
         vectors=(data["mode_real"].values + 1j * data["mode_imag"].values)[:, None],
     )
     orbit = SimpleNamespace(state=(data["displacement"].values, None))
