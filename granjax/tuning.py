@@ -103,8 +103,10 @@ def keep_compiled(folder: str | Path | None = None) -> Path | None:
     """
     import jax
 
+    from .checks import described, refuse
+
     if folder is not None and not isinstance(folder, (str, os.PathLike)):
-        raise ValueError(f"folder: expected a string, a path or None, got {folder!r}")
+        refuse("folder", "a string, a path or None", described(folder))
     if jax.config.jax_compilation_cache_dir:
         return Path(jax.config.jax_compilation_cache_dir)
     chosen = folder or os.environ.get("GRANJAX_CACHE") or _user_cache() / "granjax"
@@ -177,8 +179,6 @@ def _pools():
 
 def one_thread(function: Callable) -> Callable:
     """The function with LAPACK on one thread: below some 500 rows more threads only wait for each other."""
-    if not callable(function):
-        raise ValueError(f"function: expected a function, got {function!r}")
 
     @wraps(function)
     def limited(*arguments, **keywords):

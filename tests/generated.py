@@ -60,6 +60,7 @@ NOT_FACE = {
     "lattice.model.Lattice.sum_forces": "a part of `force`, inside of a loop", "terms.reach.": "asked by terms alone",
     "lattice.model.Lattice.total": "a part of `force`, inside of a loop",
     "tuning.keep_compiled": "sets where JAX keeps its programs, for the whole process",
+    "tuning.one_thread": "a decorator of the library's own",
     "tuning.prepare_import": "called by the import, without an argument",
 }
 

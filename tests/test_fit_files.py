@@ -125,6 +125,20 @@ def test_files_without_numbers_and_with_broken_lines_are_refused(tmp_path):
         read_csv(path, velocity="one", sites=3)
 
 
+def test_the_remedy_of_a_text_file_helps(tmp_path):
+    """Stamps of time are passed over where the header's lines are told; a reading that was dropped says why."""
+    path = tmp_path / "scan.csv"
+    path.write_text("stamp,v\n" + "".join(f"2020-01-01T00:00:{i:02d},{i / 10}\n" for i in range(6)))
+    with pytest.raises(ValueError, match="path: expected .*, got .*Give header=, .* columns by index where others hold"):
+        read_csv(path, velocity=1, sites=[1], sampling=1.0)
+    np.testing.assert_allclose(
+        read_csv(path, velocity=1, sites=[1], sampling=1.0, header=1).data[:, 0], np.arange(6) / 10)
+    path.write_text("t,v\n0,0\n1,05\n2,10\n")
+    for column in ("v", 1):
+        with pytest.raises(ValueError, match="decimal commas between commas. Say delimiter=',' and decimal='.'"):
+            read_csv(path, velocity=column, sites=[1])
+
+
 def test_a_sensor_that_is_silent_before_the_trigger_or_overflows_is_refused(tmp_path):
     silent = np.where(np.arange(40) < 20, np.nan, 1.0)
     path = write(tmp_path / "scan.csv", ["time,gate,one,two"], [T, GATE, silent, BURST[:, 0]])

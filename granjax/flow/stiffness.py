@@ -18,6 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..checks import whole
 from ..entry import checked
 from ..lattice import Lattice, State
 from ..terms import Reach, Reached
@@ -35,7 +36,7 @@ OPENING = 2.0
 
 @checked
 def frequency_bound(
-    lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, neighbourhood: Count | None = NEIGHBOURHOOD,
+    lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, neighbourhood: Count = NEIGHBOURHOOD,
 ) -> Number:
     """Bound on the angular frequencies that linearisation finds at what the scene's energy can reach.
 
@@ -48,6 +49,7 @@ def frequency_bound(
     **Returns:** omega_max, one number for all lanes; zero for a lattice without any stiffness at its energy.
     """
     arrays = jax.tree.map(jnp.asarray, tuple(state), is_leaf=lambda x: isinstance(x, list))
+    neighbourhood = whole("neighbourhood", neighbourhood, 1)
     return _bound_at(lattice, State(*arrays), t0, t1, neighbourhood)
 
 

@@ -80,6 +80,8 @@ class Lattice(eqx.Module):
         per_site = mass.ndim > 0
         if sites is None and not per_site:
             refuse(name, "an array, one mass per site", "one number", "Or say how many sites: Lattice(..., sites=N).")
+        if per_site and not mass.size:
+            refuse(name, "at least two sites", f"none, shape {mass.shape}", "A lattice has bonds.")
         shape = mass.shape if sites is None else tuple(sites) if isinstance(sites, (tuple, list)) else (sites,)
         shape = tuple(whole("sites", n, 1) for n in shape)
         if per_site and mass.shape != shape:

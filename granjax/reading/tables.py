@@ -100,8 +100,11 @@ def table(
         _read(lines, *way, header, needed if len(needed) == len(set(asked)) else None)
         for way in itertools.product(delimiters, (".", ",") if decimal is None else (decimal,))
     ]
+    dropped = []
     if delimiter is None or decimal is None:
+        before = tried
         tried = [_split(reading) if isinstance(reading, _Reading) else reading for reading in tried]
+        dropped = [(x, y) for x, y in zip(before, tried) if x is not y]
     readings = [reading for reading in tried if isinstance(reading, _Reading)]
     if any(reading.delimiter == "\t" for reading in readings):
         # a tab is a blank too
@@ -114,6 +117,9 @@ def table(
         failure = max((x for x in tried if isinstance(x, _Failure)), key=lambda x: x.rows)
         refuse("path", WHAT, f"{str(path)!r}, {failure.got}", failure.remedy)
     fitting = [reading for reading in distinct if _has(reading, asked, time)]
+    for reading, failure in () if fitting else dropped:
+        if _has(reading, asked, time):
+            refuse("path", WHAT, f"{str(path)!r}, {failure.got}", failure.remedy)
     if len(distinct) > 1 and len(fitting) != 1:
         ways = " or ".join(_said(reading) for reading in (fitting or distinct))
         refuse("path", "columns that can be read in one way", f"{str(path)!r}, which is {ways}",
@@ -220,8 +226,9 @@ def _read(lines, delimiter, decimal, header, needed):
     last = lines[end - 1][1]
     if None in row(last)[1] or delimiter == decimal and "'" not in last and '"' not in last:
         return _Failure(0, f"that ends with {last[:60]!r}",
-                        "Give delimiter= where it is another than tab, semicolon, comma or blanks; cut what follows "
-                        "the last row.")
+                        "Give header=, its lines above the first row, and columns by index where others hold words or "
+                        "stamps of time; delimiter= where it is another than tab, semicolon, comma or blanks; cut what "
+                        "follows the last row.")
     lines, first, words, places, counts, flat = lines[:end], None, [], [], [], array("d")
     for k, (place, line) in enumerate(lines):
         if line.lstrip().startswith(COMMENTS) or header is not None and place <= header:

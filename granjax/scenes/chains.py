@@ -34,9 +34,19 @@ def _contact(stiffness, exponent, precompression):
     return PowerLaw(stiffness, exponent, precompression)
 
 
-def _chain(sites, mass, law, boundary):
-    bond = Bond(Shift(1, one_of("boundary", boundary, BOUNDARIES)), law)
-    return Lattice(mass, (bond,), sites=_sites(sites))
+def _chain(sites, mass, law, boundary, **parameters):
+    """The chain of a law, whose parameters are one number or one per contact."""
+    bond, sites = Bond(Shift(1, one_of("boundary", boundary, BOUNDARIES)), law), _sites(sites)
+    contacts = sites + {"fixed": 1, "free": -1}.get(boundary, 0)
+    for name, x in parameters.items():
+        if np.shape(x)[:1] not in ((), (1,), (contacts,)):
+            refuse(name, f"one number, or one per contact, shape ({contacts},)", f"shape {np.shape(x)}")
+    return Lattice(mass, (bond,), sites=sites)
+
+
+def _power_chain(sites, mass, stiffness, exponent, precompression, boundary):
+    law = _contact(stiffness, exponent, precompression)
+    return _chain(sites, mass, law, boundary, stiffness=stiffness, exponent=exponent, precompression=precompression)
 
 
 def _sites(sites):
@@ -67,7 +77,7 @@ def monomer(
     **Returns:** a `Lattice`. **Raises** ValueError for N < 2, an unknown boundary, m or A <= 0, F0 < 0.
     Source: Nesterenko, J. Appl. Mech. Tech. Phys. 24, 733 (1983).
     """
-    return _chain(sites, mass, _contact(stiffness, exponent, precompression), boundary)
+    return _power_chain(sites, mass, stiffness, exponent, precompression, boundary)
 
 
 @checked
@@ -92,7 +102,7 @@ def pattern(
     if boundary == "periodic" and sites % len(cell):
         refuse("sites", f"a multiple of {len(cell)}, whole cells on a ring", repr(sites))
     mass = jnp.tile(jnp.stack(cell), -(-sites // len(cell)))[:sites]
-    return _chain(sites, mass, _contact(stiffness, exponent, precompression), boundary)
+    return _power_chain(sites, mass, stiffness, exponent, precompression, boundary)
 
 
 @checked
@@ -183,7 +193,7 @@ def defects(
             refuse(name, "each site once", f"site {site % sites} twice")
         seen.add(site % sites)
         m = m.at[site].set(positive(name, other, "A bead needs a mass."))
-    return _chain(sites, m, _contact(stiffness, exponent, precompression), boundary)
+    return _power_chain(sites, m, stiffness, exponent, precompression, boundary)
 
 
 @checked
@@ -215,7 +225,7 @@ def taper(
     if boundary == "fixed":
         wall = (2 - q) / (1 - q) / 2
         share = jnp.concatenate([R[:1] * wall, share, R[-1:] * wall])
-    return _chain(sites, R**3, Hertz(A * jnp.sqrt(share), precompression), boundary)
+    return _chain(sites, R**3, Hertz(A * jnp.sqrt(share), precompression), boundary, precompression=precompression)
 
 
 @checked
@@ -241,7 +251,7 @@ def disordered(
     draw = draw[one_of("distribution", distribution, tuple(draw))]
     limits = {"minval": -1.0, "maxval": 1.0} if distribution == "uniform" else {}
     noise = draw(random_key(seed, _MANY), (sites,), dtype=spread.dtype, **limits)
-    return _chain(sites, 1 + spread * noise, _contact(stiffness, exponent, precompression), boundary)
+    return _power_chain(sites, 1 + spread * noise, stiffness, exponent, precompression, boundary)
 
 
 @checked
@@ -267,7 +277,7 @@ def fput(
     beta = 0.0 if beta is None else beta
     parameter("alpha", alpha)
     parameter("beta", beta)
-    return _chain(sites, mass, Polynomial(stiffness, alpha, beta), boundary)
+    return _chain(sites, mass, Polynomial(stiffness, alpha, beta), boundary, stiffness=stiffness, alpha=alpha, beta=beta)
 
 
 @checked
@@ -283,4 +293,4 @@ def toda(
     **Returns:** a `Lattice`. **Raises** ValueError for N < 2, an unknown boundary, m, a or b <= 0.
     Source: Toda, J. Phys. Soc. Japan 22, 431 (1967).
     """
-    return _chain(sites, mass, Toda(strength, rate), boundary)
+    return _chain(sites, mass, Toda(strength, rate), boundary, strength=strength, rate=rate)
