@@ -486,14 +486,15 @@ INSTANCES = {
 
 # what is still to be mended, by the beginning of the case: another argument is named, or an error comes from inside
 PENDING = (
-    "continuation.trace.continuation(linearise=", "flow.stiffness.frequency_bound(", "identify.compare.compare(state=",
-    "flow.reversible.return_error(state=", "fit.files.read_",
-    "orbits.floquet.multipliers(state=",  # says y
+    "continuation.trace.continuation(linearise=",
+    "orbits.floquet.multipliers(state=", "flow.reversible.return_error(state=",  # says y
     "flow.derivative.derivative(function=",
-    "measures.spectra.spectrogram(v=",  # says window
-    "scenes.",  # parameters that do not fit the bonds: says terms[0]
-    "theory.nls.dark_profile(",
-    "work_precision.ladder.distance(state=",  # says reference
+    "fit.files.read_csv(trigger=", "fit.files.read_mat(trigger=",  # says start, stop
+    "flow.stiffness.frequency_bound(state=", "flow.stiffness.frequency_bound(t1=",
+    "identify.regression.regression(mass=",  # says u
+    "theory.nls.bright_profile(omega=", "theory.nls.dark_profile(omega=",  # says kappa
+    "plots.histories.traces(qs=",  # says ts
+    "studies.reproduce.figure.Figure.parameters(overrides=",  # says parameter
 )
 
 

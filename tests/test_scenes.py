@@ -387,6 +387,8 @@ def loaded():
     (lambda: scenes.beads("brass", 1e-3, cells=10**13), "cells: expected at most"),
     (lambda: scenes.monomer(10**20), "sites: expected a whole number, got .* 64 bits"),
     (lambda: scenes.monomer(9, boundary=np.array(["fixed"])), "boundary: expected a string, got an array of strings"),
+    (lambda: scenes.monomer(5, stiffness=np.ones(5)), r"stiffness: expected one number, or one per contact, shape \(6,"),
+    (lambda: scenes.toda(5, strength=np.ones(5)), r"strength: expected one number, or one per contact, shape \(4,\)"),
     (lambda: scenes.Units(mass=0.0), "mass: expected numbers above zero"),
 ])
 def test_bad_input_gets_a_sentence(call, words):

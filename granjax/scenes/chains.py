@@ -277,7 +277,8 @@ def fput(
     beta = 0.0 if beta is None else beta
     parameter("alpha", alpha)
     parameter("beta", beta)
-    return _chain(sites, mass, Polynomial(stiffness, alpha, beta), boundary, stiffness=stiffness, alpha=alpha, beta=beta)
+    law = Polynomial(stiffness, alpha, beta)
+    return _chain(sites, mass, law, boundary, stiffness=stiffness, alpha=alpha, beta=beta)
 
 
 @checked
