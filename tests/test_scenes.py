@@ -336,7 +336,7 @@ def loaded():
     (lambda: scenes.monomer(9, precompression=-1.0), "precompression: expected numbers not below zero"),
     (lambda: scenes.monomer(9, mass=0.0), "mass: expected numbers above zero"),
     (lambda: scenes.monomer(9, stiffness=-1.0), "stiffness: expected numbers above zero"),
-    (lambda: scenes.monomer(9, stiffness=[1.0, 2.0]), "expected parameters that fit a lattice of shape"),
+    (lambda: scenes.monomer(9, stiffness=[1.0, 2.0]), "stiffness: expected one number, or one per contact, shape .10,"),
     (lambda: scenes.dimer(9, ratio=1.2), r"ratio: expected numbers in \(0, 1\], got 1.2. The ratio"),
     (lambda: scenes.dimer(9, ratio=0.0), r"ratio: expected numbers in \(0, 1\]"),
     (lambda: scenes.dimer(9, ratio=np.nan), "ratio: expected finite numbers"),
@@ -387,7 +387,7 @@ def loaded():
     (lambda: scenes.beads("brass", 1e-3, cells=10**13), "cells: expected at most"),
     (lambda: scenes.monomer(10**20), "sites: expected a whole number, got .* 64 bits"),
     (lambda: scenes.monomer(9, boundary=np.array(["fixed"])), "boundary: expected a string, got an array of strings"),
-    (lambda: scenes.monomer(5, stiffness=np.ones(5)), r"stiffness: expected one number, or one per contact, shape \(6,"),
+    (lambda: gx.Lattice(np.ones(9), gx.Bond(gx.Shift(1), gx.Hertz([1.0, 2.0]))), "expected parameters that fit a lattice"),
     (lambda: scenes.toda(5, strength=np.ones(5)), r"strength: expected one number, or one per contact, shape \(4,\)"),
     (lambda: scenes.Units(mass=0.0), "mass: expected numbers above zero"),
 ])
