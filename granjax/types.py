@@ -5,7 +5,7 @@ adds trailing axes. Every word holds for NumPy and JAX, traced or not, in float3
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any, TypeAlias
+from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 import jax
 import numpy as np
@@ -13,6 +13,17 @@ from jaxtyping import Bool, Complex, Float, Inexact, Integer, PyTree, Real
 
 AnyArray: TypeAlias = jax.Array | np.ndarray
 """An array of NumPy or of JAX."""
+
+
+@runtime_checkable
+class _Column(Protocol):
+    """What NumPy reads as an array, such as a `pandas.Series`."""
+
+    def __array__(self, dtype: Any = None, copy: Any = None) -> np.ndarray: ...
+
+
+Values: TypeAlias = Sequence | AnyArray | _Column
+"""Indices, labels or numbers one after the other: a list, an array, a column of a table."""
 
 Scalar: TypeAlias = int | float | np.number | Real[AnyArray, ""]
 """One real number."""

@@ -46,6 +46,19 @@ NONE = (None, True, "1", b"1", 1j, object(), Odd(), {1}, {"a": 1}, [1, [2]], [1,
 MANY = ([1.0], (1, 2), np.ones(3), jnp.ones((2, 2)), range(3), [np.ones(2)] * 3, np.ones(0))
 ONE = (1, 1.0, np.float32(1), np.int64(1), np.array(1.0), jnp.float32(1), jnp.asarray(2), np.ma.array(1.0))
 
+class Series:
+    """As of pandas: no sequence, and read by NumPy."""
+
+    def __init__(self, values):
+        self.values = values
+
+    def __array__(self, dtype=None, copy=None):
+        return np.array(self.values, dtype)
+
+    def __iter__(self):
+        return iter(self.values)
+
+
 # an annotation, what fits it, what does not
 KINDS = (
     (words.Scalar, ONE, NONE + MANY),
@@ -65,6 +78,9 @@ KINDS = (
       (np.ones(2) * 1j, np.ones(2)))),
     (words.Site, (0, -1, (1, 2), [0]), (None, True, 1.0, (1, 0.5), "a", np.ones(2))),
     (words.Cell, (1, (2, 2), None), (1.5, "a", (1.5,))),
+    (words.Values, ([1], (1,), range(2), np.ones(2), jnp.ones(2), np.array(["a"]), np.array(["a"], object),
+                    Series([1])),
+     (None, 1, 1.0, "a", b"a", {1}, np.array([1, None]), np.array(1.0), MASKED, Odd(), np.ndarray, Series([None]))),
     (words.Seed, (1, jax.random.key(0), jnp.uint32(3)), (None, 1.0, "a", np.ones(2), jnp.ones(2))),
     (words.Quantity, (gx.measures.energy, lambda *x: x), (None, 1, "len", len, lambda t: t)),
     (Callable[..., Any], (len, lambda t: t, gx.Hertz), (None, 1, "len")),
@@ -291,6 +307,20 @@ def open_entries():
 
 def test_every_public_function_is_checked():
     assert not sorted(set(open_entries()))
+
+
+def test_columns_of_a_table_are_read():
+    traces = gx.Traces([0.1, 0.2], velocity=np.ones((2, 2)), sites=Series([1, 2]))
+    assert traces.places == ((1,), (2,))
+    pairs = gx.Pairs(Series([0, 1]), Series([1, 2]))
+    assert (pairs.tail, pairs.head) == ((0, 1), (1, 2))
+    assert gx.laws.Spline(Series([-1.0, 1.0]), [1.0] * 3).knots == (-1.0, 1.0)
+    names = ["a", "b", "a", "b"]
+    for species in (Series(names), np.array(names, object), np.array(names)):
+        assert list(gx.measures.species_energy(LATTICE, STATE, species=species)) == ["a", "b"]
+    for wrong in (Series([1.5, 2.0]), Series([[[1]]]), Series(["a"])):
+        with pytest.raises(ValueError, match="^sites: expected whole numbers"):
+            gx.Traces([0.1, 0.2], velocity=np.zeros((2, 1)), sites=wrong)
 
 
 def test_named_findings_meet_a_sentence():

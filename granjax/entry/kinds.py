@@ -85,6 +85,19 @@ def _many(x):
     return is_sequence(x) or not isinstance(x, jax.core.Tracer) and array_of(x, "fiucbUS") and x.ndim > 0
 
 
+def _values(x):
+    if is_sequence(x) or isinstance(x, jax.Array):
+        return True
+    if isinstance(x, type) or not hasattr(x, "__array__") or np.ma.is_masked(x):
+        return False
+    try:
+        array = np.asarray(x)
+    except (TypeError, ValueError, RuntimeError):
+        return False
+    names = array.dtype.kind == "O" and all(isinstance(part, str) for part in array.flat)
+    return array.ndim > 0 and (names or array.dtype.kind in "fiucbUS")
+
+
 def _scalar(x):
     return type(x) is float or shape_of(x) == ()
 
@@ -153,6 +166,7 @@ TREE = Kind("a tree of arrays of numbers", _tree)
 # the words of granjax.types; a word that holds another comes before it
 WORDS = (
     (words.Parameter, Kind("real numbers", lambda x: shape_of(x) is not None, GIVE)),
+    (words.Values, Kind("an array or a sequence", _values)),
     (words.Scalar, ONE),
     (words.Number, Kind("real numbers", _number, GIVE)),
     (words.Site, Kind("a whole number, or one per axis", lambda x: _count(x) or type(x) in (tuple, list)

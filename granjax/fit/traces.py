@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from ..checks import concrete, described, parameter, positive, real, refuse, show, whole
 from ..entry import checked, shape_of
-from ..types import AnyArray, Count, Counts, Numbers, Parameter, Scalar, Site
+from ..types import AnyArray, Count, Numbers, Parameter, Scalar, Values
 
 KINDS = ("velocity", "displacement", "force")
 
@@ -63,8 +63,8 @@ class Traces(eqx.Module):
     @checked
     def __init__(
         self, times: Parameter, *, velocity: Parameter | None = None, displacement: Parameter | None = None,
-        force: Parameter | None = None, sites: Count | Sequence[Site] | Counts | None = None,
-        contacts: Count | Sequence[Site] | Counts | None = None, bond: Count = 0, sigma: Parameter | None = None,
+        force: Parameter | None = None, sites: Count | Values | None = None,
+        contacts: Count | Values | None = None, bond: Count = 0, sigma: Parameter | None = None,
         gain: Parameter | str = 1.0, offset: Scalar | str = 0.0, field: str | None = None,
         component: Count | None = None, origin: Origin | None = None,
     ):

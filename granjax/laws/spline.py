@@ -1,6 +1,5 @@
 """A monotone cubic spline: a force law without a formula, to be found from data."""
 
-from collections.abc import Sequence
 
 import equinox as eqx
 import jax
@@ -10,7 +9,7 @@ from scipy.optimize import nnls
 
 from ..checks import concrete, non_negative, parameter, refuse, show
 from ..entry import checked
-from ..types import AnyArray, Parameter
+from ..types import Parameter, Values
 from .base import Law, checked_preload
 
 
@@ -39,7 +38,7 @@ class Spline(Law):
     knots: tuple[float, ...] = eqx.field(static=True)
 
     @checked
-    def __init__(self, knots: Sequence | AnyArray, stiffness: Parameter, preload: Parameter = 0.0):
+    def __init__(self, knots: Values, stiffness: Parameter, preload: Parameter = 0.0):
         self.knots = _checked_knots(knots)
         stiffness = non_negative("stiffness", stiffness, "Where it is negative the force falls.")
         if stiffness.ndim == 0 or stiffness.shape[0] != len(self.knots) + 1:

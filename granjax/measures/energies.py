@@ -11,7 +11,7 @@ import numpy as np
 from ..checks import described, refuse
 from ..entry import checked, shape_of
 from ..lattice import Lattice
-from ..types import AnyArray, Displacements, Number, StateLike
+from ..types import Displacements, Number, StateLike, Values
 from .states_of import parts
 
 
@@ -85,7 +85,7 @@ def _per_site(lattice, x):
 
 @checked
 def species_energy(
-    lattice: Lattice, y: StateLike, t: Number = 0.0, *, species: Sequence | AnyArray | None = None
+    lattice: Lattice, y: StateLike, t: Number = 0.0, *, species: Values | None = None
 ) -> dict[Any, Number]:
     """Energy of each kind of site, from `site_energy` [J]: who holds it, the heavy or the light.
 
@@ -99,11 +99,12 @@ def species_energy(
         if species is not None:
             refuse("species", "None, as the cells' fields are the species", f"{type(species).__name__}")
         return {name: e.sum(axes) for name, e in share.items()}
-    shape = shape_of(species, "fiubUSO")
+    shape = shape_of(species, "fiubUS") if isinstance(species, Sequence) else np.shape(species) or None
     if isinstance(species, jax.core.Tracer) or shape != lattice.sites:
         got = described(species) if shape is None else f"shape {shape}"
         refuse("species", f"labels of shape {lattice.sites}, one per site", got, "Labels must be known before tracing.")
     labels = np.asarray(species)
+    labels = labels.astype(str) if labels.dtype.kind == "O" else labels
     if labels.dtype.kind not in "fiubUS":
         refuse("species", "numbers or names", described(species))
     return {label.item(): share[labels == label].sum(0) for label in np.unique(labels)}

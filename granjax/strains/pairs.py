@@ -8,7 +8,7 @@ import numpy as np
 
 from ..checks import refuse, whole
 from ..entry import checked
-from ..types import AnyArray, Site
+from ..types import Site, Values
 from .maps import TwoEnds, checked_fields
 
 WALL = -1
@@ -32,7 +32,7 @@ class Pairs(TwoEnds):
 
     @checked
     def __init__(
-        self, tail: Sequence | AnyArray, head: Sequence | AnyArray, *, sites: Site | None = None,
+        self, tail: Values, head: Values, *, sites: Site | None = None,
         fields: str | Sequence[str] | None = None,
     ):
         self.fields = checked_fields(fields)
