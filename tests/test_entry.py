@@ -351,6 +351,7 @@ def test_named_findings_meet_a_sentence():
         (lambda: gx.vector_field(0.0, gx.State(np.ones(6), np.ones(6)), chain), "y.u: expected shape (7,)"),
         (lambda: gx.Lattice(1.0, gx.Damping(0.1), sites=2.5), "sites: expected a whole number, or one per axis"),
         (lambda: gx.simulate(none, gx.states.rest(none), 1.0), "lattice: expected at least one lane, got an empty"),
+        (lambda: gx.plots.traces(np.arange(3.0), np.ones((2, 4))), "ts and qs: expected as many times as frames, got"),
         (lambda: gx.plots.drawn(gx.plots.figure(), "doc"), "ending: expected one of"),
         (lambda: gx.plots.save(gx.plots.figure(), "a.doc"), "path: expected one of"),
         (lambda: gx.Run.load(b"run.nc"), "path: expected a string or a path, got b'run.nc'"),

@@ -130,6 +130,8 @@ def traces(
     **Raises** ValueError for shapes that do not fit, sites that are not there, an offset below zero.
     """
     qs = numbers("qs", qs, 2, finite=False)
+    if np.shape(ts) != (len(qs),):
+        refuse("ts and qs", "as many times as frames", f"shapes {np.shape(ts)} and {qs.shape}")
     ts = rising("ts", ts, len(qs))
     sites = _sites(sites, qs.shape[1])
     names = [str(n) for n in sites] if labels is None else [str(name) for name in labels]

@@ -131,9 +131,11 @@ def in_turns(
     """
     spent = [[x] if x > ENOUGH else [] for x in (np.zeros(len(calls)) if known is None else known)]
     for _ in range(repeats):
-        for (call, value), times in zip(calls, spent):
-            if sum(times) < ENOUGH:
-                times.append(once(call, value).seconds)
+        waiting = [own for own in zip(calls, spent) if sum(own[1]) < ENOUGH]
+        if not waiting:
+            break
+        for (call, value), times in waiting:
+            times.append(once(call, value).seconds)
     return np.array([[np.median(times), np.min(times)] for times in spent]).reshape(-1, 2).T
 
 
