@@ -144,6 +144,8 @@ def smooth_peak(values: Parameter, power: Scalar = 40, axis: int | tuple[int, ..
     **Arguments:** `values`; those below zero count as zero. `power`: p > 1, typical 20 ... 100. `axis`: `None` for all.
     """
     values = jnp.maximum(parameter("values", values), 0)
+    if not values.size:
+        refuse("values", "at least one number", f"shape {values.shape}")
     power = within("power", power, 1, np.inf, open_low=True, open_high=True)
     axes, ndim = () if axis is None else axis if isinstance(axis, tuple) else (axis,), values.ndim
     if not all(-ndim <= one < ndim for one in axes) or len({one % ndim for one in axes}) < len(axes):

@@ -59,6 +59,19 @@ def test_all_valid_calls_are_accepted():
     check_valid([*targets()])
 
 
+def test_what_was_found_stays_mended():
+    """An aborted process, and raw errors that a user would meet first."""
+    found = {
+        "flow.simulate.simulate": ("save_at", "2**62"), "theory.nls.bright_profile": ("cells", "2**62"),
+        "design.smooth_peak": ("values", "empty"), "orbits.guesses.sites.single_site": ("omega", "0"),
+        "orbits.driven_chain.driven_chain": ("damping", "nan"), "lattice.model.Lattice": ("mass", "[]"),
+        "flow.stiffness.frequency_bound": ("neighbourhood", "0"), "measures.spectra.spectrogram": ("v", "()"),
+        "identify.pinn.physics_informed": ("scene", "gives None"), "scenes.chains.monomer": ("stiffness", "range"),
+        "terms.waveforms.Breaks": ("times", "inf"), "work_precision.ladder.distance": ("state", "complex128"),
+    }
+    check([Case(target, *found[target.key]) for target in targets() if target.key in found])
+
+
 @pytest.mark.parametrize("name", PACKAGES)
 def test_bad_input_meets_a_sentence(name):
     check([case for case in chosen(ALL, FAST) if package(case) == name])

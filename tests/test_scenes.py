@@ -387,7 +387,7 @@ def loaded():
     (lambda: scenes.beads("brass", 1e-3, cells=10**13), "cells: expected at most"),
     (lambda: scenes.monomer(10**20), "sites: expected a whole number, got .* 64 bits"),
     (lambda: scenes.monomer(9, boundary=np.array(["fixed"])), "boundary: expected a string, got an array of strings"),
-    (lambda: gx.Lattice(np.ones(9), gx.Bond(gx.Shift(1), gx.Hertz([1.0, 2.0]))), "expected parameters that fit a lattice"),
+    (lambda: gx.Lattice(np.ones(9), gx.Bond(gx.Shift(1), gx.Hertz([1.0, 2.0]))), "parameters that fit a lattice"),
     (lambda: scenes.toda(5, strength=np.ones(5)), r"strength: expected one number, or one per contact, shape \(4,\)"),
     (lambda: scenes.Units(mass=0.0), "mass: expected numbers above zero"),
 ])

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import equinox as eqx
 
-from ..checks import one_of, parameter, per_lane, refuse
+from ..checks import non_negative, one_of, parameter, per_lane, refuse
 from ..entry import checked
 from ..lattice import Lattice
 from ..terms import Damping, Harmonic, Wall
@@ -58,7 +58,7 @@ def driven_chain(
     if laws is None:
         refuse("lattice", "a Bond(Shift(1, 'fixed'), law), which leads to walls", "none", "Use boundary='fixed'.")
     if damping is not None:
-        terms.append(Damping(damping))
+        terms.append(Damping(non_negative("damping", damping, "A negative one would feed the lattice.")))
     for side, law in zip(SIDES, laws):
         motion = Harmonic(amplitude, omega, phases[ends.index(side)]) if side in ends else None
         terms.append(Wall(law, side, motion, field=field))

@@ -9,7 +9,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from scipy.optimize import brentq
 
-from ...checks import one_of, refuse
+from ...checks import one_of, positive, refuse
 from ...entry import checked
 from ...flow import Flow
 from ...lattice import Lattice, State, spread_mass
@@ -69,6 +69,7 @@ def single_site(
     cradle James, Kevrekidis, Cuevas, Physica D 251, 39 (2013); Pelinovsky, Stepanyants, SIAM J. Numer. Anal. 42, 1110
     (2004).
     """
+    positive("omega", omega)
     checked_lattice(lattice)
     if lattice.dimension is not None:
         refuse("lattice", "scalar displacements", f"vectors of {lattice.dimension} components")
