@@ -494,6 +494,15 @@ PENDING = (
     "identify.regression.regression(mass=",  # says u
     "theory.nls.bright_profile(omega=", "theory.nls.dark_profile(omega=",  # says kappa
     "plots.histories.traces(qs=",  # says ts
+    "theory.nls.dark(nu3_force=",  # says nu2, nu3
+    "continuation.trace.continuation(arclength=",  # says longest_arclength
+    "identify.wall.wall_modulus(start=", "identify.wall.wall_modulus(factor=",  # says modulus
+    "identify.pinn.physics_informed(sites=",  # says velocity
+    "laws.contact.PowerLaw(exponent=",  # says precompression
+    "orbits.lyapunov.lyapunov(windows=",  # says periods
+    "orbits.driven_chain.driven_chain(",  # a damping that does not fit says terms[1], a field that is not there lattice
+    *(f"lattice.model.Lattice.{name}(u=" for name in (  # where it is complex: says s
+        "acceleration", "energy", "force", "potential_energy")),
     "studies.reproduce.figure.Figure.parameters(overrides=",  # says parameter
 )
 
