@@ -486,11 +486,9 @@ INSTANCES = {
 
 # what is still to be mended, by the beginning of the case: another argument is named, or an error comes from inside
 PENDING = (
-    "continuation.trace.continuation(linearise=",
     "orbits.floquet.multipliers(state=", "flow.reversible.return_error(state=",  # says y
-    "flow.derivative.derivative(function=",
+    "flow.derivative.derivative(x=",  # says function
     "fit.files.read_csv(trigger=", "fit.files.read_mat(trigger=",  # says start, stop
-    "flow.stiffness.frequency_bound(state=", "flow.stiffness.frequency_bound(t1=",
     "identify.regression.regression(mass=",  # says u
     "theory.nls.bright_profile(omega=", "theory.nls.dark_profile(omega=",  # says kappa
     "plots.histories.traces(qs=",  # says ts

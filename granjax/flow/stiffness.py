@@ -20,10 +20,11 @@ import numpy as np
 
 from ..checks import whole
 from ..entry import checked
-from ..lattice import Lattice, State
+from ..lattice import Lattice
 from ..terms import Reach, Reached
 from ..types import Count, Displacements, Number, Numbers, Scalar, StateLike
 from .dispatch import compiled
+from .inputs import checked_state, checked_times
 
 # of power iteration; few are enough for a look, which a tenth too much does not mislead
 POWER_STEPS, FEW_STEPS = 40, 12
@@ -47,10 +48,12 @@ def frequency_bound(
     energy that it gives the initial state. Where contacts may open all over the lattice it is doubled.
 
     **Returns:** omega_max, one number for all lanes; zero for a lattice without any stiffness at its energy.
+    **Raises** ValueError for a state of another shape, and times that are not in order.
     """
-    arrays = jax.tree.map(jnp.asarray, tuple(state), is_leaf=lambda x: isinstance(x, list))
-    neighbourhood = whole("neighbourhood", neighbourhood, 1)
-    return _bound_at(lattice, State(*arrays), t0, t1, neighbourhood)
+    state, neighbourhood = checked_state(lattice, state), whole("neighbourhood", neighbourhood, 1)
+    # arrays, whose values compile nothing anew
+    t0, t1 = (jnp.asarray(t, lattice.dtype) for t in checked_times(t0, t1))
+    return _bound_at(lattice, state, t0, t1, neighbourhood)
 
 
 @compiled
