@@ -109,7 +109,7 @@ def test_pieces_keep_the_floating_type_and_their_number_of_steps(soon):
 def test_a_run_that_a_program_closes_over_is_a_part_of_it(soon):
     lattice = chain()
     state = gx.states.impact(lattice, velocity=0.3)
-    for how in ({"step": 0.1}, {"tolerance": 1e-6}):
+    for how in ({}, {"step": 0.1}, {"tolerance": 1e-6}):
         def end(x):
             return x * gx.simulate(lattice, state, 1.0, **how).final.u
 

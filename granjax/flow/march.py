@@ -46,6 +46,8 @@ def march(
     """
     arguments = lattice, state, t0, t1, dt, tolerance, save_ts, records, solver, adjoint
     rest = every, progress, watch, outside, dips
+    if traced((t0, t1, dt)):
+        return integrate(*arguments, max_steps, *rest)
     forward = in_pieces(adjoint, every) and not dips
     takes, ends, budget = seconds_a_step(lattice, solver, TAKES), [], None
     span = float(t1) - float(t0)
