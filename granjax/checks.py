@@ -217,9 +217,14 @@ def one_of(argument: str, name: Any, options: Iterable) -> Any:
     refuse(argument, "one of " + ", ".join(map(repr, options)), described(name), remedy)
 
 
+def is_whole(x: Any) -> bool:
+    """Whether it is a whole number, Python's or NumPy's, and no truth value."""
+    return isinstance(x, (int, np.integer)) and not isinstance(x, bool)
+
+
 def whole(argument: str, x: Any, at_least: int = 0, remedy: str = "") -> int:
     """A Python integer, not below a least value."""
-    if isinstance(x, bool) or not isinstance(x, (int, np.integer)) or not at_least <= x <= MOST:
+    if not is_whole(x) or not at_least <= x <= MOST:
         remedy = BITS if isinstance(x, int) and x > MOST else remedy
         refuse(argument, f"a whole number not below {at_least}", described(x), remedy)
     return int(x)
@@ -269,6 +274,6 @@ def random_key(seed: Any, remedy: str = "") -> jax.Array:
         if jnp.issubdtype(seed.dtype, jnp.integer) and seed.ndim == 0:
             return jax.random.key(seed)
         refuse("seed", "one whole number or one JAX key", f"an array of {seed.dtype}, shape {seed.shape}", remedy)
-    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)):
+    if not is_whole(seed):
         refuse("seed", "a whole number or a JAX key", described(seed), "Equal seeds give equal draws.")
     return jax.random.key(int(seed))

@@ -115,10 +115,11 @@ class Result(eqx.Module):
         folder, no right to); OSError where writing fails (a full disk).
         """
         path = target("path", path)
-        if path.suffix.lower() not in (".nc", ".mat"):
+        ending = path.suffix.lower()
+        if ending not in (".nc", ".mat"):
             refuse("path", "a name that ends in .nc or .mat", repr(path.name))
         data = self.to_xarray()
-        if path.suffix.lower() == ".nc":
+        if ending == ".nc":
             return write(path, netcdf(data))
         from scipy.io import savemat
 

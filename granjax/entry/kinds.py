@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .. import types as words
-from ..checks import BITS, LEAST, MOST, described, letter, refuse, unmasked
+from ..checks import BITS, LEAST, MOST, described, is_whole, letter, refuse, unmasked
 
 KNOWN = "It must be known before tracing: keep it out of the transformation."
 
@@ -107,7 +107,7 @@ def _number(x):
 
 
 def _count(x):
-    return isinstance(x, (int, np.integer)) and type(x) is not bool and LEAST <= x <= MOST
+    return is_whole(x) and LEAST <= x <= MOST
 
 
 def _flag(x):

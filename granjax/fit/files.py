@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from .. import reading
-from ..checks import one_of, parameter, positive, refuse, show
+from ..checks import is_whole, one_of, parameter, positive, refuse, show
 from ..entry import checked
 from ..types import Count, Parameter, Scalar
 from .traces import KINDS, Origin, Traces
@@ -72,10 +72,7 @@ def read_csv(
     def column(argument, key):
         if isinstance(key, str):
             return table.numbers[:, _named(argument, key, table.names)]
-        count = table.numbers.shape[1]
-        if isinstance(key, bool) or not isinstance(key, (int, np.integer)) or not 0 <= key < count:
-            refuse(argument, f"a column from 0 to {count - 1}, or its name", repr(key))
-        return table.numbers[:, key]
+        return table.numbers[:, _index(argument, key, table.numbers.shape[1], ", or its name")]
 
     with _naming(path):
         return _traces(column, (velocity, displacement, force), time, sampling, gain, trigger, start, stop, sigma,
@@ -122,9 +119,7 @@ def read_mat(
         x = x if x.shape[0] >= x.shape[1] else x.T
         if index is None:
             return x[:, 0] if x.shape[1] == 1 else x
-        if isinstance(index, bool) or not isinstance(index, (int, np.integer)) or not 0 <= index < x.shape[1]:
-            refuse(argument, f"a column from 0 to {x.shape[1] - 1}", repr(index))
-        return x[:, index]
+        return x[:, _index(argument, index, x.shape[1])]
 
     with _naming(path):
         if rate is not None:
@@ -140,7 +135,7 @@ def _keys(*asked):
     """What is asked for, without what is no name or index: that is refused where it is used."""
     keys = [key for keys in asked for key in (keys if isinstance(keys, list) else [keys])]
     keys = [key[0] if isinstance(key, tuple) and len(key) == 2 else key for key in keys]
-    return tuple(k for k in keys if isinstance(k, (str, int, np.integer)) and not isinstance(k, bool))
+    return tuple(k for k in keys if isinstance(k, str) or is_whole(k))
 
 
 @contextlib.contextmanager
@@ -238,6 +233,13 @@ def _trigger(column, trigger, times):
     last, first = known[k - 1], known[k]
     part = (level - x[last]) / (x[first] - x[last])
     return float(times[last] + part * (times[first] - times[last]))
+
+
+def _index(argument, key, count, otherwise=""):
+    """An index of one of so many columns."""
+    if not is_whole(key) or not 0 <= key < count:
+        refuse(argument, f"a column from 0 to {count - 1}{otherwise}", repr(key))
+    return key
 
 
 def _named(argument, key, names):

@@ -171,7 +171,7 @@ def prepared(
     """The checked `Problem` of a fit, with a step for the start. **Arguments**, **Raises:** as in `fit`."""
     coordinates = Coordinates(start, bounds)
     parameters = coordinates.start
-    lattice, traces = _checked_scene(scene, parameters), checked_traces(traces)
+    lattice, traces = checked_scene(scene, parameters), checked_traces(traces)
     if len(traces) > 1 and any(trace.sigma is None for trace in traces):
         refuse("sigma", "one for each of several traces", "None", "It says how they weigh against each other.")
     given = None if callable(state) else checked_state(lattice, state)
@@ -255,7 +255,7 @@ def _check_places(traces, lattice, state, parameters):
                 refuse(name, f"indices within {shape}", f"{place[0] if len(place) == 1 else place}")
 
 
-def _checked_scene(scene, parameters):
+def checked_scene(scene: Scene, parameters: dict[str, Parameter]) -> Lattice:
     """The lattice that a scene makes of the start."""
     lattice = given_by_name("scene", scene, parameters)
     if not isinstance(lattice, Lattice) or lattice.lanes:

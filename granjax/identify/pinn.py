@@ -17,11 +17,11 @@ import numpy as np
 import optax
 from jaxtyping import Float
 
-from ..checks import described, non_negative, parameter, positive, refuse, whole
+from ..checks import non_negative, parameter, positive, refuse, whole
 from ..entry import checked
+from ..fit.problem import checked_scene
 from ..flow.stiffness import linear_frequency
 from ..interrupts import interruptible, wait
-from ..lattice import Lattice
 from ..parameters import Bounds, Coordinates
 from ..results import Held, Result
 from ..types import AnyArray, Count, Numbers, Parameter, Scalar, Scene, Times
@@ -101,9 +101,7 @@ def physics_informed(
     Source: Raissi, Perdikaris, Karniadakis, J. Comput. Phys. 378, 686 (2019).
     """
     coordinates = Coordinates(start, bounds)
-    lattice = scene(jax.tree.map(jnp.asarray, start))
-    if not isinstance(lattice, Lattice):
-        refuse("scene", "a function that returns one Lattice", described(lattice))
+    lattice = checked_scene(scene, jax.tree.map(jnp.asarray, start))
     times, velocity, sites = _checked(lattice, times, velocity, sites)
     weight, rate = non_negative("weight", weight), float(positive("rate", rate))
     max_steps, refine = whole("max_steps", max_steps, 0), whole("refine", refine, 0)

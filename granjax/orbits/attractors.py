@@ -259,14 +259,14 @@ def otherwise(
 _otherwise = waited(eqx.filter_jit(otherwise))
 
 
-def apart(found: Pytree, other: Pytree, left: Scalar) -> Pytree:
+def errors_of(found: Pytree, other: Pytree, left: Scalar) -> Pytree:
     """The errors of what is seen of an attractor, from what `otherwise` leads to."""
     return jax.tree.map(lambda x, y: SAFETY * jnp.abs(x - y) + left * jnp.max(jnp.abs(x), initial=0), found, other)
 
 
 @jax.jit
 def _apart(found, other, left, sampling):
-    state, *tops, energy = apart(found, other, left)
+    state, *tops, energy = errors_of(found, other, left)
     return state, *jax.tree.map(jnp.add, tuple(tops), sampling), energy
 
 

@@ -14,7 +14,8 @@ from ..tuning import one_thread
 from ..types import Scalar
 from .branch import Bifurcation, Branch
 from .confirm import BRANCH, LEFT_ON_BRANCH, RESOLVED
-from .families import Spectrum, energy_slope, spectra_of
+from .families import energy_slope
+from .half_period import Spectrum, spectra_of
 
 KINDS = ("real pair at +1", "period doubling", "Krein collision", "extremum of energy")
 HALVINGS = 40

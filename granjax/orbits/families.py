@@ -1,6 +1,6 @@
-"""Families of breathers by continuation from a linear mode or from a breather, and what is computed at each member."""
+"""Families of breathers by continuation from a linear mode or from a breather."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -8,27 +8,24 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from diffrax import AbstractSolver
-from jax.flatten_util import ravel_pytree
-from jaxtyping import Complex, Float, Inexact
 
 from ..checks import positive, refuse, whole
 from ..continuation import continuation
 from ..entry import checked
 from ..flow import Flow
 from ..interrupts import interruptible, waited
-from ..lattice import Lattice, State, spread_mass
+from ..lattice import Lattice, State
 from ..linear import normal_modes
-from ..newton import nearby
 from ..solvers import KahanLi8
 from ..tuning import one_thread
 from ..types import Count, Numbers, Scalar, StateLike
 from .branch import Branch, special_of, verdicts_of
-from .confirm import BRANCH, LEFT_ON_BRANCH, covering, error_of, neighbours, newtons, rounding
+from .confirm import BRANCH, LEFT_ON_BRANCH, error_of, neighbours, newtons
+from .half_period import spectra_of
 from .orbit import Orbit
 from .problems import Family, Shooting, over_omega
 from .repeats import largest
 from .scales import nonlinear_length
-from .spectrum import reversible_multipliers
 from .steps import default_steps
 
 # change of the tangent map between two step sizes that is let pass, and how often the steps are doubled
@@ -223,8 +220,6 @@ def _branch(problem, curve, stability):
 
 def checked_lattice(lattice: Lattice) -> Lattice:
     """A lattice that has time-reversible, isolated families: single, conservative, autonomous."""
-    if not isinstance(lattice, Lattice):
-        refuse("lattice", "a Lattice", f"a {type(lattice).__name__}")
     if lattice.lanes:
         remedy = "Use jax.vmap(function, in_axes=-1)(lattice) for gx.breathers.breather with a guess."
         refuse("lattice", "one lattice", f"a batch with lanes {lattice.lanes}", remedy)
@@ -287,66 +282,3 @@ def _errors(problem, xs, aparts):
         return found.state, found.energy
 
     return jax.lax.map(one, (xs, aparts))
-
-
-@waited
-@eqx.filter_jit
-def _half_maps(problem, x, q):
-    """Tangent maps over half a period by the problem's flow and by twice its steps, and how far x moves between them.
-
-    With them x itself at this frequency, as far as the derivative tells beyond Newton's tolerance.
-
-    Over u and m v, in the mean mass and the frequency, so that all entries are numbers.
-    """
-    shooting, (lattice, period) = problem.shooting, problem.scene(q)
-    y, flow, n, moves = shooting.state(x), shooting.flow, shooting.count, shooting.moves
-    mass = ravel_pytree(spread_mass(lattice))[0]
-    weight = jnp.concatenate([jnp.ones_like(mass), mass / mass.mean() * period])
-
-    def mapped(steps):
-        end, map_ = Flow(steps, flow.solver, flow.field).derivative(y, 0.0, period / 2, lattice)
-        return map_ * weight[:, None] / weight, ravel_pytree(end.v)[0]
-
-    maps, ends = jax.lax.map(mapped, flow.steps * jnp.array([1, 2]))
-    # the velocities at the end are zero, and the mean displacement, but for what an idle unknown adds
-    unit = shooting.scale[:n, None] / shooting.scale[n:, None]
-    slope = maps[1][n:, :n] * unit / weight[n:, None]
-    joined = jnp.block([[slope, moves], [moves.T * mass / mass.sum(), jnp.zeros((moves.shape[1],) * 2)]])
-    inverse = jnp.linalg.inv(joined)
-    change = inverse[:, :n] @ ((ends[1] - ends[0]) / shooting.scale[n:])
-    x = nearby(x, -inverse[:, :n] @ (ends[0] / shooting.scale[n:]))
-    return x, maps, covering(change[None], rounding(inverse))
-
-
-class Spectrum(eqx.Module):
-    """Half-traces (n,), multipliers (2n,) and their errors, the error of a step, the symmetries' multipliers.
-
-    `apart`: error of the unknowns `x`.
-    """
-
-    half_traces: Inexact[np.ndarray, " n"]
-    multipliers: Complex[np.ndarray, " two_n"]
-    error: Float[np.ndarray, " two_n"]
-    step_error: float
-    expected: int
-    apart: Float[np.ndarray, " unknowns"]
-    x: Float[np.ndarray, " unknowns"]
-
-
-def spectra_of(problem: Family, xs: np.ndarray, qs: np.ndarray, stability: bool = True) -> Iterator[Spectrum]:
-    """The `Spectrum` of each of several orbits, from half a period with the problem's steps and with twice as many.
-
-    While one is decomposed the next one's maps are on their way.
-    """
-    expected = 2 + 2 * problem.shooting.moves.shape[1]
-    none = (np.zeros(0), np.zeros(0, complex), np.zeros(0))
-
-    def launched(i):
-        return _half_maps(problem, jnp.asarray(xs[i]), jnp.asarray(qs[i]))
-
-    coming = launched(0)
-    for i in range(len(xs)):
-        (x, maps, apart), coming = coming, launched(i + 1) if i + 1 < len(xs) else None
-        coarse, fine = np.asarray(maps)
-        found = reversible_multipliers(fine, coarse) if stability else none
-        yield Spectrum(*found, float(np.abs(fine - coarse).max()), expected, np.asarray(apart), np.asarray(x))

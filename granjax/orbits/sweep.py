@@ -21,7 +21,7 @@ from ..outside import Outside
 from ..results import Held, Result
 from ..solvers import SRKN11b
 from ..types import Count, Displacements, Parameter, Scalar, StateLike
-from .attractors import apart, follow, otherwise, steps_per_period
+from .attractors import errors_of, follow, otherwise, steps_per_period
 from .branch import Bifurcation
 from .problems import made, period_at
 from .repeats import checked_period, checked_state, one_lattice
@@ -214,7 +214,7 @@ def _errors(make, period, response, flow, watch, value, found, periods, toleranc
     coarse = Flow(max(flow.steps // 2, 1), flow.solver)
     other = _response(coarse, lattice, y, T, response, watch, multiple, found["periods"])
     left = jnp.where(multiple > 0, left, jnp.nan)
-    return {f"{name}_error": apart(found[name], other[name], left) for name in ("response", "velocity", "energy")}
+    return {f"{name}_error": errors_of(found[name], other[name], left) for name in ("response", "velocity", "energy")}
 
 
 def _response(flow, lattice, y, period, response, watch, multiple, used):

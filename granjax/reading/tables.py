@@ -195,11 +195,8 @@ def _number(field, decimal):
     return x if abs(x) < BEYOND else math.nan
 
 
-def _read(lines, delimiter, decimal, header, needed):
-    """The lines as rows of numbers below a header, or why they are not.
-
-    Where `header` and all columns that are `needed` are known, words in other columns are passed over.
-    """
+def _rows(delimiter, decimal, needed):
+    """A function of a line that gives its fields and their values; words pass in columns that are not `needed`."""
     digits, between = DIGITS[decimal], " ++" if delimiter is None else f" *+{re.escape(delimiter)} *+"
     plain = re.compile(f" *+{digits}(?:{between}{digits})*+ *+", re.ASCII)
 
@@ -213,11 +210,19 @@ def _read(lines, delimiter, decimal, header, needed):
         while fields and not fields[-1]:
             fields.pop()
         values = [_number(field, decimal) for field in fields]
-        if header is not None and needed:
+        if needed:
             values = [math.nan if x is None and k not in needed else x for k, x in enumerate(values)]
         return fields, values
 
-    end = len(lines)
+    return row
+
+
+def _read(lines, delimiter, decimal, header, needed):
+    """The lines as rows of numbers below a header, or why they are not.
+
+    Where `header` and all columns that are `needed` are known, words in other columns are passed over.
+    """
+    row, end = _rows(delimiter, decimal, None if header is None else needed), len(lines)
     while end and (lines[end - 1][1].lstrip().startswith(COMMENTS) or not any(_fields(lines[end - 1][1], delimiter))):
         # a table of a spreadsheet ends with lines of delimiters
         end -= 1
@@ -254,8 +259,16 @@ def _read(lines, delimiter, decimal, header, needed):
                             f"where others have {width}", REMEDY)
     numbers = np.full((len(counts), width), np.nan)
     numbers[np.arange(width) < counts[:, None]] = flat
-    names, may_be, count = [], None, len(_fields(lines[first][1], delimiter))
-    for place, line in lines[:first]:
+    names, may_be = _above(lines[:first], delimiter, width, len(_fields(lines[first][1], delimiter)), needed)
+    if may_be and header is None:
+        return _Failure(len(counts), f"whose line {may_be[0]} is {may_be[1][:60]!r}, which may be a row", REMEDY)
+    return _Reading(delimiter, decimal, names, numbers, first, lines, words)
+
+
+def _above(lines, delimiter, width, count, needed):
+    """Lines of names for `width` columns above a first row of `count` fields, and the line that may be a row itself."""
+    names, may_be = [], None
+    for place, line in lines:
         comment = line.lstrip().startswith(COMMENTS)
         fields = _fields(line.lstrip("".join(COMMENTS) + " "), delimiter)
         fits = len(fields) >= width and (len(fields) == count or not any(fields[width:]))
@@ -267,9 +280,7 @@ def _read(lines, delimiter, decimal, header, needed):
             may_be = may_be if like else None
         if like & seen and not comment:
             may_be = may_be or (place, line)
-    if may_be and header is None:
-        return _Failure(len(counts), f"whose line {may_be[0]} is {may_be[1][:60]!r}, which may be a row", REMEDY)
-    return _Reading(delimiter, decimal, names, numbers, first, lines, words)
+    return names, may_be
 
 
 def _split(reading):

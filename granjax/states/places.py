@@ -2,9 +2,7 @@
 
 from typing import Any
 
-import numpy as np
-
-from ..checks import one_of, refuse
+from ..checks import is_whole, one_of, refuse
 from ..lattice import Lattice
 
 
@@ -23,7 +21,7 @@ def site_of(lattice: Lattice, site: Any, field: str | None) -> tuple[int, ...]:
     """A site's index as a tuple, in range."""
     shape = lattice.sites if field is None else lattice.sites[field]
     index = tuple(site) if isinstance(site, (tuple, list)) else (site,)
-    if any(isinstance(i, bool) or not isinstance(i, (int, np.integer)) for i in index) or len(index) != len(shape):
+    if not all(map(is_whole, index)) or len(index) != len(shape):
         one = "a whole number" if len(shape) == 1 else f"{len(shape)} whole numbers, one per axis"
         refuse("site", one, repr(site), "Sites are counted from 0, negative ones from the end.")
     if any(not -n <= i < n for i, n in zip(index, shape)):

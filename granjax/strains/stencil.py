@@ -6,9 +6,8 @@ from collections.abc import Sequence
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 
-from ..checks import one_of, parameter, refuse
+from ..checks import is_whole, one_of, parameter, refuse
 from ..entry import checked
 from ..types import Site
 from .maps import BOUNDARIES, LinearMap, TwoEnds, checked_fields
@@ -76,7 +75,7 @@ def _pad(x, axis, low, high):
 
 def _offsets(offset):
     offsets = tuple(offset) if isinstance(offset, (tuple, list)) else (offset,)
-    if not offsets or not all(isinstance(k, (int, np.integer)) and not isinstance(k, bool) for k in offsets):
+    if not offsets or not all(map(is_whole, offsets)):
         refuse("offset", "a whole number, or one per axis", repr(offset))
     return tuple(int(k) for k in offsets)
 
