@@ -106,7 +106,7 @@ def test_a_series_is_the_polynomial():
 @pytest.mark.parametrize("family", ["power law", "polynomial", "spline", "network"])
 def test_families_begin_with_the_linear_stiffness(family):
     """The network's start to 2 %, since its units are not quite linear; the others to rounding."""
-    first, _ = starting_law(family, 2e7, (-3e-6, 2e-6))
+    first, _, _ = starting_law(family, 2e7, (-3e-6, 2e-6))
     slope = (first.force(1e-10) - first.force(-1e-10)) / 2e-10
     np.testing.assert_allclose(slope, 2e7, rtol=0.02 if family == "network" else 1e-6)
 

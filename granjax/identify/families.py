@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -62,23 +63,26 @@ class Series(Law):
 
 def starting_law(
     family: str, stiffness: Scalar, reach: tuple[Scalar, Scalar],
-) -> tuple[Law, tuple[str, ...]]:
-    """(law, names of its numbers that stay) of a named family: linear stiffness [N/m], for strains low ... high [m]."""
+) -> tuple[Law, tuple[str, ...], float | None]:
+    """(law, names of its numbers that stay, strain of `LawScene`) of a named family.
+
+    It has that linear stiffness [N/m], for strains low ... high [m].
+    """
     one_of("family", family, FAMILIES)
     low, high = reach
     size = max(-low, high)
     if family == "power law":
         # d0 = size
         A = stiffness / (1.5 * size**0.5)
-        return PowerLaw(A, jnp.asarray(1.5), A * size**1.5), ()
+        return PowerLaw(A, jnp.asarray(1.5), A * size**1.5), (), size
     if family == "polynomial":
-        return Series([1.0, 0.0, 0.0, 0.0, 0.0], size, stiffness * size), ()
+        return Series([1.0, 0.0, 0.0, 0.0, 0.0], size, stiffness * size), (), None
     if family == "spline":
-        return Spline(np.linspace(low, high, KNOTS), np.full(KNOTS + 1, stiffness)), ()
+        return Spline(np.linspace(low, high, KNOTS), np.full(KNOTS + 1, stiffness)), (), None
     # slopes and thresholds p, b stay: what they share with the weights no trace tells apart, and a search never ends.
     # Units over twice the strains are wide enough for a smooth force
     hidden = tuple(f"parameters[{i}]" for i in range(2 * UNITS))
-    return Network(UNITS, 2 * size, 2 * stiffness * size, monotone=False), hidden
+    return Network(UNITS, 2 * size, 2 * stiffness * size, monotone=False), hidden, None
 
 
 class Leaf(NamedTuple):
@@ -114,18 +118,24 @@ def _leaf(law, path, value):
 
 
 class LawScene(NamedTuple):
-    """A scene as a function of a dict of parameters, from one that is a function of a law: equal ones compile once."""
+    """A scene as a function of a dict of parameters, from one that is a function of a law: equal ones compile once.
+
+    With a `strain` e_s the law is a power law whose coefficient is counted as the force A e_s^p: the unit of A holds
+    the exponent, and a search in both would depend on the units.
+    """
 
     scene: Scene
     structure: Any
     # of every leaf, its name where it moves, else its value as nested tuples
     places: tuple
     others: tuple
+    strain: float | None = None
 
     def law(self, parameters: dict[str, Parameter]) -> Law:
         """The law of some parameters."""
         leaves = [parameters[x] if isinstance(x, str) else jnp.asarray(x) for x in self.places]
-        return jax.tree.unflatten(self.structure, leaves)
+        law = jax.tree.unflatten(self.structure, leaves)
+        return law if self.strain is None else _with_coefficient(law, self.strain ** -law.exponent)
 
     def __call__(self, parameters: dict[str, Parameter]) -> Lattice:
         return self.lattice(self.law(parameters), parameters)
@@ -135,11 +145,19 @@ class LawScene(NamedTuple):
         return self.scene(law, {name: parameters[name] for name in self.others}) if self.others else self.scene(law)
 
 
+def _with_coefficient(law, factor):
+    return eqx.tree_at(lambda law: law.stiffness, law, law.stiffness * factor)
+
+
 def law_scene(
-    scene: Scene, law: Law, others: dict[str, Parameter], hold: Sequence[str],
+    scene: Scene, law: Law, others: dict[str, Parameter], hold: Sequence[str], strain: float | None = None,
 ) -> tuple[LawScene, dict[str, Parameter], dict[str, tuple]]:
-    """(`LawScene`, start, bounds) of a law and other parameters."""
+    """(`LawScene`, start, bounds) of a law and other parameters; with a `strain` "force" stands for "stiffness"."""
+    if strain is not None:
+        law = _with_coefficient(law, strain**law.exponent)
     leaves = leaves_of(law)
+    if strain is not None:
+        leaves = [leaf._replace(name="force") if leaf.name == "stiffness" else leaf for leaf in leaves]
     names = [leaf.name for leaf in leaves if not leaf.held]
     for name in hold:
         one_of("hold", name, names)
@@ -154,7 +172,7 @@ def law_scene(
     places = tuple(leaf.name if leaf.name in chosen else _frozen(np.asarray(leaf.value).tolist()) for leaf in leaves)
     start = {**{leaf.name: leaf.value for leaf in moving}, **others}
     bounds = {leaf.name: leaf.bounds for leaf in moving if leaf.bounds is not None}
-    return LawScene(scene, jax.tree.structure(law), places, tuple(sorted(others))), start, bounds
+    return LawScene(scene, jax.tree.structure(law), places, tuple(sorted(others)), strain), start, bounds
 
 
 def _frozen(x):

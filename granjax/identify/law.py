@@ -99,9 +99,10 @@ def law(
     - `scene`: a function of the law that returns a `Lattice`,
       `lambda law: Lattice(1.0, (Bond(Shift(1, "fixed"), law), Damping(0.02)), sites=20)`; with `others` a function of
       the law and their dict.
-    - `family`: `"power law"` (A, p and F0 move), `"polynomial"` (of degree 5), `"spline"` (monotone, 7 even knots) or
-      `"network"` (one layer of 6 units that stay, whose weights move); or a `Law` where the search begins, all of whose
-      numbers move: an exponent that is an array, not the scales of a `Network`, not the preload of a `Spline`.
+    - `family`: `"power law"` (p, F0 and in place of A, whose unit holds p, the "force" A e_s^p at the largest strain
+      e_s of `reach` move), `"polynomial"` (of degree 5), `"spline"` (monotone, 7 even knots) or `"network"` (one layer
+      of 6 units that stay, whose weights move); or a `Law` where the search begins, all of whose numbers move: an
+      exponent that is an array, not the scales of a `Network`, not the preload of a `Spline`.
     - `traces`, `state`: as in `fit`.
     - `stiffness`: rough linear stiffness [N/m], where a family is named. `reach`: (low, high), strains it is made for
       [m], low < 0 < high; `None` takes 1.2 times those of a linear run.
@@ -123,16 +124,17 @@ def law(
     others = {} if others is None else dict(others)
     if not takes(scene, 1 + bool(others)):
         refuse("scene", "a function of the law" + ", and of the dict of others" * bool(others), described(scene))
+    strain = None
     if isinstance(family, str):
         if stiffness is None:
             refuse("stiffness", "the linear stiffness, about", "None", "Sound speed c = a sqrt(K/m) gives it.")
         stiffness = float(positive("stiffness", stiffness))
         reach = _linear_reach(scene, stiffness, traces, state, others, options) if reach is None else reach
-        family, stays = starting_law(family, stiffness, _checked_reach(reach))
+        family, stays, strain = starting_law(family, stiffness, _checked_reach(reach))
         hold = (*hold, *stays)
     elif not isinstance(family, Law):
         refuse("family", "a family's name, or a Law to begin with", repr(family))
-    of_law, start, own = law_scene(scene, family, others, hold)
+    of_law, start, own = law_scene(scene, family, others, hold, strain)
     acting = _acting(of_law, start)
     traces, bounds = checked_traces(traces), {**own, **(bounds or {})}
     for share in 0.5 ** np.arange(whole("stages", stages, 1) - 1, 0, -1):
