@@ -14,14 +14,15 @@ from ..checks import refuse, whole
 from ..checks import tolerance as checked_tolerance
 from ..entry import checked
 from ..flow import Flow, linear_frequency
+from ..flow.dispatch import compiled
 from ..interrupts import interruptible, waited
 from ..lattice import Lattice, vector_field
 from ..results import Held, Result
 from ..solvers import KahanLi8
 from ..tuning import one_thread
 from ..types import Count, Numbers, Pytree, Scalar
-from .repeats import checked_period, checked_state, one_lattice
-from .spectrum import change, product_spectrum, spectrum, uncertain
+from .repeats import checked_period, checked_state, largest, one_lattice
+from .spectrum import change, known_spectrum, product_spectrum, size_of, uncertain
 from .steps import default_steps, fixed_step_solver
 from .structure import NOTHING, defect, krein, structure, weights
 from .symmetry import Symmetry, free_moves, shifts
@@ -135,9 +136,11 @@ def decide(
 
 
 @waited
-@eqx.filter_jit
-def _derivative(flow, y, t0, t1, args):
-    return flow.derivative(y, t0, t1, args)
+@compiled
+def _derivative(flow, like, x, t0, t1, args):
+    """(phi(x), D phi(x)) over the raveled state."""
+    end, factor = flow.derivative(ravel_pytree(like)[1](x), t0, t1, args)
+    return ravel_pytree(end)[0], factor
 
 
 @checked
@@ -178,7 +181,7 @@ def floquet(
         state, known, args = checked_state(lattice, state), structure(lattice), lattice
         if symmetry.trivial:
             checked_period(lattice, state, t0, period)
-        if known.autonomous and _rests(lattice, state, t0):  # has neither phase nor energy
+        if known.autonomous and _rests(lattice, state, np.float64(t0)):  # has neither phase nor energy
             known = known._replace(expected=known.expected - (2 if known.rate == 0 else 1))
         turned = shifts(lattice).shape[1] - free_moves(lattice, symmetry).shape[1]
         known = known._replace(expected=known.expected - turned * (2 if known.rate == 0 else 1))
@@ -192,12 +195,12 @@ def floquet(
     if start % (2 * segments):
         refuse("lattice.steps", f"a multiple of {2 * segments}, twice the segments", repr(start))
 
-    scale = _weights(known, state, period)
+    scale, there = _weights(known, state, period), raveled(state)
 
-    def run(count, y=state):
+    def run(count, x=there):
         """The factors of S^-1 M without units, and where S^-1 leads y after the period, without units too."""
-        flow = Flow(jnp.asarray(max(count // segments, 1)), solver, **field)
-        found, end = _factors(flow, y, t0, period, segments, args)
+        flow = Flow(np.int64(max(count // segments, 1)), solver, **field)
+        found, end = _factors(flow, state, x, t0, period, segments, args)
         if not symmetry.trivial:
             back = symmetry.matrix(state).T
             found, end = [*found[:-1], back @ found[-1]], back @ end
@@ -213,12 +216,12 @@ def floquet(
     coarse = run(3 * count // 4)
     if not all(np.isfinite(f).all() for f in fine[0] + coarse[0] + coarser[0]):
         refuse("steps", "so many that the motion stays finite", repr(count), "Give more steps=, or look at the state.")
-    flat, unravel = ravel_pytree(state)
-    there = np.asarray(flat) * scale
-    away = _displacement(known, _product(fine[0]), fine[1] - there, change(fine[1], coarse[1], coarser[1]))
+    begin = there * scale
+    away = _displacement(known, _product(fine[0]), fine[1] - begin, change(fine[1], coarse[1], coarser[1]))
     free = shifts(lattice) if isinstance(lattice, Lattice) else None
-    refuse_open(there, away, fine[1], coarser[1], free, scale)
-    other = run(count // 2, unravel(jnp.asarray((there + away) / scale, flat.dtype)))[0] if away.any() else coarser[0]
+    refuse_open(begin, away, fine[1], coarser[1], free, scale)
+    moved = ((begin + away) / scale).astype(there.dtype)
+    other = run(count // 2, moved)[0] if away.any() else coarser[0]
     levels = fine[0], coarse[0], coarser[0]
     return _record(known, levels, other, scale, state, period, count, resolution)
 
@@ -271,10 +274,16 @@ def _weights(known, state, period):
     """Of the raveled state: those of a lattice; else of a pair of positions and velocities; else ones."""
     if known.mass is not None:
         return weights(known.mass, period)
-    sizes = [ravel_pytree(part)[0].size for part in state] if isinstance(state, tuple) else []
+    sizes = [raveled(part).size for part in state] if isinstance(state, tuple) else []
     if len(sizes) == 2 and sizes[0] == sizes[1]:
         return weights(np.ones(sizes[0]), period)
-    return np.ones(ravel_pytree(state)[0].size)
+    return np.ones(raveled(state).size)
+
+
+def raveled(tree: Pytree) -> np.ndarray:
+    """A tree of known arrays as one of NumPy's, in the order of `ravel_pytree`."""
+    leaves = [np.ravel(x) for x in jax.tree.leaves(tree)]
+    return np.concatenate(leaves, dtype=np.result_type(*leaves))
 
 
 @one_thread
@@ -283,12 +292,11 @@ def _record(known, levels, moved, scale, state, period, steps, resolution):
 
     All are in the weights `scale`.
     """
-    monodromy, rough = _product(levels[0]), _product(levels[2])
+    monodromy, about = _product(levels[0]), uncertain(*map(_product, levels))
+    off = TWICE * np.linalg.norm([size_of(a - b) for a, b in zip(moved, levels[2])])
     if len(moved) == 1:
-        off = TWICE * np.linalg.norm(moved[0] - rough, 2)
-        multipliers, vectors, error = spectrum(*(level[0] for level in levels), moved=off)
+        multipliers, vectors, error = known_spectrum(monodromy, levels[1][0], about, off)
     else:
-        off = TWICE * np.linalg.norm([np.linalg.norm(a - b, 2) for a, b in zip(moved, levels[2])])
         multipliers, vectors, error = product_spectrum(*levels, moved=off)
     vectors = vectors / scale[:, None]
     conserves = known.rate == 0
@@ -297,25 +305,24 @@ def _record(known, levels, moved, scale, state, period, steps, resolution):
     signature[np.argsort(np.abs(multipliers - 1))[: known.expected]] *= 0.0  # those of symmetry have none
     return Floquet(
         monodromy * scale / scale[:, None], multipliers, vectors, error, signature,
-        defect(monodromy, known.rate, float(period)), uncertain(*map(_product, levels)),
+        defect(monodromy, known.rate, float(period)), about,
         known.expected, verdict, outcome, float(period), int(steps), known.rate, state,
     )
 
 
+@compiled
 def _rests(lattice, state, t0):
     """Whether the state is an equilibrium, to rounding."""
     (v, a), omega = vector_field(t0, state, lattice), linear_frequency(lattice)
-    u, v, a = (np.abs(ravel_pytree(x)[0]).max() for x in (state[0], v, a))
-    return bool(max(v * omega, a) <= 1e-12 * omega**2 * u)
+    return jnp.maximum(largest(v) * omega, largest(a)) <= 1e-12 * omega**2 * largest(state[0])
 
 
-def _factors(flow, state, t0, period, segments, args):
+def _factors(flow, like, x, t0, period, segments, args):
     found, length = [], period / segments
     for i in range(segments):
-        times = jnp.asarray(t0 + i * length), jnp.asarray(t0 + (i + 1) * length)
-        state, factor = _derivative(flow, state, *times, args)
+        x, factor = _derivative(flow, like, x, np.float64(t0 + i * length), np.float64(t0 + (i + 1) * length), args)
         found.append(np.asarray(factor))
-    return found, np.asarray(ravel_pytree(state)[0])
+    return found, np.asarray(x)
 
 
 def _product(factors):

@@ -2,12 +2,12 @@
 
 from typing import NamedTuple
 
+import jax
 import numpy as np
-from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
 from ..entry import checked
-from ..lattice import Lattice, spread_mass
+from ..lattice import Lattice
 from ..types import Scalar
 from .symmetry import shifts
 
@@ -36,7 +36,8 @@ def structure(lattice: Lattice) -> Structure:
     free displacement (position and momentum): four for a chain with free ends or a ring, two between walls; none where
     it is driven or damped, but the free displacement of a damped or driven chain, which keeps one (or two).
     """
-    mass = ravel_pytree(spread_mass(lattice))[0]
+    masses = zip(jax.tree.leaves(lattice.mass), jax.tree.leaves(lattice.template()))
+    mass = np.concatenate([np.broadcast_to(m, x.shape).ravel() for m, x in masses])
     damping = [term.exact_damping() for term in lattice.terms]
     damping = [found for found in damping if found is not None]
     reads = [term.dependence(lattice) for term in lattice.terms if term.exact_damping() is None]
@@ -53,7 +54,7 @@ def structure(lattice: Lattice) -> Structure:
         expected = 2 * moves + (2 if autonomous else 0)
     uniform = not others and everywhere and all(np.unique(np.ravel(rate)).size == 1 for _, rate in damping)
     rate = sum(float(np.ravel(rate)[0]) for _, rate in damping) if uniform else None
-    return Structure(np.asarray(mass), rate, expected, autonomous)
+    return Structure(mass, rate, expected, autonomous)
 
 
 def weights(mass: Float[np.ndarray, " n"], period: Scalar) -> Float[np.ndarray, " two_n"]:

@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from ..checks import whole
 from ..entry import checked
+from ..flow.dispatch import facts
 from ..lattice import Lattice
 from ..types import Count, Numbers, Pytree, StateLike
 
@@ -82,10 +83,17 @@ def shifts(lattice: Lattice) -> Float[jax.Array, "n k"]:
     Fields that no term joins move each for themselves. Asked of the terms, whatever their parameters, so that a traced
     lattice has them too.
     """
+    known = facts(lattice).known
+    if "shifts" not in known:
+        known["shifts"] = _shifts(lattice)
+    return jnp.asarray(known["shifts"], lattice.dtype)
+
+
+def _shifts(lattice):
     moves = _uniform(lattice)
     answers = np.concatenate([np.zeros((1, len(moves)))] + [term.resists(lattice, moves) for term in lattice.terms])
     columns = np.stack([np.concatenate([np.ravel(x) for x in jax.tree.leaves(move)]) for move in moves], -1)
-    return jnp.asarray(columns @ _null_space(answers), lattice.dtype)
+    return columns @ _null_space(answers)
 
 
 def free_moves(lattice: Lattice, symmetry: Symmetry) -> Numbers:
