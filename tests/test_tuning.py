@@ -46,6 +46,26 @@ def test_too_late_is_said():
     assert not complete and "before its first computation" in message
 
 
+@pytest.mark.parametrize("vendor, flags, chosen, products", [
+    ("GenuineIntel", "avx2 avx512f", None, True), ("AuthenticAMD", "avx2 avx512f", None, False),
+    ("GenuineIntel", "avx2", None, False), ("AuthenticAMD", "avx512f", "products", True),
+    ("GenuineIntel", "avx512f", "instruction", False),
+])
+def test_the_form_of_a_root_is_the_processor_s(vendor, flags, chosen, products, monkeypatch):
+    choose = gx.tuning.root_by_products.__wrapped__
+    monkeypatch.setattr(gx.tuning, "_processor", lambda: f"vendor_id : {vendor}\nflags : {flags}")
+    monkeypatch.delenv("GRANJAX_ROOT", raising=False)
+    if chosen:
+        monkeypatch.setenv("GRANJAX_ROOT", chosen)
+    assert choose() == products
+
+
+def test_a_form_of_a_root_that_is_none(monkeypatch):
+    monkeypatch.setenv("GRANJAX_ROOT", "product")
+    with pytest.raises(ValueError, match="GRANJAX_ROOT.*'products'"):
+        gx.tuning.root_by_products.__wrapped__()
+
+
 OWN = ("--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=7", "bare_word=1")
 
 
