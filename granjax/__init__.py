@@ -58,6 +58,7 @@ from .terms import (  # noqa: E402
     Wall,
 )
 from .tuning import clear, tune  # noqa: E402
+from .units import Units  # noqa: E402
 from .work_precision import WorkPrecision, work_precision  # noqa: E402
 
 __version__ = "0.1.0"

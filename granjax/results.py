@@ -5,7 +5,7 @@ import io
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, NamedTuple, get_args, get_origin
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, get_args, get_origin
 
 import equinox as eqx
 import jax
@@ -15,6 +15,8 @@ from . import reading
 from .checks import concrete, refuse, traced
 from .entry import checked
 from .files import netcdf, target, write
+from .units import SCALED, SI, Units
+from .units.names import Counted, counted_in, settled
 
 if TYPE_CHECKING:
     import xarray  # half a second
@@ -34,6 +36,10 @@ class Held(NamedTuple):
     name: str = ""
 
 
+# the unit of a `State`, which has two
+STATE, MOTION = "m, m/s", {"u": "m", "v": "m/s"}
+
+
 class Result(eqx.Module):
     """What a computation returns.
 
@@ -42,11 +48,26 @@ class Result(eqx.Module):
     `load` reads one.
 
     To add one: fields with their types, `outcome` as a field or a property, and for arrays with names of their own
-    a line each in the table `held`. Units are those of SI where the scene's parameters were in SI, and else its own.
+    a line each in the table `held`, with their units in SI. What comes from a lattice has its `_mark`, or it as a field
+    `lattice`: where that is not in SI, files say "scaled" in place of a unit.
     """
 
     outcome: eqx.AbstractVar[str]
     held: ClassVar[dict[str, Held]] = {}
+    # what a result without a mark is counted in: in what `held` says, or nobody knows
+    _else: ClassVar[str | None] = SI
+    # of the lattice that it comes from
+    _mark: Any = eqx.field(default=None, kw_only=True, repr=False)
+
+    @property
+    def units(self) -> str | None:
+        """What its numbers are counted in, "SI" or "scaled"; `None` where nobody said so, or while traced."""
+        mark = self._known_mark
+        return self._else if mark is None else counted_in(mark)
+
+    @property
+    def _known_mark(self):
+        return getattr(getattr(self, "lattice", None), "_mark", None) if self._mark is None else self._mark
 
     def __repr__(self) -> str:
         if traced(self):
@@ -58,7 +79,8 @@ class Result(eqx.Module):
     def _rows(self) -> Iterator[tuple[str, str]]:
         """Name and text of each line of what is printed."""
         for name, value in self._fields():
-            yield name.replace("_", " "), _text(value, self.held.get(name, Held()).unit)
+            unit = settled(None, self.units).conversion(self.held.get(name, Held()).unit)[1]
+            yield name.replace("_", " "), _text(value, "" if unit in (SCALED, STATE) else unit)
         yield "outcome", self.outcome
 
     def _fields(self) -> Iterator[tuple[str, object]]:
@@ -75,14 +97,17 @@ class Result(eqx.Module):
 
         A dict gives a variable for each of its arrays, NAME_KEY, over an axis `site_KEY` of its own; complex numbers
         give two, NAME_real and NAME_imag. A result within gives its variables as NAME_VARIABLE, a tuple of records
-        arrays of their numbers and words, NAME_FIELD. **Raises** ValueError where the result is traced.
+        arrays of their numbers and words, NAME_FIELD. Units are the attribute `units` of every variable and of the
+        whole; scaled numbers have "scaled", and as `si_units` what a `gx.Units` leads back to. **Raises** ValueError
+        where the result is traced.
         """
         import xarray
 
         held, types = self.held, {field.name: field.type for field in dataclasses.fields(self)}
+        counted = settled(None, self.units)
         variables, attributes, within = {}, {}, {}
         for field, value in self._fields():
-            axes, unit, name = held.get(field, Held())
+            axes, told, name = held.get(field, Held())
             records = _records(types.get(field), value)
             if isinstance(value, Result):
                 within |= {} if axes is None else {name or field: value}
@@ -90,20 +115,58 @@ class Result(eqx.Module):
             if records is not None:
                 axes, value = axes or name or field, records
             for key, fields, x in _arrays(name or field, value):
+                unit = MOTION.get(key[len(name or field) + 1 :][:1], "") if told == STATE else told
                 if isinstance(x, jax.core.Tracer):
                     refuse("result", "numbers", f"{field}, which is traced", "Call to_xarray outside of jit and vmap.")
                 if axes is None or x.ndim == 0:
                     attributes[key] = x.astype(int).tolist() if x.dtype == bool else x.tolist()
+                    attributes |= {f"{key}_{k}": told for k, told in _attributes(counted, unit).items()}
                     continue
                 dims = _axes(axes, key, x.ndim, f"site_{fields}" if fields else "site")
                 for part, y in (("_real", x.real), ("_imag", x.imag)) if x.dtype.kind == "c" else (("", x),):
-                    variables[key + part] = (dims, y, {"units": unit} if unit else {})
+                    variables[key + part] = (dims, y, _attributes(counted, unit))
         origin = {"result": type(self).__name__, "outcome": self.outcome}
+        origin |= {"units": self.units} if self.units else {}
         versions = {"granjax": sys.modules[__package__].__version__, "jax": jax.__version__}
         data = xarray.Dataset(variables, attrs=attributes | origin | versions)
         for name, result in within.items():
-            data = _joined(data, name, result.to_xarray())
+            own = result if result._known_mark is not None else dataclasses.replace(result, _mark=self._known_mark)
+            data = _joined(data, name, own.to_xarray())
         return data
+
+    @checked
+    def in_units(self, *units: str | Units) -> "xarray.Dataset":
+        """`to_xarray()` with its numbers counted in other units.
+
+        `run.in_units("us", "mm/s")`: words, each for all that has its dimension; "kHz" turns an angular frequency into
+        one of cycles. All else stays in SI. Scaled numbers come to SI by the `gx.Units` that leads there,
+        `run.in_units(units)`, or to words, `run.in_units(units, "us")`; those in SI become scaled by a `gx.Units`
+        alone. What has no unit of its own, such as a record of yours, stays as it is.
+
+        **Raises** ValueError for a word that nothing here takes or that is not known, and for words of scaled numbers.
+        """
+        counted = settled(units, self.units)
+        data, taken = self.to_xarray(), set()
+
+        def converted(x, told):
+            unit = told.get("si_units", told.get("units", ""))
+            factor, name = counted.conversion(unit)
+            taken.update(word.name for word in counted.words if word.name == name)
+            return x * factor if factor != 1 else x, _attributes(counted, unit) if unit else {}
+
+        for name, x in data.variables.items():
+            values, told = converted(x.values, x.attrs) if x.dtype.kind in "fc" else (x.values, x.attrs)
+            data[name] = (x.dims, values, {k: v for k, v in x.attrs.items() if k not in ("units", "si_units")} | told)
+        for key in [key for key in data.attrs if f"{key}_units" in data.attrs]:
+            told = {k: data.attrs.pop(f"{key}_{k}") for k in ("units", "si_units") if f"{key}_{k}" in data.attrs}
+            values, told = converted(np.asarray(data.attrs[key]), told)
+            data.attrs |= {key: values.tolist()} | {f"{key}_{k}": x for k, x in told.items()}
+        left = [word.name for word in counted.words if word.name not in taken]
+        if left:
+            there = sorted({x.attrs.get("si_units", x.attrs.get("units", "")) for x in data.variables.values()} - {""})
+            refuse("units", f"units of {', '.join(there)}", ", ".join(map(repr, left)), "Nothing here has such.")
+        said = SCALED if counted.sizes is not None and counted.said == SI else SI
+        return data.assign_attrs(units=said) if counted.sizes is not None or counted.words else data
 
     def save(self, path: str | Path) -> Path:
         """Write `to_xarray()` to a file: netCDF (`.nc`), or MATLAB's `.mat` with the attributes in a struct.
@@ -139,6 +202,12 @@ class Result(eqx.Module):
         return reading.netcdf(path)
 
 
+def _attributes(counted: Counted, unit: str) -> dict[str, str]:
+    """The attributes that say what numbers are counted in whose unit in SI is known."""
+    said = counted.conversion(unit)[1]
+    return ({"units": said} if said else {}) | ({"si_units": unit} if said == SCALED else {})
+
+
 def _axes(axes: str, name: str, count: int, site: str) -> list[str]:
     """Names of an array's axes."""
     first, _, last = (part.split() for part in axes.partition("..."))
@@ -170,7 +239,7 @@ def _joined(data: "xarray.Dataset", name: str, inner: "xarray.Dataset") -> "xarr
         and (x in data.dims or x.startswith("site")) and (x not in inner.coords or inner[x].equals(data[x]))
     ]
     inner = inner.rename({x: f"{name}_{x}" for x in {*inner.variables, *inner.dims} - {*shared}})
-    told = {f"{name}_{key}": x for key, x in inner.attrs.items() if key not in ("granjax", "jax")}
+    told = {f"{name}_{key}": x for key, x in inner.attrs.items() if key not in ("granjax", "jax", "units")}
     return data.merge(inner, combine_attrs="override").assign_attrs(told)
 
 

@@ -12,7 +12,8 @@ ROOT = Path(granjax.__file__).parent
 FLOORS = (
     {"checks", "files", "interrupts", "outside", "tuning", "types"},
     {"entry", "reading"},
-    {"results", "split_system", "units"},
+    {"split_system", "units"},
+    {"results"},
     {"laws", "strains", "materials", "solvers", "newton", "parameters", "descent", "theory", "plots"},
     {"terms", "continuation"},
     {"lattice"},

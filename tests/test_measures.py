@@ -415,7 +415,7 @@ def test_velocity_trace_samples_between_frames():
     np.testing.assert_allclose(np.diff(trace.time), 1 / 333, rtol=1e-10)
     np.testing.assert_allclose(trace.velocity, np.cos(7 * trace.time), atol=1e-6)
     # one unit of time 1e-3 s, of length 2e-3 m: velocities in 2 m/s
-    scaled = measures.velocity_trace(ts, vs, -1, sampling=333e3, units=(1e-3, 2e-3))
+    scaled = measures.velocity_trace(ts, vs, -1, sampling=333e3, units=gx.Units(length=2e-3, time=1e-3))
     np.testing.assert_allclose(scaled.time, 1e-3 * trace.time[: len(scaled.time)], rtol=1e-12, atol=1e-15)
     np.testing.assert_allclose(scaled.velocity, 2 * trace.velocity[: len(scaled.velocity)], atol=1e-12)
 

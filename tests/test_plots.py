@@ -45,8 +45,9 @@ def test_a_map_of_a_run_shows_its_array(ax, record):
     # a pixel is centred on its site and time
     np.testing.assert_allclose(image.get_extent(), (-0.5, 4.5, -0.25, 3.25))
     assert image.origin == "lower"
-    assert (ax.get_xlabel(), ax.get_ylabel()) == ("site", "time (scaled)")
-    assert colour_bar(ax).get_ylabel() == "velocity (scaled)"
+    # of a record that does not say what it is counted in nothing is said
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("site", "time")
+    assert colour_bar(ax).get_ylabel() == "velocity"
 
 
 @pytest.mark.slow
@@ -59,7 +60,7 @@ def test_a_real_run_and_its_displacements(ax):
 
 
 def test_a_map_of_an_array_counts_frames_unless_told(ax):
-    plots.space_time(np.arange(6.0).reshape(2, 3), ax, label="force", unit="N")
+    plots.space_time(np.arange(6.0).reshape(2, 3), ax, label="force", units="N")
     assert ax.get_ylabel() == "frame"
     assert colour_bar(ax).get_ylabel() == "force (N)"
 
@@ -90,7 +91,7 @@ def test_a_logarithmic_map_is_cut_at_its_floor(ax):
     shown = np.asarray(ax.images[0].get_array())
     np.testing.assert_allclose(shown, [[1.0, 0.1, 0.02], [0.02, 0.02, 2.0]])
     assert (ax.images[0].norm.vmin, ax.images[0].norm.vmax) == (0.02, 2.0)
-    assert colour_bar(ax).get_ylabel() == "|quantity| (scaled)"
+    assert colour_bar(ax).get_ylabel() == "|quantity|"
 
 
 def test_uneven_times_keep_their_places(ax):
@@ -157,19 +158,19 @@ def test_traces_are_stacked_by_their_span(ax, record):
     np.testing.assert_allclose(ax.lines[0].get_ydata(), record.vs[:, 1])
     np.testing.assert_allclose(ax.lines[1].get_ydata(), record.vs[:, 4] + spans.max())
     assert [text.get_text() for text in ax.get_yticklabels()] == ["1", "4"]
-    assert (ax.get_xlabel(), ax.get_ylabel()) == ("time (scaled)", "site")
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("time", "site")
 
 
 def test_the_scale_bar_has_the_height_that_it_names(ax):
     ts = np.linspace(0, 1, 5)
-    plots.traces(ts, np.outer(np.sin(np.pi * ts), [0.0, 3.7]), None, ax, unit="m/s")
+    plots.traces(ts, np.outer(np.sin(np.pi * ts), [0.0, 3.7]), None, ax, units="m/s")
     bottom, top = ax.lines[-1].get_ydata()
     assert top - bottom == pytest.approx(2.0)
     assert ax.texts[0].get_text() == "velocity 2 m/s"
 
 
 def test_traces_laid_over_each_other_have_a_legend(ax, record):
-    plots.traces(record.ts, record.vs, [0, 2], ax, offset=0, labels=["first", "third"], unit="m/s")
+    plots.traces(record.ts, record.vs, [0, 2], ax, offset=0, labels=["first", "third"], units="m/s")
     np.testing.assert_array_equal(ax.lines[1].get_ydata(), record.vs[:, 2])
     assert [text.get_text() for text in ax.get_legend().get_texts()] == ["site first", "site third"]
     assert ax.get_ylabel() == "velocity (m/s)"

@@ -52,19 +52,21 @@ def closed():
 
 def test_every_sensor_has_its_data_its_fit_and_its_residuals():
     result = record()
-    axes = fits.fit(result, scale=(1e3, 10.0), x_label="time (ms)")
+    axes = fits.fit(result, units=("ms", "mm/s"))
     assert axes.shape == (2, 3)
     sensors = [(0, 0), (0, 1), (1, 0)]
     for (upper, lower), (k, s) in zip(axes.T, sensors):
         data, fitted = upper.lines
+        size = 1.0 if k else 1e3
         np.testing.assert_allclose(data.get_xdata(), 1e3 * result.traces[k].times)
-        np.testing.assert_allclose(data.get_ydata(), 10 * result.traces[k].data[:, s])
-        np.testing.assert_allclose(fitted.get_ydata(), 10 * result.signals[k][:, s])
+        np.testing.assert_allclose(data.get_ydata(), size * result.traces[k].data[:, s])
+        np.testing.assert_allclose(fitted.get_ydata(), size * result.signals[k][:, s])
         known = np.isfinite(result.traces[k].data[:, s])
         np.testing.assert_array_equal(lower.lines[0].get_ydata(), result.residuals[k][known, s])
         assert upper.get_title() == result.traces[k].sensors[s] and lower.get_xlabel() == "time (ms)"
     assert len(axes[1, 1].lines[0].get_xdata()) == 29
-    assert axes[0, 0].get_ylabel() == "velocity" and axes[1, 0].get_ylabel() == r"residual / $\sigma$"
+    assert (axes[0, 0].get_ylabel(), axes[0, 2].get_ylabel()) == ("velocity (mm/s)", "force (N)")
+    assert axes[1, 0].get_ylabel() == r"residual / $\sigma$"
 
 
 def test_chosen_sensors_go_into_given_axes():

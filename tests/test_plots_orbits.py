@@ -134,8 +134,17 @@ def test_a_complex_mode_has_an_imaginary_part(axes, fl):
 def test_a_stable_breather_says_that_nothing_grows(axes, fl):
     fl.multipliers[2:4] = 1j, -1j
     plots.breather(breather(), fl, axes)
-    for ax in axes[1]:
-        assert ax.texts[0].get_text() == "no growing mode" and not ax.lines
+    c, d = axes[1]
+    np.testing.assert_array_equal(dots(c), [[0.5, 1.5], [1.5, -1.25]])
+    assert c.get_title("left") == "no mode grows" and c.get_ylabel() == "strain $u_n - u_{n+1}$"
+    # what can be run shows a period of its velocities
+    assert d.texts[0].get_text() == "no growing mode" and not d.lines
+    run = SimpleNamespace(ts=1e-6 * np.arange(4.0), vs=1e-3 * np.arange(12.0).reshape(4, 3))
+    orbit = SimpleNamespace(**vars(breather()), run=lambda: run, units="SI")
+    plots.breather(orbit, fl, axes)
+    np.testing.assert_allclose(d.images[0].get_array(), 1e3 * run.vs)
+    np.testing.assert_allclose(d.images[0].get_extent(), (-0.5, 2.5, 0.0, 4.0))
+    assert d.get_ylabel() == "time (µs)" and d.images[0].colorbar.ax.get_ylabel() == "velocity (mm/s)"
 
 
 def test_bad_breathers_are_refused(axes, fl):
@@ -256,13 +265,13 @@ def sweep():
 
 
 def test_both_ways_and_what_lies_between(ax, sweep):
-    assert plots.hysteresis(sweep, ax, scale=1e3, x_label="f (Hz)", y_label="velocity (mm/s)") is ax
+    assert plots.hysteresis(sweep, ax, units=("Hz", "mm/s"), x_label="frequency", y_label="rms velocity") is ax
     for label, way, colour, mark in (("up", sweep.up, BLUE, ">"), ("down", sweep.down, RED, "<")):
         shown, tone, line = points(ax, label)
         np.testing.assert_array_equal(shown, np.column_stack([sweep.values, 1e3 * way.response]))
         assert (tone, line.get_marker()) == (colour.lower(), mark)
     np.testing.assert_allclose(spans(ax), [(1.6, 2.4)])
-    assert (ax.get_xlabel(), ax.get_ylabel()) == ("f (Hz)", "velocity (mm/s)")
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("frequency (Hz)", "rms velocity (mm/s)")
 
 
 def test_arrays_will_do_and_one_way_is_enough(ax, sweep):
@@ -277,15 +286,15 @@ def test_orbits_lie_behind_with_unstable_parts_dashed(ax, sweep):
     orbits = SimpleNamespace(p=np.array([1.0, 2.4, 1.6, 4.0]), response=np.array([1.0, 3.0, 4.0, 6.0]),
                              verdict=np.array(["stable", "unstable", "undecided", "stable"]))
     orbits.bifurcations = (SimpleNamespace(kind="fold", p=2.45, after=0), SimpleNamespace(kind="fold", p=1.55, after=2))
-    plots.hysteresis(sweep, ax, orbits=orbits, scale=10.0)
+    plots.hysteresis(sweep, ax, orbits=orbits, y_label="force", units="mN")
     parts = ax.lines[:-2]
     assert [line.get_linestyle() for line in parts] == ["-", "--", ":", ":", "-"]
     assert [parts[i].get_label() for i in (0, 1, 3)] == ["orbit, stable", "orbit, unstable", "orbit, undecided"]
     # stable up to where the curve turns, and unstable from there
     turn = parts[0].get_xydata()[-1]
-    np.testing.assert_allclose(turn, [2.4, 30.0], rtol=1e-12)
+    np.testing.assert_allclose(turn, [2.4, 3e3], rtol=1e-12)
     np.testing.assert_array_equal(parts[1].get_xydata()[0], turn)
-    np.testing.assert_allclose(parts[2].get_xydata()[[0, -1]], [[2.4, 30.0], [1.6, 40.0]])
+    np.testing.assert_allclose(parts[2].get_xydata()[[0, -1]], [[2.4, 3e3], [1.6, 4e3]])
     assert max(line.get_zorder() for line in parts) <= min(line.get_zorder() for line in ax.lines[-2:])
 
 
@@ -307,12 +316,12 @@ def test_bad_sweeps_are_refused(ax, given, message):
 def test_a_map_of_strain_shows_differences_between_the_sites(ax):
     u = np.array([[0.0, 1.0, 3.0], [2.0, 2.0, -1.0]])
     run = SimpleNamespace(ts=np.array([0.0, 0.5]), us=u, vs=0 * u)
-    assert plots.strain_map(run, ax, unit="um") is ax
+    assert plots.strain_map(run, ax, units=("s", "um")) is ax
     image = ax.images[0]
-    np.testing.assert_array_equal(image.get_array(), [[-1.0, -2.0], [0.0, 3.0]])
+    np.testing.assert_allclose(image.get_array(), [[-1e6, -2e6], [0.0, 3e6]])
     # a pixel is centred on its contact, n + 1/2
     np.testing.assert_allclose(image.get_extent(), (0.0, 2.0, -0.25, 0.75))
-    assert ax.get_xlabel() == "contact" and image.colorbar.ax.get_ylabel() == "strain (um)"
+    assert ax.get_xlabel() == "contact" and image.colorbar.ax.get_ylabel() == "strain (µm)"
 
 
 def test_a_map_of_strain_of_lanes_is_refused(ax):

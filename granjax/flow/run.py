@@ -175,12 +175,13 @@ class Run(Result):
             yield from ((f"{name}_error", error) for name, error in self.record_error.items())
 
 
-def named(run: Run, solver: str, choice: str, remark: str, zone: float = 0.0) -> Run:
-    """A run that a compiled function has just returned, with its names.
+def named(run: Run, solver: str, choice: str, remark: str, zone: float = 0.0, mark: Any = None) -> Run:
+    """A run that a compiled function has just returned, with its names and the mark of its units.
 
     Written into it, which nobody else holds yet: making a Module anew takes longer than a short run.
     """
-    for field, value in (("solver", solver), ("choice", choice), ("remark", remark), ("_zone", zone or run._zone)):
+    zone, names = zone or run._zone, {"solver": solver, "choice": choice, "remark": remark}
+    for field, value in (*names.items(), ("_zone", zone), ("_mark", mark)):
         object.__setattr__(run, field, value)
     return run
 

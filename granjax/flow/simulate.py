@@ -143,7 +143,7 @@ def simulate(
     if tolerance is None and step is not None and not unknown:
         omega = linear_bound(lattice)
         zone = math.inf if omega is not None and dt * omega > COARSE else zone
-    run = named(run, type(solver).__name__, choice, remark, zone)
+    run = named(run, type(solver).__name__, choice, remark, zone, lattice._mark)
     if records:
         confirmation = Confirmation.of(lattice, state, *span, dt, tolerance, records, solver)
         object.__setattr__(run, "_confirmation", confirmation)
@@ -155,7 +155,7 @@ def simulate(
         run = _cut(run)
     remark = "" if unknown else doubts(lattice, state, t0, t1, step, tolerance, solver, run)
     if remark:
-        run = named(run, run.solver, choice, f"{run.remark} {remark}".strip())
+        run = named(run, run.solver, choice, f"{run.remark} {remark}".strip(), mark=run._mark)
     if not (code == COMPLETED).all():
         if code.max() == NOT_FINITE:
             begin, *last = run.__dict__.get("_last", (state, *span))

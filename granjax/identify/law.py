@@ -143,7 +143,8 @@ def law(
         # a number that the part does not see may have come to its bound, where no search can begin
         start = {name: x + BACK * (start[name] - x) for name, x in ended.items()}
     found = fit(of_law, start, traces, state=state, bounds=bounds, **options)
-    return ForceLaw(of_law.law(found.parameters), found, _visited(acting, found.problem, found.parameters), of_law)
+    return ForceLaw(of_law.law(found.parameters), found, _visited(acting, found.problem, found.parameters), of_law,
+                    _mark=found.lattice._mark)
 
 
 def _until(trace, share):

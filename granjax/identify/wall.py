@@ -80,7 +80,9 @@ class WallScene(eqx.Module):
         if any(self.side in term.walls() for term in free.terms):
             refuse("lattice", f"no contact with a wall at its {self.side} end", "one", 'Make it with boundary="free".')
         wall = Wall(Hertz(self.stiffness(parameters[NAME]), self.precompression), self.side)
-        return Lattice(free.mass, (*free.terms, wall), sites=free.sites, dimension=free.dimension)
+        walled = eqx.tree_at(lambda x: x.terms, free, (*free.terms, wall))
+        walled.check_terms()
+        return walled
 
 
 @checked

@@ -16,6 +16,8 @@ from ..outside import Outside
 from ..terms import Term
 from ..terms.tracing import reads, traced
 from ..types import Count, Displacements, Number, Parameter, Site
+from ..units import SCALED
+from ..units.names import counted_in, mark_of
 
 
 class State(NamedTuple):
@@ -36,6 +38,8 @@ class Lattice(eqx.Module):
       `Modulated`.
     - `sites`: number of sites (a tuple on a grid), where `mass` is a number.
     - `dimension`: `None` for scalar displacements, 2 or 3 for vectors, in a trailing axis of `u`.
+    - `units`: what the numbers are counted in, `"SI"`, or `"scaled"` for units of their own. Pictures and files of
+      whatever is computed from it say so; nothing is converted. `gx.scenes.beads` is in SI.
 
     Displacements `u` have the shape `lattice.shape`: (N,), (N1, N2, d), or a dict of such. A batch of lattices is
     `jax.vmap(make, out_axes=-1)(parameters)`; its lanes are trailing axes of everything.
@@ -55,7 +59,7 @@ class Lattice(eqx.Module):
     @checked
     def __init__(
         self, mass: Parameter | dict[str, Parameter], terms: Term | Sequence[Term], *, sites: Site | None = None,
-        dimension: Count | None = None,
+        dimension: Count | None = None, units: str = SCALED,
     ):
         self.dimension = None if dimension is None else whole("dimension", dimension, 1)
         if isinstance(mass, dict):
@@ -69,7 +73,7 @@ class Lattice(eqx.Module):
             self.mass, self._sites, self._per_site = self._one_mass("mass", mass, sites)
         terms = (terms,) if isinstance(terms, Term) else terms
         self.terms = tuple(terms)
-        self._mark = _one(self.axes + (self.dimension is not None))
+        self._mark = _one(self.axes + (self.dimension is not None), mark_of(units))
         self._outside = Outside(self.terms)
         if self.dimension is not None:
             self.terms = tuple(term.per_vector(self.axes) for term in self.terms)
@@ -161,6 +165,17 @@ class Lattice(eqx.Module):
         arrays = [x for x in jax.tree.leaves((self.mass, self.terms)) if hasattr(x, "dtype")]
         kinds = {x.dtype for x in arrays if jnp.issubdtype(x.dtype, jnp.floating)}
         return kinds.pop() if len(kinds) == 1 else jnp.result_type(*kinds)
+
+    @property
+    def units(self):
+        """What its numbers are counted in, "SI" or "scaled"; `None` while traced."""
+        return counted_in(self._mark)
+
+    @checked
+    def counted_in(self, units: str) -> Any:
+        """The same lattice, its numbers said to be those of `"SI"`, or `"scaled"`; none is converted."""
+        mark = mark_of(units)
+        return eqx.tree_at(lambda x: x._mark, self, jnp.full_like(self._mark, mark))
 
     def template(self) -> Any:
         """`jax.ShapeDtypeStruct`s of the displacements, lanes included."""
@@ -281,10 +296,13 @@ class Lattice(eqx.Module):
 
 
 @lru_cache
-def _one(axes):
-    """A number with an axis for each of a site's, which shows where `jax.vmap` puts its lanes; nothing reads it."""
+def _one(axes, mark):
+    """A number with an axis for each of a site's: it shows where `jax.vmap` puts its lanes, and says the units.
+
+    No program reads it, so that one serves lattices in SI and in scaled numbers.
+    """
     with jax.ensure_compile_time_eval():
-        return jnp.zeros((1,) * axes)
+        return jnp.full((1,) * axes, mark)
 
 
 def _has_sites(lattice, own):

@@ -1,6 +1,5 @@
 """What an instrument would show: a laser vibrometer's trace of one bead."""
 
-from collections.abc import Sequence
 from typing import ClassVar
 
 import numpy as np
@@ -10,6 +9,7 @@ from ..checks import MOST, held_in_memory, non_negative, parameter, positive, re
 from ..entry import checked
 from ..results import Held, Result
 from ..types import Count, Numbers, Parameter, Scalar
+from ..units import Units
 
 
 class Trace(Result):
@@ -28,7 +28,7 @@ class Trace(Result):
 @checked
 def velocity_trace(
     ts: Parameter, vs: Parameter, bead: Count, *, sampling: Scalar, noise: Scalar = 0.0, seed: Count = 0,
-    units: Sequence[Scalar] | None = None,
+    units: Units | None = None,
 ) -> Trace:
     """Velocity of one bead as a laser vibrometer gives it: sampled at a fixed rate, with Gaussian noise.
 
@@ -42,8 +42,7 @@ def velocity_trace(
     - `sampling`: samples per second [Hz].
     - `noise`: standard deviation of the noise [m/s].
     - `seed`: whole number of the noise; the same seed gives the same trace.
-    - `units`: (second, metre) of the run's units of time and length, where it is in scaled units: one unit of time is
-      `second` s, one of length `metre` m. `None`: the run is in SI.
+    - `units`: a `gx.Units`, such as `gx.scenes.scaled` gives, where the run is in scaled numbers. `None`: it is in SI.
 
     **Returns:** `Trace(time, velocity)` from the first frame on, NumPy arrays.
     **Raises** ValueError for fewer than four frames, a bead that is not there, a record that holds fewer than two
@@ -57,7 +56,8 @@ def velocity_trace(
     count = vs.shape[1]
     if not -count <= bead < count:
         refuse("bead", f"an index within {-count} ... {count - 1}", repr(bead))
-    second, metre = _units(units)
+    units = Units() if units is None else units
+    second, metre = float(units.time), float(units.length)
     time = ts * second
     interval = 1 / float(positive("sampling", sampling))
     samples = int(min(np.floor((time[-1] - time[0]) / interval * (1 + 1e-12)), MOST - 1)) + 1
@@ -70,11 +70,3 @@ def velocity_trace(
     if sigma:
         velocity = velocity + sigma * np.random.default_rng(seed).standard_normal(velocity.shape)
     return Trace(at, velocity)
-
-
-def _units(units):
-    if units is None:
-        return 1.0, 1.0
-    if not isinstance(units, (tuple, list)) or len(units) != 2:
-        refuse("units", "a pair (second, metre)", repr(units), "One unit of time in s, one unit of length in m.")
-    return tuple(float(positive("units", x)) for x in units)

@@ -11,6 +11,7 @@ from ..checks import one_of, parameter, positive, refuse
 from ..entry import checked
 from ..results import Held, Result
 from ..types import Numbers, Parameter, Scalar
+from ..units.names import mark_of
 
 WINDOWS = ("hann", "none")
 
@@ -18,6 +19,7 @@ WINDOWS = ("hann", "none")
 class Spectrum(Result):
     """Power over wave number k (K,) [rad/site], rising in [-pi, pi], and angular frequency omega (W,) >= 0."""
 
+    _else: ClassVar[str | None] = None
     held: ClassVar[dict[str, Held]] = {
         "k": Held("k", "rad"), "omega": Held("omega", "rad/s"), "power": Held("k omega"),
     }
@@ -34,6 +36,7 @@ class Spectrum(Result):
 class Spectrogram(Result):
     """Power density over time (S,) and angular frequency omega (W,) [rad/time]; power (S, W) + trailing axes."""
 
+    _else: ClassVar[str | None] = None
     held: ClassVar[dict[str, Held]] = {
         "time": Held("time", "s"), "omega": Held("omega", "rad/s"), "power": Held("time omega"),
     }
@@ -48,7 +51,9 @@ class Spectrogram(Result):
 
 
 @checked
-def spectrum(us: Parameter, dt: Scalar, *, time_window: str = "hann", space_window: str = "hann") -> Spectrum:
+def spectrum(
+    us: Parameter, dt: Scalar, *, time_window: str = "hann", space_window: str = "hann", units: str | None = None,
+) -> Spectrum:
     r"""Spectrum of a history over wave number and frequency: |sum_nt w_n w_t u_n(t) exp(-i(k n - omega t))|^2.
 
     Sign: a wave cos(k n - omega t) with omega > 0 runs to the right for k > 0 and has its line at (k, omega). As u is
@@ -58,7 +63,8 @@ def spectrum(us: Parameter, dt: Scalar, *, time_window: str = "hann", space_wind
     amplitude a has a^2/2. A window keeps this for signals that are spread over the record.
 
     **Arguments:** `us`: (T, N) and lanes, frames equally spaced by `dt`: displacements, velocities or strains.
-    `time_window`, `space_window`: `"hann"` or `"none"` (right in space for a periodic chain).
+    `time_window`, `space_window`: `"hann"` or `"none"` (right in space for a periodic chain). `units`: what the numbers
+    are counted in, `"SI"` or `"scaled"`, such as `run.units`; `None` says nothing.
     **Returns:** `Spectrum(k, omega, power)`, power (N, T//2 + 1) and lanes.
     Resolution: 2 pi/(N) in k and 2 pi/(T dt) in omega, doubled by a Hann window.
     **Raises** ValueError for fewer than four frames or two sites, dt <= 0, or another window.
@@ -79,7 +85,7 @@ def spectrum(us: Parameter, dt: Scalar, *, time_window: str = "hann", space_wind
         twice[-1] = 1
     power = jnp.fft.fftshift(jnp.swapaxes(power * twice.reshape((-1, 1) + tail), 0, 1), 0)
     k = 2 * jnp.pi * jnp.fft.fftshift(jnp.fft.fftfreq(sites))
-    return Spectrum(k, 2 * jnp.pi * jnp.fft.rfftfreq(frames) / dt, power)
+    return Spectrum(k, 2 * jnp.pi * jnp.fft.rfftfreq(frames) / dt, power, _mark=mark_of(units))
 
 
 def _window(name, window, size):
@@ -89,7 +95,9 @@ def _window(name, window, size):
 
 
 @checked
-def spectrogram(v: Parameter, dt: Scalar, window: Scalar, *, hop: Scalar | None = None) -> Spectrogram:
+def spectrogram(
+    v: Parameter, dt: Scalar, window: Scalar, *, hop: Scalar | None = None, units: str | None = None,
+) -> Spectrogram:
     """Power density of a signal over time and frequency, by a short-time Fourier transform with a Hann window.
 
     Scale: the integral over omega is the mean square of the signal about that time. Only windows that lie inside the
@@ -97,6 +105,7 @@ def spectrogram(v: Parameter, dt: Scalar, window: Scalar, *, hop: Scalar | None 
 
     **Arguments:** `v`: (T,) and trailing axes, frames equally spaced by `dt`. `window`: length of the window, in the
     units of `dt`; the resolution in frequency is about 4 pi/window. `hop`: time between windows, `None` for a quarter.
+    `units`: as in `spectrum`.
     **Returns:** `Spectrogram(time, omega, power)`, NumPy arrays, time counted from the first frame; power (S, W) and
     trailing axes. **Raises** ValueError for a window shorter than four frames or longer than the record, or traced
     input.
@@ -119,4 +128,4 @@ def spectrogram(v: Parameter, dt: Scalar, window: Scalar, *, hop: Scalar | None 
     first = transform.lower_border_end[1]
     power = transform.spectrogram(v, axis=0, p0=first, p1=max(last, first + 1))
     time = transform.t(len(v), first, max(last, first + 1))
-    return Spectrogram(time, 2 * np.pi * transform.f, np.moveaxis(power, -1, 0) / (2 * np.pi))
+    return Spectrogram(time, 2 * np.pi * transform.f, np.moveaxis(power, -1, 0) / (2 * np.pi), _mark=mark_of(units))

@@ -17,7 +17,7 @@ from ..flow import Flow
 from ..interrupts import interruptible, waited
 from ..lattice import Lattice, State
 from ..measures import contacts
-from ..results import Held, Result
+from ..results import STATE, Held, Result
 from ..solvers import SRKN11b
 from ..types import Count, Counts, Displacements, Numbers, Pytree, Scalar, StateLike, Times
 from .repeats import checked_period, checked_state, one_lattice
@@ -57,9 +57,10 @@ class Attractor(Result):
     """
 
     held: ClassVar[dict[str, Held]] = {
-        "state_error": Held("site"), "amplitude_error": Held("site", "m/s"),
+        "state_error": Held("site", STATE), "amplitude_error": Held("site", "m/s"),
         "peak_force_error": Held("contact", "N"), "energy_error": Held(unit="J"),
-        "state": Held("site"), "period": Held(unit="s"), "changes": Held("run", "1"), "ts": Held("time", "s", "time"),
+        "state": Held("site", STATE), "period": Held(unit="s"), "changes": Held("run", "1"),
+        "ts": Held("time", "s", "time"),
         "us": Held("time site", "m", "u"), "vs": Held("time site", "m/s", "v"), "amplitude": Held("site", "m/s"),
         "peak_force": Held("contact", "N"), "energy": Held(unit="J"),
     }
@@ -134,7 +135,8 @@ def settle(
     changes = np.asarray(changes)[:used]
     change = float(changes[-1, MULTIPLES.index(multiple)] if multiple else changes[-1, 0])
     outcome = _sentence(used, multiple, change, changes[:, 0], tolerance)
-    return Attractor(end, period, used, multiple, change, changes[:, 0], ts, us, vs, *seen, *errors, outcome)
+    return Attractor(end, period, used, multiple, change, changes[:, 0], ts, us, vs, *seen, *errors, outcome,
+                     _mark=lattice._mark)
 
 
 @checked

@@ -16,7 +16,7 @@ from ..flow import Flow
 from ..interrupts import waited
 from ..lattice import State
 from ..newton import Root
-from ..results import Held, Result
+from ..results import STATE, Held, Result
 from ..types import Count, Displacements
 from .confirm import OrbitError
 from .floquet import decide
@@ -69,13 +69,13 @@ class Branch(Result):
     """
 
     held: ClassVar[dict[str, Held]] = {
-        "p": Held("point"), "periods": Held("point", "s", "period"), "states": Held("point site", "", "state"),
+        "p": Held("point"), "periods": Held("point", "s", "period"), "states": Held("point site", STATE, "state"),
         "energy": Held("point", "J"), "response": Held("point"),
-        "state_error": Held("point site", "", "state_error"), "energy_error": Held("point", "J"),
+        "state_error": Held("point site", STATE), "energy_error": Held("point", "J"),
         "response_error": Held("point"),
         "multipliers": Held("point multiplier", "1", "multiplier"),
         "error": Held("point multiplier", "1"), "step_error": Held("point", "1"), "verdict": Held("point"),
-        "bifurcations": Held("bifurcation"), "omega": Held("point", "rad/s"), "amplitude": Held("point"),
+        "bifurcations": Held("bifurcation"), "omega": Held("point", "rad/s"), "amplitude": Held("point", "m"),
         "folds": Held(None),
     }
     p: Float[np.ndarray, " P"]

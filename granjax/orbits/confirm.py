@@ -13,7 +13,7 @@ from ..checks import tolerance as checked_tolerance
 from ..interrupts import waited
 from ..lattice import Lattice, State
 from ..newton import CONVERGED, SPENT, STALLED, Root, newton
-from ..results import Held, Result
+from ..results import STATE, Held, Result
 from ..types import Count, Number, Numbers, Pytree, Scalar
 from .repeats import largest
 
@@ -41,7 +41,7 @@ class OrbitError(Result):
     """
 
     held: ClassVar[dict[str, Held]] = {
-        "state": Held("site"), "energy": Held(unit="J"), "omega": Held(unit="rad/s"), "period": Held(unit="s"),
+        "state": Held("site", STATE), "energy": Held(unit="J"), "omega": Held(unit="rad/s"), "period": Held(unit="s"),
     }
     state: State
     energy: Number

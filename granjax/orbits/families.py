@@ -215,7 +215,8 @@ def _branch(problem, curve, stability):
         p, 2 * np.pi / p, jax.tree.map(np.asarray, states), np.asarray(energy), None,
         jax.tree.map(np.asarray, state_error), np.asarray(energy_error), None, multipliers, error,
         np.array([s.step_error for s in found]), verdict, tuple(special_of(problem, curve)),
-        problem.outcome(curve), 0.0, Flow(2 * half.steps, half.solver), problem, curve)
+        problem.outcome(curve), 0.0, Flow(2 * half.steps, half.solver), problem, curve,
+        _mark=problem.scene(jnp.asarray(curve.p[0]))[0]._mark)
 
 
 def checked_lattice(lattice: Lattice) -> Lattice:

@@ -16,7 +16,7 @@ from ..flow import Flow
 from ..flow.stepping import columns, matrix
 from ..interrupts import interruptible, waited
 from ..lattice import Lattice, State
-from ..results import Held, Result
+from ..results import STATE, Held, Result
 from ..solvers import SRKN11b
 from ..types import Count, Scalar, StateLike
 from .attractors import steps_per_period
@@ -35,7 +35,7 @@ class Lyapunov(Result):
 
     held: ClassVar[dict[str, Held]] = {
         "exponents": Held("exponent", "1/s"), "uncertainty": Held("exponent", "1/s"),
-        "rates": Held("run exponent", "1/s"), "state": Held("site"),
+        "rates": Held("run exponent", "1/s"), "state": Held("site", STATE),
     }
     exponents: Float[np.ndarray, " k"]
     uncertainty: Float[np.ndarray, " k"]
@@ -99,7 +99,8 @@ def lyapunov(
     order = np.argsort(-rates.mean(0), kind="stable")
     rates = rates[:, order]
     exponents, uncertainty = rates.mean(0), _uncertainty(rates, windows)
-    return Lyapunov(exponents, uncertainty, rates, end, *_verdict(lattice, exponents, uncertainty))
+    return Lyapunov(exponents, uncertainty, rates, end, *_verdict(lattice, exponents, uncertainty),
+                    _mark=lattice._mark)
 
 
 @waited

@@ -17,7 +17,7 @@ from ..flow import Flow
 from ..interrupts import interruptible, waited
 from ..lattice import Lattice, State, vector_field
 from ..newton import CONVERGED, Root
-from ..results import Held, Result
+from ..results import STATE, Held, Result
 from ..solvers import SRKN14a
 from ..tuning import one_thread
 from ..types import Count, Counts, Displacements, Flags, Number, Numbers, Scalar, StateLike, Times
@@ -62,7 +62,7 @@ class Orbit(Result):
     """
 
     held: ClassVar[dict[str, Held]] = {
-        "state": Held("site"), "period": Held(unit="s"), "omega": Held(unit="rad/s"), "energy": Held(unit="J"),
+        "state": Held("site", STATE), "period": Held(unit="s"), "omega": Held(unit="rad/s"), "energy": Held(unit="J"),
         "t0": Held(unit="s"),
     }
     state: State
@@ -131,7 +131,7 @@ class Orbit(Result):
     def run(self, frames: Count = FRAMES) -> OrbitRun:
         """The orbit in time, `OrbitRun`."""
         _, ts, ys = _history(self.flow, self.lattice, self.state, self.t0, self.period, whole("frames", frames, 2))
-        return OrbitRun(ts, ys.u, ys.v)
+        return OrbitRun(ts, ys.u, ys.v, _mark=self.lattice._mark)
 
     @checked
     def harmonics(self, count: Count = 1, frames: Count = FRAMES) -> Displacements:

@@ -18,7 +18,7 @@ from ..interrupts import interruptible, waited
 from ..lattice import State
 from ..measures import rms_velocity
 from ..outside import Outside
-from ..results import Held, Result
+from ..results import STATE, Held, Result
 from ..solvers import SRKN11b
 from ..types import Count, Displacements, Parameter, Scalar, StateLike
 from .attractors import errors_of, follow, otherwise, steps_per_period
@@ -61,7 +61,7 @@ class Way(Result):
         "response": Held("value"), "velocity": Held("value site", "m/s"), "energy": Held("value", "J"),
         "response_error": Held("value"), "velocity_error": Held("value site", "m/s"),
         "energy_error": Held("value", "J"),
-        "multiple": Held("value"), "periods": Held("value"), "states": Held("value site", "", "state"),
+        "multiple": Held("value"), "periods": Held("value"), "states": Held("value site", STATE, "state"),
         "jumps": Held("jump"), "bifurcations": Held("bifurcation"),
     }
     response: Float[np.ndarray, " P"]
@@ -187,10 +187,10 @@ def sweep(
 
     up = _way(attractor, with_errors, values, state, jump, accuracy, 1)
     if not down:
-        return Sweep(values, up, None, [])
+        return Sweep(values, up, None, [], _mark=first._mark)
     last = jax.tree.map(lambda x: x[-1], up.states)
     back = _way(attractor, with_errors, values, last, jump, accuracy, -1)
-    return Sweep(values, up, back, _hysteresis(values, up, back, jump))
+    return Sweep(values, up, back, _hysteresis(values, up, back, jump), _mark=first._mark)
 
 
 @waited

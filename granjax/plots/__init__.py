@@ -1,6 +1,15 @@
 """Plots: each takes arrays or a run, draws into `ax` (or a new figure of the house style) and returns the Axes.
 
-They know no lattice: a run is anything with `ts`, `us`, `vs`, a dispersion anything with `k`, `omega`, `cell`. Colour
+They know no lattice: a run is anything with `ts`, `us`, `vs`, a dispersion anything with `k`, `omega`, `cell`.
+
+Units are those of the result, and asked for in one way everywhere, by `units=`:
+
+- `None`: a result in SI is drawn with the prefixes that read (µs, mm/s, kHz), one in scaled numbers says "(scaled)".
+- words, each for the axes of its dimension: `"us"`, `("kHz", "us", "mm/s")`, `"rad/s"`. They say of arrays that these
+  are in SI, as `"SI"` does; `"scaled"` says that they are not.
+- a `gx.Units`: scaled numbers are drawn in SI, `(units, "us")` in those words; a result in SI is drawn scaled.
+
+A label that ends with a unit of its own, "force (lb)", is drawn as it stands, and its numbers are left alone. Colour
 maps are perceptually uniform, or diverge evenly from white at zero; line colours are those of Okabe and Ito. All can
 be told apart by colour-blind eyes.
 """

@@ -9,7 +9,9 @@ from matplotlib.ticker import MaxNLocator
 from ..checks import one_of, parameter, refuse, within
 from ..entry import checked
 from ..types import Parameter, Scalar
+from ..units import UnitsOrWords
 from .arrays import Samples, numbers
+from .quantities import Axis, quantity, scaled_by, shown
 from .style import COLOURS, DASHES, FAINT, AxesOrNone, axes_or_new, colour
 
 INSETS = ("log", "none")
@@ -19,7 +21,7 @@ INSETS = ("log", "none")
 def profile(
     x: Parameter, y: Samples, ax: AxesOrNone = None, *, labels: str | Sequence[str] | None = None,
     points: tuple | list | None = None, points_label: str | None = None, inset: str | None = "log",
-    floor: Scalar = 1e-16, x_label: str = "site", y_label: str = "strain (scaled)",
+    floor: Scalar = 1e-16, x_label: str = "site", y_label: str = "strain", units: UnitsOrWords = None,
 ) -> Axes:
     """Profiles over space, with their absolute values on a logarithmic axis in an inset.
 
@@ -28,7 +30,8 @@ def profile(
     - `x`: places (X,); `y`: values (X,), or (X, C) for C curves; `labels`: one per curve, for a legend.
     - `points`: a pair (places, values), such as lattice nodes, drawn as dots; `points_label`: theirs.
     - `inset`: `"log"` or `"none"`; `floor` in (0, 1): lowest decade of the inset, a share of the largest value.
-    - `x_label`, `y_label`: of the axes.
+    - `x_label`, `y_label`: of the axes; one that ends with a known word, such as "peak velocity", says the dimension.
+      `units`: `"SI"`, `"scaled"`, `"mm/s"`, as in `granjax.plots`.
 
     **Returns:** the Axes; the inset is `ax.child_axes[0]`, the curves `ax.lines`.
     **Raises** ValueError for another inset, shapes that do not fit, a floor outside (0, 1).
@@ -43,12 +46,14 @@ def profile(
     if labels is not None and len(labels) != y.shape[1]:
         refuse("labels", f"{y.shape[1]} names, one per curve", f"{len(labels)}")
     floor = float(within("floor", floor, 0, 1, open_low=True, open_high=True))
+    by_x, by_y = shown(units, None, Axis(x_label, x, quantity(x_label) or ""), Axis(y_label, y))
+    x, y = scaled_by(x, by_x.factor), scaled_by(y, by_y.factor)
     if points is not None:
-        points = _points(points)
+        points = tuple(scaled_by(p, by.factor) for p, by in zip(_points(points), (by_x, by_y)))
     ax = axes_or_new(ax)
     _curves(ax, x, y, points, labels, points_label)
-    ax.set_xlabel(x_label)
-    ax.set_ylabel(y_label)
+    ax.set_xlabel(by_x.label)
+    ax.set_ylabel(by_y.label)
     ax.set_xlim(x.min(), x.max())
     if labels is not None or points_label is not None:
         ax.legend(loc="upper left", frameon=False)
@@ -88,13 +93,13 @@ def _curves(ax, x, y, points, labels, points_label, scale=1.0):
 def transmission(
     mass_ratio: Parameter, transmission: Samples, ax: AxesOrNone = None, *, resonances: Parameter | None = None,
     anti_resonances: Parameter | None = None, label: str | Sequence[str] | None = None,
-    y_label: str = "transmitted force / that of the monomer",
+    y_label: str = "transmitted force / that of the monomer", units: UnitsOrWords = None,
 ) -> Axes:
     """Transmitted force of a dimer chain over the mass ratio, relative to the monomer's.
 
     **Arguments:** `mass_ratio`: light over heavy, (R,), in (0, 1]; `transmission`: (R,), or (R, C) for C curves;
     `resonances`, `anti_resonances`: mass ratios to mark, with dashed and dotted lines; `label`: of the curve, or one
-    per curve; `y_label`: of the axis.
+    per curve; `y_label`: of the axis; `units`: of what it names, such as "peak force", as in `granjax.plots`.
 
     **Returns:** the Axes. **Raises** ValueError for ratios outside (0, 1] or shapes that do not fit.
     """
@@ -106,6 +111,8 @@ def transmission(
     labels = [label] * values.shape[1] if label is None or isinstance(label, str) else list(label)
     if len(labels) != values.shape[1]:
         refuse("label", f"{values.shape[1]} names, one per curve", f"{len(labels)}")
+    (by,) = shown(units, None, Axis(y_label, values, quantity(y_label) or ""))
+    values = scaled_by(values, by.factor)
     ax = axes_or_new(ax, 5.6, 3.6)
     order = np.argsort(ratios)
     for i in range(values.shape[1]):
@@ -113,10 +120,12 @@ def transmission(
     _marks(ax, "resonances", resonances, "resonance", COLOURS[1], "--")
     _marks(ax, "anti_resonances", anti_resonances, "anti-resonance", COLOURS[2], ":")
     ax.set_xlabel(r"mass ratio $\varepsilon$ (light / heavy)")
-    ax.set_ylabel(y_label)
+    ax.set_ylabel(by.label)
     ax.set_xlim(0, 1.01)
-    ax.set_ylim(0, 1.12 * max(1.0, float(np.nanmax(values))))
-    ax.axhline(1.0, color=FAINT, lw=0.8, zorder=0)
+    relative = not by.unit
+    ax.set_ylim(0, 1.12 * max(1.0 if relative else 0.0, float(np.nanmax(values))))
+    if relative:
+        ax.axhline(1.0, color=FAINT, lw=0.8, zorder=0)
     if ax.get_legend_handles_labels()[0]:
         ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, borderaxespad=0.2, frameon=False)
     return ax

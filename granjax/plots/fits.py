@@ -12,7 +12,9 @@ from matplotlib.ticker import MaxNLocator
 from ..checks import refuse, show, whole
 from ..entry import checked
 from ..types import Count, Parameter, Scalar
+from ..units import UnitsOrWords
 from .arrays import having, numbers, rising
+from .quantities import Axis, scaled_by, shown, units_of
 from .style import COLOURS, FAINT, AxesOrNone, style
 
 # half-width of a corner plot's axes, in standard deviations
@@ -22,7 +24,7 @@ REACH = 3.5
 @checked
 def fit(
     result: Any, ax: Axes | Shaped[np.ndarray, "..."] | None = None, *, sensors: Sequence[Count] | None = None,
-    x_label: str = "time", y_label: str | None = None, scale: Scalar | Sequence[Scalar] = 1.0,
+    units: UnitsOrWords = None, x_label: str = "time", y_label: str | None = None,
 ) -> Shaped[np.ndarray, "2 columns"]:
     """Data and fitted signal of every sensor, with the residuals below.
 
@@ -32,16 +34,13 @@ def fit(
       `signals` and `residuals`, one (T, S) per trace.
     - `ax`: Axes of shape (2, columns); `None` makes them in a new figure.
     - `sensors`: which columns, counted through all traces; `None` is all.
-    - `x_label`, `y_label`: of the axes; `None` is the kind, first word of a sensor's name. `scale`: of times and data
-      in the labels' units, a number for data or a pair (times, data): (1e3, 1e3) with ms and mm/s.
+    - `units`: `("ms", "mm/s")`, as in `granjax.plots`. `x_label`, `y_label`: of the axes; `None` is the kind, first
+      word of a sensor's name.
 
     **Returns:** an array of Axes (2, columns). **Raises** ValueError for sensors that are not there or Axes of another
     shape.
     """
     having("result", result, "a Fit", "traces", "signals", "residuals")
-    scales = scale if isinstance(scale, (tuple, list)) else (1.0, scale)
-    if len(scales) != 2:
-        refuse("scale", "a number, or a pair (times, data)", repr(scale))
     columns = [(trace, k, trace.sensors[k], signal, residual)
                for trace, signal, residual in zip(result.traces, result.signals, result.residuals)
                for k in range(np.shape(signal)[1])]
@@ -51,11 +50,11 @@ def fit(
             refuse("sensors", f"indices below {len(columns)}", repr(sensors))
         columns = [columns[k] for k in chosen]
     size = 2.9 * len(columns) + 0.7, 3.6
-    axes = _grid("ax", ax, 2, len(columns), size, height_ratios=(3, 1), sharex="col", sharey="row")
-    for k, (column, (trace, sensor, name, signal, residual)) in enumerate(zip(axes.T, columns)):
-        upper, lower = column
-        times = numbers("times", trace.times, 1) * scales[0]
-        data, fitted = (numbers("data", x, 2, finite=False)[:, sensor] * scales[1] for x in (trace.data, signal))
+    drawn = _counted(units, units_of(result), x_label, y_label, columns)
+    one = len({quantity.label for *_, quantity in drawn}) == 1
+    axes = _grid("ax", ax, 2, len(columns), size, height_ratios=(3, 1), sharex="col", sharey="row" if one else "none")
+    for k, ((upper, lower), (_, sensor, name, _, residual)) in enumerate(zip(axes.T, columns)):
+        times, data, fitted, by_time, by_quantity = drawn[k]
         left = numbers("residuals", residual, 2, finite=False)[:, sensor]
         upper.plot(times, data, ".", color=FAINT, ms=3, label="data")
         upper.plot(times, fitted, color=COLOURS[0], lw=1.2, label="fit")
@@ -63,13 +62,33 @@ def fit(
         lower.axhspan(-1, 1, color="0.9", lw=0, zorder=0)
         known = np.isfinite(data)
         lower.plot(times[known], left[known], ".", color=COLOURS[0], ms=2)
-        lower.set_xlabel(x_label)
+        lower.set_xlabel(by_time.label)
         lower.set_xlim(times[0], times[-1])
+        for ax in (upper, lower):
+            ax.xaxis.set_major_locator(MaxNLocator(5))
+        if k == 0 or by_quantity.label != drawn[k - 1][-1].label:
+            upper.set_ylabel(by_quantity.label)
         if k == 0:
-            upper.set_ylabel(name.split()[0] if y_label is None else y_label)
             lower.set_ylabel(r"residual / $\sigma$")
             upper.legend(loc="best", frameon=False, markerscale=2)
     return axes
+
+
+def _counted(units, said, x_label, y_label, columns):
+    """Of every column times, data and fit in the units of the picture, and how both axes are drawn.
+
+    Sensors of one kind share a unit.
+    """
+    plain = []
+    for trace, sensor, name, signal, _ in columns:
+        data, fitted = (numbers("data", x, 2, finite=False)[:, sensor] for x in (trace.data, signal))
+        plain.append((numbers("times", trace.times, 1), data, fitted, name.split()[0] if y_label is None else y_label))
+    kinds = {kind: np.concatenate([x for *_, x, other in plain if other == kind]) for *_, kind in plain}
+    by_time, *by_kind = shown(units, said, Axis(x_label, np.concatenate([times for times, *_ in plain])),
+                              *(Axis(kind, x) for kind, x in kinds.items()))
+    by_kind = dict(zip(kinds, by_kind))
+    return [(scaled_by(times, by_time.factor), *(scaled_by(x, by_kind[kind].factor) for x in (data, fitted)), by_time,
+             by_kind[kind]) for times, data, fitted, kind in plain]
 
 
 @checked
@@ -146,12 +165,13 @@ def corner(
 def law(
     strain: Parameter, force: Parameter, low: Parameter, high: Parameter, ax: AxesOrNone = None, *,
     label: str = "identified", band: str | None = None, truth: Parameter | None = None, truth_label: str = "true",
-    x_label: str = "compression", y_label: str = "force",
+    units: UnitsOrWords = None, x_label: str = "compression", y_label: str = "force",
 ) -> Axes:
     """An identified law with its band, over the strains that were visited and nowhere else.
 
     **Arguments:** `strain` (n,), rising, the strains that the motion visited; `force` (n,); `low`, `high` (n,): the
-    band; `label`, `band`: names of curve and band; `truth` (n,): a law to compare with; `x_label`, `y_label`.
+    band; `label`, `band`: names of curve and band; `truth` (n,): a law to compare with; `x_label`, `y_label`; `units`:
+    `("um", "N")`, as in `granjax.plots`.
 
     **Returns:** the Axes. **Raises** ValueError for shapes that do not fit, strains that do not rise, low > high.
     """
@@ -164,6 +184,9 @@ def law(
             refuse(name, f"shape {force.shape}, as force", f"shape {x.shape}")
     if (low > high).any():
         refuse("low", "numbers not above high", show(low), "Swap low and high.")
+    by_x, by_y = shown(units, None, Axis(x_label, strain), Axis(y_label, force))
+    strain = scaled_by(strain, by_x.factor)
+    force, low, high, truth = (None if x is None else scaled_by(x, by_y.factor) for x in (force, low, high, truth))
     ax = _grid("ax", ax, 1, 1, (5.0, 3.6))[0, 0]
     ax.fill_between(strain, low, high, color=COLOURS[4], alpha=0.4, lw=0, label=band)
     ax.plot(strain, force, color=COLOURS[0], label=label)
@@ -172,8 +195,8 @@ def law(
     ax.axhline(0, color=FAINT, lw=0.8, zorder=0)
     ax.axvline(0, color=FAINT, lw=0.8, zorder=0)
     ax.set_xlim(strain[0], strain[-1])
-    ax.set_xlabel(x_label)
-    ax.set_ylabel(y_label)
+    ax.set_xlabel(by_x.label)
+    ax.set_ylabel(by_y.label)
     ax.legend(loc="upper left", frameon=False)
     return ax
 

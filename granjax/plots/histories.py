@@ -10,7 +10,9 @@ from matplotlib.colors import LogNorm, Normalize, TwoSlopeNorm
 from ..checks import one_of, positive, refuse, within
 from ..entry import checked
 from ..types import Parameter, Scalar
-from .arrays import Samples, history, numbers, rising
+from ..units import SCALED, UnitsOrWords
+from .arrays import Samples, having, history, is_run, numbers, rising
+from .quantities import Axis, scaled_by, shown, units_of
 from .style import AxesOrNone, add_colour_bar, axes_or_new, colour
 
 SCALES = ("linear", "log")
@@ -25,8 +27,7 @@ FINE = 1000
 def space_time(
     run_or_array: Any, ax: AxesOrNone = None, *, quantity: str | Samples = "v", ts: Parameter | None = None,
     sites: Parameter | None = None, scale: str = "linear", floor: Scalar = 1e-4, limit: Scalar | None = None,
-    label: str | None = None, unit: str = "scaled", time_label: str = "time (scaled)", site_label: str = "site",
-    colour_bar: bool = True,
+    label: str | None = None, units: UnitsOrWords = None, site_label: str = "site", colour_bar: bool = True,
 ) -> Axes:
     """Space-time map of a history: site on x, time on y, the quantity in colour.
 
@@ -38,14 +39,16 @@ def space_time(
       0 ... N-1 by default.
     - `scale`: `"linear"`, with zero in white where the data have both signs; `"log"`, the absolute value, cut at
       `floor` in (0, 1) times the limit.
-    - `limit`: value of the full colour > 0; the largest absolute value by default.
-    - `label`, `unit`: of the colour bar, "label (unit)"; `time_label`, `site_label`: of the axes.
+    - `limit`: value of the full colour > 0, in units of the data; the largest absolute value by default.
+    - `label`: of the quantity; one that ends with a known word, such as "contact force", also says its dimension.
+      `site_label`: of the axis.
+    - `units`: `("ms", "mm/s")`, as in `granjax.plots`.
 
     **Returns:** the Axes; the image is `ax.images[0]` (`ax.collections[0]` where times or places are uneven).
     **Raises** ValueError for another scale, shapes that do not fit, a floor outside (0, 1).
     """
     one_of("scale", scale, SCALES)
-    given = quantity if isinstance(quantity, str) else None
+    given, said = quantity if isinstance(quantity, str) else None, units_of(run_or_array)
     ts, data = history(run_or_array, quantity, ts)
     if 0 in data.shape:
         refuse("run_or_array", "at least one frame of one site", f"shape {data.shape}")
@@ -55,21 +58,31 @@ def space_time(
         known = ts is not None and given is not None
         label = (LABELS.get(given) if known else None) or "quantity"
     top = _limit(data, limit)
+    frames = ts is None
+    by_time, by_quantity = shown(units, said, Axis("frame" if frames else "time", y), Axis(label, top))
+    y, data, top = scaled_by(y, by_time.factor), scaled_by(data, by_quantity.factor), top * by_quantity.factor
+    label = by_quantity.label
     ax = axes_or_new(ax, 5.2, 3.8)
     if scale == "log":
         low = float(within("floor", floor, 0, 1, open_low=True, open_high=True)) * top
-        data, norm, map_name, label = np.maximum(np.abs(data), low), LogNorm(low, top), "magma", f"|{label}|"
+        data, norm, map_name, label = np.maximum(np.abs(data), low), LogNorm(low, top), "magma", _size(label)
     else:
         norm, map_name = _linear(data, top)
     image = _draw(ax, x, y, data, norm, map_name)
     ax.set_xlabel(site_label)
-    ax.set_ylabel("frame" if ts is None else time_label)
+    ax.set_ylabel(by_time.label)
     for spine in ax.spines.values():
         spine.set_visible(True)
     if colour_bar:
         cut = ("neither", "max", "min", "both")[int(np.nanmax(data) > norm.vmax) + 2 * int(np.nanmin(data) < norm.vmin)]
-        add_colour_bar(ax, image, f"{label} ({unit})" if unit else label, extend=cut)
+        add_colour_bar(ax, image, label, extend=cut)
     return ax
+
+
+def _size(label):
+    """The label of absolute values."""
+    name, bracket, unit = label.partition(" (")
+    return f"|{name}|{bracket}{unit}"
 
 
 def _limit(data, limit):
@@ -112,28 +125,38 @@ def _ends(x):
 
 @checked
 def traces(
-    ts: Parameter, qs: Samples, sites: Parameter | None = None, ax: AxesOrNone = None, *,
-    offset: Scalar | None = None, labels: Sequence | None = None, label: str = "velocity", unit: str = "scaled",
-    time_label: str = "time (scaled)", site_label: str = "site",
+    ts: Any, qs: str | Samples = "v", sites: Parameter | None = None, ax: AxesOrNone = None, *,
+    offset: Scalar | None = None, labels: Sequence | None = None, label: str | None = None,
+    units: UnitsOrWords = None, site_label: str = "site",
 ) -> Axes:
     """Traces of some sites over time, stacked, the first at the bottom.
 
     **Arguments:**
 
-    - `ts`: times (T,), rising; `qs`: history (T, N), NumPy or JAX. `sites`: indices of the sites to show, negative
-      from the end; `None` for all.
+    - `ts`: times (T,), rising, and `qs`: history (T, N), NumPy or JAX; or a run, and `qs` as `quantity` of
+      `space_time`. `sites`: indices of the sites to show, negative from the end; `None` for all.
     - `offset`: distance between traces [units of q]; `None` takes the largest span of one; 0 lays them over each
       other, with a legend. `labels`: one per trace, by default the site's index.
-    - `label`, `unit`: of the quantity, on the scale bar or the axis; `time_label`, `site_label`: of the axes.
+    - `label`: of the quantity, on the scale bar or the axis, as in `space_time`; velocity by default. `site_label`: of
+      the axis. `units`: `("ms", "mm/s")`, as in `granjax.plots`.
 
     **Returns:** the Axes; `ax.lines` holds the traces first, in order.
     **Raises** ValueError for shapes that do not fit, sites that are not there, an offset below zero.
     """
+    said, given = units_of(ts), qs if isinstance(qs, str) else None if is_run(ts) else "v"
+    if is_run(ts) or isinstance(qs, str):
+        having("ts", ts, "a run, where qs is one of its quantities", "ts", "us", "vs")
+        ts, qs = history(ts, qs, None)
+    label = LABELS.get(given, "quantity") if label is None else label
     qs = numbers("qs", qs, 2, finite=False)
     if np.shape(ts) != (len(qs),):
         refuse("ts and qs", "as many times as frames", f"shapes {np.shape(ts)} and {qs.shape}")
     ts = rising("ts", ts, len(qs))
     sites = _sites(sites, qs.shape[1])
+    known = qs[:, sites][np.isfinite(qs[:, sites])]
+    by_time, by_quantity = shown(units, said, Axis("time", ts), Axis(label, known))
+    ts, qs = scaled_by(ts, by_time.factor), scaled_by(qs, by_quantity.factor)
+    offset = None if offset is None else offset * by_quantity.factor
     names = [str(n) for n in sites] if labels is None else [str(name) for name in labels]
     if len(names) != len(sites):
         refuse("labels", f"{len(sites)} names, one per trace", f"{len(names)}")
@@ -146,18 +169,17 @@ def traces(
     for i, name in enumerate(names):
         trace = chosen[:, i] + i * offset
         ax.plot(ts, trace, color=colour(i), lw=1.3, label=f"{site_label} {name}", zorder=3 - i / 1e3)
-    ax.set_xlabel(time_label)
+    ax.set_xlabel(by_time.label)
     ax.set_xlim(ts[0], ts[-1])
-    quantity = f"{label} ({unit})" if unit else label
     if offset == 0:
-        ax.set_ylabel(quantity)
+        ax.set_ylabel(by_quantity.label)
         ax.legend(frameon=False)
         return ax
     places = offset * np.arange(len(names))
     every = -(-len(names) // 16)
     ax.set_yticks(places[::every], names[::every])
     ax.set_ylabel(site_label)
-    _scale_bar(ax, ts, span, label, unit)
+    _scale_bar(ax, span, label, by_quantity.unit)
     return ax
 
 
@@ -170,14 +192,14 @@ def _sites(sites, size):
     return sites % size
 
 
-def _scale_bar(ax, ts, span, label, unit):
+def _scale_bar(ax, span, label, unit):
     """A bar of a round height beside the traces, in place of a second axis."""
     height = _round_below(span)
     low, high = ax.get_ylim()
     bottom = (low + high - height) / 2
     transform = ax.get_yaxis_transform()
     ax.plot([1.02, 1.02], [bottom, bottom + height], color="black", lw=2, transform=transform, clip_on=False)
-    text = f"{label} {height:g} {unit}" if unit and unit != "scaled" else f"{label} {height:g}"
+    text = f"{label} {height:g} {unit}" if unit and unit != SCALED else f"{label} {height:g}"
     ax.text(1.04, bottom + height / 2, text, rotation=90, va="center", ha="left", transform=transform,
             fontsize="small")
     ax.set_ylim(low, high)

@@ -1,7 +1,7 @@
 """Time-periodic orbits: Floquet multipliers, breathers, branches, response curves up and down, strain over time."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -9,10 +9,12 @@ from scipy.interpolate import Akima1DInterpolator
 
 from ..checks import refuse
 from ..entry import checked
-from ..types import Count, Scalar
+from ..types import Count
+from ..units import UnitsOrWords
 from .arrays import having, history, numbers, rising
 from .histories import space_time
-from .style import COLOURS, FAINT, AxesOrNone, axes_or_new, style
+from .quantities import Axis, scaled_by, shown, units_of
+from .style import COLOURS, FAINT, AxesOrNone, add_colour_bar, axes_or_new, style
 
 # Krein signature -> colour, mark, what it is called
 _KREIN = {1: (COLOURS[0], "o", "Krein +"), -1: (COLOURS[1], "s", "Krein $-$"), 0: ("0.25", "^", "Krein 0")}
@@ -78,8 +80,11 @@ def unstable_of(fl: Any) -> np.ndarray:
 @checked
 def breather(
     breather: Any, fl: Any = None, axes: Sequence[Axes] | np.ndarray | None = None, *, mode: Count | None = None,
+    units: UnitsOrWords = None,
 ) -> np.ndarray:
     """A breather in four panels: displacements, Floquet multipliers, displacement and velocity of an eigenvector.
+
+    Of a stable one, of which nothing grows, strain and a period of the velocities instead.
 
     **Arguments:**
 
@@ -87,8 +92,10 @@ def breather(
       unless `fl` is given. `fl`: its `Floquet`.
     - `axes`: four Axes in any shape, for (a) to (d); by default those of a new figure.
     - `mode`: index of the multiplier whose eigenvector is shown; by default the largest unstable one. A stable orbit
-      has none: (c) and (d) then say so. The eigenvector is turned so that its largest displacement is real, positive
-      and 1; imaginary parts, of complex multipliers, are dashed.
+      has none: (c) then is the strain u_n - u_{n+1}, and (d), where the breather has `run()`, the velocity over a
+      period. The eigenvector is turned so that its largest displacement is real, positive and 1; imaginary parts, of
+      complex multipliers, are dashed.
+    - `units`: `("um", "us", "mm/s")`, as in `granjax.plots`.
 
     **Returns:** the Axes, (2, 2) or as given. **Raises** ValueError for several fields or lanes, other than four Axes,
     a mode that is not there.
@@ -100,16 +107,21 @@ def breather(
     a, b, c, d = axes.ravel()
     u = numbers("breather.state.u", breather.state[0], 1)
     site = np.arange(len(u))
-    _bars(a, site, u, COLOURS[0])
-    a.set_ylabel("displacement $u_n(0)$")
-    floquet_circle(fl, b)
     mode = _mode(fl, mode)
-    words = (("displacement", c), ("velocity", d))
+    history = breather.run() if mode is None and hasattr(breather, "run") else None
+    still = [Axis("displacement $u_n(0)$", u), Axis("strain $u_n - u_{n+1}$", u[:-1] - u[1:])][: 1 + (mode is None)]
+    moving = [] if history is None else [Axis("time", history.ts), Axis("velocity", history.vs)]
+    by = shown(units, units_of(breather), *still, *moving)
+    _bars(a, site, scaled_by(u, by[0].factor), COLOURS[0])
+    a.set_ylabel(by[0].label)
+    floquet_circle(fl, b)
     if mode is None:
-        for word, ax in words:
-            ax.text(0.5, 0.5, "no growing mode", ha="center", va="center", color="0.35", transform=ax.transAxes)
-            ax.set_ylabel(f"{word} of the mode")
+        _bars(c, site[:-1] + 0.5, scaled_by(u[:-1] - u[1:], by[1].factor), COLOURS[0])
+        c.set_ylabel(by[1].label)
+        c.set_title("no mode grows", loc="left")
+        _period(d, history, by[2:])
     else:
+        words = (("displacement", c), ("velocity", d))
         vector = np.asarray(fl.vectors)[:, mode]
         vector = vector / vector[np.argmax(np.abs(vector[: len(u)]))]
         complex_pair = abs(fl.multipliers[mode].imag) > fl.error[mode]
@@ -124,8 +136,22 @@ def breather(
         if ax is not b:
             ax.set_xlabel("site $n$")
             ax.set_xlim(-0.5, len(u) - 0.5)
-        ax.annotate(f"({letter})", (0.02, 0.98), xycoords="axes fraction", va="top")
+        ax.annotate(f"({letter})", (0.02, 0.98), xycoords="axes fraction", va="top", zorder=5)
     return axes
+
+
+def _period(ax, run, by):
+    """A period of the velocities over sites and time, where there is a run of it."""
+    if run is None:
+        ax.text(0.5, 0.5, "no growing mode", ha="center", va="center", color="0.35", transform=ax.transAxes)
+        return
+    by_time, by_velocity = by
+    ts, vs = (scaled_by(numbers("run", x), way.factor) for x, way in zip((run.ts, run.vs), by))
+    top = float(np.abs(vs).max()) or 1.0
+    ends = (-0.5, vs.shape[1] - 0.5, ts[0], 2 * ts[-1] - ts[-2])
+    image = ax.imshow(vs, origin="lower", aspect="auto", extent=ends, cmap="RdBu_r", vmin=-top, vmax=top)
+    ax.set_ylabel(by_time.label)
+    add_colour_bar(ax, image, by_velocity.label)
 
 
 def _axes(axes, rows, columns, width, height):
@@ -165,7 +191,7 @@ def _written(rho, complex_pair):
 @checked
 def branch(
     br: Any, axes: Sequence[Axes] | np.ndarray | None = None, *, bands: Any = None, marks: Any = None,
-    omega_label: str = r"frequency $\omega_b$",
+    units: UnitsOrWords = None, omega_label: str = r"angular frequency $\omega_b$",
 ) -> np.ndarray:
     """A family of breathers: energy and amplitude over frequency, stable and unstable parts, bands, bifurcations.
 
@@ -179,7 +205,7 @@ def branch(
     - `axes`: two Axes; by default those of a new figure. `bands`: intervals (B, 2) of the linear spectrum to shade,
       such as `gx.breathers.bands_of(chain)[0]`; `marks`: bifurcations to mark, those of
       `gx.breathers.bifurcations(br)`, or frequencies.
-    - `omega_label`: of the frequencies' axis.
+    - `units`: `("kHz", "uJ", "um")`, as in `granjax.plots`. `omega_label`: of the frequencies' axis.
 
     **Returns:** the two Axes. **Raises** ValueError for shapes that do not fit, or other than two Axes.
     """
@@ -190,19 +216,22 @@ def branch(
     marks = [] if marks is None else list(np.atleast_1d(np.asarray(marks, object)))
     if bands.shape[1:] != (2,):
         refuse("bands", "intervals, shape (B, 2)", f"shape {bands.shape}")
+    by, *by_height = shown(units, units_of(br), Axis(omega_label, omega, "rad/s"), Axis("energy", heights[0]),
+                           Axis(r"amplitude $\max_n |u_n|$", heights[1]))
+    omega, drawn = scaled_by(omega, by.factor), [scaled_by(x, way.factor) for x, way in zip(heights, by_height)]
     axes = _axes(axes, 1, 2, 8.4, 3.4)
     room = 0.06 * (np.ptp(omega) or omega[0])
-    for ax, height, name in zip(axes.ravel(), heights, ("energy", r"amplitude $\max_n |u_n|$")):
+    for ax, height, name in zip(axes.ravel(), drawn, [way.label for way in by_height]):
         _line(ax, omega, height, br, _VERDICTS, marks)
-        for low, high in bands:
+        ax.set_ylabel(name)
+        for low, high in scaled_by(bands, by.factor):
             ax.axvspan(low, high, color=FAINT, alpha=0.3, lw=0, zorder=0)
         for i, mark in enumerate(marks):
             name = None if i else "bifurcation"
-            ax.axvline(getattr(mark, "p", mark), color=COLOURS[2], ls=":", lw=1.0, zorder=1, label=name)
+            ax.axvline(by.factor * getattr(mark, "p", mark), color=COLOURS[2], ls=":", lw=1.0, zorder=1, label=name)
         ax.set_xlim(omega.min() - room, omega.max() + room)
         ax.set_ylim(0, 1.06 * height.max())
-        ax.set_xlabel(omega_label)
-        ax.set_ylabel(name)
+        ax.set_xlabel(by.label)
     if axes.ravel()[0].get_legend_handles_labels()[0]:
         axes.ravel()[0].legend(loc="best", frameon=False)
     return axes
@@ -252,8 +281,8 @@ def _within(at, low, high, event, i):
 
 @checked
 def hysteresis(
-    sweep: Any, ax: AxesOrNone = None, *, orbits: Any = None, x_label: str = "parameter", y_label: str = "response",
-    scale: Scalar = 1.0,
+    sweep: Any, ax: AxesOrNone = None, *, orbits: Any = None, units: UnitsOrWords = None,
+    x_label: str = "parameter", y_label: str = "response",
 ) -> Axes:
     """Response while a parameter goes up and down again; where the two differ is shaded.
 
@@ -261,24 +290,29 @@ def hysteresis(
 
     - `sweep`: a `gx.driven.Sweep`, or arrays (values, up, down), (P,) each, values ascending; `down` may be `None`.
     - `orbits`: a `Branch`, or anything with `p`, `response` and `verdict` (P,), drawn behind, unstable parts
-      dashed, in smooth curves that change where its `bifurcations` are. `x_label`, `y_label`: of the axes. `scale`:
-      what responses are multiplied with, such as 1e3 for mm/s.
+      dashed, in smooth curves that change where its `bifurcations` are.
+    - `x_label`, `y_label`: of the axes. One that ends with a known word says what was swept and measured: "frequency"
+      (of numbers in Hz), "angular frequency" (rad/s), "amplitude", "rms velocity". `units`: `("kHz", "mm/s")`, as in
+      `granjax.plots`.
 
     **Returns:** the Axes. **Raises** ValueError for shapes that do not fit, or values that do not ascend.
     """
     values, up, down, intervals = _ways(sweep)
+    said = next((x for x in map(units_of, (sweep, orbits)) if x), None)
+    by_x, by_y = shown(units, said, Axis(x_label, values), Axis(y_label, up))
+    values, up, down = scaled_by(values, by_x.factor), by_y.factor * up, None if down is None else by_y.factor * down
     ax = axes_or_new(ax, 5.6, 3.6)
-    for low, high in intervals:
+    for low, high in scaled_by(np.reshape(intervals, (-1, 2)), by_x.factor):
         ax.axvspan(low, high, color=FAINT, alpha=0.2, lw=0, zorder=0)
     if orbits is not None:
         having("orbits", orbits, "a Branch", "p", "response", "verdict")
         p, response = numbers("orbits.p", orbits.p, 1), numbers("orbits.response", orbits.response, 1)
-        _line(ax, p, scale * response, orbits, _ORBITS)
-    ax.plot(values, scale * up, ">-", color=COLOURS[0], ms=5, lw=1.2, mec="white", mew=0.3, label="up")
+        _line(ax, by_x.factor * p, by_y.factor * response, orbits, _ORBITS)
+    ax.plot(values, up, ">-", color=COLOURS[0], ms=5, lw=1.2, mec="white", mew=0.3, label="up")
     if down is not None:
-        ax.plot(values, scale * down, "<--", color=COLOURS[1], ms=5, lw=1.2, mec="white", mew=0.3, label="down")
-    ax.set_xlabel(x_label)
-    ax.set_ylabel(y_label)
+        ax.plot(values, down, "<--", color=COLOURS[1], ms=5, lw=1.2, mec="white", mew=0.3, label="down")
+    ax.set_xlabel(by_x.label)
+    ax.set_ylabel(by_y.label)
     ax.legend(loc="best", frameon=False)
     return ax
 
@@ -307,5 +341,14 @@ def strain_map(run: Any, ax: AxesOrNone = None, **options: Any) -> Axes:
     `space_time`. **Returns:** the Axes. **Raises** ValueError for several fields, lanes or components.
     """
     ts, u = history(run, "u", options.pop("ts", None))
-    options = {"label": "strain", "site_label": "contact", "sites": np.arange(u.shape[1] - 1) + 0.5} | options
-    return space_time(u[:, :-1] - u[:, 1:], ax, ts=ts, **options)
+    own = {"label": "strain", "site_label": "contact", "sites": np.arange(u.shape[1] - 1) + 0.5}
+    return space_time(_Strains(ts, None, None, units_of(run)), ax, quantity=u[:, :-1] - u[:, 1:], **own | options)
+
+
+class _Strains(NamedTuple):
+    """What `space_time` asks of a run whose quantity is given."""
+
+    ts: object
+    us: object
+    vs: object
+    units: str | None

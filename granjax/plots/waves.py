@@ -9,7 +9,9 @@ from matplotlib.colors import LogNorm
 from ..checks import refuse, within
 from ..entry import checked
 from ..types import Scalar
+from ..units import UnitsOrWords
 from .arrays import numbers
+from .quantities import OMEGA, Axis, scaled_by, shown, units_of
 from .style import COLOURS, AxesOrNone, add_colour_bar, axes_or_new
 
 CLOSED = 1e-6
@@ -17,8 +19,8 @@ CLOSED = 1e-6
 
 @checked
 def dispersion(
-    dispersion_record: Any, ax: AxesOrNone = None, *, spectrum: Any = None, floor: Scalar = 1e-6, unit: str = "scaled",
-    colour_bar: bool = True,
+    dispersion_record: Any, ax: AxesOrNone = None, *, spectrum: Any = None, floor: Scalar = 1e-6,
+    units: UnitsOrWords = None, colour_bar: bool = True,
 ) -> Axes:
     """Dispersion relation of a chain, with a spectrum over wave number and frequency under it and gaps shaded.
 
@@ -30,19 +32,25 @@ def dispersion(
     - `spectrum`: anything with `k` (S,) [rad per site], `omega` (W,) and `power` (S, W), such as the result of
       `gx.measures.spectrum`; drawn on a logarithmic scale down to `floor` in (0, 1) of its largest power. The axis is
       then the wave number per site, with the bands repeated over the zones that the spectrum spans.
-    - `unit`: of the frequency.
+    - `units`: `"kHz"` or `"rad/s"`, as in `granjax.plots`.
 
     **Returns:** the Axes; `ax.lines` holds the bands, the spectrum is `ax.collections[0]`.
     **Raises** ValueError for a record without these arrays, or of a lattice with more than one axis.
     """
     k, omega, cell = _bands(dispersion_record)
+    said = {units_of(x) for x in (dispersion_record, spectrum)} - {None}
+    if len(said) > 1:
+        refuse("spectrum", f"one in {units_of(dispersion_record)} numbers, as the dispersion", units_of(spectrum))
+    (by,) = shown(units, next(iter(said), None), Axis(OMEGA, omega, "rad/s"))
+    omega = scaled_by(omega, by.factor)
     ax = axes_or_new(ax, 5.4, 4.0)
     if spectrum is None:
         span = float(k.min()), float(k.max())
         ax.set_xlabel("wave number $k$ (rad/site)" if cell == 1 else f"wave number $k$ (rad/cell of {cell} sites)")
         _lines(ax, k, omega, COLOURS[0], lw=1.6)
     else:
-        image, span = _under(ax, spectrum, float(within("floor", floor, 0, 1, open_low=True, open_high=True)))
+        image, span = _under(ax, spectrum, by.factor,
+                             float(within("floor", floor, 0, 1, open_low=True, open_high=True)))
         ax.set_xlabel("wave number $k$ (rad/site)")
         _zones(ax, k, omega, cell, span)
         if colour_bar:
@@ -55,7 +63,7 @@ def dispersion(
     ax.set_xlim(*span)
     ax.set_ylim(min(0.0, 1.1 * float(np.nanmin(omega))), top)
     _ticks(ax, span)
-    ax.set_ylabel(rf"angular frequency $\omega$ ({unit})")
+    ax.set_ylabel(by.label)
     return ax
 
 
@@ -78,7 +86,7 @@ def _lines(ax, k, omega, tone, **options):
         ax.plot(k, band, color=tone, zorder=2, **options)
 
 
-def _under(ax, spectrum, floor):
+def _under(ax, spectrum, factor, floor):
     if not all(hasattr(spectrum, name) for name in ("k", "omega", "power")):
         refuse("spectrum", "a record with k, omega and power", f"{type(spectrum).__name__}",
                "Give the result of gx.measures.spectrum.")
@@ -92,7 +100,7 @@ def _under(ax, spectrum, floor):
         refuse("spectrum.power", "some power above zero", f"a largest of {top:g}")
     scaled = np.maximum(power.T / top, floor)
     norm = LogNorm(floor, 1.0)
-    image = ax.pcolormesh(k, w, scaled, norm=norm, cmap="Blues", shading="nearest", rasterized=True, zorder=0)
+    image = ax.pcolormesh(k, factor * w, scaled, norm=norm, cmap="Blues", shading="nearest", rasterized=True, zorder=0)
     half = (k.max() - k.min()) / (2 * max(len(k) - 1, 1))
     return image, (float(k.min() - half), float(k.max() + half))
 

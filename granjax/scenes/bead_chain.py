@@ -14,6 +14,7 @@ from ..materials import Material, bead_mass, hertz_coefficient, named, stack
 from ..strains import BOUNDARIES, Shift
 from ..terms import Bond, Damping
 from ..types import Count, Parameter, Scalar
+from ..units import SI
 
 
 @checked
@@ -40,7 +41,7 @@ def beads(
       a pair (left, right); by default the material of the bead that touches.
     - `damping_time`: tau [s] of a damping of each bead, rate 1/tau; `None` for none. Typical: 0.2 ... 5 ms.
 
-    **Returns:** a `Lattice`, u in m, v in m/s, t in s. `scaled(...)` gives it numbers of order one.
+    **Returns:** a `Lattice` in SI, u in m, v in m/s, t in s. `scaled(...)` gives it numbers of order one.
     **Raises** ValueError for fewer than two beads, sequences of different length, an unknown material or boundary, a
     radius or tau that is not above zero, F0 < 0, or a wall where there is none.
     Source: Nesterenko, Dynamics of Heterogeneous Materials (2001); Boechler et al., Phys. Rev. Lett. 104, 244302
@@ -64,7 +65,7 @@ def beads(
     if damping_time is not None:
         tau = positive("damping_time", damping_time, "It is in seconds; None is no damping.")
         terms += (Damping(1 / tau),)
-    return Lattice(mass, terms, sites=sites)
+    return Lattice(mass, terms, sites=sites, units=SI)
 
 
 def _cell(materials, radii):

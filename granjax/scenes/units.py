@@ -10,7 +10,7 @@ from ..checks import concrete, positive, refuse
 from ..entry import checked
 from ..lattice import Lattice
 from ..types import Scalar
-from ..units import Units
+from ..units import SCALED, Units
 
 
 class ScaledLattice(NamedTuple):
@@ -46,7 +46,7 @@ def scaled(lattice: Lattice, velocity: Scalar | None = None, *, units: Units | N
         refuse("units", "Units(mass, length, time) without a velocity, or a velocity alone", repr(units))
     mass = jax.tree.map(lambda m: m / units.mass, lattice.mass)
     terms = tuple(term.in_units(units) for term in lattice.terms)
-    return ScaledLattice(eqx.tree_at(lambda c: (c.mass, c.terms), lattice, (mass, terms)), units)
+    return ScaledLattice(eqx.tree_at(lambda c: (c.mass, c.terms), lattice, (mass, terms)).counted_in(SCALED), units)
 
 
 def _natural_units(lattice, velocity):

@@ -30,7 +30,7 @@ def steel_chain(sites: Count = 21, precompression: Scalar = PRECOMPRESSION) -> L
     Source: Chong, Li, Yang, Williams, Kevrekidis, Kevrekidis, Daraio, Phys. Rev. E 89, 032924 (2014).
     """
     steel = Material("steel", YOUNG, POISSON, MASS / (4 / 3 * math.pi * RADIUS**3))
-    return monomer(sites, MASS, hertz_coefficient(steel, RADIUS), precompression=precompression)
+    return monomer(sites, MASS, hertz_coefficient(steel, RADIUS), precompression=precompression).counted_in("SI")
 
 
 class DarkBreather(Result):

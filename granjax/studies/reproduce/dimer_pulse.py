@@ -123,8 +123,8 @@ def light_peak(data: xr.Dataset) -> float:
 def _draw_map(plots, figure, data):
     left, right = figure.subplots(1, 2, width_ratios=(1.15, 1))
     plots.space_time(
-        data["velocity"].values, left, ts=1e3 * data["time"].values, sites=data["bead"].values, label="velocity",
-        unit="m/s", time_label="time (ms)", site_label="bead", limit=0.6 * data.attrs["striker"],
+        data["velocity"].values, left, ts=data["time"].values, sites=data["bead"].values, label="velocity",
+        units=("ms", "m/s"), site_label="bead", limit=0.6 * data.attrs["striker"],
     )
     left.set_title(rf"Velocity of every bead, $\varepsilon = {RATIO}$")
     plots.profile(*_passed_share(data), right, inset="none", x_label="contact, light to heavy bead",
@@ -139,8 +139,8 @@ def _draw_beads(plots, figure, data, first, kind):
     ax = figure.subplots()
     until = data["time"].values * data.attrs["rate"] <= _HORIZON
     shown = np.arange(first, int(0.84 * _HORIZON) + 1, 8)
-    plots.traces(1e3 * data["time"].values[until], data["velocity"].values[until], shown, ax, unit="m/s",
-                 time_label="time (ms)", site_label="bead")
+    plots.traces(data["time"].values[until], data["velocity"].values[until], shown, ax, units=("ms", "m/s"),
+                 site_label="bead")
     ax.set_title(rf"{kind} beads, every fourth of them, $\varepsilon = {RATIO}$")
 
 

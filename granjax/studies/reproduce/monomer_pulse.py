@@ -67,11 +67,11 @@ def _draw_traces(plots, figure, data):
     overlaid, stacked = figure.subplots(1, 2)
     middle = data.sizes["bead"] // 2
     shown = np.arange(middle - 2, middle + 3)
-    ts = 1e6 * data["time"].values
+    ts = data["time"].values
     velocity = data["velocity"].values
-    options = {"unit": "m/s", "time_label": r"time ($\mu$s)", "site_label": "bead"}
+    options = {"units": ("us", "m/s"), "site_label": "bead"}
     plots.traces(ts, velocity, shown, overlaid, offset=0, **options)
-    at = ts[velocity[:, shown].argmax(0)]
+    at = 1e6 * ts[velocity[:, shown].argmax(0)]
     around = 3 * (at[-1] - at[0]) / (len(shown) - 1)
     overlaid.set_xlim(at[0] - around, at[-1] + 1.4 * around)
     overlaid.set_title("Five adjacent beads")
@@ -81,9 +81,8 @@ def _draw_traces(plots, figure, data):
 
 def _draw_map(plots, figure, data):
     ax = figure.subplots()
-    ts = 1e6 * data["time"].values
-    plots.space_time(data["velocity"].values, ax, ts=ts, sites=data["bead"].values, label="velocity", unit="m/s",
-                     time_label=r"time ($\mu$s)", site_label="bead", limit=1.05 * PEAK_VELOCITY * data.attrs["striker"])
+    plots.space_time(data["velocity"].values, ax, ts=data["time"].values, sites=data["bead"].values, label="velocity",
+                     units=("us", "m/s"), site_label="bead", limit=1.05 * PEAK_VELOCITY * data.attrs["striker"])
     speed = _front(data) * data.attrs["diameter"]
     ax.text(0.97, 0.05, f"pulse {speed:.0f} m/s", transform=ax.transAxes, ha="right", color="0.2")
     ax.set_title("Velocity of every bead")

@@ -60,7 +60,7 @@ def speed(data: xr.Dataset) -> float:
 def _draw(plots, figure, data):
     left, right = figure.subplots(1, 2, width_ratios=(1.15, 1))
     plots.space_time(data["strain"].values, left, ts=data["time"].values, sites=data["contact"].values,
-                     label="strain", site_label="contact $n$", time_label="time $t$ (scaled)")
+                     label="strain", site_label="contact $n$", units="scaled")
     left.set_title("Strain of every contact")
     end = data.attrs["start"] + data.attrs["travel"]
     near = np.abs(data["contact"].values - end) <= 6
@@ -69,7 +69,7 @@ def _draw(plots, figure, data):
         shift, data["exact"].values, right, labels="exact",
         points=(data["contact"].values[near] - end, data["strain"].values[-1, near]),
         points_label=f"simulated, $t = {data.attrs['travel']}$", floor=1e-12,
-        x_label=r"$\xi = n - n_0 - c\,t$", y_label="strain (scaled)",
+        x_label=r"$\xi = n - n_0 - c\,t$", y_label="strain", units="scaled",
     )
     right.set_title(f"Profile after {data.attrs['travel']} contacts")
 

@@ -8,9 +8,9 @@ from typing import Any, ClassVar
 import equinox as eqx
 import jax
 
-from .checks import positive, refuse
-from .entry import checked
-from .types import Number, Parameter, StateLike
+from ..checks import positive, refuse
+from ..entry import checked
+from ..types import Number, Parameter, StateLike
 
 
 class Units(eqx.Module):
