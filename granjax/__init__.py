@@ -13,6 +13,7 @@ if _interrupts.is_command():
 from . import tuning as _tuning
 
 _tuning.prepare_import()
+_interrupts.prepare_python()
 
 from . import laws, strains, terms  # noqa: E402
 from .design import Design, design, smooth_peak  # noqa: E402

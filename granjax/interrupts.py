@@ -1,13 +1,18 @@
-"""Ctrl-C: what the command line answers at any moment, imports included.
+"""Ctrl-C: what the command line answers at any moment, imports included, and what Python hears while JAX is at work.
 
 Compiled programs, the compiler and libraries hold the thread that Python would interrupt, and what is raised while
 they are loaded or at work ends in a traceback of theirs, or in a segmentation fault while the interpreter is taken
 down. So the command line raises nothing: a second thread, which the signal reaches at once, says one line and ends
 the process.
 
+In Python the compiler works in a thread of its own while the main one waits in a way that a signal reaches, and so
+does `wait` for a program. What Ctrl-C has left at work cannot be stopped, and must not meet the end of the interpreter.
+
 Nothing here is imported that takes time.
 """
 
+import _thread
+import atexit
 import contextlib
 import functools
 import os
@@ -23,6 +28,8 @@ from typing import Any, NoReturn
 INTERRUPTED = 130
 # seconds for which an array is asked again and again; then pauses, of a share of what has passed, and the longest
 EAGER, SHARE, LONGEST = 5e-4, 0.02, 0.02
+# seconds between two looks at a signal on systems that do not wake a thread that waits; and until one comes again
+LONGEST_WAIT, AGAIN = 0.1, 0.01
 
 
 def is_command() -> bool:
@@ -84,6 +91,95 @@ def tell(text: str) -> None:
     with contextlib.suppress(OSError):
         bar = "\r\x1b[K" if os.isatty(number) else ""
         os.write(number, f"{bar}{text}\n".encode(errors="replace"))
+
+
+def prepare_python() -> None:
+    """Ctrl-C is heard in Python while JAX compiles, is not lost in a callback, and ends a process that it leaves."""
+    from jax._src import compiler
+
+    backend = getattr(compiler, "backend_compile_and_load", None)
+    if backend is not None:  # a private name: without it, compiling ends before Ctrl-C is answered
+
+        @functools.wraps(backend)
+        def compile(*args, **kwargs):
+            work = functools.partial(backend, *args, **kwargs)
+            return _aside(work) if _hears() else work()
+
+        compiler.backend_compile_and_load = compile
+    # of JAX's own, which would wait for what is at work, it is before
+    atexit.register(_end_with_what_is_left)
+    sys.unraisablehook = functools.partial(_raised_again, sys.unraisablehook)
+
+
+def _hears():
+    """Whether Ctrl-C raises KeyboardInterrupt here."""
+    return _is_main() and signal.getsignal(signal.SIGINT) in (signal.default_int_handler, _noted)
+
+
+class _Aside(threading.Thread):
+    """A thread for what knows nothing of signals. It may be left at work."""
+
+    def __init__(self, work):
+        super().__init__(name="granjax: compiling", daemon=True)
+        self.work, self.done, self.found, self.error = work, threading.Event(), None, None
+
+    def run(self):
+        try:
+            self.found = self.work()
+        except BaseException as error:
+            self.error = error
+        finally:
+            self.done.set()
+
+
+def _aside(work):
+    """What a function returns or raises, from a thread of its own, while Ctrl-C is heard in this one."""
+    thread = _Aside(work)
+    thread.start()
+    while not thread.done.wait(LONGEST_WAIT):
+        pass
+    if thread.error is not None:
+        raise thread.error
+    return thread.found
+
+
+def _raised_again(before, unraisable):
+    """An interrupt that came in a callback, where Python can raise nothing, comes again a moment later."""
+    if unraisable.exc_type is KeyboardInterrupt and _is_main() and not sys.is_finalizing():
+        threading.Timer(AGAIN, _press).start()
+    else:
+        before(unraisable)
+
+
+def _press():
+    """Ctrl-C, which wakes the main thread where the system can."""
+    if hasattr(signal, "pthread_kill"):
+        signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
+    else:
+        _thread.interrupt_main()
+
+
+def _end_with_what_is_left():
+    """Wait for what is at work; end at once where an interrupt that nobody has caught ends this process."""
+    if not _at_work():
+        return
+    interrupted = isinstance(getattr(sys, "last_value", None), KeyboardInterrupt) and not hasattr(sys, "ps1")
+    with contextlib.suppress(KeyboardInterrupt):
+        while not interrupted and _at_work():
+            time.sleep(LONGEST)
+        if not interrupted:
+            return
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(AttributeError, OSError, ValueError):
+            stream.flush()
+    # as Python itself ends then
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    signal.raise_signal(signal.SIGINT)
+    os._exit(INTERRUPTED)
+
+
+def _at_work():
+    return any(isinstance(thread, _Aside) for thread in threading.enumerate())
 
 
 # whether Ctrl-C was pressed since the outermost function that is `interruptible` began

@@ -228,3 +228,85 @@ def test_waiting_leaves_values_as_they_are():
     x = jnp.ones(3) * 2
     assert interrupts.wait(()) == () and interrupts.wait({"a": (1, x)})["a"][1] is x
     assert jax.jit(interrupts.waited(lambda x: 2 * x))(x)[0] == 4
+
+
+def pressed(after=0.05):
+    """Ctrl-C, a moment from now."""
+    thread = threading.Timer(after, signal.pthread_kill, (threading.main_thread().ident, signal.SIGINT))
+    thread.start()
+    return thread
+
+
+def test_compiling_hears_an_interrupt(monkeypatch):
+    over, aside = threading.Event(), interrupts._aside
+    monkeypatch.setattr(interrupts, "_aside", lambda work: aside(lambda: (over.wait(60), work())[1]))
+    program, x = jax.jit(lambda x: random.random() * x), jnp.ones(3)
+    with default_interrupt():
+        thread = pressed()
+        with pytest.raises(KeyboardInterrupt):
+            program(x)
+        thread.join()
+        assert interrupts._at_work()
+        over.set()
+        np.testing.assert_allclose(program(x), program(x))
+    assert program._cache_size() == 1, "compiled once, as if nothing had been"
+
+
+def test_compiling_is_in_place_where_nothing_would_be_raised(monkeypatch):
+    monkeypatch.setattr(interrupts, "_aside", None)
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        jax.jit(lambda x: random.random() * x)(1.0)
+    finally:
+        signal.signal(signal.SIGINT, before)
+    thread = threading.Thread(target=lambda: jax.jit(lambda x: random.random() * x)(1.0))
+    thread.start()
+    thread.join()
+
+
+def test_what_a_compiler_raises_is_raised():
+    with pytest.raises(ZeroDivisionError):
+        interrupts._aside(lambda: 1 / 0)
+    assert interrupts._aside(lambda: 3) == 3
+
+
+def test_an_interrupt_in_a_callback_comes_again():
+    hooked, before = [], sys.unraisablehook
+    sys.unraisablehook = lambda x: interrupts._raised_again(hooked.append, x)
+
+    class Callback:
+        error = KeyboardInterrupt
+
+        def __del__(self):
+            raise self.error
+
+    try:
+        with default_interrupt(), pytest.raises(KeyboardInterrupt):
+            Callback()
+            time.sleep(60)
+        Callback.error = ZeroDivisionError
+        Callback()
+    finally:
+        sys.unraisablehook = before
+    assert [x.exc_type for x in hooked] == [ZeroDivisionError], "others go where they went"
+
+
+LEFT = """
+import sys, threading, time, _thread
+import granjax as gx
+threading.Timer(0.1, _thread.interrupt_main).start()
+try:
+    gx._interrupts._aside(lambda: time.sleep({seconds}))
+except KeyboardInterrupt:
+    {then}
+"""
+
+
+@pytest.mark.parametrize("seconds, then, code, last", [
+    (300, "raise", -signal.SIGINT, "KeyboardInterrupt"), (0.5, "sys.exit(3)", 3, ""),
+], ids=["not caught", "caught"])
+def test_a_process_ends_though_the_compiler_is_at_work(seconds, then, code, last, tmp_path):
+    process = started(LEFT.format(seconds=seconds, then=then), tmp_path / "x")
+    _, said = process.communicate(timeout=60)
+    assert process.returncode == code, said
+    assert said.splitlines()[-1:] == [last] * bool(last)
