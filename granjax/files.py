@@ -7,14 +7,18 @@ writes by itself leaves half a file on a full disk, and HDF5 then ends the proce
 
 import contextlib
 import io
+import json
 import os
+import re
 import secrets
 import stat
 import tempfile
 import threading
 from collections import deque
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from .checks import refuse
 
@@ -164,3 +168,53 @@ def netcdf(data: "xarray.Dataset") -> bytes:
     with h5netcdf.File(buffer, "w") as file:
         data.dump_to_store(H5NetCDFStore(file))
     return buffer.getvalue()
+
+
+# what a .mat file cannot say by itself, as JSON: names, axes, coordinates, types, units; letters of a name in MATLAB
+STRUCTURE, NAME = "granjax_structure", 63
+
+
+def matlab(data: "xarray.Dataset") -> bytes:
+    """A dataset as the bytes of a MATLAB file (version 5): arrays by name, attributes as fields of a struct.
+
+    Names are made such as MATLAB has. A text holds what makes the same dataset of it again.
+    **Raises** ValueError for an array beyond 4 GiB.
+    """
+    from scipy.io import savemat
+    from scipy.io.matlab import MatWriteError
+
+    keys, attributes = _names([*map(str, data.variables), STRUCTURE, "attributes"]), _names(map(str, data.attrs))
+    variables, arrays = {}, {}
+    for name, x in data.variables.items():
+        value = np.asarray(x.values)
+        words = {"words": value.tolist()} if value.dtype.kind in "UO" else {}
+        arrays[keys[name]] = value.astype(object) if words else value
+        told = {key: _plain(a) for key, a in x.attrs.items()}
+        variables[str(name)] = {"key": keys[name], "axes": x.dims, "type": value.dtype.str, "shape": value.shape,
+                                "told": told, **words}
+    attrs = {str(key): _plain(x) for key, x in data.attrs.items()}
+    structure = {"variables": variables, "coordinates": sorted(map(str, data.coords)), "attributes": attrs}
+    arrays |= {"attributes": {attributes[key]: x for key, x in attrs.items()}, STRUCTURE: json.dumps(structure)}
+    buffer = io.BytesIO()
+    try:
+        savemat(buffer, arrays, long_field_names=True)
+    except MatWriteError as error:
+        refuse("path", "arrays that a .mat file holds", f"larger ones ({error})", "Write a .nc file.")
+    return buffer.getvalue()
+
+
+def _names(names):
+    """Names in MATLAB of names: letters, digits and underscores, a letter first, each once."""
+    found = {}
+    for name in names:
+        plain = re.sub(r"\W", "_", name, flags=re.ASCII)
+        plain = (plain if plain[:1].isalpha() else f"x_{plain}")[:NAME]
+        while plain in found.values():
+            plain = f"{plain[: NAME - 7]}_{secrets.token_hex(3)}"
+        found[name] = plain
+    return found
+
+
+def _plain(x: Any) -> Any:
+    """An attribute as JSON has it."""
+    return x.tolist() if isinstance(x, (np.ndarray, np.generic)) else x

@@ -15,6 +15,7 @@ import numpy as np
 
 from .checks import broadcast, concrete, described, positive, real, refuse, within
 from .entry import checked
+from .printing import called
 from .types import Number, Parameter
 
 _BOECHLER = "as used by Boechler et al., Phys. Rev. Lett. 104, 244302 (2010)"
@@ -64,6 +65,10 @@ class Material(eqx.Module):
         self.young = positive("young", young, "Young's modulus is in pascal: 193e9 for steel, 1.46e9 for PTFE.")
         self.poisson = within("poisson", poisson, -1, 0.5, open_low=True, remedy="Poisson's ratio is 0.3 for steel.")
         self.density = positive("density", density, "The density is in kg/m^3: 8000 for steel, 2200 for PTFE.")
+
+    def __repr__(self) -> str:
+        values = {"name": self.name, "young": self.young / 1e9, "poisson": self.poisson, "density": self.density}
+        return called("Material", values, {"young": "GPa", "density": "kg/m^3"})
 
     @property
     def compliance(self) -> Number:

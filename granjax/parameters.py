@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from .checks import concrete, described, one_of, parameter, refuse, show
 from .entry import checked
+from .printing import told
 from .types import AnyArray, Numbers, Parameter, Scalar
 
 Bounds: TypeAlias = dict[str, tuple | list | None] | None
@@ -37,6 +38,7 @@ class Coordinates(eqx.Module):
     high: dict[str, Numbers | None]
     scale: dict[str, Numbers]
     order: tuple[str, ...] = eqx.field(static=True)
+    __repr__ = told
 
     @checked
     def __init__(self, start: dict[str, Parameter], bounds: Bounds = None):

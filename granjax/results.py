@@ -1,43 +1,30 @@
 """`Result`: what every record of the library is: an outcome, text for reading, named arrays with units, files."""
 
 import dataclasses
-import io
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, get_args, get_origin
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias, get_args, get_origin
 
 import equinox as eqx
 import jax
 import numpy as np
 
 from . import reading
-from .checks import concrete, refuse, traced
+from .checks import refuse, traced
 from .entry import checked
-from .files import netcdf, target, write
+from .files import matlab, netcdf, target, write
+from .printing import text
+from .types import Values
 from .units import SCALED, SI, Units
 from .units.names import Counted, counted_in, settled
+from .variables import STATE, Held, Layout, Table, lanes_named
 
 if TYPE_CHECKING:
     import xarray  # half a second
 
-
-class Held(NamedTuple):
-    """What a field of a result holds: its axes, words with a space between; its unit; its name in a file.
-
-    `axes=None` makes an attribute of it instead of a variable, and leaves out a result within. A variable of the one
-    axis that has its name is a coordinate. Axes beyond those named are called `NAME_k`, but behind the axis `site`
-    `site_1`, `site_2`: those of a lattice in the plane and of vectors. They stand where the dots do
-    ("site ... mode"), or at the end.
-    """
-
-    axes: str | None = ""
-    unit: str = ""
-    name: str = ""
-
-
-# the unit of a `State`, which has two
-STATE, MOTION = "m, m/s", {"u": "m", "v": "m/s"}
+Lanes: TypeAlias = dict[str, Values] | None
+"""The parameters that the lanes of a batch were swept over, by name, `None` where they have no names."""
 
 
 class Result(eqx.Module):
@@ -56,8 +43,9 @@ class Result(eqx.Module):
     held: ClassVar[dict[str, Held]] = {}
     # what a result without a mark is counted in: in what `held` says, or nobody knows
     _else: ClassVar[str | None] = SI
-    # of the lattice that it comes from
+    # of the lattice that it comes from: its units; axes that count sites, and components of a vector at each
     _mark: Any = eqx.field(default=None, kw_only=True, repr=False)
+    _space: tuple[int, int] | None = eqx.field(static=True, kw_only=True, default=None)
 
     @property
     def units(self) -> str | None:
@@ -79,9 +67,13 @@ class Result(eqx.Module):
     def _rows(self) -> Iterator[tuple[str, str]]:
         """Name and text of each line of what is printed."""
         for name, value in self._fields():
-            unit = settled(None, self.units).conversion(self.held.get(name, Held()).unit)[1]
-            yield name.replace("_", " "), _text(value, "" if unit in (SCALED, STATE) else unit)
+            yield name.replace("_", " "), self._told(name, value)
         yield "outcome", self.outcome
+
+    def _told(self, name: str, value: object) -> str:
+        """A value of a field, with its unit."""
+        unit = settled(None, self.units).conversion(self.held.get(name, Held()).unit)[1]
+        return text(value, "" if unit in (SCALED, STATE) else unit)
 
     def _fields(self) -> Iterator[tuple[str, object]]:
         """Names and values of the fields that are shown and kept, without the outcome and what is not there."""
@@ -92,51 +84,82 @@ class Result(eqx.Module):
             if value is not None:
                 yield name, value
 
-    def to_xarray(self) -> "xarray.Dataset":
-        """The arrays as an `xarray.Dataset`, with units; the rest, the versions and the outcome as attributes.
+    def _layout(self, fields: dict[str, object], space: tuple[int, int] | None) -> Layout:
+        """How the arrays lie: what all of them have beyond the axes of the table are the lanes of a batch.
 
-        A dict gives a variable for each of its arrays, NAME_KEY, over an axis `site_KEY` of its own; complex numbers
-        give two, NAME_real and NAME_imag. A result within gives its variables as NAME_VARIABLE, a tuple of records
-        arrays of their numbers and words, NAME_FIELD. Units are the attribute `units` of every variable and of the
-        whole; scaled numbers have "scaled", and as `si_units` what a `gx.Units` leads back to. **Raises** ValueError
-        where the result is traced.
+        Of `jax.vmap` they come first; a result that keeps lanes behind what it counts says so here.
         """
-        import xarray
-
-        held, types = self.held, {field.name: field.type for field in dataclasses.fields(self)}
-        counted = settled(None, self.units)
-        variables, attributes, within = {}, {}, {}
-        for field, value in self._fields():
-            axes, told, name = held.get(field, Held())
-            records = _records(types.get(field), value)
-            if isinstance(value, Result):
-                within |= {} if axes is None else {name or field: value}
-                continue
-            if records is not None:
-                axes, value = axes or name or field, records
-            for key, fields, x in _arrays(name or field, value):
-                unit = MOTION.get(key[len(name or field) + 1 :][:1], "") if told == STATE else told
-                if isinstance(x, jax.core.Tracer):
-                    refuse("result", "numbers", f"{field}, which is traced", "Call to_xarray outside of jit and vmap.")
-                if axes is None or x.ndim == 0:
-                    attributes[key] = x.astype(int).tolist() if x.dtype == bool else x.tolist()
-                    attributes |= {f"{key}_{k}": told for k, told in _attributes(counted, unit).items()}
-                    continue
-                dims = _axes(axes, key, x.ndim, f"site_{fields}" if fields else "site")
-                for part, y in (("_real", x.real), ("_imag", x.imag)) if x.dtype.kind == "c" else (("", x),):
-                    variables[key + part] = (dims, y, _attributes(counted, unit))
-        origin = {"result": type(self).__name__, "outcome": self.outcome}
-        origin |= {"units": self.units} if self.units else {}
-        versions = {"granjax": sys.modules[__package__].__version__, "jax": jax.__version__}
-        data = xarray.Dataset(variables, attrs=attributes | origin | versions)
-        for name, result in within.items():
-            own = result if result._known_mark is not None else dataclasses.replace(result, _mark=self._known_mark)
-            data = _joined(data, name, own.to_xarray())
-        return data
+        shapes = [(np.shape(fields[name]), axes.split()) for name, (axes, *_) in self.held.items()
+                  if axes is not None and "site" not in axes and "..." not in axes and _is_array(fields.get(name))]
+        more = {len(shape) - len(own) for shape, own in shapes}
+        count = max(more.pop(), 0) if len(more) == 1 else 0
+        first = {shape[:count] for shape, _ in shapes}
+        last = {shape[len(shape) - count :] for shape, _ in shapes}
+        space = space or (None, 0)
+        if len(first) == 1:
+            return Layout(*space, first.pop(), count)
+        return Layout(*space, last.pop()) if len(last) == 1 else Layout(*space)
 
     @checked
-    def in_units(self, *units: str | Units) -> "xarray.Dataset":
-        """`to_xarray()` with its numbers counted in other units.
+    def to_xarray(self, *, lanes: Lanes = None) -> "xarray.Dataset":
+        """The arrays as an `xarray.Dataset`, with units; the rest, the versions and the outcome as attributes.
+
+        Axes are called what they count. `site` is a coordinate; a cell's fields of one shape lie along `field`, others
+        are variables of their own (NAME_FIELD over `site_FIELD`); vectors have a `component`, "x", "y". The lanes of a
+        batch are an axis `lane`, or what `lanes` calls them: `run.to_xarray(lanes={"ratio": ratios})`, one parameter
+        for each of their axes, or several of the shape of the batch.
+        Other dicts give NAME_KEY for each array; complex numbers two, NAME_real and NAME_imag. A result within gives
+        its variables as NAME_VARIABLE, a tuple of records arrays of their numbers and words, NAME_FIELD.
+        Units are the attribute `units` of every variable and of the whole; scaled numbers have "scaled", and as
+        `si_units` what a `gx.Units` leads back to.
+        **Raises** ValueError where the result is traced, or `lanes` do not fit the batch.
+        """
+        return self._dataset(lanes, self._space)
+
+    def _dataset(self, lanes, space):
+        import xarray
+
+        fields = dict(self._fields())
+        layout = self._layout(fields, space)
+        layout = layout if lanes is None else self._with_lanes(layout, fields, lanes)
+        names, swept = lanes_named(lanes, layout.lanes)
+        counted = settled(None, self.units)
+        table = Table(layout, names, lambda unit: _attributes(counted, unit))
+        types, within = {field.name: field.type for field in dataclasses.fields(self)}, {}
+        for field, value in fields.items():
+            held = self.held.get(field, Held())
+            name, records = held.name or field, _records(types.get(field), value)
+            if isinstance(value, Result):
+                within |= {} if held.axes is None else {name: value}
+            elif records is not None:
+                table.add(name, records, held._replace(axes=held.axes or name))
+            else:
+                table.add(name, value, held)
+        origin = {"result": type(self).__name__, "outcome": self.outcome}
+        origin |= {"units": self.units} if self.units else {}
+        versions = {"granjax": sys.modules["granjax"].__version__, "jax": jax.__version__}
+        variables, coordinates = table.finished(swept)
+        data = xarray.Dataset(variables, coordinates, table.attributes | origin | versions)
+        for name, result in within.items():
+            space = result._space or layout.space
+            alike = result._layout(dict(result._fields()), space).lanes == layout.lanes
+            own = result if result._known_mark is not None else dataclasses.replace(result, _mark=self._known_mark)
+            data = _joined(data, name, own._dataset(lanes if alike else None, space))
+        return data
+
+    def _with_lanes(self, layout, fields, lanes):
+        """The layout; where it knows of no lanes, those that the user names and that end what has axes to spare."""
+        if layout.lanes or layout.sites is not None:
+            return layout
+        sizes = tuple(np.size(x) for x in lanes.values())
+        over = [np.shape(fields[name]) for name, (axes, *_) in self.held.items()
+                if axes is not None and _is_array(fields.get(name)) and _more(fields[name], axes)]
+        fits = over and all(len(x) > len(sizes) and x[len(x) - len(sizes) :] == sizes for x in over)
+        return Layout(lanes=sizes) if fits else layout
+
+    @checked
+    def in_units(self, *units: str | Units, lanes: Lanes = None) -> "xarray.Dataset":
+        """`to_xarray(lanes=lanes)` with its numbers counted in other units.
 
         `run.in_units("us", "mm/s")`: words, each for all that has its dimension; "kHz" turns an angular frequency into
         one of cycles. All else stays in SI. Scaled numbers come to SI by the `gx.Units` that leads there,
@@ -146,7 +169,7 @@ class Result(eqx.Module):
         **Raises** ValueError for a word that nothing here takes or that is not known, and for words of scaled numbers.
         """
         counted = settled(units, self.units)
-        data, taken = self.to_xarray(), set()
+        data, taken = self.to_xarray(lanes=lanes), set()
 
         def converted(x, told):
             unit = told.get("si_units", told.get("units", ""))
@@ -168,38 +191,33 @@ class Result(eqx.Module):
         said = SCALED if counted.sizes is not None and counted.said == SI else SI
         return data.assign_attrs(units=said) if counted.sizes is not None or counted.words else data
 
-    def save(self, path: str | Path) -> Path:
-        """Write `to_xarray()` to a file: netCDF (`.nc`), or MATLAB's `.mat` with the attributes in a struct.
+    @checked
+    def save(self, path: str | Path, *, lanes: Lanes = None) -> Path:
+        """Write `to_xarray(lanes=lanes)` to a file: netCDF (`.nc`), or MATLAB's `.mat` with the attributes in a struct.
 
         The file is there whole or not at all, and what was there before stays where writing fails; a file that is open
         elsewhere may be written again.
 
-        **Returns:** the path. **Raises** ValueError for another ending, or where nothing can be written (no such
-        folder, no right to); OSError where writing fails (a full disk).
+        **Returns:** the path. **Raises** ValueError for another ending, lanes that do not fit, or where nothing can be
+        written (no such folder, no right to); OSError where writing fails (a full disk).
         """
         path = target("path", path)
         ending = path.suffix.lower()
         if ending not in (".nc", ".mat"):
             refuse("path", "a name that ends in .nc or .mat", repr(path.name))
-        data = self.to_xarray()
-        if ending == ".nc":
-            return write(path, netcdf(data))
-        from scipy.io import savemat
-
-        buffer, arrays = io.BytesIO(), {str(name): x.values for name, x in data.variables.items()}
-        savemat(buffer, arrays | {"attributes": dict(data.attrs)}, long_field_names=True)
-        return write(path, buffer.getvalue())
+        data = self.to_xarray(lanes=lanes)
+        return write(path, netcdf(data) if ending == ".nc" else matlab(data))
 
     @staticmethod
     @checked
     def load(path: str | Path) -> "xarray.Dataset":
-        """What `save` wrote as netCDF: the `xarray.Dataset`, with everything in memory and the file closed.
+        """What `save` wrote, as netCDF or for MATLAB: the `xarray.Dataset`, in memory and the file closed.
 
         The result itself, which may hold a lattice and functions, is not made anew: its arrays are what a file keeps.
         It is read in a process of its own, as `gx.Traces.from_mat` does: a damaged file costs a sentence, the first one
         of a session 0.6 s. **Raises** ValueError for a file that is not there, is no such one or is damaged.
         """
-        return reading.netcdf(path)
+        return reading.dataset(path)
 
 
 def _attributes(counted: Counted, unit: str) -> dict[str, str]:
@@ -208,14 +226,12 @@ def _attributes(counted: Counted, unit: str) -> dict[str, str]:
     return ({"units": said} if said else {}) | ({"si_units": unit} if said == SCALED else {})
 
 
-def _axes(axes: str, name: str, count: int, site: str) -> list[str]:
-    """Names of an array's axes."""
-    first, _, last = (part.split() for part in axes.partition("..."))
-    first = first[: max(count - len(last), 0)]
-    between = range(len(first), count - len(last))
-    more = [f"{site}_{k - len(first) + 1}" if first[-1:] == ["site"] else f"{name}_{k}" for k in between]
-    named = first + more + last[len(last) - min(len(last), count) :]
-    return [site if axis == "site" else axis for axis in named]
+def _more(x, axes):
+    return "site" in axes.split() or np.ndim(x) > len(axes.split())
+
+
+def _is_array(x):
+    return isinstance(x, (jax.Array, np.ndarray))
 
 
 def _records(hint: object, value: object) -> dict[str, np.ndarray] | None:
@@ -236,70 +252,9 @@ def _joined(data: "xarray.Dataset", name: str, inner: "xarray.Dataset") -> "xarr
     """
     shared = [
         x for x in inner.dims if inner.sizes[x] == data.sizes.get(x, inner.sizes[x])
-        and (x in data.dims or x.startswith("site")) and (x not in inner.coords or inner[x].equals(data[x]))
+        and (x in data.dims or x.startswith("site"))
+        and (x not in inner.coords or x not in data.coords or inner[x].equals(data[x]))
     ]
     inner = inner.rename({x: f"{name}_{x}" for x in {*inner.variables, *inner.dims} - {*shared}})
     told = {f"{name}_{key}": x for key, x in inner.attrs.items() if key not in ("granjax", "jax", "units")}
     return data.merge(inner, combine_attrs="override").assign_attrs(told)
-
-
-def _arrays(name: str, value: object, fields: str = "") -> Iterator[tuple[str, str, object]]:
-    """Names, keys and arrays of a field: of a dict or a named tuple one for each entry, none of what is no array."""
-    if hasattr(value, "_asdict"):
-        for key, x in value._asdict().items():
-            yield from _arrays(f"{name}_{key}", x, fields)
-    elif isinstance(value, dict):
-        for key, x in value.items():
-            yield from _arrays(f"{name}_{key}", x, f"{fields}_{key}" if fields else str(key))
-    elif isinstance(value, jax.core.Tracer):
-        yield name, fields, value
-    elif isinstance(value, (jax.Array, np.ndarray, np.generic, int, float, complex, str, list, tuple)):
-        try:
-            x = np.asarray(value)
-        except ValueError:
-            return
-        if x.dtype.kind in "biufcU":
-            yield name, fields, x
-
-
-def _text(value: object, unit: str = "") -> str:
-    """A value for reading: a number as a number, arrays by shape and range."""
-    if isinstance(value, str):
-        return value
-    if isinstance(value, (bool, np.bool_)):
-        return "yes" if value else "no"
-    entries = value._asdict() if hasattr(value, "_asdict") else value
-    if isinstance(entries, dict):
-        return ", ".join(f"{key}: {_text(x, unit)}" for key, x in entries.items()) or "none"
-    if isinstance(value, Result):
-        return f"{type(value).__name__}: {value.outcome}"
-    if isinstance(value, (jax.Array, np.ndarray, np.generic, int, float, complex)):
-        x = concrete(value)
-        if x is None:
-            return f"traced, shape {value.shape}"
-        return f"{_numbers(x)} {'' if unit == '1' else unit}".strip()
-    if isinstance(value, (list, tuple)):
-        if value and all(isinstance(x, (int, float, complex, np.generic)) for x in value):
-            return _text(np.asarray(value), unit)
-        few = [_text(x, unit) for x in value[:4]] + (["..."] if len(value) > 4 else [])
-        return ", ".join(few) or "none"
-    return type(value).__name__
-
-
-def _numbers(x: np.ndarray) -> str:
-    if x.ndim == 0:
-        return _text(bool(x)) if x.dtype == bool else f"{x:.6g}" if x.dtype.kind in "fc" else f"{x}"
-    if x.size == 0:
-        return "none"
-    shape = f"shape ({', '.join(map(str, x.shape))})"
-    if x.dtype == bool:
-        return f"{shape}, {np.count_nonzero(x)} of {x.size} yes"
-    if x.dtype.kind not in "iufc":
-        return f"{shape}: {', '.join(dict.fromkeys(map(str, x.reshape(-1)[:100])))}"
-    if x.ndim == 1 and x.size <= 6:
-        return ", ".join(f"{y:.6g}" for y in x)
-    size = np.abs(x) if x.dtype.kind == "c" else x
-    known = size[np.isfinite(size)]
-    span = f"{known.min():.6g} ... {known.max():.6g}" if known.size else "not finite"
-    lost = f", {size.size - known.size} not finite" if 0 < known.size < size.size else ""
-    return f"{shape}, {'modulus ' if x.dtype.kind == 'c' else ''}{span}{lost}"

@@ -6,6 +6,7 @@ from typing import Any
 import equinox as eqx
 import jax
 
+from .printing import told
 from .types import Number, Pytree, StateLike, VectorField
 
 
@@ -21,6 +22,8 @@ class Split(eqx.Module):
     are the two exact flows, `refresh` evaluates the force at a new place and time, `acceleration` reads it off for
     dense output. The force that ends one step opens the next.
     """
+
+    __repr__ = told
 
     @abc.abstractmethod
     def start(self, t: Number, y: StateLike) -> Pytree:

@@ -10,8 +10,8 @@ import granjax
 ROOT = Path(granjax.__file__).parent
 
 FLOORS = (
-    {"checks", "files", "interrupts", "outside", "tuning", "types"},
-    {"entry", "reading"},
+    {"checks", "files", "interrupts", "outside", "printing", "tuning", "types"},
+    {"entry", "reading", "variables"},
     {"split_system", "units"},
     {"results"},
     {"laws", "strains", "materials", "solvers", "newton", "parameters", "descent", "theory", "plots"},

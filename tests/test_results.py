@@ -52,7 +52,8 @@ def test_axes_that_share_a_size_share_a_name_and_no_others():
     chain = gx.Lattice(masses, (gx.Bond(gx.Shift(1, "periodic", "bead"), gx.Linear(1.0)), inside))
     flat = gx.linear.dispersion(chain, jnp.linspace(0.1, 3.0, 5)).to_xarray()
     assert flat.omega.dims == flat.group_velocity.dims == ("wave", "band")
-    assert flat.vectors_bead_real.dims == ("wave", "site_bead", "band")
+    assert flat.vectors_real.dims == ("wave", "field", "site", "band")
+    assert flat.field.values.tolist() == ["bead", "core"]
     bonds = [gx.Bond(gx.Shift(way, "periodic"), gx.Linear(1.0)) for way in ((1, 0), (0, 1))]
     plane = gx.Lattice(np.ones((6, 5)), tuple(bonds))
     data = gx.linear.dispersion(plane, jnp.ones((5, 2))).to_xarray()

@@ -11,6 +11,7 @@ from ..checks import one_of
 from ..entry import checked
 from ..lattice import Lattice, State
 from ..laws import Hertz
+from ..printing import told
 from ..strains import Shift
 from ..terms import Bond, Damping, Dashpot, Harmonic, Modulated, Wall
 from ..types import Pytree
@@ -48,6 +49,7 @@ class Scene(NamedTuple):
     growth: float
     smooth: bool
     tangents: bool
+    __repr__ = told
 
     @checked
     def error(self, final: Pytree) -> float:

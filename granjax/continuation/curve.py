@@ -6,6 +6,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
+from ..printing import told
 from ..results import Held, Result
 
 
@@ -20,6 +21,7 @@ class Special(NamedTuple):
     p: float
     after: int
     directions: Float[np.ndarray, "branches n_and_p"]
+    __repr__ = told
 
 
 class Curve(Result):

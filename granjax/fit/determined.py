@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from ..printing import told
 from ..types import AnyArray, Numbers
 from .problem import Problem
 
@@ -30,6 +31,7 @@ class Direction(NamedTuple):
 
     weights: np.ndarray
     deviation: float
+    __repr__ = told
 
     def words(self, names: Sequence[str]) -> str:
         """The combination as a product of powers of its parameters."""

@@ -21,6 +21,7 @@ from ..lattice import Lattice, State
 from ..measures import contact_force
 from ..outside import Outside
 from ..parameters import Bounds, Coordinates
+from ..printing import told
 from ..solvers import SRKN11b
 from ..types import AnyArray, Numbers, Parameter, Scalar, Scene, StateLike
 from .traces import Traces, checked_shape, checked_traces, number
@@ -51,6 +52,7 @@ class Problem(eqx.Module):
     step: Float[AnyArray, ""]
     solver: diffrax.AbstractSolver
     outside: Outside = Outside()
+    __repr__ = told
 
     @property
     def dtype(self) -> jnp.dtype:

@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from ..checks import concrete, described, parameter, positive, real, refuse, show, whole
 from ..entry import checked, shape_of
+from ..printing import told
 from ..types import AnyArray, Count, Numbers, Parameter, Scalar, Values
 
 KINDS = ("velocity", "displacement", "force")
@@ -59,6 +60,7 @@ class Traces(eqx.Module):
     field: str | None = eqx.field(static=True)
     component: int | None = eqx.field(static=True)
     origin: Origin | None = eqx.field(static=True)
+    __repr__ = told
 
     @checked
     def __init__(

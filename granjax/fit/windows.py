@@ -12,6 +12,7 @@ from jaxtyping import Float, Integer
 
 from ..checks import refuse
 from ..lattice import State
+from ..printing import told
 from ..types import AnyArray, Scalar
 from .problem import Problem, Signals, misfits
 from .traces import Traces, number
@@ -37,6 +38,7 @@ class Windows(eqx.Module):
     parts: tuple
     kept: Integer[AnyArray, " m"]
     unravel: Callable = eqx.field(static=True)
+    __repr__ = told
 
     @property
     def plain(self) -> Problem:

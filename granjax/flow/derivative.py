@@ -53,8 +53,8 @@ class Derivative(Result):
                 "step, or take differences of runs at one step, whose error is of second order.")
 
     def _rows(self) -> Iterator[tuple[str, str]]:
-        yield "value", f"{jax.tree.map(np.asarray, self.value)}"
-        yield "error", f"{jax.tree.map(np.asarray, self.error)}"
+        yield "value", self._told("value", self.value)
+        yield "error", self._told("error", self.error)
         yield "outcome", self.outcome
 
 

@@ -122,7 +122,8 @@ def reduced(
         gap = energy_gap(lattice, t1, final.u)
         energy_error = jnp.where(gap > KEPT * jnp.sqrt(jnp.finfo(gap.dtype).eps), jnp.nan, energy_error)
     names = "", "", "", unseen(lattice), 0.0
-    return Run(ts, ys.u, ys.v, final, recorded, energy_error, margin, short, code, stats, None, *names)
+    return Run(ts, ys.u, ys.v, final, recorded, energy_error, margin, short, code, stats, None, *names,
+               _space=lattice.space)
 
 
 def _ready(solver, adjoint):

@@ -10,6 +10,7 @@ from ..checks import positive, refuse
 from ..entry import checked
 from ..interrupts import waited
 from ..lattice import Lattice, split_system, vector_field
+from ..printing import told
 from ..solvers import AbstractSplitting
 from ..types import Count, Counts, Number, Scalar, StateLike, Times
 from .dispatch import compiled
@@ -43,6 +44,7 @@ class Reversible(eqx.Module):
 
     return_error: jax.Array
     tolerance: float = eqx.field(static=True)
+    __repr__ = told
 
     @checked
     def __init__(self, tolerance: Scalar = 1e-6):

@@ -12,6 +12,7 @@ from ..checks import concrete, traced
 from ..lattice import State
 from ..results import Held, Result
 from ..types import Counts, Displacements, Flags, Number, Numbers, Pytree, Times
+from ..variables import Layout
 
 COMPLETED, NOT_FINITE, TOO_MANY_STEPS, STEP_TOO_SMALL, FAILED, NOTHING = range(6)
 # how far beyond touch, over how far it came from rest, a contact is certainly open
@@ -35,7 +36,7 @@ class Run(Result):
 
     held: ClassVar[dict[str, Held]] = {
         "ts": Held("time", "s", "time"), "us": Held("time site", "m", "u"), "vs": Held("time site", "m/s", "v"),
-        "energy_error": Held(None), "contact_opened": Held(None),
+        "energy_error": Held(None), "contact_opened": Held(None), "completed": Held(None),
     }
     ts: Times
     us: Displacements
@@ -168,11 +169,18 @@ class Run(Result):
         return jax.tree.map(np.asarray, tree)
 
     def _fields(self) -> Iterator[tuple[str, object]]:
-        own = ("ts", "us", "vs", "energy_error", "contact_opened", "opening", "stats", "solver", "choice")
+        own = ("ts", "us", "vs", "energy_error", "contact_opened", "completed", "opening", "stats", "solver", "choice")
         yield from ((name, getattr(self, name)) for name in own)
-        yield from self.recorded.items()
+        named = {name: f"recorded_{name}" if {name, f"{name}_error"} & {*own} else name for name in self.recorded}
+        yield from ((named[name], x) for name, x in self.recorded.items())
         if self._confirmation is None or self._confirmation.tells:
-            yield from ((f"{name}_error", error) for name, error in self.record_error.items())
+            yield from ((f"{named[name]}_error", error) for name, error in self.record_error.items())
+
+    def _layout(self, fields: dict[str, object], space: tuple[int, int] | None) -> Layout:
+        """Lanes are those of the energy's error: behind the sites, and of `jax.vmap` before them."""
+        lanes, mapped = np.shape(self.energy_error), np.ndim(self.ts) - 1
+        first = mapped if lanes[:mapped] == np.shape(self.ts)[:mapped] else 0
+        return Layout(*(space or (None, 0)), lanes, first)
 
 
 def named(run: Run, solver: str, choice: str, remark: str, zone: float = 0.0, mark: Any = None) -> Run:

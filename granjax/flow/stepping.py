@@ -13,6 +13,7 @@ from ..checks import described, refuse, whole
 from ..entry import checked
 from ..lattice import Lattice, vector_field
 from ..lattice.model import check_shape
+from ..printing import told
 from ..solvers import SRKN14a
 from ..types import Count, Counts, Numbers, Pytree, Scalar, VectorField
 from .breaks import OneSided, breaks_of, shared_out
@@ -37,6 +38,7 @@ class Flow(eqx.Module):
     steps: Count | Counts
     solver: diffrax.AbstractSolver = SRKN14a()
     field: VectorField = eqx.field(static=True, default=vector_field)
+    __repr__ = told
 
     def __check_init__(self):
         if isinstance(self.steps, (int, np.integer)):

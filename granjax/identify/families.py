@@ -29,6 +29,7 @@ class Series(Law):
 
     dimensions = {"_coefficients": (0, 0, 0), "strain": (0, 1, 0), "scale": (1, 0, 0)}
     held = ("strain", "scale")
+    _shown = {"coefficients": "_coefficients", "strain": "strain", "force": "scale"}
     _coefficients: tuple[Numbers, ...]
     strain: Numbers
     scale: Numbers

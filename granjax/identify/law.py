@@ -144,7 +144,7 @@ def law(
         start = {name: x + BACK * (start[name] - x) for name, x in ended.items()}
     found = fit(of_law, start, traces, state=state, bounds=bounds, **options)
     return ForceLaw(of_law.law(found.parameters), found, _visited(acting, found.problem, found.parameters), of_law,
-                    _mark=found.lattice._mark)
+                    **found.lattice.origin)
 
 
 def _until(trace, share):

@@ -23,6 +23,7 @@ from ..fit.problem import checked_scene
 from ..flow.stiffness import linear_frequency
 from ..interrupts import interruptible, wait
 from ..parameters import Bounds, Coordinates
+from ..printing import told
 from ..results import Held, Result
 from ..types import AnyArray, Count, Numbers, Parameter, Scalar, Scene, Times
 
@@ -37,6 +38,7 @@ class Motion(eqx.Module):
     frequencies: Float[AnyArray, " count"]
     span: Float[AnyArray, ""]
     scale: Float[AnyArray, ""]
+    __repr__ = told
 
     def __call__(self, t: Float[AnyArray, ""]) -> Float[AnyArray, " N"]:
         phase = self.frequencies * t

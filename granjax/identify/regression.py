@@ -13,6 +13,7 @@ from ..checks import non_negative, parameter, positive, refuse, whole
 from ..entry import checked
 from ..lattice import Lattice
 from ..laws import Polynomial, PowerLaw, Scaled
+from ..printing import told
 from ..results import Held, Result
 from ..strains import StrainMap
 from ..terms import Bond, Damping, Dashpot, Drag, OnSite, Term, ViscousContact
@@ -28,6 +29,7 @@ class Coefficient(NamedTuple):
     value: float
     error: float
     share: float
+    __repr__ = told
 
 
 class Regression(Result):

@@ -13,10 +13,11 @@ import numpy as np
 from ..checks import described, held_in_memory, positive, refuse, whole
 from ..entry import checked
 from ..outside import Outside
+from ..printing import text, told
 from ..terms import Term
 from ..terms.tracing import reads, traced
 from ..types import Count, Displacements, Number, Parameter, Site
-from ..units import SCALED
+from ..units import SCALED, SI
 from ..units.names import counted_in, mark_of
 
 
@@ -25,6 +26,7 @@ class State(NamedTuple):
 
     u: object
     v: object
+    __repr__ = told
 
 
 class Lattice(eqx.Module):
@@ -79,6 +81,18 @@ class Lattice(eqx.Module):
             self.terms = tuple(term.per_vector(self.axes) for term in self.terms)
         self.check_terms()
 
+    def __repr__(self) -> str:
+        try:
+            lanes = self.lanes
+        except (ValueError, AttributeError):
+            lanes = ()
+        rows = [("sites", text(self.sites) if isinstance(self.sites, dict) else " x ".join(map(str, self.sites)))]
+        rows += [("vectors of", f"{self.dimension} components")] if self.dimension else []
+        rows += [("lanes", " x ".join(map(str, lanes)))] if lanes else []
+        kilogram = "kg" if self.units == SI else ""
+        rows += [("mass", text(self.mass, kilogram)), *(("term", repr(term)) for term in self.terms)]
+        return "\n".join(f"{name:<15}{value}".replace("\n", f"\n{'':15}") for name, value in rows)
+
     def _one_mass(self, name, mass, sites):
         mass = positive(name, mass, "A site needs a mass.")
         per_site = mass.ndim > 0
@@ -131,6 +145,16 @@ class Lattice(eqx.Module):
     def axes(self):
         """Number of leading axes that count sites."""
         return len(self._sites[0][1]) if isinstance(self.mass, dict) else len(self._sites)
+
+    @property
+    def space(self):
+        """Number of leading axes that count sites, and of components of a vector at each, 0 for numbers."""
+        return self.axes, self.dimension or 0
+
+    @property
+    def origin(self):
+        """What results keep of their lattice: its units and its axes."""
+        return {"_mark": self._mark, "_space": self.space}
 
     @property
     def lanes(self):

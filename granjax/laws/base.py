@@ -107,6 +107,9 @@ class Sum(Law):
         if not self._parts:
             refuse("parts", "at least one law", "none")
 
+    def __repr__(self) -> str:
+        return " + ".join(map(repr, self._parts))
+
     @property
     def parts(self):
         return self._parts

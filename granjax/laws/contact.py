@@ -170,6 +170,7 @@ class PowerLaw(_Contact):
         "stiffness": lambda law: (1, -law.exponent, 0), "precompression": (1, 0, 0), "_free_exponent": (0, 0, 0),
     }
     positive = ("stiffness", "precompression", "exponent")
+    _shown = {"stiffness": "stiffness", "exponent": "exponent", "precompression": "precompression"}
     stiffness: jax.Array
     precompression: jax.Array | None
     _fixed_exponent: float | None = eqx.field(static=True)

@@ -36,6 +36,8 @@ class Network(Law):
 
     dimensions = {"_parameters": (0, 0, 0), "strain": (0, 1, 0), "scale": (1, 0, 0), "_preload": (1, 0, 0)}
     held = ("strain", "scale", "preload")
+    _shown = {"strain": "strain", "force": "scale", "monotone": "monotone", "parameters": "_parameters",
+              "preload": "_preload"}
     _parameters: tuple[jax.Array, ...]
     strain: jax.Array
     scale: jax.Array

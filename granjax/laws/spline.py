@@ -33,6 +33,7 @@ class Spline(Law):
 
     positive = ("coefficients",)
     held = ("preload",)
+    _shown = {"knots": "knots", "stiffness": "_coefficients", "preload": "_preload"}
     _coefficients: tuple[jax.Array, ...]
     _preload: jax.Array | None
     knots: tuple[float, ...] = eqx.field(static=True)

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from ..entry import checked
+from ..printing import told
 from ..types import Number
 from .base import Law
 
@@ -16,6 +17,7 @@ class Taylor(NamedTuple):
     K2: jax.Array
     K3: jax.Array
     K4: jax.Array
+    __repr__ = told
 
 
 @checked

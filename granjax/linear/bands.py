@@ -92,7 +92,7 @@ def bands(lattice: Lattice, cell: Count | tuple[Count, ...] | None = None) -> Ba
     grid = [np.linspace(0, np.pi, points[0])] if axes == 1 else [2 * np.pi * np.arange(n) / n for n in points]
     k = np.stack(np.meshgrid(*grid, indexing="ij"), -1).reshape(-1, axes)
     lower, upper, lower_k, upper_k = _edges(found, jnp.asarray(k, found.mass.dtype), float(grid[0][1]))
-    return Bands(lower, upper, lower_k, upper_k, found.cell, _mark=lattice._mark)
+    return Bands(lower, upper, lower_k, upper_k, found.cell, **lattice.origin)
 
 
 @eqx.filter_jit

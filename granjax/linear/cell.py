@@ -8,6 +8,7 @@ import numpy as np
 from ..checks import refuse, whole
 from ..entry import checked
 from ..lattice import Lattice
+from ..printing import told
 from ..types import AnyArray, Cell, ComplexNumbers, Displacements, Numbers
 from .stiffness import at_rest, blocks, grid, masses, measure, offsets, refuse_one_way, unpack
 
@@ -32,6 +33,7 @@ class UnitCell(eqx.Module):
     shells: tuple[tuple[int, ...], ...] = eqx.field(static=True)
     fields: tuple[str, ...] | None = eqx.field(static=True)
     dimension: int | None = eqx.field(static=True)
+    __repr__ = told
 
     @checked
     def dynamical_matrix(self, k: Numbers) -> ComplexNumbers:

@@ -92,7 +92,7 @@ def dispersion(
     elif k.ndim == 0 or k.shape[-1] != axes:
         refuse("k", f"a last axis of length {axes}, one phase per axis of the lattice", f"shape {k.shape}")
     squared, omega, vectors, velocity, curvature = _waves(found, k)
-    return Dispersion(given, omega, squared, vectors, velocity, curvature, found.cell, _mark=lattice._mark)
+    return Dispersion(given, omega, squared, vectors, velocity, curvature, found.cell, **lattice.origin)
 
 
 @eqx.filter_jit

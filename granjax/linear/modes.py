@@ -94,4 +94,4 @@ def _solve(lattice):
     D = K / jnp.sqrt(mass[:, None] * mass)
     squared, q = jnp.linalg.eigh(D)
     modes = jax.vmap(unravel, -1, -1)(q / jnp.sqrt(mass)[:, None])
-    return NormalModes(signed_root(squared, jnp.abs(D).max(), flat.size), squared, modes, _mark=lattice._mark), uneven
+    return NormalModes(signed_root(squared, jnp.abs(D).max(), flat.size), squared, modes, **lattice.origin), uneven

@@ -136,7 +136,7 @@ def settle(
     change = float(changes[-1, MULTIPLES.index(multiple)] if multiple else changes[-1, 0])
     outcome = _sentence(used, multiple, change, changes[:, 0], tolerance)
     return Attractor(end, period, used, multiple, change, changes[:, 0], ts, us, vs, *seen, *errors, outcome,
-                     _mark=lattice._mark)
+                     **lattice.origin)
 
 
 @checked

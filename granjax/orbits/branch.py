@@ -104,6 +104,21 @@ class Branch(Result):
         yield from super()._fields()
         yield from ((name, getattr(self, name)) for name in ("omega", "amplitude", "folds"))
 
+    def _rows(self) -> Iterator[tuple[str, str]]:
+        yield "points", str(len(self))
+        for name in ("p", "omega", "energy", "amplitude", "response"):
+            x, error = getattr(self, name), getattr(self, f"{name}_error", None)
+            if x is not None:
+                known = "" if error is None else f", known to {self._told(name, np.max(error))}"
+                yield name, f"{x[0]:.6g} ... {self._told(name, x[-1])}{known}"
+        if np.isfinite(self.multipliers).all():
+            yield "multipliers", f"largest modulus {np.abs(self.multipliers[:, 0]).max():.6g}"
+        kinds, counts = np.unique(self.verdict, return_counts=True)
+        yield "verdict", ", ".join(f"{n} {kind or 'not computed'}" for kind, n in zip(kinds, counts))
+        for one in self.bifurcations:
+            yield "bifurcation", one.outcome
+        yield "outcome", self.outcome
+
     @property
     def omega(self) -> Float[np.ndarray, " P"]:
         """Angular frequencies 2 pi/T, (P,)."""

@@ -216,7 +216,7 @@ def _branch(problem, curve, stability):
         jax.tree.map(np.asarray, state_error), np.asarray(energy_error), None, multipliers, error,
         np.array([s.step_error for s in found]), verdict, tuple(special_of(problem, curve)),
         problem.outcome(curve), 0.0, Flow(2 * half.steps, half.solver), problem, curve,
-        _mark=problem.scene(jnp.asarray(curve.p[0]))[0]._mark)
+        **problem.scene(jnp.asarray(curve.p[0]))[0].origin)
 
 
 def checked_lattice(lattice: Lattice) -> Lattice:

@@ -223,7 +223,8 @@ def floquet(
     moved = ((begin + away) / scale).astype(there.dtype)
     other = run(count // 2, moved)[0] if away.any() else coarser[0]
     levels = fine[0], coarse[0], coarser[0]
-    return _record(known, levels, other, scale, state, period, count, resolution, getattr(lattice, "_mark", np.nan))
+    origin = getattr(lattice, "origin", {"_mark": np.nan})
+    return _record(known, levels, other, scale, state, period, count, resolution, origin)
 
 
 @one_thread
@@ -287,7 +288,7 @@ def raveled(tree: Pytree) -> np.ndarray:
 
 
 @one_thread
-def _record(known, levels, moved, scale, state, period, steps, resolution, mark):
+def _record(known, levels, moved, scale, state, period, steps, resolution, origin):
     """From the factors of M by three numbers of steps, and by the third those of the orbit that the state may miss.
 
     All are in the weights `scale`.
@@ -307,7 +308,7 @@ def _record(known, levels, moved, scale, state, period, steps, resolution, mark)
         monodromy * scale / scale[:, None], multipliers, vectors, error, signature,
         defect(monodromy, known.rate, float(period)), about,
         known.expected, verdict, outcome, float(period), int(steps), known.rate, state,
-        _mark=mark)
+        **origin)
 
 
 @compiled

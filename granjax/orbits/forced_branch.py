@@ -151,7 +151,7 @@ def forced_branch(
         np.asarray(family.value(curve.p)), periods, states, energies, responses, errors_of_orbits.state,
         errors_of_orbits.energy, about, multipliers, errors,
         np.array([np.abs(fine - coarser).max() for fine, _, coarser in maps]), verdicts, found, family.outcome(curve),
-        float(t0), flow, family, curve, _mark=family.scene(jnp.asarray(curve.p[0]))[0]._mark)
+        float(t0), flow, family, curve, **family.scene(jnp.asarray(curve.p[0]))[0].origin)
 
 
 class Examined(NamedTuple):

@@ -17,6 +17,7 @@ from ..entry import checked
 from ..flow import Flow
 from ..interrupts import waited
 from ..lattice import Lattice
+from ..printing import told
 from ..solvers import KahanLi8
 from ..types import Count, Scalar, StateLike
 from .floquet import one_period, refuse_open
@@ -36,6 +37,7 @@ class Leading(NamedTuple):
     multipliers: Complex[np.ndarray, " count"]
     vectors: Complex[np.ndarray, "two_n count"]
     error: Float[np.ndarray, " count"]
+    __repr__ = told
 
 
 @waited

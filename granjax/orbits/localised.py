@@ -13,6 +13,7 @@ from ..entry import checked
 from ..lattice import Lattice, State
 from ..linear.cell import unit_cell
 from ..measures import participation, site_energy
+from ..printing import told
 from ..types import StateLike
 from .orbit import SPREAD, Orbit
 
@@ -37,6 +38,7 @@ class Localisation(NamedTuple):
     participation: float
     cells: int
     dip: float
+    __repr__ = told
 
     @property
     def bright(self) -> bool:

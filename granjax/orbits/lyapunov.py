@@ -100,7 +100,7 @@ def lyapunov(
     rates = rates[:, order]
     exponents, uncertainty = rates.mean(0), _uncertainty(rates, windows)
     return Lyapunov(exponents, uncertainty, rates, end, *_verdict(lattice, exponents, uncertainty),
-                    _mark=lattice._mark)
+                    **lattice.origin)
 
 
 @waited

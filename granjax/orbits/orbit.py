@@ -21,6 +21,7 @@ from ..results import STATE, Held, Result
 from ..solvers import SRKN14a
 from ..tuning import one_thread
 from ..types import Count, Counts, Displacements, Flags, Number, Numbers, Scalar, StateLike, Times
+from ..variables import Layout
 from .confirm import TOLERANCE, OrbitError, confirmed, error_of
 from .floquet import Floquet, floquet
 from .problems import Shooting
@@ -86,6 +87,9 @@ class Orbit(Result):
         if self.error is not None:
             yield "error", self.error
 
+    def _layout(self, fields: dict[str, object], space: tuple[int, int] | None) -> Layout:
+        return super()._layout(fields, self.lattice.space)
+
     @property
     def omega(self) -> Number:
         """2 pi/T; the motion itself repeats after T times the order of S."""
@@ -131,7 +135,7 @@ class Orbit(Result):
     def run(self, frames: Count = FRAMES) -> OrbitRun:
         """The orbit in time, `OrbitRun`."""
         _, ts, ys = _history(self.flow, self.lattice, self.state, self.t0, self.period, whole("frames", frames, 2))
-        return OrbitRun(ts, ys.u, ys.v, _mark=self.lattice._mark)
+        return OrbitRun(ts, ys.u, ys.v, **self.lattice.origin)
 
     @checked
     def harmonics(self, count: Count = 1, frames: Count = FRAMES) -> Displacements:

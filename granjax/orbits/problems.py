@@ -15,6 +15,7 @@ from ..entry import shape_of
 from ..flow import Flow
 from ..lattice import Lattice, State, spread_mass, vector_field
 from ..outside import Outside
+from ..printing import told
 from ..types import AnyArray, Count, Number, Numbers, Scalar, StateLike
 from .symmetry import Symmetry, free_moves, shifts
 
@@ -50,6 +51,7 @@ class Shooting(eqx.Module):
     symmetry: Symmetry = Symmetry()
     segments: int = eqx.field(static=True, default=1)
     reversible: bool = eqx.field(static=True, default=False)
+    __repr__ = told
 
     @classmethod
     def of(cls, lattice: Lattice, flow: Flow, reference: StateLike | None = None, t0: Scalar = 0.0,
@@ -213,6 +215,7 @@ class Family(eqx.Module):
     start: Scalar = 0.0
     span: Scalar = 1.0
     outside: Outside = Outside()
+    __repr__ = told
 
     def value(self, q: Number) -> Number:
         """The parameter p at q."""

@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from ..entry import checked
 from ..lattice import Lattice
+from ..printing import told
 from ..types import Scalar
 from .symmetry import shifts
 
@@ -23,6 +24,7 @@ class Structure(NamedTuple):
     rate: float | None
     expected: int
     autonomous: bool
+    __repr__ = told
 
 
 NOTHING = Structure(None, None, 0, False)

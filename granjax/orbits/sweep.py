@@ -18,6 +18,7 @@ from ..interrupts import interruptible, waited
 from ..lattice import State
 from ..measures import rms_velocity
 from ..outside import Outside
+from ..printing import told
 from ..results import STATE, Held, Result
 from ..solvers import SRKN11b
 from ..types import Count, Displacements, Parameter, Scalar, StateLike
@@ -45,6 +46,7 @@ class Jump(NamedTuple):
     value: float
     before: float
     after: float
+    __repr__ = told
 
 
 class Way(Result):
@@ -187,10 +189,10 @@ def sweep(
 
     up = _way(attractor, with_errors, values, state, jump, accuracy, 1)
     if not down:
-        return Sweep(values, up, None, [], _mark=first._mark)
+        return Sweep(values, up, None, [], **first.origin)
     last = jax.tree.map(lambda x: x[-1], up.states)
     back = _way(attractor, with_errors, values, last, jump, accuracy, -1)
-    return Sweep(values, up, back, _hysteresis(values, up, back, jump), _mark=first._mark)
+    return Sweep(values, up, back, _hysteresis(values, up, back, jump), **first.origin)
 
 
 @waited

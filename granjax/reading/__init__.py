@@ -1,6 +1,6 @@
 """Files that others wrote: what they hold is checked, and what reads them cannot take the session with it."""
 
-from .reader import matlab, netcdf
+from .reader import dataset, matlab
 from .tables import Table, named, table
 
-__all__ = ["Table", "matlab", "named", "netcdf", "table"]
+__all__ = ["Table", "dataset", "matlab", "named", "table"]

@@ -23,6 +23,7 @@ import numpy as np  # noqa: E402
 STARTING, IDLE = 60, 120
 NUMERIC = {"double", "single", "logical", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))}
 NO_NUMBERS = b"This is a netCDF dimension but not a netCDF variable"
+STRUCTURE = "granjax_structure"
 NOWHERE = open(os.devnull, "w")  # noqa: SIM115
 
 
@@ -144,6 +145,31 @@ def netcdf(path, names, most):
     return variables, sorted(data.coords), data.attrs
 
 
+def saved(path, names, most):
+    """The same of a .mat file that `save` wrote."""
+    from scipy.io import loadmat, matlab, whosmat
+
+    warnings.simplefilter("error", matlab.MatReadWarning)
+    held = whosmat(path)
+    if STRUCTURE not in [name for name, *_ in held]:
+        raise ValueError(f"it has no {STRUCTURE}: granjax did not write it")
+    small(sum(8 * math.prod(shape) for _, shape, _ in held), most)
+    structure = json.loads(loadmat(path, variable_names=[STRUCTURE])[STRUCTURE].item())
+    told = structure["variables"]
+    arrays = loadmat(path, variable_names=[x["key"] for x in told.values() if "words" not in x])
+    variables = {}
+    for name, x in told.items():
+        array = np.asarray(x["words"] if "words" in x else arrays[x["key"]])
+        kind = object if "words" in x else x["type"]
+        variables[name] = x["axes"], array.astype(kind).reshape(x["shape"]), attributes(x["told"])
+    return variables, structure["coordinates"], attributes(structure["attributes"])
+
+
+def attributes(told):
+    """Attributes as netCDF has them."""
+    return {name: np.asarray(x) if isinstance(x, list) else x for name, x in told.items()}
+
+
 def packed(x, blocks):
     """`x` as JSON can hold it, its arrays of numbers put to `blocks`."""
     if isinstance(x, dict):
@@ -175,7 +201,7 @@ def answered(request):
         import scipy.io  # noqa: F401
     limited(request["memory"])
     watched(request["seconds"])
-    blocks, read = [], {"netcdf": netcdf, "matlab": matlab}[request["kind"]]
+    blocks, read = [], {"netcdf": netcdf, "matlab": matlab, "saved": saved}[request["kind"]]
     try:
         return {"answer": packed(read(request["path"], request["names"], request["most"]), blocks)}, blocks
     except Exception as error:

@@ -42,11 +42,12 @@ def matlab(path: str | Path, names: list[str]) -> tuple[dict[str, np.ndarray], d
     return arrays, others
 
 
-def netcdf(path: str | Path) -> "xarray.Dataset":
-    """The `xarray.Dataset` of a netCDF file. **Raises** ValueError as `matlab` does."""
+def dataset(path: str | Path) -> "xarray.Dataset":
+    """The `xarray.Dataset` of a file that `save` wrote, netCDF or .mat. **Raises** ValueError as `matlab` does."""
     import xarray
 
-    variables, coordinates, attributes = _read("netcdf", path, "a netCDF file that `save` wrote", [])
+    kind, what = ("saved", ".mat") if os.fsdecode(path).lower().endswith(".mat") else ("netcdf", "netCDF")
+    variables, coordinates, attributes = _read(kind, path, f"a {what} file that `save` wrote", [])
     return xarray.Dataset({k: tuple(v) for k, v in variables.items()}, attrs=attributes).set_coords(coordinates)
 
 

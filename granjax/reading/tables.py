@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..checks import one_of, refuse, whole
+from ..printing import told
 from ..types import Count
 from .reader import regular
 
@@ -53,6 +54,7 @@ class Table(NamedTuple):
     numbers: np.ndarray
     header: tuple[str, ...]
     remark: str
+    __repr__ = told
 
 
 class _Reading(NamedTuple):

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from ..checks import concrete, positive, refuse
 from ..entry import checked
 from ..lattice import Lattice
+from ..printing import told
 from ..types import Scalar
 from ..units import SCALED, Units
 
@@ -18,6 +19,7 @@ class ScaledLattice(NamedTuple):
 
     lattice: Lattice
     units: Units
+    __repr__ = told
 
 
 @checked

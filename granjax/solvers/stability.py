@@ -22,6 +22,7 @@ import diffrax
 import numpy as np
 
 from ..checks import refuse
+from ..printing import told
 from ..types import Number, Parameter, Scalar
 from . import tables
 
@@ -41,6 +42,7 @@ class Window(NamedTuple):
     start: float
     end: float
     growth: float
+    __repr__ = told
 
 
 class Stability(NamedTuple):
@@ -62,6 +64,7 @@ class Stability(NamedTuple):
     evaluations: float
     per_evaluation: float
     windows: tuple
+    __repr__ = told
 
 
 def stability(solver: diffrax.AbstractSolver | type, until: Scalar = 16.0) -> Stability:

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..checks import refuse
 from ..laws import Law, Scaled
+from ..printing import told
 from ..types import Displacements, Number, Numbers, Pytree
 from ..units import PART, Dimensional
 from .reach import Reach, Reached, largest_eigenvalue
@@ -28,6 +29,7 @@ class Compression(NamedTuple):
     law: Law
     compression: jax.Array
     place: str = "bond"
+    __repr__ = told
 
     @property
     def force(self):
@@ -47,6 +49,7 @@ class Excitation(NamedTuple):
     force: jax.Array
     displacement: jax.Array
     speed: jax.Array
+    __repr__ = told
 
 
 class Term(Dimensional):

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..entry import checked
+from ..printing import told
 from ..strains.maps import spectral_radius
 from ..types import Flags, Numbers
 
@@ -29,6 +30,7 @@ class Reach(eqx.Module):
     displacement: jax.Array
     ts: jax.Array
     u: object
+    __repr__ = told
 
     @checked
     def stiffest(self, law: Any, index: int) -> Numbers:
@@ -60,6 +62,7 @@ class Reached(eqx.Module):
     ts: jax.Array
     u: object
     energy: jax.Array
+    __repr__ = told
 
     @checked
     def stiffest(self, law: Any, index: int) -> Numbers:

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 
 from ..checks import parameter, positive, refuse
 from ..entry import checked
+from ..printing import told
 from ..types import Number, Numbers, Parameter, Waveform
 from ..units import Dimensional
 
@@ -24,6 +25,7 @@ class Function(eqx.Module):
     """
 
     function: Callable = eqx.field(static=True)
+    __repr__ = told
 
     def __call__(self, t):
         return self.function(t)
@@ -40,6 +42,7 @@ class Harmonic(eqx.Module):
     omega: jax.Array
     phase: jax.Array
     mean: jax.Array
+    __repr__ = told
 
     @checked
     def __init__(self, amplitude: Parameter, omega: Parameter, phase: Parameter = 0.0, mean: Parameter = 0.0):

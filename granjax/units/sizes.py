@@ -10,6 +10,7 @@ import jax
 
 from ..checks import positive, refuse
 from ..entry import checked
+from ..printing import called, told
 from ..types import Number, Parameter, StateLike
 
 
@@ -27,6 +28,10 @@ class Units(eqx.Module):
     @checked
     def __init__(self, mass: Parameter = 1.0, length: Parameter = 1.0, time: Parameter = 1.0):
         self.mass, self.length, self.time = positive("mass", mass), positive("length", length), positive("time", time)
+
+    def __repr__(self) -> str:
+        names = {"mass": "kg", "length": "m", "time": "s"}
+        return called("Units", {name: getattr(self, name) for name in names}, names)
 
     @property
     def velocity(self) -> Number:
@@ -90,6 +95,7 @@ class Dimensional(eqx.Module):
     """
 
     dimensions: ClassVar[dict | None] = None
+    __repr__ = told
 
     def __init_subclass__(cls, **keywords):
         super().__init_subclass__(**keywords)
@@ -128,6 +134,7 @@ class InUnits(eqx.Module):
     function: Callable
     time: jax.Array
     size: jax.Array
+    __repr__ = told
 
     def __call__(self, t: Number) -> Any:
         return self.function(t * self.time) / self.size

@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from ..checks import one_of, real, refuse, show
 from ..entry import checked
+from ..printing import told
 from ..types import Count, Parameter, Pytree, Scalar
 
 PARAMETERS = ("step", "tolerance")
@@ -46,6 +47,7 @@ class Ladder(NamedTuple):
     limit: float = np.inf
     solver: object = None
     compile_seconds: float | None = None
+    __repr__ = told
 
 
 def checked_ladders(ladders: Sequence[Ladder]) -> tuple[Ladder, ...]:
@@ -85,6 +87,7 @@ class Called(NamedTuple):
     steps: float
     seconds: float
     note: str
+    __repr__ = told
 
 
 def once(call: Callable, value: float) -> Called:

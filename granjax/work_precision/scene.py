@@ -15,6 +15,7 @@ from ..flow import simulate
 from ..flow.inputs import checked_state, checked_times
 from ..interrupts import interruptible
 from ..lattice import Lattice
+from ..printing import told
 from ..solvers import RKN86, RKN1210, SofroniouSpaletta10
 from ..types import Count, Parameter, Pytree, Scalar, StateLike
 from .ladder import distance, number, warmed
@@ -135,6 +136,7 @@ class Reference(NamedTuple):
     state: Pytree
     floor: float
     note: str
+    __repr__ = told
 
 
 def find_reference(lattice: Lattice, state: Pytree, t0: Scalar, t1: Scalar) -> Reference:

@@ -14,6 +14,7 @@ import numpy as np
 from ...checks import concrete, described, refuse
 from ...entry import checked
 from ...lattice import Lattice
+from ...printing import told
 from ...types import AnyArray, Count, Number, Numbers, Parameter, Pytree, Scalar, StateLike
 from .within import crossing, guesses, higher, mean, places, series, span, tops
 
@@ -42,6 +43,7 @@ class Record(eqx.Module):
 
     quantity: eqx.AbstractVar[Callable]
     sampled: ClassVar[bool] = True
+    __repr__ = told
 
     @abc.abstractmethod
     def start(self, t: Number, q: Numbers, count: Count) -> Any:

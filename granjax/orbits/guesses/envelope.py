@@ -12,6 +12,7 @@ from ...lattice import Lattice, State
 from ...laws import taylor
 from ...linear import bands
 from ...linear.cell import unit_cell
+from ...printing import told
 from ...theory import nls
 from ...types import Scalar
 
@@ -35,6 +36,7 @@ class Edge(NamedTuple):
     omega: float
     above: bool
     coefficients: nls.Coefficients
+    __repr__ = told
 
 
 @checked

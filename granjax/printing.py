@@ -1,0 +1,119 @@
+"""Text for reading: numbers as numbers, arrays by shape and range, functions by name."""
+
+import dataclasses
+import reprlib
+from typing import Any
+
+import equinox as eqx
+import jax
+import numpy as np
+
+from .checks import concrete, described
+
+# entries of an array that are written out, letters of one line, and of what stands within one
+FEW, WIDTH, WITHIN = 6, 110, 60
+
+
+def text(value: Any, unit: str = "") -> str:
+    """A value for reading, with its unit: a number as a number, an array by shape and range."""
+    if isinstance(value, str):
+        return value
+    if isinstance(value, (bool, np.bool_)):
+        return "yes" if value else "no"
+    if isinstance(value, dict):
+        return ", ".join(f"{key}: {text(x, unit)}" for key, x in value.items()) or "none"
+    if isinstance(value, (jax.Array, np.ndarray, np.generic, int, float, complex)):
+        x = _known(value)
+        return x if isinstance(x, str) else f"{numbers(x)} {'' if unit == '1' else unit}".strip()
+    if hasattr(value, "_asdict"):
+        return text(value._asdict(), unit)
+    if isinstance(value, (list, tuple)):
+        if value and all(isinstance(x, (int, float, complex, np.generic)) for x in value):
+            return text(np.asarray(value), unit)
+        few = [text(x, unit) for x in value[:4]] + (["..."] if len(value) > 4 else [])
+        return ", ".join(few) or "none"
+    return brief(value)
+
+
+def brief(value: Any) -> str:
+    """What it is, in part of a line: of what has an outcome that, of a function its name."""
+    if hasattr(value, "outcome"):
+        return f"{type(value).__name__}: {value.outcome}"
+    if isinstance(value, eqx.Module) or hasattr(value, "_asdict"):
+        whole = repr(value)
+        return whole if len(whole) <= WITHIN and "\n" not in whole else type(value).__name__
+    return getattr(value, "__name__", type(value).__name__)
+
+
+def numbers(x: np.ndarray) -> str:
+    """Numbers, words or flags of an array for reading, by shape and range where there are many."""
+    if x.ndim == 0:
+        return text(bool(x)) if x.dtype == bool else f"{x:.6g}" if x.dtype.kind in "fc" else f"{x}"
+    if x.size == 0:
+        return "none"
+    shape = f"shape ({', '.join(map(str, x.shape))})"
+    if x.dtype == bool:
+        return f"{shape}, {np.count_nonzero(x)} of {x.size} yes"
+    if x.dtype.kind not in "iufc":
+        return f"{shape}: {', '.join(dict.fromkeys(map(str, x.reshape(-1)[:100])))}"
+    if x.ndim == 1 and x.size <= FEW:
+        return ", ".join(f"{y:.6g}" for y in x)
+    size = np.abs(x) if x.dtype.kind == "c" else x
+    known = size[np.isfinite(size)]
+    span = f"{known.min():.6g} ... {known.max():.6g}" if known.size else "not finite"
+    lost = f", {size.size - known.size} not finite" if 0 < known.size < size.size else ""
+    return f"{shape}, {'modulus ' if x.dtype.kind == 'c' else ''}{span}{lost}"
+
+
+def told(x: Any) -> str:
+    """The `repr` of a record: its name, and its public fields in part of a line each.
+
+    A class takes it by `__repr__ = told`. Fields that begin with an underscore, and those that are `None`, are left
+    out; `_shown`, names of attributes by those of arguments, says what stands there instead.
+    """
+    shown = getattr(x, "_shown", None)
+    if shown:
+        return called(type(x).__name__, {name: getattr(x, at, None) for name, at in shown.items()})
+    names = getattr(x, "_fields", None)
+    if names is None:
+        names = [field.name for field in dataclasses.fields(x) if field.name[0] != "_"]
+    return called(type(x).__name__, {name: getattr(x, name, None) for name in names})
+
+
+def called(name: str, arguments: dict[str, Any], units: dict[str, str] | None = None) -> str:
+    """The text of a call, without what is `None`: on one line where it fits, else with an argument a line."""
+    units = units or {}
+    parts = [f"{key}={_argument(value)} {units.get(key, '')}".rstrip() for key, value in arguments.items()
+             if value is not None]
+    line = f"{name}({', '.join(parts)})"
+    return line if len(line) <= WIDTH and "\n" not in line else f"{name}(\n" + "".join(f"  {x},\n" for x in parts) + ")"
+
+
+def _argument(value):
+    if isinstance(value, str):
+        return repr(value)
+    if value is None or isinstance(value, bool):
+        return repr(value)
+    if isinstance(value, (jax.Array, np.ndarray, np.generic, int, float, complex)):
+        x = _known(value)
+        return x if isinstance(x, str) else numbers(x) if x.ndim == 0 else f"[{numbers(x)}]"
+    if isinstance(value, dict):
+        return f"{{{', '.join(f'{key}: {_argument(x)}' for key, x in value.items())}}}"
+    if isinstance(value, (list, tuple)) and not hasattr(value, "_fields"):
+        if len(value) == 1:
+            return _argument(value[0])
+        few = [_argument(x) for x in value[:FEW]] + ["..."] * (len(value) > FEW)
+        return f"({', '.join(few)})"
+    if isinstance(value, eqx.Module) or hasattr(value, "_fields"):
+        whole = repr(value)
+        return whole if len(whole) <= WIDTH and "\n" not in whole else brief(value)
+    return getattr(value, "__name__", None) or reprlib.repr(value)
+
+
+def _known(value):
+    """An array, or a text where its numbers are not known."""
+    try:
+        x = concrete(value)
+    except (TypeError, RuntimeError):  # JAX's keys, and what has been given away
+        return described(value)
+    return f"traced, shape {value.shape}" if x is None else x
