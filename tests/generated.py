@@ -53,6 +53,7 @@ NOT_FACE = {
     "entry.": "the same",
     "cli.": "is given text by the shell",
     "descent.": "a part of `fit` and `design`", "parameters.": "a part of `fit` and `design`",
+    "printing.": "what prints: its input is anything", "variables.": "what names the arrays of results",
     "files.": "what writes", "reading.": "what reads", "interrupts.": "what answers Ctrl-C",
     "outside.": "for functions of the user's alone",
     "checks.": "what refuses: its input is anything",
@@ -332,7 +333,7 @@ def envelope(nu2=1.0):
     """Coefficients of a nonlinear Schroedinger equation, of a chain with one site per cell."""
     known = dict(k=jnp.pi, omega=1.0, nu2=nu2, nu3=1.0, nu3_force=1.0, group_velocity=0.0, resonant=False, bond=0)
     arrays = {field.name: jnp.asarray(known[field.name]) if field.name in known else jnp.ones(1, complex)
-              for field in dataclasses.fields(Coefficients)}
+              for field in dataclasses.fields(Coefficients) if not field.name.startswith("_")}
     return Coefficients(**arrays)
 
 
@@ -497,6 +498,7 @@ PENDING = (
     "identify.wall.wall_modulus(start=", "identify.wall.wall_modulus(factor=",  # says modulus
     "identify.pinn.physics_informed(sites=",  # says velocity
     "laws.contact.PowerLaw(exponent=",  # says precompression
+    "studies.reproduce.making.one_by_one(out=", "studies.reproduce.making.run(out=",  # says plots
     "orbits.lyapunov.lyapunov(windows=",  # says periods
     "orbits.driven_chain.driven_chain(",  # a damping that does not fit says terms[1], a field that is not there lattice
     *(f"lattice.model.Lattice.{name}(u=" for name in (  # where it is complex: says s

@@ -10,6 +10,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402
 import numpy as np  # noqa: E402
 import pytest  # noqa: E402
+from matplotlib.animation import FuncAnimation  # noqa: E402
 
 import granjax as gx  # noqa: E402
 
@@ -309,6 +310,29 @@ def test_a_figure_is_saved_without_pyplot(tmp_path):
     assert plt.imread(path).shape[:2] == (200, 300)
     with pytest.raises(ValueError, match="width"):
         plots.figure(0.0)
+
+
+def test_whatever_a_plot_returns_is_saved(tmp_path):
+    with plots.style():
+        figure = plots.figure(2.0, 1.5)
+        axes = figure.subplots(1, 2)
+        inner = plots.figure(2.0, 1.5)
+        part = inner.subfigures(1, 2)[1].subplots()
+    axes[0].plot([0, 1])
+    for k, made in enumerate((figure, axes, axes[0], [*axes], ([axes[0]], [axes[1]]), {"left": axes[0]}, part,
+                              axes[0].lines)):
+        assert plots.save(made, tmp_path / f"{k}.pdf", dpi=50).read_bytes().startswith(b"%PDF")
+    for made in (None, [], "a", [axes[0], part], axes[0].plot, plt.Line2D([0], [0]), [figure, None]):
+        with pytest.raises(ValueError, match="made: expected"):
+            plots.save(made, tmp_path / "none.png")
+    for dpi in (1e308, 2**62, 0):
+        with pytest.raises(ValueError, match="dpi: expected"):
+            plots.save(figure, tmp_path / "none.png", dpi=dpi)
+    film = FuncAnimation(figure, lambda k: axes[0].plot([0, k]), frames=2)
+    assert plots.save(film, tmp_path / "film.gif", dpi=20).read_bytes().startswith(b"GIF8")
+    with pytest.raises(ValueError, match="path: expected one of '.gif'"):
+        plots.save(film, tmp_path / "film.png")
+    assert not (tmp_path / "none.png").exists()
 
 
 def test_what_is_masked_is_a_gap(ax):

@@ -38,6 +38,8 @@ def profile(
     """
     inset = one_of("inset", "none" if inset is None else inset, INSETS)
     x, y = numbers("x", x, 1), numbers("y", y, finite=False)
+    if not x.size:
+        refuse("x", "at least one place", "none")
     if y.ndim not in (1, 2) or len(y) != len(x):
         refuse("y", f"shape ({len(x)},) or ({len(x)}, curves), one value per place", f"shape {y.shape}")
     y = y.reshape(len(x), -1)

@@ -2,16 +2,20 @@
 
 import contextlib
 import io
-from collections.abc import Iterator
+import tempfile
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import matplotlib
+import numpy as np
+from matplotlib.animation import Animation, FFMpegWriter
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from ..checks import one_of, positive
+from ..checks import described, one_of, positive, refuse
 from ..entry import checked
 from ..files import target, write
 from ..types import Count, Scalar
@@ -23,6 +27,7 @@ AxesOrNone: TypeAlias = Axes | None
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#E69F00", "#56B4E9", "#CC79A7", "#000000")
 DASHES = ("-", "--", "-.", ":")
 FAINT = "0.55"
+MOST_DOTS = 2**16
 
 _STYLE = {
     "font.size": 10.0,
@@ -69,28 +74,72 @@ def figure(width: Scalar = 5.0, height: Scalar = 3.6) -> Figure:
 
 
 @checked
-def save(made: Figure, path: str | Path, *, dpi: Scalar = 200) -> Path:
-    """Write a figure; the path's ending says how (png, pdf, svg). Returns the path.
+def save(made: Any, path: str | Path, *, dpi: Scalar = 200) -> Path:
+    """Write what a plot returned; the path's ending says how (png, pdf, svg; gif, mp4 for an animation).
 
-    The file is there whole or not at all. **Raises** ValueError for another ending, or where nothing can be written
-    there; OSError where writing fails (a full disk).
+    **Arguments:** `made`: a figure, Axes, or several Axes of one figure in an array, a list or a dict: the whole figure
+    is written. Or an animation of matplotlib's; mp4 needs ffmpeg. `dpi`: dots per inch.
+    **Returns:** the path. The file is there whole or not at all. **Raises** ValueError for what is no picture, Axes of
+    several figures, another ending, or where nothing can be written there; OSError where writing fails (a full disk).
     """
     path = target("path", path)
     return write(path, _drawn("path", made, path.suffix, dpi))
 
 
 @checked
-def drawn(made: Figure, ending: str, *, dpi: Scalar = 200) -> bytes:
-    """What a file with this ending (`".png"`, `".pdf"`, `".svg"`) of a figure holds."""
+def drawn(made: Any, ending: str, *, dpi: Scalar = 200) -> bytes:
+    """What a file with this ending (`".png"`, `".pdf"`, `".svg"`) of a picture holds, as `save` takes it."""
     return _drawn("ending", made, ending, dpi)
 
 
 def _drawn(argument, made, ending, dpi):
-    known = [f".{name}" for name in made.canvas.get_supported_filetypes()]
+    dpi = float(positive("dpi", dpi))
+    if isinstance(made, Animation):
+        return _moving(argument, made, ending, dpi)
+    picture = _figure(made)
+    known = [f".{name}" for name in picture.canvas.get_supported_filetypes()]
     kind, buffer = one_of(argument, ending.lower(), known)[1:], io.BytesIO()
+    _small(picture, dpi)
     with style():
-        made.savefig(buffer, format=kind, dpi=float(positive("dpi", dpi)), facecolor="white")
+        picture.savefig(buffer, format=kind, dpi=dpi, facecolor="white")
     return buffer.getvalue()
+
+
+def _moving(argument, made, ending, dpi):
+    """An animation's file. Its writers know files alone, so that one is made elsewhere."""
+    writers = {".gif": "pillow"} | {end: "ffmpeg" for end in (".mp4", ".webm") if FFMpegWriter.isAvailable()}
+    ending = one_of(argument, ending.lower(), list(writers))
+    _small(made._fig, dpi)
+    with tempfile.TemporaryDirectory(prefix="granjax-") as folder:
+        place = Path(folder) / f"animation{ending}"
+        with style():
+            made.save(str(place), writer=writers[ending], dpi=dpi)
+        return place.read_bytes()
+
+
+def _small(picture, dpi):
+    size = float(max(picture.get_size_inches())) * dpi
+    if size >= MOST_DOTS:
+        refuse("dpi", f"a picture of fewer than {MOST_DOTS} dots a side", f"{size:.3g}", "200 an inch do for print.")
+
+
+def _figure(made):
+    """The figure of what a plot returned."""
+    if isinstance(made, dict):
+        made = list(made.values())
+    several = isinstance(made, (Sequence, np.ndarray)) and not isinstance(made, str)
+    parts = np.ravel(np.asarray(made, object)).tolist() if several else [made]
+    found = []
+    for part in parts:
+        picture = part
+        while isinstance(picture, Artist) and not isinstance(picture, Figure):
+            picture = picture.figure
+        if not isinstance(picture, Figure):
+            refuse("made", "a figure, Axes, several Axes of one figure, or an animation", described(part))
+        found += [picture] if picture not in found else []
+    if len(found) != 1:
+        refuse("made", "Axes of one figure", f"of {len(found)} figures", "Save them one by one.")
+    return found[0]
 
 
 def axes_or_new(ax: AxesOrNone, width: Scalar = 5.0, height: Scalar = 3.6) -> Axes:
