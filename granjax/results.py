@@ -17,7 +17,7 @@ from .files import matlab, netcdf, target, write
 from .printing import text
 from .types import Values
 from .units import SCALED, SI, Units
-from .units.names import Counted, counted_in, settled
+from .units import names as by_name
 from .variables import STATE, Held, Layout, Table, lanes_named
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ class Result(eqx.Module):
     def units(self) -> str | None:
         """What its numbers are counted in, "SI" or "scaled"; `None` where nobody said so, or while traced."""
         mark = self._known_mark
-        return self._else if mark is None else counted_in(mark)
+        return self._else if mark is None else by_name.counted_in(mark)
 
     @property
     def _known_mark(self):
@@ -72,7 +72,7 @@ class Result(eqx.Module):
 
     def _told(self, name: str, value: object) -> str:
         """A value of a field, with its unit."""
-        unit = settled(None, self.units).conversion(self.held.get(name, Held()).unit)[1]
+        unit = by_name.settled(None, self.units).conversion(self.held.get(name, Held()).unit)[1]
         return text(value, "" if unit in (SCALED, STATE) else unit)
 
     def _fields(self) -> Iterator[tuple[str, object]]:
@@ -123,7 +123,7 @@ class Result(eqx.Module):
         layout = self._layout(fields, space)
         layout = layout if lanes is None else self._with_lanes(layout, fields, lanes)
         names, swept = lanes_named(lanes, layout.lanes)
-        counted = settled(None, self.units)
+        counted = by_name.settled(None, self.units)
         table = Table(layout, names, lambda unit: _attributes(counted, unit))
         types, within = {field.name: field.type for field in dataclasses.fields(self)}, {}
         for field, value in fields.items():
@@ -168,7 +168,7 @@ class Result(eqx.Module):
 
         **Raises** ValueError for a word that nothing here takes or that is not known, and for words of scaled numbers.
         """
-        counted = settled(units, self.units)
+        counted = by_name.settled(units, self.units)
         data, taken = self.to_xarray(lanes=lanes), set()
 
         def converted(x, told):
@@ -220,7 +220,7 @@ class Result(eqx.Module):
         return reading.dataset(path)
 
 
-def _attributes(counted: Counted, unit: str) -> dict[str, str]:
+def _attributes(counted: by_name.Counted, unit: str) -> dict[str, str]:
     """The attributes that say what numbers are counted in whose unit in SI is known."""
     said = counted.conversion(unit)[1]
     return ({"units": said} if said else {}) | ({"si_units": unit} if said == SCALED else {})

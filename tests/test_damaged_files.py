@@ -119,7 +119,7 @@ def looked_at(key, data, path, valid):
     began = time.monotonic()
     try:
         if key[0] == "csv":
-            traces = gx.Traces.from_csv(path, velocity=[1, 2], sites=[0, 1])
+            traces = gx.Traces.from_csv(path, velocity=[1, 2], sites=[0, 1], gain=1.0)
             times, volts = np.asarray(traces.times), np.asarray(traces.data)
             wide = data[:2] in (b"\xff\xfe", b"\xfe\xff")
             text, whole = (x.decode("utf-16" if wide else "latin-1", "replace") for x in (data, valid[key]))
@@ -214,7 +214,7 @@ TIMED = "0.0,1.0\n0.1,2.0\n0.2,3.5\n0.3,4.0\n"
 def test_how_a_text_is_written_is_decided_by_all_of_it(tmp_path, text, asked, times, samples, remark):
     path = tmp_path / "scan.csv"
     path.write_text(text, newline="")
-    traces = gx.Traces.from_csv(path, **{"velocity": 1, "sites": 3} | asked)
+    traces = gx.Traces.from_csv(path, **{"velocity": 1, "sites": 3, "gain": 1.0} | asked)
     np.testing.assert_allclose(traces.times, times, rtol=1e-15)
     np.testing.assert_array_equal(traces.data[:, 0], samples)
     assert remark in traces.origin.remark and bool(remark) == bool(traces.origin.remark)
@@ -251,14 +251,14 @@ def test_what_may_be_a_sample_is_not_passed_over(tmp_path, text, asked, message)
     path = tmp_path / "scan.csv"
     path.write_text(text)
     with pytest.raises(ValueError, match=f"(?s){message}"):
-        gx.Traces.from_csv(path, **{"velocity": 1, "sites": 3} | asked)
+        gx.Traces.from_csv(path, **{"velocity": 1, "sites": 3, "gain": 1.0} | asked)
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "latin-1"])
 def test_letters_beyond_ascii_are_read_in_all_encodings(tmp_path, encoding):
     path = tmp_path / "scan.csv"
     path.write_text("t [µs],v [V]\n" + TIMED, encoding=encoding)
-    assert gx.Traces.from_csv(path, time="T", velocity="v", sites=3).origin.header == ("t [µs],v [V]",)
+    assert gx.Traces.from_csv(path, time="T", velocity="v", gain=1.0, sites=3).origin.header == ("t [µs],v [V]",)
 
 
 def test_what_is_no_file_is_refused(tmp_path):

@@ -90,8 +90,9 @@ def test_a_fit_of_noisy_traces(velocities, tmp_path):
     assert "Converged" in fit.outcome and fit.lattice.sites == (N,)
     assert np.abs(np.asarray(fit.signals[0]) - velocities).max() < 0.01 * np.abs(velocities).max()
     kept = fit.load(fit.save(tmp_path / "fit.nc"))
+    assert kept.data_0.attrs == {"units": "scaled", "si_units": "m/s"}
     assert kept.parameter.values.tolist() == list(START) and kept.attrs["outcome"] == fit.outcome
-    assert kept.signal_0.dims == kept.data_0.dims == ("time_0", "sensor_0") and kept.data_0.attrs["units"] == "m/s"
+    assert kept.signal_0.dims == kept.data_0.dims == ("time_0", "sensor_0")
     assert kept.attrs["deviations_damping"] == fit.deviations["damping"] and "stiffness" in repr(fit).splitlines()[0]
 
 
@@ -311,3 +312,15 @@ def test_coordinates_keep_bounds_and_know_their_slopes():
 def test_a_tolerance_that_every_start_meets_is_refused(tolerance):
     with pytest.raises(ValueError, match="tolerance: expected"):
         gx.fit(lambda p: None, {"k": 1.0}, [], state=lambda p, lattice: None, tolerance=tolerance)
+
+
+@pytest.mark.parametrize("factor", [1e7, 1e-9])
+def test_a_record_in_another_unit_of_time_is_refused_at_once(factor):
+    traces = gx.Traces(factor * TIMES, velocity=np.ones((400, 1)), sites=[2], sigma=1.0)
+    for state in (struck, tapped):
+        with pytest.raises(ValueError, match="traces: expected times in the lattice's unit of time"):
+            gx.fit(scene, START, traces, state=state)
+    # without a precompression from its energy
+    sonic = lambda p: gx.scenes.monomer(N, stiffness=p["stiffness"]).counted_in("SI")
+    with pytest.raises(ValueError, match="traces: expected times in seconds"):
+        gx.fit(sonic, {"stiffness": 1.0}, traces, state=struck)

@@ -32,12 +32,12 @@ def write(path, head, columns, delimiter=",", decimal="."):
 ])
 def test_headers_delimiters_and_decimal_commas_are_recognised(tmp_path, head, delimiter, decimal):
     path = write(tmp_path / "scan.csv", head, [T, VOLTS], delimiter, decimal)
-    traces = read_csv(path, velocity=[1, 2], sites=[2, 5])
+    traces = read_csv(path, velocity=[1, 2], sites=[2, 5], gain=1.0)
     np.testing.assert_array_equal(traces.times, T)
     np.testing.assert_array_equal(traces.data, VOLTS)
     assert (traces.kind, traces.places, traces.sigma) == ("velocity", ((2,), (5,)), None)
     if head:
-        named = read_csv(path, time="time", displacement=["two"], sites=5)
+        named = read_csv(path, time="time", displacement=["two"], sites=5, gain=1.0)
         np.testing.assert_array_equal(named.data, VOLTS[:, 1:])
         assert named.kind == "displacement"
 

@@ -80,7 +80,7 @@ def test_damping_is_found_beside_the_law_and_a_known_precompression_held(measure
                 others={"damping": 0.03}, hold=("precompression",))
     assert set(found.fit.parameters) == {"damping", "exponent", "stiffness"}
     kept = found.to_xarray()
-    assert kept.force.dims == kept.low.dims == ("strain",) and kept.force.attrs["units"] == "N"
+    assert kept.force.dims == kept.low.dims == ("strain",) and kept.force.attrs["si_units"] == "N"
     for name, value in (("damping", DAMPING), ("exponent", 1.5), ("stiffness", 1.0)):
         assert abs(found.fit.parameters[name] - value) < 3 * found.fit.deviations[name]
     # the delta method against the law of moved parameters

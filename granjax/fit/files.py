@@ -1,6 +1,7 @@
 """Traces from files: comma-separated values and MATLAB's, as vibrometers and oscilloscopes write them."""
 
 import contextlib
+import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -11,6 +12,8 @@ from .. import reading
 from ..checks import is_whole, one_of, parameter, positive, refuse, show
 from ..entry import checked
 from ..types import Count, Parameter, Scalar
+from ..units import UnitsOrWords
+from .columns import in_si, names_of, refuse_unused, said, unit_of
 from .traces import KINDS, Origin, Traces
 
 # by index, by name, or both
@@ -24,10 +27,10 @@ LEAST_NOISE, QUIET = 16, 0.9
 def read_csv(
     path: str | Path, *, velocity: Column | Sequence[Column] | None = None,
     displacement: Column | Sequence[Column] | None = None, force: Column | Sequence[Column] | None = None,
-    time: Column = 0, sampling: Scalar | str | None = None, gain: Parameter | str = 1.0,
-    trigger: Scalar | tuple[Any, ...] | None = None, start: Scalar | None = None, stop: Scalar | None = None,
-    sigma: Parameter | None = None, baseline: bool = False, delimiter: str | None = None, decimal: str | None = None,
-    header: Count | None = None, **where: object,
+    time: Column = 0, sampling: Scalar | str | None = None, units: UnitsOrWords = None,
+    gain: Parameter | str | None = None, trigger: Scalar | tuple[Any, ...] | None = None,
+    start: Scalar | None = None, stop: Scalar | None = None, sigma: Parameter | None = None, baseline: bool = False,
+    delimiter: str | None = None, decimal: str | None = None, header: Count | None = None, **where: object,
 ) -> Traces:
     r"""`Traces` from a text file of columns: UTF-8, UTF-16 with its mark, or Latin-1, of at most 0.5 GiB.
 
@@ -45,11 +48,15 @@ def read_csv(
 
     - `velocity`, `displacement` or `force`, exactly one: a column, or a list of them, one per sensor; by index from 0,
       or by name in the header, without regard to case and to units in brackets: "velocity" finds "Velocity [m/s]".
-    - `time`: the column of times [s]. `sampling`: samples per second [Hz] instead, where there is no such column, it is
-      not in seconds, or it is written with so few digits that times do not rise.
-    - `gain`: from the file to SI, a number or one per sensor: 0.125 (m/s)/V makes 0.125. A name of a parameter keeps
-      the data as they are, and the gain is fitted.
-    - `trigger`: a time in the file [s], or a pair (column, level in the file's units), whose first crossing, in either
+    - `time`: the column of times. `sampling`: samples per second [Hz] instead, where there is no such column, or it is
+      written with so few digits that times do not rise.
+    - `units`: what columns are in, words such as `"us"` or `("us", "mm/s")`, each for the columns of its dimension.
+      `None` reads them from the header, "Time (us)", "Bead 3 [mm/s]", "t/ms", "velocity_mm_s" or a line of units, and
+      takes SI where that says nothing; what it may mean in two ways is refused. All is turned into SI; `origin` says
+      what was read.
+    - `gain`: from the file to SI, a number or one per sensor: 0.125 (m/s)/V makes 0.125. Of a column in V it has to be
+      given. A name of a parameter keeps the data as they are, and the gain is fitted.
+    - `trigger`: a time [s], or a pair (column, level in the file's units), whose first crossing, in either
       direction and interpolated, is the trigger. Times are measured from it.
     - `start`, `stop`: first and last time that is kept [s], from the trigger on; `start=None` is 0 with a trigger, else
       everything.
@@ -69,23 +76,28 @@ def read_csv(
     table = reading.table(path, delimiter=delimiter, decimal=decimal, header=header, asked=keys,
                           time=times if times in keys else None)
 
+    def called(key):
+        k = _named("time", key, table.names) if isinstance(key, str) else key
+        return names_of(k, table.names)
+
     def column(argument, key):
         if isinstance(key, str):
             return table.numbers[:, _named(argument, key, table.names)]
         return table.numbers[:, _index(argument, key, table.numbers.shape[1], ", or its name")]
 
     with _naming(path):
-        return _traces(column, (velocity, displacement, force), time, sampling, gain, trigger, start, stop, sigma,
-                       baseline, where | {"origin": Origin(str(path), table.header, table.remark)})
+        return _traces(column, (velocity, displacement, force), time, sampling, (units, called), gain, trigger, start,
+                       stop, sigma, baseline, where | {"origin": Origin(str(path), table.header, table.remark)})
 
 
 @checked
 def read_mat(
     path: str | Path, *, velocity: Column | Sequence[Column] | None = None,
     displacement: Column | Sequence[Column] | None = None, force: Column | Sequence[Column] | None = None,
-    time: Column | None = None, sampling: Scalar | str | None = None, gain: Parameter | str = 1.0,
-    trigger: Scalar | tuple[Any, ...] | None = None, start: Scalar | None = None, stop: Scalar | None = None,
-    sigma: Parameter | None = None, baseline: bool = False, **where: object,
+    time: Column | None = None, sampling: Scalar | str | None = None, units: UnitsOrWords = None,
+    gain: Parameter | str | None = None, trigger: Scalar | tuple[Any, ...] | None = None,
+    start: Scalar | None = None, stop: Scalar | None = None, sigma: Parameter | None = None, baseline: bool = False,
+    **where: object,
 ) -> Traces:
     r"""`Traces` from a MATLAB file, up to version 7 (SciPy) or 7.3 (h5py), with at most 2 GiB of numbers.
 
@@ -94,7 +106,8 @@ def read_mat(
 
     **Arguments:** as in `read_csv`, but a column is a variable by its name, "scan.velocity" for a field of a struct; or
     a pair (name, index) for one column of a matrix. A matrix alone is one column per sensor; its longer axis is time.
-    `sampling` may be a name too, such as "Fs". One of `time` and `sampling` is needed.
+    `sampling` may be a name too, such as "Fs". One of `time` and `sampling` is needed. Units are read from the names of
+    variables, "t_us", "velocity_mm_s".
 
     **Returns:** `Traces`. **Raises** ValueError, which names the file, for one that cannot be read, a variable that is
     not there or holds no real numbers, and as `read_csv` does. Typical:
@@ -121,14 +134,17 @@ def read_mat(
             return x[:, 0] if x.shape[1] == 1 else x
         return x[:, _index(argument, index, x.shape[1])]
 
+    def called(key):
+        return [(key[0] if isinstance(key, tuple) else key).rpartition(".")[2]]
+
     with _naming(path):
         if rate is not None:
             sampling = column("sampling", rate)
             if sampling.size != 1:
                 refuse("sampling", "one number", f"{rate} of shape {sampling.shape}")
             sampling = sampling.item()
-        return _traces(column, (velocity, displacement, force), time, sampling, gain, trigger, start, stop, sigma,
-                       baseline, where | {"origin": Origin(str(path))})
+        return _traces(column, (velocity, displacement, force), time, sampling, (units, called), gain, trigger, start,
+                       stop, sigma, baseline, where | {"origin": Origin(str(path))})
 
 
 def _keys(*asked):
@@ -147,14 +163,16 @@ def _naming(path):
         raise ValueError(f"{error} The file is {str(path)!r}.") from None
 
 
-def _traces(column, data, time, sampling, gain, trigger, start, stop, sigma, baseline, where):
+def _traces(column, data, time, sampling, units, gain, trigger, start, stop, sigma, baseline, where):
     """The steps that both formats share."""
     given = [(kind, keys) for kind, keys in zip(KINDS, data) if keys is not None]
     if len(given) != 1:
         refuse("data", "one of velocity=, displacement=, force=", f"{[kind for kind, _ in given] or 'none'}",
                "Read several kinds one by one and give fit a list.")
     ((kind, keys),) = given
-    data = [column(kind, key) for key in (keys if isinstance(keys, list) else [keys])]
+    units, called = units
+    keys = keys if isinstance(keys, list) else [keys]
+    data = [column(kind, key) for key in keys]
     if len({len(x) for x in data}) != 1:
         refuse(kind, "one column or more, equally long", f"lengths {[len(x) for x in data]}")
     data = np.column_stack(data)
@@ -162,7 +180,11 @@ def _traces(column, data, time, sampling, gain, trigger, start, stop, sigma, bas
     data = np.where(np.isfinite(data), data, np.nan)
     if len(data) < 2:
         refuse(kind, "at least two samples", f"{len(data)}")
-    times = _times(column, time, sampling, len(data))
+    times, reads = _times(column, time, sampling, len(data), units, called)
+    own = {str(key): unit_of(kind, kind, called(key), units, gain is not None) for key in keys}
+    refuse_unused(units, [*reads.values(), *own.values()])
+    data, gain = _in_si(kind, data, [own[str(key)] for key in keys], gain)
+    where["origin"] = dataclasses.replace(where["origin"], units=said(reads | own))
     if not isinstance(gain, str):
         factor = np.asarray(parameter("gain", gain))
         if factor.shape not in ((), (data.shape[1],)):
@@ -197,9 +219,20 @@ def _traces(column, data, time, sampling, gain, trigger, start, stop, sigma, bas
     return Traces(times[kept], sigma=sigma, gain=gain, **{kind: data[kept]}, **where)
 
 
-def _times(column, time, sampling, count):
+def _in_si(kind, data, reads, gain):
+    """The data and the gain that is left, where the sensors' units have been put in."""
+    widths = data.shape[1] // len(reads)  # a matrix is several sensors of one name
+    each = [read for read in reads for _ in range(widths)]
+    gains = gain if np.ndim(gain) == 1 and len(gain) == len(each) else [gain] * len(each)
+    done = [in_si(kind, data[:, k], *both) for k, both in enumerate(zip(each, gains))]
+    left = gain if gain is not None else 1.0
+    return np.column_stack([x for x, _ in done]), left
+
+
+def _times(column, time, sampling, count, units, called):
+    """The times [s], and how they were read."""
     if sampling is not None:
-        return np.arange(count) / float(positive("sampling", sampling, "It is in samples per second."))
+        return np.arange(count) / float(positive("sampling", sampling, "It is in samples per second.")), {}
     if time is None:
         refuse("time", "where the times are, or sampling=", "None")
     times = column("time", time)
@@ -210,7 +243,8 @@ def _times(column, time, sampling, count):
                "Give sampling= where rows are equally spaced.")
     if not (np.diff(times) > 0).all():
         refuse("time", "times that rise", show(times), "Give sampling= where too few digits were written.")
-    return times
+    read = unit_of("time", "time", called(time), units)
+    return times * read.unit.size, {"time": read}
 
 
 def _trigger(column, trigger, times):

@@ -24,10 +24,13 @@ from ..parameters import Bounds, Coordinates
 from ..printing import told
 from ..solvers import SRKN11b
 from ..types import AnyArray, Numbers, Parameter, Scalar, Scene, StateLike
+from ..units import SI
 from .traces import Traces, checked_shape, checked_traces, number
 
 # room behind the last sample for an offset that is fitted, in record lengths
 ROOM = 0.1
+# a record beyond this share of the chain's own time, or below it, is counted in another unit of time
+FAR_OFF = 1e6
 # the longest step times the fastest decay, which is 4 c/m in a chain of dashpots; steps of the iteration for it
 FASTEST, POWER_STEPS = 4.0, 64
 Start: TypeAlias = StateLike | Callable[[Any, Any], StateLike]
@@ -137,17 +140,23 @@ class Problem(eqx.Module):
         times = self.times(parameters)
         return jnp.asarray(times.max() + ROOM * np.ptp(times) * self.moving, self.dtype)
 
-    def wanted_step(self, parameters: dict[str, Numbers]) -> float:
-        """The step that some parameters ask for; ValueError where no time scale sets one."""
+    def frequency(self, parameters: dict[str, Numbers]) -> float:
+        """The highest frequency that the energy of the start allows, of linear modes or of contacts that close."""
         lattice = self.lattice(parameters)
         state = checked_state(lattice, self.state(parameters, lattice))
-        omega = frequency_bound(lattice, state, self.t0, self.t1)
+        return float(frequency_bound(lattice, state, self.t0, self.t1))
+
+    def wanted_step(self, parameters: dict[str, Numbers], omega: float | None = None) -> float:
+        """The step that some parameters ask for, of that frequency; ValueError where no time scale sets one."""
+        omega = self.frequency(parameters) if omega is None else omega
+        lattice = self.lattice(parameters)
+        state = checked_state(lattice, self.state(parameters, lattice))
         if not omega > 0:
             refuse("step", "a time step", "None",
                    "Nothing is stiff at this energy, so no time scale sets one: give step=.")
         # what a splitting solver does not take exactly
         rate = 0.0 if facts(lattice).splits else float(_fastest_decay(lattice, self.t0, *state))
-        return min(STEP_FRACTION / float(omega), FASTEST / rate if rate > 0 else np.inf)
+        return min(STEP_FRACTION / omega, FASTEST / rate if rate > 0 else np.inf)
 
 
 @eqx.filter_jit
@@ -192,7 +201,20 @@ def prepared(
     if not problem.moving and times.min() < t0 - 1e-9 * np.ptp(times):
         refuse("times", f"samples from t0 = {t0} on", f"{times.min()}", "Give offset=, or an earlier t0.")
     problem = eqx.tree_at(lambda p: p.t1, problem, problem.end(parameters))
-    return problem.with_step(problem.wanted_step(parameters) if step is None else float(positive("step", step)))
+    omega = problem.frequency(parameters)
+    _refuse_other_units(problem.lattice(parameters).units, omega, float(np.ptp(times)))
+    return problem.with_step(problem.wanted_step(parameters, omega) if step is None else float(positive("step", step)))
+
+
+def _refuse_other_units(units, omega, span):
+    """Refuse a record that is a million times as long as the chain's own time 1/omega, or as short."""
+    if not 0 < omega < np.inf or FAR_OFF > span * omega > 1 / FAR_OFF:
+        return
+    unit = "seconds" if units == SI else "the lattice's unit of time"
+    others = "microseconds, which Traces.from_csv(..., units='us') reads" if span * omega > 1 else "units of its own"
+    refuse("traces", f"times in {unit}, of a record within {FAR_OFF:.0e} times the lattice's own, {1 / omega:.2g}",
+           f"a record of {span:.3g}, {span * omega:.1e} times that",
+           f"Its times may be in {others}; a scaled lattice wants times over units.time.")
 
 
 def _made(state, parameters, lattice):

@@ -22,6 +22,8 @@ _AS_HERE = np.array([CONVERGED, STALLED, SPENT, SPENT, BLIND, NOT_FINITE])
 DAMPING, LEAST_DAMPING = 1e-3, 1e-12
 # singular values below this share of the largest are of directions that the data do not see
 NEGLIGIBLE = 1e-6
+# seconds before a fit says how far it is
+PATIENCE = 5.0
 
 
 class Found(NamedTuple):
@@ -79,7 +81,7 @@ def least_squares(
     x, square, scale = np.asarray(x, float), value @ value, np.zeros(len(x))
     damping, growth = DAMPING, 2.0
     tolerance = max(float(tolerance), 4 * float(jnp.finfo(problem.dtype).eps))
-    for iterations in range(1, max_steps + 1):
+    for iterations in _followed(range(1, max_steps + 1)):
         scale = np.maximum(scale, np.linalg.norm(jacobian, axis=0))
         unit = np.where(scale > 0, scale, 1.0)
         s, vh, b, kept = directions_left(value, jacobian / unit)
@@ -103,6 +105,13 @@ def least_squares(
         if arrived:
             return Found(x, square / 2, iterations, CONVERGED)
     return Found(x, square / 2, max_steps, SPENT)
+
+
+def _followed(steps):
+    """Steps with a bar of those that are left at most, beyond some seconds."""
+    from tqdm import tqdm
+
+    return tqdm(steps, desc="fit", unit="step", delay=PATIENCE, leave=False)
 
 
 @waited

@@ -10,7 +10,6 @@ from jaxtyping import Float
 
 from ..checks import concrete, described, parameter, positive, real, refuse, show, whole
 from ..entry import checked, shape_of
-from ..printing import told
 from ..types import AnyArray, Count, Numbers, Parameter, Scalar, Values
 
 KINDS = ("velocity", "displacement", "force")
@@ -18,7 +17,7 @@ KINDS = ("velocity", "displacement", "force")
 
 @dataclasses.dataclass(frozen=True)
 class Origin:
-    """Where traces were read: the file, its header's lines, what was passed over or is missing.
+    """Where traces were read: the file, its header's lines, what was passed over or is missing, units of the columns.
 
     Two are equal whatever they say: what is compiled for one file serves another, and traces that a compiled function
     returns may name the file that it was compiled for.
@@ -27,6 +26,7 @@ class Origin:
     file: str = dataclasses.field(compare=False)
     header: tuple[str, ...] = dataclasses.field(default=(), compare=False, repr=False)
     remark: str = dataclasses.field(default="", compare=False)
+    units: str = dataclasses.field(default="", compare=False)
 
 
 class Traces(eqx.Module):
@@ -60,7 +60,6 @@ class Traces(eqx.Module):
     field: str | None = eqx.field(static=True)
     component: int | None = eqx.field(static=True)
     origin: Origin | None = eqx.field(static=True)
-    __repr__ = told
 
     @checked
     def __init__(
@@ -102,6 +101,19 @@ class Traces(eqx.Module):
         if origin is not None and not isinstance(origin, Origin):
             refuse("origin", "an Origin, or None", repr(origin)[:60], "`from_csv` and `from_mat` give it.")
         self.origin = origin
+
+    def __repr__(self) -> str:
+        if concrete(self.times) is None or concrete(self.data) is None:
+            return "Traces(traced)"
+        t, known = np.asarray(self.times), int(np.isfinite(np.asarray(self.data)).sum())
+        sigma = "unknown" if self.sigma is None else show(self.sigma)
+        rows = [("sensors", ", ".join(self.sensors[:6]) + ", ..." * (len(self.sensors) > 6)),
+                ("times", f"{t.size}, {t[0]:.6g} ... {t[-1]:.6g} s"), ("samples", f"{known} of {self.data.size}"),
+                ("sigma", sigma), ("gain", show(self.gain)), ("offset", show(self.offset))]
+        if self.origin is not None:
+            said = "; ".join(x for x in (self.origin.units, self.origin.remark) if x)
+            rows += [("file", self.origin.file), ("read", said)]
+        return "\n".join(f"{name:<9}{value}" for name, value in rows)
 
     @property
     def sensors(self) -> list[str]:

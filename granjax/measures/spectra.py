@@ -11,7 +11,7 @@ from ..checks import one_of, parameter, positive, refuse
 from ..entry import checked
 from ..results import Held, Result
 from ..types import Numbers, Parameter, Scalar
-from ..units.names import mark_of
+from ..units import names
 
 WINDOWS = ("hann", "none")
 
@@ -85,7 +85,7 @@ def spectrum(
         twice[-1] = 1
     power = jnp.fft.fftshift(jnp.swapaxes(power * twice.reshape((-1, 1) + tail), 0, 1), 0)
     k = 2 * jnp.pi * jnp.fft.fftshift(jnp.fft.fftfreq(sites))
-    return Spectrum(k, 2 * jnp.pi * jnp.fft.rfftfreq(frames) / dt, power, _mark=mark_of(units))
+    return Spectrum(k, 2 * jnp.pi * jnp.fft.rfftfreq(frames) / dt, power, _mark=names.mark_of(units))
 
 
 def _window(name, window, size):
@@ -128,4 +128,5 @@ def spectrogram(
     first = transform.lower_border_end[1]
     power = transform.spectrogram(v, axis=0, p0=first, p1=max(last, first + 1))
     time = transform.t(len(v), first, max(last, first + 1))
-    return Spectrogram(time, 2 * np.pi * transform.f, np.moveaxis(power, -1, 0) / (2 * np.pi), _mark=mark_of(units))
+    power = np.moveaxis(power, -1, 0) / (2 * np.pi)
+    return Spectrogram(time, 2 * np.pi * transform.f, power, _mark=names.mark_of(units))

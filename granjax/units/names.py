@@ -11,7 +11,6 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 
 from ..checks import concrete, one_of, refuse
-from ..entry import checked
 from .sizes import Units
 
 SI, SCALED = "SI", "scaled"
@@ -121,7 +120,6 @@ def mark_of(units: str | None) -> float:
     return _MARKS[units if units is None else one_of("units", units, (SI, SCALED))]
 
 
-@checked
 def counted_in(mark: Any) -> str | None:
     """"SI" or "scaled", from a mark; `None` where it was not said or is not known while traced."""
     value = concrete(mark)
@@ -163,7 +161,6 @@ class Counted(NamedTuple):
         return (size, unit) if word is None else (size * known.size / word.size, word.name)
 
 
-@checked
 def settled(units: UnitsOrWords, said: str | None, argument: str = "units") -> Counted:
     """What numbers are counted in, "SI", "scaled" or `None` as far as `said` tells, when somebody asks for units.
 
