@@ -494,7 +494,8 @@ PENDING = (
     "fit.files.read_csv(trigger=", "fit.files.read_mat(trigger=",  # says start, stop
     "identify.regression.regression(mass=",  # says u
     "theory.nls.bright_profile(omega=", "theory.nls.dark_profile(omega=",  # says kappa
-    "plots.histories.traces(qs=",  # says ts
+    "plots.histories.traces(qs=", "plots.curves.profile(x=",  # says ts; says y
+    "orbits.attractors.largest(x=",  # of no numbers
     "theory.nls.dark(nu3_force=",  # says nu2, nu3
     "continuation.trace.continuation(arclength=",  # says longest_arclength
     "identify.wall.wall_modulus(start=", "identify.wall.wall_modulus(factor=",  # says modulus
@@ -670,13 +671,15 @@ def trial(case):
 
 
 def chosen(all_cases, number, seed=0):
-    """A seeded choice of so many, with cases of every argument of every callable."""
-    draw = random.Random(seed)
-    by = {}
+    """A seeded choice of so many, with cases of every argument of every callable.
+
+    Each is drawn by its own name: another callable or argument leaves the others' cases as they are.
+    """
+    by, turn = {}, {case: random.Random(f"{seed} {case}").random() for case in all_cases}
     for case in all_cases:
         by.setdefault((case.target.key, case.argument), []).append(case)
     for group in by.values():
-        draw.shuffle(group)
+        group.sort(key=turn.get)
     each = number // len(by)
-    rest = [case for group in by.values() for case in group[each:]]
-    return [case for group in by.values() for case in group[:each]] + draw.sample(rest, number - each * len(by))
+    rest = sorted((case for group in by.values() for case in group[each:]), key=turn.get)
+    return [case for group in by.values() for case in group[:each]] + rest[: number - each * len(by)]
