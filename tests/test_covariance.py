@@ -723,7 +723,8 @@ def designed(s, more=None, **options):
     known = np.flatnonzero(np.asarray(found.history) > 1e-12 * np.asarray(found.history)[0])
     return {
         "parameters": [Of(found.parameters["stiffness"], 1, -1.5, 0), Of(found.parameters["mass"], 1, -1, 2)],
-        "start": square([found.start_value, found.start_gradient[:2]]), "history": square(found.history[known]),
+        "start": square([found.start_value, found.start_gradient[:2]]),
+        "history": square(np.asarray(found.history)[known]),
         "code": found.code,
     }
 

@@ -56,6 +56,12 @@ def joined(static: tuple, arrays: list) -> Pytree:
     return jax.tree.unflatten(treedef, [next(arrays) if leaf is _ARRAYS else leaf for leaf in rest])
 
 
+def shared_size(n: int) -> int:
+    """A size rounded up to one of 8, 9, ..., 15, 16, 18, ..., 30, 32, ...: arrays of near-by sizes are one program."""
+    unit = 1 << max(n.bit_length() - 4, 0)
+    return -(-n // unit) * unit
+
+
 class Facts(NamedTuple):
     """What every call asks of a lattice, and what only its terms and shapes decide.
 
@@ -79,11 +85,16 @@ _FACTS = {}
 def facts(lattice: Lattice) -> Facts:
     """The `Facts` of a lattice, kept while it lives and its functions read the same: its parameters never change."""
     key = id(lattice)
-    owner, found = _FACTS.get(key, (None, None))
-    if owner is None or owner() is not lattice or found.outside != lattice._outside.values():
-        found = _found(lattice)
-        _FACTS[key] = weakref.ref(lattice, lambda _: _FACTS.pop(key, None)), found
+    owner, found, readers = _FACTS.get(key, _NOBODY)
+    # a lattice without functions of the user's, which is most, is known by itself
+    if owner() is lattice and (not readers or found.outside == lattice._outside.values()):
+        return found
+    found = _found(lattice)
+    _FACTS[key] = weakref.ref(lattice, lambda _: _FACTS.pop(key, None)), found, lattice._outside.readers
     return found
+
+
+_NOBODY = (lambda: None), None, ()
 
 
 facts.cache_clear = _FACTS.clear

@@ -177,8 +177,9 @@ def _adjoint(adjoint, unknown, every, steps, max_steps):
     if max_steps is not None:
         limit = whole("max_steps", max_steps, 1)
     elif steps is not None:
-        # a power of two, so that a gradient compiles once for many scenes
-        limit = steps if every else 1 << (steps - 1).bit_length()
+        # a power of two, so that a gradient, or a run saved at every step, compiles once for many scenes; what is
+        # saved under a transformation keeps its length
+        limit = steps if every and unknown else 1 << (steps - 1).bit_length()
     else:
         limit = SAVED_STEPS if every else TRACED_STEPS
     if adjoint is None:
@@ -195,9 +196,9 @@ def _cut(run):
     """Saved steps without the unused rest of the buffer."""
     used = np.isfinite(np.asarray(run.ts))
     count = int(np.count_nonzero(used))
-    us, vs = jax.tree.map(lambda x: x[:count], (run.us, run.vs))
-    run = eqx.tree_at(lambda r: (r.ts, r.us, r.vs), run, (run.ts[:count], us, vs))
-    return run
+    # by NumPy, since for JAX a slice of another length is another program
+    kept = jax.tree.map(lambda x: jax.device_put(np.asarray(x)[:count]), (run.ts, run.us, run.vs))
+    return eqx.tree_at(lambda r: (r.ts, r.us, r.vs), run, kept)
 
 
 def _located(run, lattice, state, span, dt, tolerance, solver):

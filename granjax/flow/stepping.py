@@ -9,14 +9,16 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from ..checks import described, refuse, whole
+from ..checks import described, refuse, traced, whole
 from ..entry import checked
 from ..lattice import Lattice, vector_field
 from ..lattice.model import check_shape
+from ..outside import Outside
 from ..printing import told
 from ..solvers import SRKN14a
 from ..types import Count, Counts, Numbers, Pytree, Scalar, VectorField
 from .breaks import OneSided, breaks_of, shared_out
+from .dispatch import compiled
 
 # numbers that go through a processor at once, at most: rows of tangents that are a multiple of it are up to 1.2x faster
 VECTOR = 8
@@ -50,7 +52,7 @@ class Flow(eqx.Module):
         if self._moves_lattice(y, args):
             for name, x in zip(("u", "v"), y):
                 check_shape(args, f"y.{name}", x)
-        return _march(self.solver, self.field, self.steps, y, t0, t1, args, breaks_of(self.field, args))
+        return _run(self.solver, self.field, self.steps, y, t0, t1, args)
 
     @checked
     def tangents(self, y: Pytree, tangents: Pytree, t0: Scalar, t1: Scalar, args: Any) -> tuple:
@@ -62,9 +64,7 @@ class Flow(eqx.Module):
         count = shapes[0][-1]
         idle = -count % VECTOR if count > VECTOR else 0
         tangents = jax.tree.map(lambda x: jnp.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, idle)]), tangents)
-        field, breaks = _variational(self.field, y), breaks_of(self.field, args)
-        ends = _march(self.solver, field, self.steps, _join(y, tangents), t0, t1, args, breaks)
-        end, moved = _part(y, ends)
+        end, moved = _run(self.solver, self.field, self.steps, y, t0, t1, args, tangents)
         return end, jax.tree.map(lambda x: x[..., :count], moved)
 
     @checked
@@ -95,6 +95,28 @@ def columns(like: Pytree, vectors: Numbers) -> Pytree:
     """Inverse of `matrix`: columns (n, m) as tangents of a state."""
     _, unravel = ravel_pytree(like)
     return jax.vmap(unravel, in_axes=-1, out_axes=-1)(vectors)
+
+
+def _run(solver, field, steps, y, t0, t1, args, tangents=None):
+    """`_marched` as a part of the program that is traced; elsewhere as one of its own, which is compiled once."""
+    arguments = solver, field, steps, y, t0, t1, args, tangents
+    if traced((steps, y, t0, t1, args, tangents)):
+        return _marched(*arguments)
+    # plain numbers are inputs of what is compiled, not a part of it
+    t0, t1, args = jax.tree.map(lambda x: jnp.asarray(x) if isinstance(x, float) else x, (t0, t1, args))
+    return _by_itself(solver, field, steps, y, t0, t1, args, tangents, Outside((field, args)))
+
+
+def _marched(solver, field, steps, y, t0, t1, args, tangents):
+    breaks = breaks_of(field, args)
+    if tangents is None:
+        return _march(solver, field, steps, y, t0, t1, args, breaks)
+    return _part(y, _march(solver, _variational(field, y), steps, _join(y, tangents), t0, t1, args, breaks))
+
+
+@compiled
+def _by_itself(solver, field, steps, y, t0, t1, args, tangents, outside):
+    return _marched(solver, field, steps, y, t0, t1, args, tangents)
 
 
 def _march(solver, field, steps, y, t0, t1, args, breaks):

@@ -12,7 +12,7 @@ from ..checks import concrete, one_of, parameter, positive, refuse
 from ..entry import checked
 from ..lattice import Lattice
 from ..laws import Law, Network, PowerLaw, Spline
-from ..types import Numbers, Parameter, Scalar, Scene
+from ..types import AnyArray, Numbers, Parameter, Scalar, Scene
 
 KNOTS, UNITS = 7, 6
 FAMILIES = ("power law", "polynomial", "spline", "network")
@@ -118,23 +118,26 @@ def _leaf(law, path, value):
     return Leaf(".".join(parts), value, not floating or name in holder.held, bounds)
 
 
-class LawScene(NamedTuple):
-    """A scene as a function of a dict of parameters, from one that is a function of a law: equal ones compile once.
+class LawScene(eqx.Module):
+    """A scene as a function of a dict of parameters, from one that is a function of a law.
+
+    What the law holds are arrays: those of another reach are compiled once with it.
 
     With a `strain` e_s the law is a power law whose coefficient is counted as the force A e_s^p: the unit of A holds
     the exponent, and a search in both would depend on the units.
     """
 
     scene: Scene
-    structure: Any
-    # of every leaf, its name where it moves, else its value as nested tuples
-    places: tuple
-    others: tuple
-    strain: float | None = None
+    structure: Any = eqx.field(static=True)
+    # of every leaf its name where it moves, else its value
+    names: tuple[str | None, ...] = eqx.field(static=True)
+    held: tuple
+    others: tuple[str, ...] = eqx.field(static=True)
+    strain: AnyArray | None = None
 
     def law(self, parameters: dict[str, Parameter]) -> Law:
         """The law of some parameters."""
-        leaves = [parameters[x] if isinstance(x, str) else jnp.asarray(x) for x in self.places]
+        leaves = [x if name is None else parameters[name] for name, x in zip(self.names, self.held)]
         law = jax.tree.unflatten(self.structure, leaves)
         return law if self.strain is None else _with_coefficient(law, self.strain ** -law.exponent)
 
@@ -170,11 +173,9 @@ def law_scene(
     if both:
         refuse("others", f"names other than the law's {names}", f"{sorted(both)}")
     chosen = {leaf.name for leaf in moving}
-    places = tuple(leaf.name if leaf.name in chosen else _frozen(np.asarray(leaf.value).tolist()) for leaf in leaves)
+    places = tuple(leaf.name if leaf.name in chosen else None for leaf in leaves)
+    held = tuple(None if name else jnp.asarray(leaf.value) for name, leaf in zip(places, leaves))
     start = {**{leaf.name: leaf.value for leaf in moving}, **others}
     bounds = {leaf.name: leaf.bounds for leaf in moving if leaf.bounds is not None}
-    return LawScene(scene, jax.tree.structure(law), places, tuple(sorted(others)), strain), start, bounds
-
-
-def _frozen(x):
-    return tuple(map(_frozen, x)) if isinstance(x, list) else x
+    strain = None if strain is None else jnp.asarray(strain, float)
+    return LawScene(scene, jax.tree.structure(law), places, held, tuple(sorted(others)), strain), start, bounds

@@ -15,8 +15,9 @@ from ..entry import checked, takes
 from ..fit import Fit, Traces, fit, prepared
 from ..fit.problem import Start
 from ..fit.traces import checked_traces
-from ..interrupts import interruptible
-from ..lattice import Lattice
+from ..flow import Flow
+from ..interrupts import interruptible, waited
+from ..lattice import Lattice, State
 from ..laws import Law, Linear
 from ..parameters import Bounds
 from ..results import Held, Result
@@ -47,7 +48,7 @@ class ForceLaw(Result):
     law: Law
     fit: Fit
     strain_range: tuple[float, float]
-    scene: LawScene = eqx.field(static=True)
+    scene: LawScene
 
     def force(self, e: Parameter) -> tuple[Float[np.ndarray, "*shape"], Float[np.ndarray, "*shape"]]:
         """(force, standard deviation) at strains e [N], by the delta method; NaN outside of `strain_range`."""
@@ -184,18 +185,29 @@ def _acting(of_law, parameters):
 
 def _visited(acting, problem, parameters):
     """Least and largest strain of what the law acts on, up to the last sample."""
-    last = float(problem.times(parameters).max())
-    frames = int(np.ceil((last - float(problem.t0)) / float(problem.step))) * FRAMES + 1
-    times = jnp.linspace(problem.t0, last, frames)
-    return tuple(map(float, _extremes(problem, parameters, times, acting)))
+    last = jnp.asarray(problem.times(parameters).max(), problem.dtype)
+    frames = FRAMES * np.ceil((last - problem.t0) / problem.step).astype(int)
+    return tuple(map(float, _extremes(problem, parameters, last, jnp.asarray(frames), acting)))
 
 
+@waited
 @eqx.filter_jit
-def _extremes(problem, parameters, times, acting):
-    run, terms = problem.run(parameters, times), problem.lattice(parameters).terms
-    strains = jax.vmap(lambda t, u: [c.compression for i in acting for c in terms[i].compressions(t, u)])(times, run.us)
-    strains = jnp.concatenate([e.ravel() for e in strains])
-    return jnp.min(strains), jnp.max(strains)
+def _extremes(problem, parameters, last, frames, acting):
+    lattice, one, h = problem.lattice(parameters), Flow(1, problem.solver), (last - problem.t0) / frames
+
+    def strains(t, y):
+        return jnp.concatenate([c.compression.ravel() for i in acting for c in lattice.terms[i].compressions(t, y.u)])
+
+    def onward(i, carry):
+        y, least, most = carry
+        t = problem.t0 + (i + 1) * h
+        y = one(y, t - h, t, lattice)
+        e = strains(t, y)
+        return y, jnp.minimum(least, jnp.min(e)), jnp.maximum(most, jnp.max(e))
+
+    begin = State(*problem.state(parameters, lattice))
+    e = strains(problem.t0, begin)
+    return jax.lax.fori_loop(0, frames, onward, (begin, jnp.min(e), jnp.max(e)))[1:]
 
 
 def _holds(term, law):

@@ -20,8 +20,10 @@ from jaxtyping import Float
 from ..checks import non_negative, parameter, positive, refuse, whole
 from ..entry import checked
 from ..fit.problem import checked_scene
+from ..flow.dispatch import shared_size
 from ..flow.stiffness import linear_frequency
-from ..interrupts import interruptible, wait
+from ..interrupts import interruptible, waited
+from ..outside import Outside
 from ..parameters import Bounds, Coordinates
 from ..printing import told
 from ..results import Held, Result
@@ -113,41 +115,26 @@ def physics_informed(
         refuse("start", "a lattice with a linear frequency", "a sonic vacuum", "Give a precompression.")
     size = jnp.mean(velocity**2)
     periods = omega * span / (2 * math.pi)
-    points = max(16, math.ceil(16 * periods)) if points is None else whole("points", points, 2)
-    collocation = jnp.linspace(0.0, span, points)
-    count = max(4, math.ceil(2 * periods))
-    features = 2 * count + 1
-    net = eqx.nn.MLP(features, lattice.shape[0], width, depth, jnp.tanh, key=jax.random.key(seed))
-    frequencies = 1.2 * omega / count * jnp.arange(1.0, count + 1)
-    motion = Motion(net, frequencies, jnp.asarray(span), jnp.sqrt(size) / omega)
+    points = shared_size(max(16, math.ceil(16 * periods))) if points is None else whole("points", points, 2)
+    collocation = jnp.asarray(np.linspace(0.0, span, points))
+    count = shared_size(max(4, math.ceil(2 * periods)))
+    net = eqx.nn.MLP(2 * count + 1, lattice.shape[0], width, depth, jnp.tanh, key=jax.random.key(seed))
+    frequencies = jnp.asarray(1.2 * omega / count * np.arange(1.0, count + 1))
+    omega, span, weight = (jnp.asarray(x) for x in (omega, span, weight))
+    motion = Motion(net, frequencies, span, jnp.sqrt(size) / omega)
     state = None if state is None else tuple(parameter("state", x) for x in state)
-
-    def parts(model):
-        net, x = model
-        now = eqx.tree_at(lambda m: m.net, motion, net)
-        seen = jax.vmap(lambda t: now.state(t)[1])(times)[:, sites]
-        u, v, a = jax.vmap(now.state)(collocation)
-        lattice = scene(coordinates.parameters(x))
-        residual = a - jax.vmap(lattice.acceleration)(collocation, u, v)
-        u0, v0 = (0.0, 0.0) if state is None else (now.state(0.0)[i] - state[i] for i in range(2))
-        first = jnp.mean(omega**2 * u0**2 + v0**2)
-        return jnp.mean((seen - velocity) ** 2) / size, jnp.mean(residual**2), jnp.mean(a**2), first / size
-
-    def loss(model):
-        data, physics, _, first = parts(model)
-        return data + weight * physics / (omega**2 * size) + first
-
-    model, history = _trained(loss, (net, jnp.zeros(coordinates.size)), max_steps, refine, rate)
-    data, physics, accelerations, _ = map(float, eqx.filter_jit(parts)(model))
+    training = _Training(scene, coordinates, times, velocity, tuple(map(int, sites)), state, collocation, omega, size,
+                         weight, Outside(scene))
+    model, history = training.trained((motion, jnp.zeros(coordinates.size)), max_steps, refine, jnp.asarray(rate))
+    motion = model[0]
+    data, physics, accelerations, _ = map(float, _parts(training, model))
     found = jax.tree.map(np.asarray, coordinates.parameters(model[1]))
     misfit, residual = math.sqrt(data), math.sqrt(physics / accelerations)
     seconds = time.perf_counter() - began
     outcome = f"The data are met to {misfit:.2g}, the equation of motion to {residual:.2g} of their rms."
     if not math.isfinite(misfit + residual):
         outcome = "The training left the numbers: lower rate=."
-    return PhysicsInformed(
-        found, eqx.tree_at(lambda m: m.net, motion, model[0]), history, misfit, residual, seconds, outcome,
-    )
+    return PhysicsInformed(found, motion, history, misfit, residual, seconds, outcome)
 
 
 def _checked(lattice, times, velocity, sites):
@@ -167,30 +154,82 @@ def _checked(lattice, times, velocity, sites):
     return times, velocity, sites
 
 
-def _trained(loss, model, max_steps, refine, rate):
-    """The model after Adam and L-BFGS, and the loss at every step."""
-    free, fixed = eqx.partition(model, eqx.is_inexact_array)
-    value = lambda free: loss(eqx.combine(free, fixed))
-    histories = []
-    for optimiser, count, search in (
-        (optax.adam(optax.cosine_decay_schedule(rate, max(max_steps, 1))), max_steps, False),
-        (optax.lbfgs(), refine, True),
-    ):
-        if not count:
-            continue
+class _Training(eqx.Module):
+    """What a model (motion, free coordinates of the parameters) is compared with; equal ones compile once."""
 
-        def step(carry, _, optimiser=optimiser, search=search):
-            free, state = carry
-            if search:
-                now, slope = optax.value_and_grad_from_state(value)(free, state=state)
-                updates, state = optimiser.update(slope, state, free, value=now, grad=slope, value_fn=value)
-            else:
-                now, slope = jax.value_and_grad(value)(free)
-                updates, state = optimiser.update(slope, state, free)
-            return (optax.apply_updates(free, updates), state), now
+    scene: Scene
+    coordinates: Coordinates
+    times: Times
+    velocity: AnyArray
+    sites: tuple[int, ...] = eqx.field(static=True)
+    state: tuple | None
+    collocation: AnyArray
+    omega: AnyArray
+    size: AnyArray
+    weight: AnyArray
+    outside: Outside
 
-        run = jax.jit(lambda free, step=step, optimiser=optimiser, count=count: jax.lax.scan(
-            step, (free, optimiser.init(free)), length=count))
-        (free, _), history = wait(run(free))
-        histories.append(np.asarray(history))
-    return eqx.combine(free, fixed), np.concatenate(histories) if histories else np.zeros(0)
+    def parts(self, model):
+        """Mean squares: of the data's misfit, of the residual, of the accelerations, and of what the start is off."""
+        now, x = model
+        seen = jax.vmap(lambda t: now.state(t)[1])(self.times)[:, np.asarray(self.sites)]
+        u, v, a = jax.vmap(now.state)(self.collocation)
+        lattice = self.scene(self.coordinates.parameters(x))
+        residual = a - jax.vmap(lattice.acceleration)(self.collocation, u, v)
+        u0, v0 = (0.0, 0.0) if self.state is None else (now.state(0.0)[i] - self.state[i] for i in range(2))
+        first = jnp.mean(self.omega**2 * u0**2 + v0**2)
+        return jnp.mean((seen - self.velocity) ** 2) / self.size, jnp.mean(residual**2), jnp.mean(a**2), \
+            first / self.size
+
+    def loss(self, model):
+        data, physics, _, first = self.parts(model)
+        return data + self.weight * physics / (self.omega**2 * self.size) + first
+
+    def trained(self, model, max_steps, refine, rate):
+        """The model after Adam and L-BFGS, and the loss at every step."""
+        model, first = _by_adam(self, model, max_steps, rate) if max_steps else (model, np.zeros(0))
+        model, then = _by_search(self, model, refine) if refine else (model, np.zeros(0))
+        return model, np.concatenate([first, then])
+
+
+_parts = waited(eqx.filter_jit(_Training.parts))
+
+
+def _parted(training, model):
+    """The cost of what moves in a model, that, and the model of it: the network and the coordinates."""
+    moves = jax.tree.map(lambda _: False, model)
+    moves = eqx.tree_at(lambda m: (m[0].net, m[1]), moves, jax.tree.map(eqx.is_inexact_array, (model[0].net, model[1])))
+    free, fixed = eqx.partition(model, moves)
+    return lambda free: training.loss(eqx.combine(free, fixed)), free, lambda free: eqx.combine(free, fixed)
+
+
+@waited
+@eqx.filter_jit
+def _by_adam(training, model, max_steps, rate):
+    cost, free, whole = _parted(training, model)
+    optimiser = optax.adam(optax.cosine_decay_schedule(rate, max_steps))
+
+    def step(carry, _):
+        free, state = carry
+        now, slope = jax.value_and_grad(cost)(free)
+        updates, state = optimiser.update(slope, state, free)
+        return (optax.apply_updates(free, updates), state), now
+
+    (free, _), history = jax.lax.scan(step, (free, optimiser.init(free)), length=max_steps)
+    return whole(free), history
+
+
+@waited
+@eqx.filter_jit
+def _by_search(training, model, max_steps):
+    cost, free, whole = _parted(training, model)
+    optimiser = optax.lbfgs()
+
+    def step(carry, _):
+        free, state = carry
+        now, slope = optax.value_and_grad_from_state(cost)(free, state=state)
+        updates, state = optimiser.update(slope, state, free, value=now, grad=slope, value_fn=cost)
+        return (optax.apply_updates(free, updates), state), now
+
+    (free, _), history = jax.lax.scan(step, (free, optimiser.init(free)), length=max_steps)
+    return whole(free), history

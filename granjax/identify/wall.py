@@ -125,7 +125,9 @@ def wall_modulus(
     factor = float(within("factor", factor, 1, np.inf, open_low=True, open_high=True))
     poisson = float(within("poisson", poisson, -1, 0.5, open_low=True, remedy="Poisson's ratio is 0.3 for bone."))
     one_of("side", side, ("left", "right"))
-    scene = WallScene(lattice, material, radius, poisson, precompression, side, tuple(others))
+    # arrays, whose values compile nothing anew; a wall without a load has a law without one
+    known = [jnp.asarray(x, float) if np.any(x) else x for x in (radius, poisson, precompression)]
+    scene = WallScene(lattice, material, *known, side, tuple(others))
     bounds = {**(options.pop("bounds", None) or {}), NAME: (0.0, None)}
     scan = whole("scan", scan, 3)
     held_in_memory("scan", scan, 1 << 20, "runs")

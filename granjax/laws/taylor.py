@@ -2,10 +2,12 @@
 
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 
 from ..entry import checked
+from ..outside import Outside
 from ..printing import told
 from ..types import Number
 from .base import Law
@@ -30,7 +32,12 @@ def taylor(law: Law, e: Number = 0.0) -> Taylor:
     **Returns:** `Taylor(K2, K3, K4)`, arrays of the shape of the law's parameters. In a sonic vacuum (Hertz without
     precompression) all three are zero: such a contact has no linear limit.
     """
-    at = jnp.zeros(jax.eval_shape(law.force, jnp.asarray(e, float)).shape) + e
+    return _taylor(law, jnp.asarray(e, float), Outside(law))
+
+
+@eqx.filter_jit
+def _taylor(law, e, outside):
+    at = jnp.zeros(jax.eval_shape(law.force, e).shape) + e
 
     def slope(f):
         return lambda x: jax.jvp(f, (x,), (jnp.ones_like(x),))[1]

@@ -21,7 +21,7 @@ from ..results import STATE, Held, Result
 from ..solvers import SRKN11b
 from ..types import Count, Counts, Displacements, Numbers, Pytree, Scalar, StateLike, Times
 from .repeats import checked_period, checked_state, one_lattice
-from .steps import default_steps, fixed_step_solver, history
+from .steps import default_steps, fixed_step_solver
 
 # h omega of the default step, with omega the highest linear frequency
 STEP_FRACTION = 0.4
@@ -35,6 +35,8 @@ DISTURBANCE = 1e2
 KEPT = 16
 # repetitions over which changes are compared with those of as many before
 STRETCH = 8
+# steps of a settled motion that one call of its program makes
+AT_ONCE = 64
 # of what half the steps change: where contacts open that may be small by accident
 SAFETY = 4
 
@@ -128,7 +130,7 @@ def settle(
     used, multiple = int(used), int(multiple)
     (ts, us, vs), seen, sampling = _watch(solver, lattice, end, T, multiple or KEPT, steps)
     found = end, *seen
-    errors = jax.tree.map(lambda x: jnp.full_like(x, jnp.nan), found)
+    errors = jax.tree.map(lambda x: np.full_like(x, np.nan), found)
     if multiple:
         other, left = _otherwise(flow, lattice, end, T, jnp.asarray(multiple), jnp.asarray(periods), tight, rate)
         errors = _apart(found, (other, *_watch(solver, lattice, other, T, multiple, steps)[1]), left, sampling)
@@ -214,12 +216,13 @@ def forces(lattice: Lattice, y: StateLike, t: Scalar) -> Numbers:
 @checked
 def largest(x: Numbers) -> Numbers:
     """Largest value over the first axis, equal steps of whole periods: top of the parabola through its neighbours."""
+    x = np.asarray(x)
     if not x.ndim:
         refuse("x", "values over time on the first axis", "one number")
-    i = jnp.argmax(x, 0, keepdims=True)
-    a, b, c = (jnp.take_along_axis(x, (i + k) % len(x), 0)[0] for k in (-1, 0, 1))
+    i = np.argmax(x, 0)[None]
+    a, b, c = (np.take_along_axis(x, (i + k) % len(x), 0)[0] for k in (-1, 0, 1))
     curve = 2 * b - a - c
-    return b + (a - c) ** 2 / (8 * jnp.where(curve > 0, curve, 1))
+    return b + (a - c) ** 2 / (8 * np.where(curve > 0, curve, 1))
 
 
 _follow = waited(eqx.filter_jit(follow))
@@ -272,15 +275,34 @@ def _apart(found, other, left, sampling):
     return state, *jax.tree.map(jnp.add, tuple(tops), sampling), energy
 
 
+@waited
 @eqx.filter_jit
+def _stretch(solver, lattice, state, period, steps, first):
+    """Some steps from the one of number `first` on: (the state after them, times, states, forces, energies)."""
+    one, h = Flow(1, solver), period / steps
+
+    def step(y, i):
+        t = h * (i % steps)  # every period at the same phase
+        return one(y, t, t + h, lattice), (h * i, y, forces(lattice, y, t), lattice.energy(t, *y))
+
+    return jax.lax.scan(step, state, first + jnp.arange(AT_ONCE))
+
+
 def _watch(solver, lattice, state, period, count, steps):
-    _, ts, ys = history(Flow(steps, solver), lattice, state, 0.0, period, steps, count)
-    speeds, pushes = jax.tree.map(jnp.abs, ys.v), jax.vmap(lambda y, t: forces(lattice, y, t))(ys, ts)
+    """(times, displacements, velocities) of so many periods, what is seen in them, and the error of its sampling.
+
+    By stretches of one length, so that another number of steps compiles nothing.
+    """
+    total, parts = count * steps, []
+    for first in range(0, total, AT_ONCE):
+        state, part = _stretch(solver, lattice, state, period, jnp.asarray(steps), jnp.asarray(first))
+        parts.append(jax.tree.map(np.asarray, part))
+    ts, ys, pushes, energy = jax.tree.map(lambda *x: np.concatenate(x)[:total], *parts)
+    speeds = jax.tree.map(np.abs, ys.v)
     tops, others = (jax.tree.map(lambda x: largest(x[::every]), (speeds, pushes)) for every in (1, 2))
-    energy = jnp.mean(jax.vmap(lambda y, t: lattice.energy(t, *y))(ys, ts))
     # of the parabola through the samples
-    sampling = jax.tree.map(lambda a, b: jnp.abs(a - b), tops, others)
-    return (ts, ys.u, ys.v), (*tops, energy), sampling
+    sampling = jax.tree.map(lambda a, b: np.abs(a - b), tops, others)
+    return (ts, ys.u, ys.v), (*tops, np.asarray(np.mean(energy))), sampling
 
 
 def _sentence(used, multiple, change, changes, tolerance):

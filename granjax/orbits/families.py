@@ -34,6 +34,8 @@ LET_PASS, DOUBLINGS = 1e-8, 8
 ARCLENGTH, LONGEST, FIRST = 0.05, 7.5, 0.1
 PROBE = 4
 EQUAL = 1e-6
+# orbits whose energies and errors are computed at once
+TOGETHER = 16
 # a doubling that lowers the change of the tangent map by less has met a contact that opens
 SLOW = 20
 
@@ -202,18 +204,16 @@ def _ends(problem, amplitude, stop):
 def _branch(problem, curve, stability):
     found = list(spectra_of(problem, curve.x, curve.p, stability))
     curve = eqx.tree_at(lambda c: c.x, curve, np.stack([s.x for s in found]))
-    states, energy = _states(problem, jnp.asarray(curve.x))
     none = np.full((len(curve.p), 2 * problem.shooting.count), np.nan)
     multipliers, error, verdict = none.astype(complex), none, np.array([""] * len(curve.p))
     if stability:
         multipliers, error, verdict = verdicts_of([(s.multipliers, s.error) for s in found], found[0].expected, True)
     # one that is small by accident is as large as its neighbours
     apart = neighbours(np.stack([s.apart for s in found]))
-    state_error, energy_error = _errors(problem, jnp.asarray(curve.x), jnp.asarray(apart))
-    half, p = problem.shooting.flow, np.asarray(problem.value(curve.p))
+    states, energy, state_error, energy_error = _members(problem, curve.x, apart)
+    half, p = problem.shooting.flow, problem.values(curve.p)
     return Branch(
-        p, 2 * np.pi / p, jax.tree.map(np.asarray, states), np.asarray(energy), None,
-        jax.tree.map(np.asarray, state_error), np.asarray(energy_error), None, multipliers, error,
+        p, 2 * np.pi / p, states, energy, None, state_error, energy_error, None, multipliers, error,
         np.array([s.step_error for s in found]), verdict, tuple(special_of(problem, curve)),
         problem.outcome(curve), 0.0, Flow(2 * half.steps, half.solver), problem, curve,
         **problem.scene(jnp.asarray(curve.p[0]))[0].origin)
@@ -257,14 +257,6 @@ def over_frequency(
     return Family(half, lattice, over_omega, jnp.zeros(()), jnp.asarray(omega))
 
 
-@waited
-@eqx.filter_jit
-def _states(problem, xs):
-    """States and energies of several unknowns along a leading axis."""
-    states = jax.vmap(problem.shooting.state)(xs)
-    return states, jax.lax.map(lambda y: problem.make.energy(0.0, y.u, y.v), states)
-
-
 @eqx.filter_jit
 def energy_slope(problem: Family, z: Numbers, tangent: Numbers) -> Numbers:
     """dE/ds along a tangent (x, omega) of a branch."""
@@ -272,14 +264,22 @@ def energy_slope(problem: Family, z: Numbers, tangent: Numbers) -> Numbers:
     return jax.jvp(total, (z[:-1],), (tangent[:-1],))[1]
 
 
+def _members(problem, xs, aparts):
+    """States, energies and the errors of both, from unknowns and theirs (P, ...), some at a time, whatever P."""
+    idle = -len(xs) % TOGETHER
+    xs, aparts = (np.pad(x, ((0, idle), (0, 0)), mode="edge") for x in (xs, aparts))
+    parts = [_some(problem, *(jnp.asarray(x[i : i + TOGETHER]) for x in (xs, aparts)))
+             for i in range(0, len(xs), TOGETHER)]
+    return jax.tree.map(lambda *x: np.concatenate(x)[: len(xs) - idle], *parts)
+
+
 @waited
 @eqx.filter_jit
-def _errors(problem, xs, aparts):
-    """Errors of states and energies from those of the unknowns."""
+def _some(problem, xs, aparts):
     def one(pair):
         x, apart = pair
-        state = problem.shooting.state(x)
-        found = error_of(problem.make, 0.0, state, problem.shooting.apart(apart), problem.span, 0.0)
-        return found.state, found.energy
+        state, lattice = problem.shooting.state(x), problem.make
+        found = error_of(lattice, 0.0, state, problem.shooting.apart(apart), problem.span, 0.0)
+        return state, lattice.energy(0.0, *state), found.state, found.energy
 
     return jax.lax.map(one, (xs, aparts))

@@ -148,7 +148,7 @@ def forced_branch(
 
     found = _bifurcations(family, look, z, curve.special, multipliers, settings)
     return Branch(
-        np.asarray(family.value(curve.p)), periods, states, energies, responses, errors_of_orbits.state,
+        family.values(curve.p), periods, states, energies, responses, errors_of_orbits.state,
         errors_of_orbits.energy, about, multipliers, errors,
         np.array([np.abs(fine - coarser).max() for fine, _, coarser in maps]), verdicts, found, family.outcome(curve),
         float(t0), flow, family, curve, **family.scene(jnp.asarray(curve.p[0]))[0].origin)

@@ -221,6 +221,10 @@ class Family(eqx.Module):
         """The parameter p at q."""
         return self.start + q * self.span
 
+    def values(self, qs: Float[np.ndarray, " P"]) -> Float[np.ndarray, " P"]:
+        """The parameters p at several known q."""
+        return np.asarray(self.start) + qs * np.asarray(self.span)
+
     def outcome(self, curve: Curve) -> str:
         """Why a curve of this family ended; continuation knows q alone."""
         reached = curve.outcome.startswith("p reached")

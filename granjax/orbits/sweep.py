@@ -14,6 +14,7 @@ from ..checks import concrete, held_in_memory, parameter, positive, refuse, whol
 from ..checks import tolerance as checked_tolerance
 from ..entry import checked
 from ..flow import Flow
+from ..flow.dispatch import shared_size
 from ..interrupts import interruptible, waited
 from ..lattice import State
 from ..measures import rms_velocity
@@ -138,7 +139,8 @@ def sweep(
     - `response(lattice, u, v, t)`: a number from one history u, v (S, N) over those periods, t (S,) from phase 0 on;
       by default the root mean square of all velocities.
     - `jump`, `accuracy`: above; both relative. `watch`: periods for the response, more where the motion does not
-      repeat. `periods`, `tolerance`, `steps`, `solver`: as in `settle`; the first or last value sets the steps.
+      repeat. `periods`, `tolerance`, `steps`, `solver`: as in `settle`; the first or last value sets the steps, which
+      are rounded up by an eighth at most, so that sweeps of near-by scenes are one program.
 
     **Returns:** `Sweep`; without `down` its `down` is `None`, and no hysteresis. **Raises** ValueError for fewer than
     two values, values that do not ascend, a batch of lattices, or a period after which the forces do not repeat.
@@ -154,7 +156,7 @@ def sweep(
     scenes = [(scene, float(T)) for scene, T in (made(make, period, w) for w in values[[0, -1]])]
     first = one_lattice(scenes[0][0])
     if steps is None:
-        steps = max(steps_per_period(*scene) for scene in scenes)
+        steps = shared_size(max(steps_per_period(*scene) for scene in scenes))
     flow = Flow(whole("steps", steps, 1), fixed_step_solver(first, solver, SRKN11b()))
     state = State(first.zeros(), first.zeros()) if state is None else checked_state(first, state)
     for lattice, T in scenes:

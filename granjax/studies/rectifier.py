@@ -3,6 +3,7 @@
 import math
 from typing import ClassVar
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -10,10 +11,11 @@ from jaxtyping import Float
 from ..checks import non_negative, positive, whole
 from ..driven import Sweep, driven_chain, sweep
 from ..entry import checked
+from ..lattice import Lattice
 from ..linear import normal_modes
 from ..results import Held, Result
 from ..scenes import beads
-from ..types import Count, Parameter, Scalar
+from ..types import AnyArray, Count, Parameter, Scalar
 
 RADIUS, DEFECT_RADIUS, DEFECT = 9.53e-3, 7e-3, 1
 
@@ -51,6 +53,29 @@ class Rectifier(Result):
         )
 
 
+class _Driven(eqx.Module):
+    """The chain over the drive's amplitude; equal ones compile once, as those of `_Power` do."""
+
+    lattice: Lattice
+    omega: AnyArray
+    damping: AnyArray
+    end: str = eqx.field(static=True)
+
+    def __call__(self, amplitude):
+        return driven_chain(self.lattice, amplitude, self.omega, ends=self.end, damping=self.damping)
+
+
+class _Power(eqx.Module):
+    """What the beads from `first` to `last` dissipate: the mean of the sum of gamma m v^2."""
+
+    damping: AnyArray
+    first: int = eqx.field(static=True)
+    last: int = eqx.field(static=True)
+
+    def __call__(self, lattice, u, v, t):
+        return self.damping * jnp.mean(jnp.sum((lattice.mass * v * v)[:, self.first : self.last], 1))
+
+
 @checked
 def rectifier(
     amplitudes: Parameter, *, sites: Count = 20, detuning: Scalar = -0.02, defect_radius: Scalar = DEFECT_RADIUS,
@@ -83,17 +108,14 @@ def rectifier(
     omega = float(modes[-1]) * (1 + detuning)
     damping = 1 / float(positive("damping_time", damping_time))
 
-    def one(end, beyond):
-        def power(lattice, u, v, t):
-            return damping * jnp.mean(jnp.sum((lattice.mass * v * v)[:, beyond], 1))
-
+    def one(end, *beyond):
         return sweep(
-            lambda a: driven_chain(lattice, a, omega, ends=end, damping=damping), amplitudes,
-            lambda a: 2 * jnp.pi / omega, response=power, periods=periods, tolerance=tolerance, watch=60, down=False,
+            _Driven(lattice, *map(jnp.asarray, (omega, damping)), end), amplitudes, 2 * math.pi / omega,
+            response=_Power(jnp.asarray(damping), *beyond), periods=periods, tolerance=tolerance, watch=60, down=False,
             jump=0.5, accuracy=0.01,
         )
 
-    near, far = one("left", slice(sites // 2, None)), one("right", slice(0, sites // 2))
+    near, far = one("left", sites // 2, sites), one("right", 0, sites // 2)
     return Rectifier(
         amplitudes, near, far, _threshold(near), _threshold(far), near.up.response / far.up.response,
         omega / (2 * math.pi), float(modes[-1]) / (2 * math.pi), float(modes[-2]) / (2 * math.pi),

@@ -1,0 +1,245 @@
+"""Nothing is compiled twice: not by an identical call, nor with other numbers of the same shapes.
+
+Every row of the table of tests/test_covariance.py is called with a scene, with an equal one that is built anew, and
+with ones of other parameters; so are functions that take no lattice. A new program is one that JAX says it compiles,
+be it a single operation of a new shape. What is compiled does not depend on what other tests have left behind.
+"""
+
+from collections.abc import Callable
+from contextlib import contextmanager
+from typing import NamedTuple
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from test_covariance import LONG, LONGER, PLAIN, TABLE, Scene, Shaken, closed, hertz, masses, over_period, velocities
+from test_vocabulary import ALL
+
+import granjax as gx
+
+_heard = []
+
+
+def _hear(event, seconds, **named):
+    if event == "/jax/core/compile/backend_compile_duration":
+        _heard.append(named.get("fun_name", "a program"))
+
+
+jax.monitoring.register_event_duration_secs_listener(_hear)
+
+
+@contextmanager
+def compiled():
+    """A list of the programs that are compiled inside."""
+    found = []
+    begin = len(_heard)
+    try:
+        yield found
+    finally:
+        found += _heard[begin:]
+
+
+def test_programs_are_counted():
+    with compiled() as first:
+        jax.jit(lambda x: jnp.cos(x) + 3)(jnp.ones(5)).block_until_ready()
+    with compiled() as again:
+        jnp.ones(5).block_until_ready()
+    assert len(first) >= 1 and not again
+
+
+# ---------------------------------------------------------------------------------------------------------------- rows
+
+
+class Call(NamedTuple):
+    """A public function called with numbers of a seed, which arrays of the same shapes hold."""
+
+    name: str
+    call: Callable
+    marks: tuple = ()
+    # whether other numbers are of the same shapes
+    others: bool = True
+
+
+SLOW, STUDY = pytest.mark.slow, pytest.mark.study
+
+
+def of_row(r):
+    """A row of the table, on its first scene."""
+    marks = (STUDY,) if r.name in LONGER else (SLOW,) if r.name in LONG or not r.scenes else ()
+    # the time steps of a sweep follow from its frequencies, and its response reads them all: below with equal ones
+    return Call(r.name, lambda seed: r.call(Scene((*r.scenes, *r.slow)[0], seed)), marks, r.name != "sweep")
+
+
+CALLS = [of_row(r) for r in TABLE]
+
+
+def also(name, *marks):
+    def add(call):
+        CALLS.append(Call(name, call, marks))
+        return call
+
+    return add
+
+
+def rng_of(seed):
+    return np.random.default_rng(seed)
+
+
+def chain(seed, sites=6):
+    rng = rng_of(seed)
+    return gx.Lattice(masses(rng, PLAIN, sites), gx.Bond(gx.Shift(1, "fixed"), hertz(rng, PLAIN)))
+
+
+def moving(seed):
+    return Scene(closed, seed).state
+
+
+@also("Flow")
+def _(seed):
+    flow, end = gx.Flow(16), 1.0 + 0.1 * seed
+    flow(moving(seed), 0.0, end, chain(seed))
+    flow.derivative(moving(seed), 0.0, end, chain(seed))
+
+
+def oscillator(t, y, args):
+    return -args * y
+
+
+@also("Flow of a field")
+def _(seed):
+    gx.Flow(8, diffrax.Dopri8(), oscillator)(jnp.ones(3) * (seed + 1), 0.0, 1.0 + seed, 0.5 + seed)
+
+
+@also("simulate at every step")
+def _(seed):
+    run = gx.simulate(chain(seed), moving(seed), 4.0 + 0.01 * seed, step=0.05 - 0.001 * seed, save_at="steps")
+    assert len(run.ts) > 80
+
+
+@also("simulate at a step")
+def _(seed):
+    for step in (0.1, 0.037 + 0.001 * seed):
+        assert gx.simulate(chain(seed), moving(seed), 2.0 + seed, step=step).completed
+
+
+@also("record_error", SLOW)
+def _(seed):
+    run = gx.simulate(chain(seed), moving(seed), 2.0, step=0.05, record={"peak": gx.Peak(velocities)})
+    return run.record_error, run.opening, repr(run)
+
+
+def final(x, step):
+    lattice = gx.Lattice(x["mass"], gx.Bond(gx.Shift(1, "fixed"), gx.Hertz(1.0, 0.7)))
+    return gx.simulate(lattice, (0 * x["v"], x["v"]), 1.0, step=step, throw=False).final.u
+
+
+@also("derivative", SLOW)
+def _(seed):
+    gx.derivative(final, {"mass": masses(rng_of(seed), PLAIN), "v": moving(seed).v}, 0.05 + 0.01 * seed)
+
+
+@also("taylor")
+def _(seed):
+    gx.laws.taylor(hertz(rng_of(seed), PLAIN))
+
+
+@also("Spline.fitted")
+def _(seed):
+    rng = rng_of(seed)
+    e = np.sort(rng.uniform(-1, 1, 20))
+    gx.laws.Spline.fitted([-1.0, -0.3 - 0.01 * seed, 0.2, 1.0], e, np.sinh(e) * (1 + seed))
+
+
+@also("newton")
+def _(seed):
+    gx.newton.newton(cubic, np.array([1.0, 2.0]), {"a": 1.0 + 0.1 * seed})
+
+
+def cubic(x, args):
+    return x**3 + args["a"] * x - jnp.array([1.0, 2.0])
+
+
+def circle(x, p, args):
+    return x**2 + p**2 - args
+
+
+@also("continuation")
+def _(seed):
+    gx.continuation.continuation(circle, [1.0 + 0.1 * seed], 0.0, args=(1.0 + 0.1 * seed) ** 2, points=6)
+
+
+@also("multipliers")
+def _(seed):
+    gx.floquet.multipliers(gx.Flow(16), moving(seed), 0.0, 1.0 + 0.1 * seed, chain(seed))
+
+
+@also("what an orbit tells", SLOW)
+def _(seed):
+    lattice = gx.driven.driven_chain(chain(seed), 0.05, 0.8, damping=0.25)
+    orbit = gx.forced.forced_orbit(lattice, 2 * np.pi / 0.8, steps=32)
+    return orbit.run(16), orbit.harmonics(2), orbit.amplitude, orbit.rms_velocity, orbit.energy_input, repr(orbit)
+
+
+@also("sweep of amplitudes", SLOW)
+def _(seed):
+    make = Shaken(chain(0), jnp.asarray(0.05 + 0.01 * seed), jnp.asarray(0.25 + 0.01 * seed))
+    gx.driven.sweep(make, [0.8, 0.82], over_period, periods=400)
+
+
+@also("sweep by a function of one's own", SLOW)
+def _(seed):
+    gx.driven.sweep(own_make, [0.8 + 0.01 * seed, 0.9], own_period, periods=400)
+
+
+OWN = chain(0)
+
+
+def own_make(omega):
+    return gx.driven.driven_chain(OWN, 0.05, omega, damping=0.25)
+
+
+own_period = lambda omega: 2 * jnp.pi / omega
+
+
+@also("rectifier", SLOW)
+def _(seed):
+    gx.studies.rectifier(np.array([1e-8, 2e-8]) * (1 + 0.1 * seed), sites=6, periods=60, damping_time=2e-4)
+
+
+@also("spectra")
+def _(seed):
+    rng = rng_of(seed)
+    gx.measures.spectrum(rng.normal(size=(32, 6)), 0.1 + 0.01 * seed)
+    gx.measures.participation(rng.uniform(size=6))
+    gx.measures.arrival_times(np.arange(32.0), rng.normal(size=(32, 6)), 0.3 + 0.1 * seed)
+    gx.measures.peak_times(np.arange(32.0), rng.normal(size=(32, 6)))
+
+
+@also("smooth_peak")
+def _(seed):
+    gx.smooth_peak(rng_of(seed).uniform(size=(4, 5)), power=20 + seed)
+
+
+@also("envelopes")
+def _(seed):
+    f = 1 + 0.1 * seed
+    found = gx.theory.nls.coefficients(1.0, 1.5 * f, 0.375 * f, -0.0625 * f, np.pi, 0)
+    gx.theory.nls.dark_profile(found, 0.99 * float(found.omega), 12)
+
+
+def test_what_is_called_is_public():
+    assert {call.name for call in CALLS} >= {r.name for r in TABLE} and len(ALL) > 350
+
+
+@pytest.mark.parametrize("call", [pytest.param(call, id=call.name, marks=call.marks) for call in CALLS])
+def test_nothing_is_compiled_twice(call):
+    call.call(0)
+    with compiled() as again:
+        call.call(0)
+    assert not again, f"an identical call compiles {again}"
+    if call.others:
+        with compiled() as other:
+            call.call(1)
+        assert not other, f"other numbers compile {other}"
