@@ -195,13 +195,13 @@ def per_lane(argument: str, x: Any, lanes: tuple[int, ...], check: Callable = pa
     return array
 
 
-def tolerance(argument: str, x: Any, most: float = 0.1) -> Any:
+def tolerance(argument: str, x: Any, most: float = 0.1, typical: float = 1e-8) -> Any:
     """A relative tolerance: one number above zero and below `most`, from which on nothing is asked."""
     if isinstance(x, jax.core.Tracer) or type(x) is float and 0 < x < most:
         return x
     value = _real(argument, x)
     if value.ndim or not 0 < value < most:
-        refuse(argument, f"one number above 0 and below {most:g}", show(value), "Typical: 1e-8.")
+        refuse(argument, f"one number above 0 and below {most:g}", show(value), f"Typical: {typical:g}.")
     return float(value)
 
 
@@ -231,9 +231,9 @@ def whole(argument: str, x: Any, at_least: int = 0, remedy: str = "") -> int:
 
 
 def returned(argument: str, tree: Any) -> Any:
-    """What a function of the user's has returned: arrays of numbers, or a tree of such."""
+    """What a function of the user's has returned: arrays of numbers, or a tree of some."""
     numbers = jax.Array, np.ndarray, np.generic, int, float, complex
-    for leaf in jax.tree.leaves(tree, is_leaf=lambda x: x is None):
+    for leaf in jax.tree.leaves(tree) or [None]:
         if not isinstance(leaf, numbers) or letter(leaf) not in "biufcV":
             refuse(argument, "a function that returns arrays of numbers", f"one that returns {described(tree)}")
     return tree

@@ -172,7 +172,7 @@ def hertz_coefficient(
     curvature = 1 / R1 + 1 / R2
     value = concrete(curvature)
     if value is not None and not np.all(value > 0):
-        refuse("radius_2", "at most one plane", "two", "Two planes have no Hertz contact.")
+        refuse("radius_1 and radius_2", "at most one plane", "two", "Two planes have no Hertz contact.")
     return 4 / 3 * _effective_modulus(first, second) / jnp.sqrt(curvature)
 
 

@@ -219,4 +219,5 @@ def _iterate(both, x0, args, tolerance, max_steps, finish):
 def nearby(x: Numbers, step: Numbers) -> Numbers:
     """x + step, of one shape, where that is a small part of x, and x where it is not (or not finite)."""
     broadcast(x=x, step=step)
-    return jnp.where(jnp.max(jnp.abs(step)) <= FLAT * jnp.max(jnp.abs(x)), x + step, x)
+    small = jnp.max(jnp.abs(step), initial=0) <= FLAT * jnp.max(jnp.abs(x), initial=0)
+    return jnp.where(small, x + step, x)

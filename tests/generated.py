@@ -60,6 +60,7 @@ NOT_FACE = {
     "split_system.": "between a lattice and a solver, inside of a loop",
     "lattice.model.Lattice.sum_forces": "a part of `force`, inside of a loop", "terms.reach.": "asked by terms alone",
     "lattice.model.Lattice.total": "a part of `force`, inside of a loop",
+    "units.names.": "asked by results and plots, whose units= is a part of the face",
     "tuning.keep_compiled": "sets where JAX keeps its programs, for the whole process",
     "tuning.one_thread": "a decorator of the library's own",
     "tuning.prepare_import": "called by the import, without an argument",
@@ -154,6 +155,18 @@ def lattice():
     return gx.scenes.monomer(SITES, precompression=0.3)
 
 
+@functools.cache
+def fields():
+    """A lattice whose cells hold two beads by their names."""
+    return gx.Lattice({"a": np.ones(SITES), "b": np.ones(SITES)}, gx.Bond(gx.Shift(1, "fixed", "a"), gx.Linear(1.0)))
+
+
+@functools.cache
+def lattices():
+    """Two lattices as lanes."""
+    return jax.vmap(lambda k: gx.scenes.monomer(SITES, stiffness=k, precompression=0.3), out_axes=-1)(np.ones(2))
+
+
 VALUES = {
     "None": lambda: None,
     "True": lambda: True,
@@ -197,7 +210,12 @@ VALUES = {
     "decimal": lambda: Decimal("1.5"),
     "fraction": lambda: Fraction(3, 2),
     "lattice": lattice,
+    "lattice of fields": fields,
+    "lattices": lattices,
     "state": lambda: gx.State(np.zeros(5), np.zeros(5)),
+    "state of seven": lambda: gx.State(np.zeros(7), np.zeros(7)),
+    "state of texts": lambda: gx.State(np.array(["a"] * 5), np.zeros(5)),
+    "state of fields": lambda: gx.State({"a": np.zeros(5)}, {"a": np.zeros(5)}),
     "law": lambda: gx.Hertz(),
     "generator": _generator,
     "frame": Frame,
@@ -412,7 +430,8 @@ OWN = {
     "plots.fits.law.force": times, "plots.histories.traces.ts": run,
     "lattice.model.Lattice.units": lambda: "SI", "lattice.model.Lattice.counted_in.units": lambda: "SI",
     "measures.spectra.spectrum.units": lambda: "SI", "measures.spectra.spectrogram.units": lambda: "SI",
-    "materials.Material.poisson": lambda: 0.3, "lattice.model.Lattice.mass": lambda: np.ones(SITES),
+    "materials.named.argument": lambda: "name", "materials.Material.poisson": lambda: 0.3,
+    "lattice.model.Lattice.mass": lambda: np.ones(SITES),
     "laws.base.Sum.parts": lambda: [gx.Hertz(), gx.Linear(1.0)], "laws.spline.Spline.stiffness": lambda: np.ones(4),
     "measures.modal.modal_energy.omega": lambda: np.ones(5), "studies.resonance.decay.anti_resonance.low": lambda: 0.3,
     "identify.pinn.physics_informed.velocity": histories, "plots.fits.law.low": lambda: np.zeros(FRAMES),
@@ -485,29 +504,6 @@ INSTANCES = {
     gx.Lattice: lattice, gx.Flow: lambda: gx.Flow(8), gx.units.Units: gx.units.Units, gx.Traces: traces,
     gx.orbits.Symmetry: gx.orbits.Symmetry, Result: run, Figure: lambda: figure("fig1.3"),
 }
-
-
-# what is still to be mended, by the beginning of the case: another argument is named, or an error comes from inside
-PENDING = (
-    "orbits.floquet.multipliers(state=", "flow.reversible.return_error(state=",  # says y
-    "flow.derivative.derivative(x=",  # says function
-    "fit.files.read_csv(trigger=", "fit.files.read_mat(trigger=",  # says start, stop
-    "identify.regression.regression(mass=",  # says u
-    "theory.nls.bright_profile(omega=", "theory.nls.dark_profile(omega=",  # says kappa
-    "plots.histories.traces(qs=", "plots.curves.profile(x=",  # says ts; says y
-    "orbits.attractors.largest(x=",  # of no numbers
-    "theory.nls.dark(nu3_force=",  # says nu2, nu3
-    "continuation.trace.continuation(arclength=",  # says longest_arclength
-    "identify.wall.wall_modulus(start=", "identify.wall.wall_modulus(factor=",  # says modulus
-    "identify.pinn.physics_informed(sites=",  # says velocity
-    "laws.contact.PowerLaw(exponent=",  # says precompression
-    "studies.reproduce.making.one_by_one(out=", "studies.reproduce.making.run(out=",  # says plots
-    "orbits.lyapunov.lyapunov(windows=",  # says periods
-    "orbits.driven_chain.driven_chain(",  # a damping that does not fit says terms[1], a field that is not there lattice
-    *(f"lattice.model.Lattice.{name}(u=" for name in (  # where it is complex: says s
-        "acceleration", "energy", "force", "potential_energy")),
-    "studies.reproduce.figure.Figure.parameters(overrides=",  # says parameter
-)
 
 
 def instance(cls):

@@ -9,7 +9,7 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import diffrax
 import equinox as eqx
@@ -59,6 +59,15 @@ class Series:
         return iter(self.values)
 
 
+
+class Named(NamedTuple):
+    """Looked at where it is taken, as JAX makes it anew of anything."""
+
+    name: str
+    size: words.Scalar = 1.0
+    more: object = None
+
+
 # an annotation, what fits it, what does not
 KINDS = (
     (words.Scalar, ONE, NONE + MANY),
@@ -97,6 +106,7 @@ KINDS = (
     (Float[np.ndarray, "n n"], (np.eye(2), jnp.eye(2)), (np.ones(2), [[1.0]], None, np.eye(2) * 1j)),
     (gx.Lattice | gx.Flow, (LATTICE, gx.Flow(3)), (None, gx.Lattice, STATE, 1)),
     (gx.Law, (gx.Hertz(),), (None, 1.0, gx.Hertz)),
+    (Named, (Named("a"), Named("a", 2, "b")), (None, "a", ("a", 1.0), Named(1), Named("a", "b"), Named(None), Named)),
     (Any, (None, 1, object()), ()),
 )
 
@@ -126,6 +136,8 @@ SENTENCES = (
     (words.Parameter, np.ones(2) * 1j, "got an array of complex128, shape (2,). Take .real or abs()"),
     (words.Parameter, MASKED, "given: expected numbers without a mask, got 1 of 2 masked. "),
     (words.StateLike, (np.ones(2), None), "given.v: expected an array of real numbers over the sites"),
+    (Named, Named("a", "b"), "given.size: expected one number, got 'b'."),
+    (Sequence[Named], [Named("a", "b")], "given[0].size: expected one number, got 'b'."),
     (dict[str, words.Scalar], {"a": "b"}, "given['a']: expected one number, got 'b'."),
     (Sequence[str], ["a", 1], "given[1]: expected a string, got 1."),
     (gx.Lattice, gx.Lattice, "given: expected a Lattice, such as gx.scenes.monomer(100), got the class Lattice."),
@@ -333,7 +345,7 @@ def test_named_findings_meet_a_sentence():
     fit = functools.partial(gx.fit, scene, {"k": 1.0}, traces)
     cases = (
         (lambda: gx.driven.driven_chain(chain, np.ones(7), 1.0), "amplitude: expected one number, got shape (7,)"),
-        (lambda: gx.driven.driven_chain(chain, 0.1, 1.0, damping=np.ones(3)), "(Damping): expected"),
+        (lambda: gx.driven.driven_chain(chain, 0.1, 1.0, damping=np.ones(3)), "damping: expected one number, or one"),
         (lambda: gx.Traces(times, velocity=data, sites=[1, 2], sigma=[0.1] * 3), "sigma: expected a number, or"),
         (lambda: gx.Traces(times, velocity=data, sites=[1, [2, 3]]), "sites: expected whole numbers"),
         (lambda: fit(state=lambda p, lattice: 3.0), "state: expected a function (parameters, lattice)"),

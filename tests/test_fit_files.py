@@ -103,7 +103,7 @@ def test_both_kinds_of_matlab_files(tmp_path, version):
     (r"trigger: expected .*, got \('gate', 2.5, 1\)", {"velocity": 2, "trigger": ("gate", 2.5, 1)}),
     ("baseline: expected at least 16 samples before a trigger", {"velocity": 2, "baseline": True}),
     ("sigma: expected noise before the trigger", {"velocity": "gate", "trigger": 1.9e-3}),
-    ("start, stop: expected a window within 0 ... 0.0039 s, got 1 ... None", {"velocity": 2, "start": 1}),
+    ("start: expected a window with two samples, within 0 ... 0.0039 s, got 1 ... inf s", {"velocity": 2, "start": 1}),
     ("time: expected times that rise, got .*Give sampling=", {"velocity": 2, "time": "two"}),
 ])
 def test_what_cannot_be_meant_is_refused(tmp_path, message, keywords):

@@ -6,7 +6,7 @@ The cases are made of signatures and types (`generated.py`); a fixed seed choose
 import generated
 import jax
 import pytest
-from generated import BLANK, PENDING, Case, cases, chosen, targets, trial
+from generated import BLANK, Case, cases, chosen, targets, trial
 
 FAST = 3000
 ALL = [case for target in targets() for case in cases(target)]
@@ -23,8 +23,7 @@ PACKAGES = sorted({package(case) for case in ALL})
 def check(some):
     """Each is refused by a sentence, or of a kind that its annotation admits; and nothing was compiled."""
     found = [(case, trial(case)) for case in some]
-    wrong = [f"{case}: {x.kind}{', must be refused' * x.must}: {x.told}" for case, x in found if x and not x.good
-             and not str(case).startswith(PENDING)]
+    wrong = [f"{case}: {x.kind}{', must be refused' * x.must}: {x.told}" for case, x in found if x and not x.good]
     assert not wrong, f"{len(wrong)} of {len(found)}\n" + "\n".join(wrong[:40])
     assert not generated.COMPILED
 

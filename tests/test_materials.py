@@ -173,7 +173,7 @@ def test_stack_places_materials_along_a_chain():
     (lambda: hertz_coefficient("brass", "a"), "radius_1: expected real numbers"),
     (lambda: hertz_coefficient("brass", [-1.0, np.inf]), "radius_1: expected numbers above zero"),
     (lambda: hertz_coefficient("brass", 1.0, None, -np.inf), "radius_2: expected finite"),
-    (lambda: hertz_coefficient("brass", np.inf), "radius_2: expected at most one plane"),
+    (lambda: hertz_coefficient("brass", np.inf), "radius_1 and radius_2: expected at most one plane"),
     (lambda: hertz_coefficient("rigid", 1.0), "material_2: expected at most one rigid body"),
     (lambda: hertz_coefficient("brass", np.ones(3), None, np.ones(2)), "radius_1 and .* shapes that broadcast"),
     (lambda: bead_mass("rigid", 1.0), "material: expected a material with a density"),

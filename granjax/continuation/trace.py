@@ -52,7 +52,7 @@ def continuation(
         one_of("find", kind, ("fold", "branch point"))
     arclength = float(positive("arclength", arclength))
     least_arclength, longest_arclength = (
-        float(positive(name, arclength * share if x is None else x)) for name, x, share in (
+        float(positive(name, min(arclength * share, np.finfo(float).max) if x is None else x)) for name, x, share in (
             ("least_arclength", least_arclength, 1e-4), ("longest_arclength", longest_arclength, 10)))
     bounds = () if until is None else tuple(np.atleast_1d(np.asarray(parameter("until", until))))
     if until is not None and np.shape(bounds) not in ((1,), (2,)):

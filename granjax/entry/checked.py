@@ -36,6 +36,7 @@ CLASSES = {
     "Record": ("a record, such as gx.Peak(quantity)", ""),
     "AbstractSolver": ("a solver, such as gx.SRKN11b()", "Any of granjax's or diffrax's will do."),
     "AbstractAdjoint": ("an adjoint, such as diffrax.ForwardMode()", "None serves both derivative modes."),
+    "Ladder": ("a Ladder(name, parameter, values, call)", ""),
     "Material": ("a Material", "Names: granjax.materials.NAMES."),
     "Axes": ("matplotlib's Axes", "Such as matplotlib.pyplot.subplots makes."),
 }
@@ -195,10 +196,23 @@ def _each(container, kind):
     return Kind(f"{container.expected} (each: {kind.expected})", fits, parts=parts)
 
 
-def _instance(kind):
-    name = kind.__name__
+def _instance(cls):
+    name = cls.__name__
     said, remedy = CLASSES.get(name, (f"a{'n' * (name[0] in 'AEIOU')} {name}", ""))
-    return Kind(said, lambda x: type(x) is kind or isinstance(x, kind), remedy)
+    # a named tuple, which JAX makes anew of whatever its leaves become, is looked at where it is taken
+    fields = typing.get_type_hints(cls) if issubclass(cls, tuple) else {}
+    kinds = {field: kind for field, kind in zip(fields, map(kind_of, fields.values())) if kind}
+    if not kinds:
+        return Kind(said, lambda x: type(x) is cls or isinstance(x, cls), remedy)
+
+    def parts(argument, x):
+        return [(f"{argument}.{field}", kind, getattr(x, field)) for field, kind in kinds.items()
+                if isinstance(x, cls)]
+
+    def fits(x):
+        return isinstance(x, cls) and all(kind.fits(getattr(x, field)) for field, kind in kinds.items())
+
+    return Kind(said, fits, remedy, parts)
 
 
 def checked(target: T) -> T:

@@ -194,7 +194,7 @@ def _traces(column, data, time, sampling, units, gain, trigger, start, stop, sig
         if np.isinf(scaled).any():
             refuse("gain", "numbers that keep the data finite", show(factor))
         data = scaled
-    quiet = None
+    quiet, asked = None, {"trigger": trigger, "start": start, "stop": stop}
     if trigger is not None:
         zero = _trigger(column, trigger, times)
         before = np.searchsorted(times, zero)
@@ -211,9 +211,12 @@ def _traces(column, data, time, sampling, units, gain, trigger, start, stop, sig
         sigma = np.where(known, np.nanstd(np.where(known, quiet, 0.0), axis=0, ddof=1), np.nan)
         if not (sigma > 0).all():
             refuse("sigma", "noise before the trigger", f"standard deviations {show(sigma)}", "Give sigma=.")
-    kept = (times >= (-np.inf if start is None else start)) & (times <= (np.inf if stop is None else stop))
+    window = -np.inf if start is None else start, np.inf if stop is None else stop
+    kept = (times >= window[0]) & (times <= window[1])
     if kept.sum() < 2:
-        refuse("start, stop", f"a window within {times[0]:g} ... {times[-1]:g} s", f"{start} ... {stop}")
+        given = ", ".join(name for name, x in asked.items() if x is not None)
+        refuse(given, f"a window with two samples, within {times[0]:g} ... {times[-1]:g} s" + (
+            " from the trigger on" if trigger is not None else ""), f"{window[0]:g} ... {window[1]:g} s")
     if np.ndim(sigma) == 2 and len(sigma) == len(data):
         sigma = np.asarray(sigma)[kept]
     return Traces(times[kept], sigma=sigma, gain=gain, **{kind: data[kept]}, **where)

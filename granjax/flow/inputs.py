@@ -15,8 +15,6 @@ from .dispatch import facts
 from .record import CLOSEST, EXTREMES, FORMS
 
 RESERVED = ("time", "ts", "us", "vs", "u", "v", CLOSEST, EXTREMES)
-# bytes of a frame at least: t, u and v of one site
-FRAME = 24
 
 
 def checked_state(lattice: Lattice, state: StateLike) -> State:
@@ -27,7 +25,7 @@ def checked_state(lattice: Lattice, state: StateLike) -> State:
         if isinstance(template, dict) != isinstance(x, dict) or (isinstance(x, dict) and set(x) != set(template)):
             got = f"fields {sorted(x)}" if isinstance(x, dict) else "an array"
             wanted = f"fields {sorted(template)}" if isinstance(template, dict) else "an array"
-            refuse(f"state.{name}", wanted, got)
+            refuse(f"state.{name}", f"{wanted}, as of the lattice", got)
         if isinstance(x, dict):
             out.append({k: _checked_array(f"state.{name}[{k!r}]", x[k], template[k].shape, dtype) for k in template})
         else:
@@ -85,7 +83,13 @@ def checked_size(name: str, x: Any) -> Scalar | None:
     return float(value)
 
 
-def checked_save_at(save_at: Any, t0: Scalar, t1: Scalar) -> tuple:
+def held_frames(argument: str, count: int, state: StateLike, what: str = "frames", each: int = 1) -> None:
+    """Refuse a count of which each keeps so many frames of a state, with their times, that memory holds them not."""
+    size = 8 + sum(x.size * x.dtype.itemsize for x in jax.tree.leaves(state))
+    held_in_memory(argument, count, each * size, f"{what} of such a state")
+
+
+def checked_save_at(save_at: Any, t0: Scalar, t1: Scalar, state: StateLike) -> tuple:
     """Times to save at, the number of equal intervals that fixed steps have to fit, and whether to save every step."""
     if save_at is None:
         return None, 1, False
@@ -94,7 +98,7 @@ def checked_save_at(save_at: Any, t0: Scalar, t1: Scalar) -> tuple:
         return None, 1, True
     if np.ndim(save_at) == 0:
         frames = whole("save_at", save_at, 1, "A number of frames, an array of times, or 'steps'.")
-        held_in_memory("save_at", frames, FRAME, "frames")
+        held_frames("save_at", frames, state)
         if frames == 1:
             return None, 1, False
         return t0 + (t1 - t0) * jnp.linspace(0.0, 1.0, frames), frames - 1, False
@@ -102,6 +106,7 @@ def checked_save_at(save_at: Any, t0: Scalar, t1: Scalar) -> tuple:
         "save_at", save_at, "a number of frames, a list of times, or 'steps'")
     if ts.ndim != 1 or ts.size == 0:
         refuse("save_at", "a list of times", f"shape {ts.shape}")
+    held_frames("save_at", ts.size, state, "times")
     value = concrete(ts)
     if value is not None:
         if not np.isfinite(value).all() or not (np.diff(value) > 0).all():

@@ -77,8 +77,8 @@ def checked_method(lattice: Lattice, solver: Any, step: Any, tolerance: Any) -> 
     least = 0 if value is None else least_tolerance(dtype)
     if value is not None and value < least:
         refuse("tolerance", f"at least {least:.1e}, what {dtype} holds", show(value), "Use a larger one.")
-    if value is not None and value > 1:
-        refuse("tolerance", "at most 1, the size of the motion itself", show(value), "1e-6 to 1e-9 are usual.")
+    if value is not None and value >= 1:
+        refuse("tolerance", "below 1, the size of the motion itself", show(value), "1e-6 to 1e-9 are usual.")
     # an array, so that another tolerance compiles nothing
     return solver, step, None if tolerance is None else number(tolerance, dtype)
 

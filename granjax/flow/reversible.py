@@ -6,7 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import positive, refuse
+from ..checks import refuse
+from ..checks import tolerance as checked_tolerance
 from ..entry import checked
 from ..interrupts import waited
 from ..lattice import Lattice, split_system, vector_field
@@ -16,7 +17,7 @@ from ..types import Count, Counts, Number, Scalar, StateLike, Times
 from .dispatch import compiled
 from .integrate import integrate
 from .run import Run
-from .stepping import Flow
+from .stepping import Flow, check_moved
 
 _FORWARD = diffrax.ForwardMode()
 
@@ -39,7 +40,7 @@ class Reversible(eqx.Module):
     Wants a splitting solver at a fixed step and no records, and refuses forward mode; gives derivatives of what is
     saved and of the end (NaN for those of `energy_error`) with respect to lattice and state, not with respect to times.
     Takes 3 to 6 times the run.
-    **Raises** ValueError for a tolerance that is not above zero.
+    **Raises** ValueError for a tolerance that is not above zero and below one.
     """
 
     return_error: jax.Array
@@ -49,7 +50,7 @@ class Reversible(eqx.Module):
     @checked
     def __init__(self, tolerance: Scalar = 1e-6):
         self.return_error = jnp.zeros(())
-        self.tolerance = float(positive("tolerance", tolerance))
+        self.tolerance = float(checked_tolerance("tolerance", tolerance, 1, 1e-6))
 
 
 def checked_reversible(lattice: Lattice, solver: diffrax.AbstractSolver, records: dict, every: bool) -> None:
@@ -88,6 +89,7 @@ def return_error(
     **Arguments:** `steps`: how many each way, a whole number or an array; `solver`: any with symmetric steps.
     """
     flow = Flow(steps, solver)
+    check_moved("state", state, flow, lattice, "the lattice")
     end = flow(state, t0, t1, lattice)
     back = flow(end, t1, t0, lattice)
     return jnp.maximum(*(_missed(*x) for x in zip(back, state, end)))

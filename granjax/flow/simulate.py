@@ -19,7 +19,7 @@ from ..outside import Outside
 from ..types import Count, Parameter, Scalar, StateLike
 from .confirmation import Confirmation
 from .dispatch import facts
-from .inputs import checked_records, checked_save_at, checked_state, checked_times
+from .inputs import checked_records, checked_save_at, checked_state, checked_times, held_frames
 from .integrate import integrate
 from .march import in_pieces, march, refuse_endless
 from .method import checked_method, doubts, fixed_step, linear_bound, number, passed
@@ -67,7 +67,7 @@ def simulate(
       transformation nothing is looked at, and sixteen neighbours count.
     - `tolerance`: adaptive steps, each with a local error below `tolerance` times the scene's scale of velocity (and
       that over omega_max for displacements), in the largest norm over sites. With `step` too, no step is longer than
-      that. Above 0.01 the outcome says that it is loose; above 1 it is refused. The mesh follows the state, not its
+      that. Above 0.01 the outcome says that it is loose; from 1 on it is refused. The mesh follows the state, not its
       tangents: for derivatives of a smooth orbit (a monodromy) give `step` alone. Lanes share every step, and so the
       events of all: sort them and go in chunks, or give `step`.
     - `save_at`: `None` only the end; a whole number, that many frames from t0 to t1; an array of times; `"steps"`,
@@ -98,7 +98,7 @@ def simulate(
     if throw and unknown:
         remedy = "What becomes of a traced run is not known yet."
         refuse("throw", "None or False under a transformation", "True", remedy)
-    save_ts, frames, every = checked_save_at(save_at, t0, t1)
+    save_ts, frames, every = checked_save_at(save_at, t0, t1, state)
     solver, step, tolerance = checked_method(lattice, solver, step, tolerance)
     records = checked_records(record, lattice, state)
     outside = Outside(tuple(records.values())) if records else None
@@ -116,6 +116,8 @@ def simulate(
     # an adjoint that is asked for by name is asked for its memory, of which looking between steps takes as much again
     dips = unknown and adjoint is None
     adjoint, limit = _adjoint(adjoint, unknown, every, steps, max_steps)
+    if every:
+        held_frames("save_at" if max_steps is None else "max_steps", limit, state, "steps")
 
     # diffrax raises the state to the type of the times
     span = number(t0, dtype), number(t1, dtype)

@@ -49,15 +49,13 @@ class Flow(eqx.Module):
     @checked
     def __call__(self, y: Pytree, t0: Scalar, t1: Scalar, args: Any) -> Pytree:
         """The state at t1 of what is `y` at t0; of a lattice's shape, where that is what moves."""
-        if self._moves_lattice(y, args):
-            for name, x in zip(("u", "v"), y):
-                check_shape(args, f"y.{name}", x)
+        check_moved("y", y, self, args)
         return _run(self.solver, self.field, self.steps, y, t0, t1, args)
 
     @checked
     def tangents(self, y: Pytree, tangents: Pytree, t0: Scalar, t1: Scalar, args: Any) -> tuple:
         """(phi(y), D phi(y) tangents), with `tangents` like `y` plus a trailing axis."""
-        self._moves_lattice(y, args)
+        check_moved("y", y, self, args)
         shapes, own = ([np.shape(x) for x in jax.tree.leaves(tree)] for tree in (tangents, y))
         if len(shapes) != len(own) or any(x[:-1] != a or x == a for x, a in zip(shapes, own)):
             refuse("tangents", f"arrays of the shapes {own} and a trailing axis each", f"shapes {shapes}")
@@ -75,15 +73,17 @@ class Flow(eqx.Module):
         end, tangents = self.tangents(y, unit, t0, t1, args)
         return end, matrix(tangents)
 
-    def _moves_lattice(self, y, args):
-        """Whether it is a lattice that moves, as `args` and `y` then have to be."""
-        if self.field is not vector_field:
-            return False
-        if not isinstance(args, Lattice):
-            refuse("args", "the Lattice that moves", described(args), "Another motion has a field: Flow(n, field=f).")
-        if not _is_pair(y):
-            refuse("y", "a State(u, v)", described(y), "Another motion has a field: Flow(n, field=f).")
-        return True
+
+def check_moved(argument: str, y: Any, flow: Flow, args: Any, whose: str = "the lattice args") -> None:
+    """Refuse, as this argument, what is no state of the lattice `args`, where it is a lattice that moves."""
+    if flow.field is not vector_field:
+        return
+    if not isinstance(args, Lattice):
+        refuse("args", "the Lattice that moves", described(args), "Another motion has a field: Flow(n, field=f).")
+    if not _is_pair(y):
+        refuse(argument, "a State(u, v)", described(y), "Another motion has a field: Flow(n, field=f).")
+    for name, x in zip(("u", "v"), y):
+        check_shape(args, f"{argument}.{name}", x, whose)
 
 
 def matrix(tangents: Pytree) -> Numbers:

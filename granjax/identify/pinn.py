@@ -148,7 +148,8 @@ def _checked(lattice, times, velocity, sites):
     if times.ndim != 1 or len(times) < 2 or not (np.diff(times) > 0).all() or times[0] < 0:
         refuse("times", "increasing times, from t >= 0 on", f"shape {times.shape}")
     if velocity.shape != (len(times), len(sites)):
-        refuse("velocity", f"shape {(len(times), len(sites))}, times and sensors", f"{velocity.shape}")
+        refuse("velocity and sites", f"a velocity of shape {(len(times), len(sites))}, times and sensors",
+               f"{velocity.shape}")
     if not velocity.any():
         refuse("velocity", "some motion", "none")
     return times, velocity, sites

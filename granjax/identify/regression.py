@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.interpolate import UnivariateSpline
 
-from ..checks import non_negative, parameter, positive, refuse, whole
+from ..checks import non_negative, parameter, positive, refuse, whole, within
 from ..entry import checked
 from ..lattice import Lattice
 from ..laws import Polynomial, PowerLaw, Scaled
@@ -150,15 +150,18 @@ def regression(
     """
     if not candidates:
         refuse("candidates", "a dict from names to functions of a coefficient", "an empty one", "See library().")
-    threshold = float(non_negative("threshold", threshold))
+    threshold = float(within("threshold", threshold, 0, 1, open_high=True))
     ridge, max_steps = float(non_negative("ridge", ridge)), whole("max_steps", max_steps, 1)
-    known = tuple(known) if isinstance(known, (tuple, list)) else (known,)
+    known = (known,) if isinstance(known, Term) else tuple(known)
     ts, us, vs = (jax.tree.map(lambda x: parameter("ts, us, vs", x), x) for x in (ts, us, vs))
     frames = ts.shape if ts.ndim == 1 and ts.size else None
     for name, x in (("us", us), ("vs", vs), ("accelerations", accelerations)):
         shapes = [np.shape(leaf) for leaf in jax.tree.leaves(x)]
         if x is not None and (not shapes or any(shape[:1] != frames or 0 in shape for shape in shapes)):
             refuse(name, f"numbers at every one of the times, shape {ts.shape} and sites", f"shapes {shapes}")
+    sites = {name: x.shape[1:] for name, x in us.items()} if isinstance(us, dict) else us.shape[1:]
+    if sites != Lattice(mass, known).shape:
+        refuse("mass and us", "the same sites", f"{Lattice(mass, known).shape} and {sites}")
     if accelerations is None:
         accelerations, inner = _differentiated(ts, vs, noise)
         ts, us, vs = jax.tree.map(lambda x: x[inner], (ts, us, vs))

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..checks import held_in_memory, one_of, positive, refuse, whole, within
+from ..checks import held_in_memory, one_of, positive, refuse, show, whole, within
 from ..entry import checked
 from ..fit import Fit, Traces, fit, linearised, prepared
 from ..fit.problem import Start
@@ -131,7 +131,10 @@ def wall_modulus(
     bounds = {**(options.pop("bounds", None) or {}), NAME: (0.0, None)}
     scan = whole("scan", scan, 3)
     held_in_memory("scan", scan, 1 << 20, "runs")
-    ladder = start * np.geomspace(1 / factor, factor, scan)
+    with np.errstate(over="ignore"):
+        ladder = start * np.geomspace(1 / factor, factor, scan)
+    if not (np.isfinite(ladder) & (ladder > 0)).all():
+        refuse("start and factor", "moduli from start/factor to start*factor that are numbers", f"{show(ladder)}")
     # the stiffest wall sets the step
     given = {name: options[name] for name in ("t0", "step", "solver") if name in options}
     problem = prepared(scene, {**others, NAME: ladder[-1]}, traces, state=state, bounds=bounds, **given)

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import described, held_in_memory, positive, refuse, whole
+from ..checks import described, held_in_memory, letter, positive, refuse, whole
 from ..entry import checked
 from ..outside import Outside
 from ..printing import text, told
@@ -334,20 +334,22 @@ def _has_sites(lattice, own):
     return any(np.ndim(x) > lattice._mark.ndim - own for x in jax.tree.leaves((lattice.mass, lattice.terms)))
 
 
-def check_shape(lattice: Any, name: str, x: Displacements) -> None:
-    """That displacements or velocities have an entry for every site and lane; more axes may follow."""
+def check_shape(lattice: Any, name: str, x: Displacements, whose: str = "the lattice") -> None:
+    """That displacements or velocities are real, with an entry for every site and lane; more axes may follow."""
     shape, lanes = lattice.shape, lattice.lanes
     if isinstance(shape, dict) != isinstance(x, dict) or isinstance(x, dict) and x.keys() != shape.keys():
-        refuse(name, f"fields {sorted(shape)}" if isinstance(shape, dict) else "an array",
+        refuse(name, f"{f'fields {sorted(shape)}' if isinstance(shape, dict) else 'an array'}, as of {whose}",
                f"fields {sorted(x)}" if isinstance(x, dict) else "an array", "Start from lattice.zeros().")
     pairs = [(shape, x)] if not isinstance(x, dict) else [(shape[field], x[field]) for field in x]
     for own, array in pairs:
+        if letter(array) == "c":
+            refuse(name, "real numbers", described(array), "Real and imaginary part move for themselves.")
         wanted, got = own + lanes, np.shape(array)
         # one lane serves many, as of a lattice whose tangents they are
         fits = len(got) >= len(wanted) and all(
             w == g or w == 1 and i >= len(own) for i, (w, g) in enumerate(zip(wanted, got)))
         if not fits:
-            refuse(name, f"shape {wanted}, that of the lattice", f"shape {got}", "Start from lattice.zeros().")
+            refuse(name, f"shape {wanted}, that of {whose}", f"shape {got}", "Start from lattice.zeros().")
 
 
 def _sum(parts, like):

@@ -193,7 +193,8 @@ class PowerLaw(_Contact):
         if self._repels:
             F0 = None if self.precompression is None else concrete(self.precompression)
             if self.precompression is None or (F0 is not None and not (F0 > 0).all()):
-                refuse("precompression", "F0 > 0 for p < 0", "0", "Repelling magnets rest only under a static force.")
+                refuse("exponent and precompression", "F0 > 0 for p < 0", f"p = {show(value)} and F0 = 0",
+                       "Repelling magnets rest only under a static force.")
 
     @property
     def exponent(self):

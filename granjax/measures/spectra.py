@@ -114,14 +114,13 @@ def spectrogram(
     frames = len(v) if v.ndim else 0
     if frames < 4:
         refuse("v", "a record of at least 4 frames", f"shape {v.shape}")
-    within_record = f"a time from {{:g}} to {frames * dt:g}".format
     size = float(positive("window", window)) / dt
     if not 4 <= round(min(size, frames + 1)) <= frames:
-        refuse("window", within_record(4 * dt) + ", 4 frames to all", f"{window}")
+        refuse("window and dt", f"a window of 4 to {frames} frames", f"{window}, {size:.3g} frames of {dt:g}")
     size = round(size)
     step = max(1, size // 4) if hop is None else float(positive("hop", hop)) / dt
     if not 1 <= round(min(step, frames + 1)) <= frames:
-        refuse("hop", within_record(dt), f"{hop}")
+        refuse("hop and dt", f"1 to {frames} frames between windows", f"{hop}, {step:.3g} frames of {dt:g}")
     step = round(step)
     transform = ShortTimeFFT(hann(size, sym=False), step, 1 / dt, fft_mode="onesided2X", scale_to="psd")
     last = transform.upper_border_begin(len(v))[1]

@@ -14,6 +14,7 @@ from ..checks import held_in_memory, positive, refuse, whole
 from ..checks import tolerance as checked_tolerance
 from ..entry import checked
 from ..flow import Flow
+from ..flow.inputs import held_frames
 from ..interrupts import interruptible, waited
 from ..lattice import Lattice, State
 from ..measures import contacts
@@ -121,6 +122,7 @@ def settle(
     periods = whole("periods", periods, 8)
     held_in_memory("periods", periods, 64, "periods")
     steps = steps_per_period(lattice, period) if steps is None else whole("steps", steps, 1)
+    held_frames("steps", steps, state, "steps", KEPT)
     checked_period(lattice, state, 0.0, period)
     solver = fixed_step_solver(lattice, solver, SRKN11b())
     # arrays, whose values compile nothing anew
@@ -217,8 +219,8 @@ def forces(lattice: Lattice, y: StateLike, t: Scalar) -> Numbers:
 def largest(x: Numbers) -> Numbers:
     """Largest value over the first axis, equal steps of whole periods: top of the parabola through its neighbours."""
     x = np.asarray(x)
-    if not x.ndim:
-        refuse("x", "values over time on the first axis", "one number")
+    if not x.ndim or not len(x):
+        refuse("x", "values over time on the first axis", "none" if x.ndim else "one number")
     i = np.argmax(x, 0)[None]
     a, b, c = (np.take_along_axis(x, (i + k) % len(x), 0)[0] for k in (-1, 0, 1))
     curve = 2 * b - a - c

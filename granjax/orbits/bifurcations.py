@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import one_of, refuse
+from ..checks import one_of, refuse, tolerance
 from ..continuation import continuation
 from ..entry import checked
 from ..interrupts import interruptible
@@ -43,7 +43,7 @@ def bifurcations(branch: Branch, kinds: Sequence[str] = KINDS, *, accuracy: Scal
         refuse("branch", "a family of breathers", "a branch of forced orbits", "Its own are branch.bifurcations.")
     for kind in kinds:
         one_of("kinds", kind, KINDS)
-    found = []
+    accuracy, found = float(tolerance("accuracy", accuracy, 1, 1e-9)), []
     for i in range(len(branch) - 1):
         ends = [_at(branch, i, 0.0), _at(branch, i, None)]
         for kind in kinds:

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import equinox as eqx
+import jax
 
 from ..checks import non_negative, one_of, parameter, per_lane, refuse
 from ..entry import checked
@@ -44,6 +45,8 @@ def driven_chain(
         refuse("lattice", "a chain with scalar displacements", f"a lattice of shape {lattice.shape}")
     amplitude, omega = per_lane("amplitude", amplitude, lattice.lanes), per_lane("omega", omega, lattice.lanes)
     phases = tuple(per_lane("phase", x, lattice.lanes) for x in phases)
+    if field is not None:
+        one_of("field", field, lattice.fields or (None,))
     terms, laws = [], None
     for i, term in enumerate(lattice.terms):
         parted = term.without_walls(lattice, field) if laws is None else None
@@ -58,7 +61,7 @@ def driven_chain(
     if laws is None:
         refuse("lattice", "a Bond(Shift(1, 'fixed'), law), which leads to walls", "none", "Use boundary='fixed'.")
     if damping is not None:
-        terms.append(Damping(non_negative("damping", damping, "A negative one would feed the lattice.")))
+        terms.append(Damping(_checked_damping(damping, lattice)))
     for side, law in zip(SIDES, laws):
         motion = Harmonic(amplitude, omega, phases[ends.index(side)]) if side in ends else None
         terms.append(Wall(law, side, motion, field=field))
@@ -73,6 +76,15 @@ def _checked_ends(ends):
     if not ends or len(set(ends)) != len(ends):
         refuse("ends", "'left', 'right' or both", repr(ends))
     return ends
+
+
+def _checked_damping(damping, lattice):
+    damping = non_negative("damping", damping, "A negative one would feed the lattice.")
+    for shape in (leaf.shape for leaf in jax.tree.leaves(lattice.template())):
+        given = damping.shape[::-1]
+        if len(given) > len(shape) or any(n not in (1, wanted) for n, wanted in zip(given, shape[::-1])):
+            refuse("damping", f"one number, or one per site, shape {shape}", f"shape {damping.shape}")
+    return damping
 
 
 def _checked_phases(phase, ends):

@@ -84,7 +84,8 @@ def family(
     modes = normal_modes(lattice) if guess is None else None
     ways = [_from(guess)] if guess is not None else _modes(lattice, modes, until, mode)
     arclength = ARCLENGTH if arclength is None else positive("arclength", arclength)
-    longest_arclength = LONGEST * arclength if longest_arclength is None else longest_arclength
+    if longest_arclength is None:
+        longest_arclength = min(LONGEST * arclength, np.finfo(float).max)
 
     def follow(way, count, most):
         problem = over_frequency(lattice, count, solver, way.length, way.omega)

@@ -10,11 +10,12 @@ from diffrax import AbstractSolver
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Complex, Float, Inexact, Integer
 
-from ..checks import refuse, whole
+from ..checks import refuse, whole, within
 from ..checks import tolerance as checked_tolerance
 from ..entry import checked
 from ..flow import Flow, linear_frequency
 from ..flow.dispatch import compiled
+from ..flow.stepping import check_moved
 from ..interrupts import interruptible, waited
 from ..lattice import Lattice, vector_field
 from ..results import Held, Result
@@ -110,6 +111,7 @@ def decide(
     Undecided: an error above `resolution` could hide such a one. Stable: neither; in a conservative lattice every
     multiplier then lies on the circle within its error, in a damped one inside.
     """
+    resolution = float(within("resolution", resolution, 0, 1, open_high=True))
     if error.shape != multipliers.shape:
         refuse("error", f"one of each multiplier, shape {multipliers.shape}", f"shape {error.shape}")
     rest = np.delete(np.arange(len(multipliers)), np.argsort(np.abs(multipliers - 1))[:expected])
@@ -174,6 +176,7 @@ def floquet(
     """
     period, segments = one_period(lattice, period), whole("segments", segments, 1)
     tolerance = checked_tolerance("tolerance", tolerance)
+    resolution = float(within("resolution", resolution, 0, 1, open_high=True))
     if steps is not None and whole("steps", steps, 1) % (2 * segments):
         refuse("steps", f"a multiple of {2 * segments}, twice the segments", repr(steps))
     known = NOTHING
@@ -340,5 +343,6 @@ def multipliers(flow: Flow, state: Pytree, t0: Scalar, period: Scalar, args: Any
     **Arguments:** `flow`: a `Flow` over one period; `state`: the orbit at `t0`; `args`: of its field, such as the
     lattice. In the order that LAPACK gives. Differentiate a simple one, `multipliers(...)[i]`.
     """
+    check_moved("state", state, flow, args)
     _, monodromy = flow.derivative(state, t0, t0 + period, args)
     return jnp.linalg.eigvals(monodromy)

@@ -93,7 +93,7 @@ def forced_branch(
         refuse("until", "another value than start", repr(until))
     period = period if callable(period) else positive("period", period)
     arclength, points = float(positive("arclength", arclength)), whole("points", points, 1)
-    longest_arclength = 5 * arclength if longest_arclength is None else longest_arclength
+    longest_arclength = min(5 * arclength, np.finfo(float).max) if longest_arclength is None else longest_arclength
     longest_arclength = float(positive("longest_arclength", longest_arclength))
     segments, transient = whole("segments", segments, 1), whole("transient", transient, 0)
     scenes = [made(make, period, p) for p in (start, until)]

@@ -16,6 +16,7 @@ from ..measures import participation, site_energy
 from ..printing import told
 from ..types import StateLike
 from .orbit import SPREAD, Orbit
+from .repeats import checked_state, one_lattice
 
 # shares of the cells over which the energy of what is no bright breather spreads: a wave between walls has two thirds;
 # of a background; and of what has left a guess that holds less than half of it
@@ -74,7 +75,7 @@ class Localisation(NamedTuple):
 @checked
 def localisation(lattice: Lattice, state: StateLike) -> Localisation:
     """The `Localisation` of a state at rest."""
-    energies = _cell_energies(lattice, state)
+    energies = _cell_energies(lattice, checked_state(one_lattice(lattice), state))
     return Localisation(float(participation(energies.ravel())), energies.size, _dip(energies))
 
 

@@ -86,7 +86,9 @@ def lyapunov(
     number, windows = whole("number", number, 1), whole("windows", windows, 4)
     if number > size:
         refuse("number", f"at most {size}, twice the number of displacements", f"{number}")
-    periods, transient = whole("periods", periods, windows), whole("transient", transient, 0)
+    periods, transient = whole("periods", periods, 1), whole("transient", transient, 0)
+    if periods < windows:
+        refuse("periods and windows", "a period in each window", f"{periods} and {windows}")
     for name, count in (("periods", periods), ("transient", transient)):
         held_in_memory(name, count, 32 * number, "periods")
     steps = steps_per_period(lattice, period) if steps is None else whole("steps", steps, 1)

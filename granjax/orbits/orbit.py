@@ -14,6 +14,7 @@ from jax.flatten_util import ravel_pytree
 from ..checks import positive, refuse, traced, whole
 from ..entry import checked
 from ..flow import Flow
+from ..flow.inputs import held_frames
 from ..interrupts import interruptible, waited
 from ..lattice import Lattice, State, vector_field
 from ..newton import CONVERGED, Root
@@ -134,7 +135,8 @@ class Orbit(Result):
     @checked
     def run(self, frames: Count = FRAMES) -> OrbitRun:
         """The orbit in time, `OrbitRun`."""
-        _, ts, ys = _history(self.flow, self.lattice, self.state, self.t0, self.period, whole("frames", frames, 2))
+        held_frames("frames", whole("frames", frames, 2), self.state)
+        _, ts, ys = _history(self.flow, self.lattice, self.state, self.t0, self.period, frames)
         return OrbitRun(ts, ys.u, ys.v, **self.lattice.origin)
 
     @checked

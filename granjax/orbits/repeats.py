@@ -23,11 +23,14 @@ def checked_state(lattice: Lattice, state: StateLike, argument: str = "state") -
     """A pair as a `State` of the lattice's shape and type."""
     if not isinstance(state, (tuple, list)) or len(state) != 2:
         refuse(argument, "a State", f"a {type(state).__name__}")
-    wanted = [x.shape for x in jax.tree.leaves(lattice.template())]
+    template = lattice.template()
+    wanted = [x.shape for x in jax.tree.leaves(template)]
     for name, part in zip("uv", state):
         got = [np.shape(x) for x in jax.tree.leaves(part)]
-        if got != wanted:
-            refuse(f"{argument}.{name}", f"shape {lattice.shape}", f"{got}", "One orbit of one lattice at a time.")
+        if got != wanted or jax.tree.structure(part) != jax.tree.structure(template):
+            shapes = jax.tree.map(np.shape, part)
+            refuse(f"{argument}.{name}", f"shape {lattice.shape}, that of the lattice", f"{shapes}",
+                   "One orbit of one lattice at a time.")
     return jax.tree.map(lambda x: jnp.asarray(x, lattice.dtype), State(*state))
 
 

@@ -12,6 +12,8 @@ from ..checks import concrete, described, refuse, whole
 from ..entry import checked, shape_of
 from ..flow import Flow, frequency_bound, linear_frequency
 from ..flow.dispatch import facts
+from ..flow.inputs import held_frames
+from ..flow.stepping import check_moved
 from ..lattice import Lattice, State
 from ..types import Count, Numbers, Scalar, StateLike, Times
 
@@ -88,6 +90,9 @@ def history(
     at the same phase, so that what is periodic does not drift by the rounding of the time.
     """
     frames, periods = whole("frames", frames, 1), whole("periods", periods, 1)
+    check_moved("state", state, flow, lattice, "the lattice")
+    held_frames("frames", frames, state)
+    held_frames("periods", periods, state, "periods", frames)
     between = Flow(-(-flow.steps // frames), flow.solver)
     length = period / frames
     ts = t0 + length * jnp.arange(frames)

@@ -10,11 +10,12 @@ import numpy as np
 from diffrax import AbstractSolver
 from jaxtyping import Float, Integer
 
-from ..checks import concrete, held_in_memory, parameter, positive, refuse, whole
+from ..checks import concrete, held_in_memory, parameter, refuse, whole
 from ..checks import tolerance as checked_tolerance
 from ..entry import checked
 from ..flow import Flow
 from ..flow.dispatch import shared_size
+from ..flow.inputs import held_frames
 from ..interrupts import interruptible, waited
 from ..lattice import State
 from ..measures import rms_velocity
@@ -37,6 +38,8 @@ SMALLEST = 1e-6
 LONGER, LEAST = (1, 8), 1e-12
 # of the tolerance, to which a jump settles, and halvings beyond the accuracy for which it must last
 TIGHT, NARROW = 1e-2, 10
+# a change of sign, relative to the larger: no response jumps by more
+MOST_JUMP = 2
 # rounds of halving and settling
 AGAIN = 6
 
@@ -148,7 +151,8 @@ def sweep(
     values = np.asarray(parameter("values", values), float)
     if values.ndim != 1 or len(values) < 2 or not (np.diff(values) > 0).all():
         refuse("values", "at least two, ascending", f"shape {values.shape}", "The sweep itself goes down again.")
-    jump, accuracy = float(positive("jump", jump)), float(positive("accuracy", accuracy))
+    jump = float(checked_tolerance("jump", jump, MOST_JUMP, 0.2))
+    accuracy = float(checked_tolerance("accuracy", accuracy, 1, 1e-3))
     tolerance, periods = float(checked_tolerance("tolerance", tolerance)), whole("periods", periods, 8)
     watch = whole("watch", watch, 1)
     for name, count in (("periods", periods), ("watch", watch)):
@@ -159,6 +163,8 @@ def sweep(
         steps = shared_size(max(steps_per_period(*scene) for scene in scenes))
     flow = Flow(whole("steps", steps, 1), fixed_step_solver(first, solver, SRKN11b()))
     state = State(first.zeros(), first.zeros()) if state is None else checked_state(first, state)
+    held_frames("steps", steps, state, "steps")
+    held_frames("watch", watch, state, "periods", steps)
     for lattice, T in scenes:
         checked_period(lattice, state, 0.0, T)
     if concrete(jax.tree.leaves(state)[0]) is None:

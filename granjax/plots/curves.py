@@ -41,7 +41,8 @@ def profile(
     if not x.size:
         refuse("x", "at least one place", "none")
     if y.ndim not in (1, 2) or len(y) != len(x):
-        refuse("y", f"shape ({len(x)},) or ({len(x)}, curves), one value per place", f"shape {y.shape}")
+        refuse("x and y", "places, shape (X,), and values, (X,) or (X, curves), one value per place",
+               f"shapes {x.shape} and {y.shape}")
     y = y.reshape(len(x), -1)
     if isinstance(labels, str):
         labels = [labels]
@@ -137,5 +138,7 @@ def _marks(ax, argument, places, name, tone, dash):
     if places is None:
         return
     places = np.atleast_1d(np.asarray(parameter(argument, places)))
+    if places.ndim != 1:
+        refuse(argument, "a row of mass ratios", f"shape {places.shape}")
     for i, place in enumerate(places):
         ax.axvline(place, color=tone, ls=dash, lw=1.2, zorder=1, label=name if i == 0 else None)

@@ -176,6 +176,8 @@ def law(
     **Returns:** the Axes. **Raises** ValueError for shapes that do not fit, strains that do not rise, low > high.
     """
     force = numbers("force", force, 1)
+    if np.shape(strain) != force.shape:
+        refuse("strain and force", "one force for each strain", f"shapes {np.shape(strain)} and {force.shape}")
     strain = rising("strain", strain, len(force))
     low, high = numbers("low", low, 1), numbers("high", high, 1)
     truth = None if truth is None else numbers("truth", truth, 1)

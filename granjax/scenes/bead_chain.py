@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import described, held_in_memory, one_of, positive, refuse, whole
+from ..checks import concrete, described, held_in_memory, one_of, positive, refuse, show, whole
 from ..entry import checked
 from ..lattice import Lattice
 from ..laws import Hertz
@@ -58,8 +58,15 @@ def beads(
         refuse("cells", "at least two beads in all", repr(sites), "Give cells=N, or one material or radius per bead.")
     held_in_memory("cells", sites, what="beads")
     mass = bead_mass(bodies, R)
+    known = concrete(mass)
+    if known is not None and not (np.isfinite(known) & (known > 0)).all():
+        refuse("radii", "radii of beads whose mass is a number", f"{show(R)} m, masses {show(known)} kg")
     if R.ndim:
         bodies, R, mass = jax.tree.map(lambda x: jnp.tile(x, cells), (bodies, R, mass))
+    contacts = sites + {"fixed": 1, "free": -1}.get(boundary, 0)
+    if np.shape(precompression)[:1] not in ((), (1,), (contacts,)):
+        refuse("precompression", f"one number, or one per contact, shape ({contacts},)",
+               f"shape {np.shape(precompression)}")
     stiffness = _contacts(bodies, R, sites, boundary, wall)
     terms = (Bond(Shift(1, boundary), Hertz(stiffness, precompression)),)
     if damping_time is not None:

@@ -14,6 +14,9 @@ def field_of(lattice: Lattice, field: str | None) -> str | None:
         return None
     if field is None and "bead" in lattice.fields:
         return "bead"
+    if field is None:
+        names = ", ".join(map(repr, lattice.fields))
+        refuse("field", f"one of {names}", "None", "A cell of the lattice holds several.")
     return one_of("field", field, lattice.fields)
 
 

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Integer
 
-from ..checks import held_in_memory, positive, whole
+from ..checks import held_in_memory, positive, whole, within
 from ..driven import driven_chain
 from ..entry import checked
 from ..flow import Flow
@@ -87,13 +87,15 @@ def bright_by_instability(
     sites, driven_for, free_for = whole("sites", sites, 20), whole("driven_for", driven_for, 1), \
         whole("free_for", free_for, 30)
     held_in_memory("sites", sites)
+    detuning = float(within("detuning", detuning, -1, 1, open_low=True, open_high=True))
+    amplitude, damping_time = positive("amplitude", amplitude), positive("damping_time", damping_time)
     lattice = beads([MATERIALS[n % 2] for n in range(sites)], RADIUS, positive("precompression", precompression))
     edges = bands(beads(MATERIALS, RADIUS, precompression, cells=4, boundary="periodic"), cell=2)
     low, high = float(edges.upper[0]), float(edges.lower[1])
     omega = high * (1 + detuning)
     period = 2 * math.pi / omega
     overlap = jnp.mean(lattice.terms[0].law.rest_overlap[1:-1])
-    damping = 1 / positive("damping_time", damping_time)
+    damping = 1 / damping_time
     shaken = driven_chain(lattice, amplitude * overlap, omega, ends="left", damping=damping)
     # the same program for both: a wall of amplitude zero
     free = driven_chain(lattice, 0.0 * overlap, omega, ends="left", damping=damping)

@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 from jaxtyping import Float
 
-from ..checks import whole
+from ..checks import positive, refuse
 from ..driven import Attractor, driven_chain, settle
 from ..entry import checked
 from ..lattice import Lattice, State
@@ -15,6 +15,7 @@ from ..materials import Material, hertz_coefficient
 from ..orbits.attractors import largest
 from ..results import Held, Result
 from ..scenes import monomer
+from ..states import places
 from ..types import Count, Parameter, Scalar
 
 YOUNG, POISSON, MASS, RADIUS = 200e9, 0.3, 28.2e-3, 9.53e-3
@@ -92,10 +93,13 @@ def dark_by_interference(
     Source: as `steel_chain`.
     """
     lattice = steel_chain() if lattice is None else lattice
-    sites = whole("sites", lattice.shape[0], 5)
-    highest = float(normal_modes(lattice).omega[-1]) / (2 * math.pi)
+    sites = places.chain_only(lattice, "a dark breather")
+    if sites < 5:
+        refuse("lattice", "a chain of at least five beads", f"one of {sites}")
+    frequency, damping_time = float(positive("frequency", frequency)), positive("damping_time", damping_time)
     omega = 2 * math.pi * frequency
     driven = driven_chain(lattice, amplitude, omega, damping=1 / damping_time, phase=phase)
+    highest = float(normal_modes(lattice).omega[-1]) / (2 * math.pi)
     rest = State(lattice.zeros(), lattice.zeros())
     found = settle(driven, rest, 2 * math.pi / omega, periods=periods, tolerance=tolerance, steps=STEPS)
     u, v = np.asarray(found.us), np.asarray(found.vs)

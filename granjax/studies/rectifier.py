@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..checks import non_negative, positive, whole
+from ..checks import held_in_memory, non_negative, positive, whole, within
 from ..driven import Sweep, driven_chain, sweep
 from ..entry import checked
 from ..lattice import Lattice
@@ -100,9 +100,11 @@ def rectifier(
     Source: Boechler, Theocharis, Daraio, Nature Materials 10, 665 (2011).
     """
     sites = whole("sites", sites, 6)
+    held_in_memory("sites", sites)
+    detuning = float(within("detuning", detuning, -1, 1, open_low=True, open_high=True))
     amplitudes = np.asarray(non_negative("amplitudes", amplitudes), float)
     radii = np.full(sites, RADIUS)
-    radii[DEFECT] = float(positive("defect_radius", defect_radius))
+    radii[DEFECT] = float(within("defect_radius", defect_radius, 0, RADIUS, open_low=True, open_high=True))
     lattice = beads("steel 316", radii, precompression)
     modes = np.asarray(normal_modes(lattice).omega)
     omega = float(modes[-1]) * (1 + detuning)

@@ -149,7 +149,7 @@ def bright_profile(
     omega = 0.99 sqrt3.
     """
     kappa = _kappa(coefficients, omega)
-    amplitude, width = _bright(kappa, coefficients.nu2, coefficients.nu3_force)
+    amplitude, width = _bright(kappa, coefficients.nu2, coefficients.nu3_force, coefficients.omega)
     strains = _profile(coefficients, _sech, amplitude, width, 0.0, *_places(coefficients, cells, centre))
     return Profile(*strains, amplitude, width, kappa + coefficients.omega, kappa)
 
@@ -167,7 +167,7 @@ def dark_profile(
     Typical: monomer K2, K3, K4 = 3/2, 3/8, -1/16, m = 1, k = pi, omega = 0.99 sqrt6: amplitude 0.23094.
     """
     kappa, c = _kappa(coefficients, omega), coefficients
-    amplitude, width = _dark(kappa, c.nu2, c.nu3, c.nu3_force)
+    amplitude, width = _dark(kappa, c.nu2, c.nu3, c.nu3_force, c.omega)
     background = (c.mean_strain - c.mean_strain_force) * amplitude**2
     strains = _profile(c, jnp.tanh, amplitude, width, background, *_places(c, cells, centre))
     return Profile(*strains, amplitude, width, kappa + c.omega, kappa)
@@ -178,32 +178,42 @@ def _sech(x):
     return 2 * jnp.exp(-(jax.nn.softplus(2 * x) + jax.nn.softplus(-2 * x)) / 2)
 
 
-def _bright(kappa, nu2, nu3):
-    kappa, nu2, nu3 = _signs(kappa, nu2, nu3, nu3, 1)
+def _bright(kappa, nu2, nu3, linear=None):
+    kappa, nu2, nu3, _ = _signs(kappa, nu2, nu3, nu3, 1, linear)
     return jnp.sqrt(2 * kappa / nu3), jnp.sqrt(kappa / nu2)
 
 
-def _dark(kappa, nu2, nu3, nu3_force):
-    kappa, nu2, nu3 = _signs(kappa, nu2, nu3, nu3_force, -1)
+def _dark(kappa, nu2, nu3, nu3_force, linear=None):
+    kappa, nu2, nu3, nu3_force = _signs(kappa, nu2, nu3, nu3_force, -1, linear)
     return jnp.sqrt(kappa / nu3), jnp.sqrt(-nu3_force * kappa / (2 * nu2 * nu3))
 
 
-def _signs(kappa, nu2, nu3, nu3_force, focusing):
-    """Refuses what has no such soliton: `focusing` is the sign of nu2 nu3_force that it asks for."""
-    kappa, nu2, nu3 = parameter("kappa", kappa), parameter("nu2", nu2), parameter("nu3", nu3)
-    values = [concrete(x) for x in (kappa, nu2, nu3, nu3_force)]
+def _signs(kappa, nu2, nu3, nu3_force, focusing, linear):
+    """Refuses what has no such soliton: `focusing` is the sign of nu2 nu3_force that it asks for.
+
+    `linear`: where a frequency was given and not its shift, that of the linear wave.
+    """
+    same = nu3_force is nu3
+    given = kappa, nu2, nu3, nu3_force = tuple(
+        map(parameter, ("kappa", "nu2", "nu3", "nu3_force"), (kappa, nu2, nu3, nu3_force)))
+    values = [concrete(x) for x in given]
     if any(value is None for value in values):
-        return kappa, nu2, nu3
+        return given
     shift, two, three, force = values
     wanted, other = ("bright", "dark") if focusing == 1 else ("dark", "bright")
     if not (np.sign(two * force) == focusing).all():
         signs = [f"{'>' if (x > 0).all() else '<' if (x < 0).all() else 'about'} 0" for x in (force, two)]
-        refuse("nu2, nu3", f"a pair with {wanted} solitons", f"nu3 = {_short(force)} and nu2 = {_short(two)}",
-               f"nu3 {signs[0]} with nu2 {signs[1]}: only {other} solitons exist here.")
+        name = "nu3" if same else "nu3_force"
+        refuse(f"nu2, {name}", f"a pair with {wanted} solitons", f"{name} = {_short(force)} and nu2 = {_short(two)}",
+               f"{name} {signs[0]} with nu2 {signs[1]}: only {other} solitons exist here.")
     if not (shift * three > 0).all():
-        refuse("kappa", f"a shift of the sign of nu3 = {_short(three)}", _short(shift),
-               f"The nonlinearity {'raises' if (three > 0).all() else 'lowers'} the frequency of this wave.")
-    return kappa, nu2, nu3
+        remedy = f"The nonlinearity {'raises' if (three > 0).all() else 'lowers'} the frequency of this wave."
+        if linear is not None:
+            side = "above" if (three > 0).all() else "below"
+            refuse("omega", f"a frequency {side} {_short(concrete(linear))}, that of the linear wave",
+                   _short(concrete(linear) + shift), remedy)
+        refuse("kappa", f"a shift of the sign of nu3 = {_short(three)}", _short(shift), remedy)
+    return given
 
 
 def _short(x):

@@ -171,5 +171,5 @@ def refuse_bright(lattice: Lattice, omega: Scalar) -> None:
         relation = "<" if nu3 < 0 else ">"
         what = f"{name} = {nu3:.6g} {relation} 0 with nu2 = {nu2:.6g} at omega = {edge.omega:.6g}"
         said.append(f"{what}: only dark" if not c.focusing else f"{what}: bright, but on the other side of the edge")
-    remedy = "; ".join(said) if said else "No gap holds this frequency."
-    refuse("omega", "a frequency at which bright breathers exist", f"{omega:.6g}", remedy + ".")
+    remedy = "; ".join(said) + "." if said else "No gap holds this frequency."
+    refuse("omega", "a frequency at which the lattice has bright breathers", f"{omega:.6g}", remedy)

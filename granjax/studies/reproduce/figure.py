@@ -52,7 +52,7 @@ class Figure:
         """
         values = {name: choice.value for name, choice in self.chosen.items()}
         for name, value in (overrides or {}).items():
-            one_of(f"parameter of {self.label}", name, tuple(values))
+            one_of(f"overrides (parameters of {self.label})", name, tuple(values))
             values[name] = _read(name, value, values[name])
         return values
 

@@ -79,11 +79,11 @@ def one_by_one(
     overrides = dict(overrides or {})
     known = tuple(dict.fromkeys(name for f in chosen for name in f.chosen))
     for name in overrides:
-        one_of("parameter", name, known)
+        one_of("overrides", name, known)
     settings = [f.parameters({n: v for n, v in overrides.items() if n in f.chosen}) for f in chosen]
     if out is not None:
         if plots is None:
-            refuse("plots", "the module that draws, such as granjax.plots", "None")
+            refuse("plots", "the module that draws, such as granjax.plots, beside out=", "None")
         out = folder("out", out)
         for f in chosen:
             for ending in (PICTURE, DATA):

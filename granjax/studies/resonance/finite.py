@@ -6,7 +6,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from ...checks import positive, refuse, whole
+from ...checks import held_in_memory, positive, refuse, tolerance, whole
 from ...entry import checked
 from ...interrupts import interruptible
 from ...results import Held, Result
@@ -95,6 +95,7 @@ def transmission(
     """
     ratios = checked_ratios(ratios)
     beads = whole("beads", beads, LEAST_BEADS, "A dimer chain between walls.")
+    held_in_memory("beads", beads, what="beads")
     run_time = float(_run_time(beads) if run_time is None else positive("run_time", run_time))
     least = SLOWEST * beads + LEAST_TIME
     if run_time < least:
@@ -126,7 +127,7 @@ def refine(sweep: Transmission, *, accuracy: Scalar = 1e-4, progress: bool = Fal
 
     **Returns:** `Extrema`. **Raises** ValueError for fewer than three different ratios or transmissions that are NaN.
     """
-    accuracy = float(positive("accuracy", accuracy))
+    accuracy = float(tolerance("accuracy", accuracy, 1, 1e-4))
     ratios, first = np.unique(sweep.mass_ratio, return_index=True)
     values = np.asarray(sweep.transmission)[first]
     if len(ratios) < 3:
