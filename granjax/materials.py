@@ -67,7 +67,8 @@ class Material(eqx.Module):
         self.density = positive("density", density, "The density is in kg/m^3: 8000 for steel, 2200 for PTFE.")
 
     def __repr__(self) -> str:
-        values = {"name": self.name, "young": self.young / 1e9, "poisson": self.poisson, "density": self.density}
+        giga = self.young / 1e9 if eqx.is_array_like(self.young) else self.young
+        values = {"name": self.name, "young": giga, "poisson": self.poisson, "density": self.density}
         return called("Material", values, {"young": "GPa", "density": "kg/m^3"})
 
     @property

@@ -131,6 +131,8 @@ class Result(eqx.Module):
             name, records = held.name or field, _records(types.get(field), value)
             if isinstance(value, Result):
                 within |= {} if held.axes is None else {name: value}
+            elif isinstance(value, dict) and value and all(isinstance(x, Result) for x in value.values()):
+                within |= {f"{name}_{key}".replace("/", "_"): x for key, x in value.items()}
             elif records is not None:
                 table.add(name, records, held._replace(axes=held.axes or name))
             else:

@@ -127,18 +127,21 @@ class Table:
     def __init__(self, layout: Layout, lanes: tuple[str, ...], units: Callable[[str], dict[str, str]]):
         self.layout, self.lanes, self.units, self.fields = layout, lanes, units, []
         self.variables, self.attributes = {}, {}
-        self.axes = dict(zip(lanes, layout.lanes))
+        self.axes, self.own = dict(zip(lanes, layout.lanes)), set()
 
     def add(self, name: str, value: Any, held: Held) -> None:
         """What a field of a result holds: an array, or a dict or named tuple of such."""
         for key, x in _arrays(name, value, "site" in (held.axes or "").split()):
+            self.own |= {word for word in (held.axes or "").split() if word != "..."}
             unit = MOTION.get(key[len(name) + 1 :][:1], "") if held.unit == STATE else held.unit
             if isinstance(x, dict):
                 self._over_fields(key, x, held.axes, unit)
             elif held.axes is not None and x.ndim or self.lanes and x.shape == self.layout.lanes:
                 self._put(key, axes_of(held.axes or "", key, x.shape, self.layout, self.lanes, "site"), x, unit)
             else:
-                self.attributes[key] = x.astype(int).tolist() if x.dtype == bool else x.tolist()
+                parts = _parts(key, x.astype(int) if x.dtype == bool else x)
+                # a list of one is one in netCDF
+                self.attributes |= {part: y.item() if y.size == 1 else y.tolist() for part, y in parts.items()}
                 self.attributes |= {f"{key}_{name}": told for name, told in self.units(unit).items()}
 
     def _over_fields(self, key, fields, over, unit):
@@ -158,12 +161,12 @@ class Table:
     def _put(self, key, axes, x, unit):
         axes = [axis if self.axes.setdefault(axis, n) == n else f"{key}_{axis}" for axis, n in zip(axes, x.shape)]
         self.axes |= dict(zip(axes, x.shape))
-        for part, y in (("_real", x.real), ("_imag", x.imag)) if x.dtype.kind == "c" else (("", x),):
-            self.variables[key + part] = axes, y, self.units(unit)
+        for part, y in _parts(key, x).items():
+            self.variables[part] = axes, y, self.units(unit)
 
     def finished(self, swept: dict) -> tuple[dict, dict]:
         """Variables and coordinates, those of the lanes among them."""
-        taken = {*swept} & {*self.variables, *self.axes} - {*self.lanes}
+        taken = {*swept} & ({*self.variables, *self.attributes, FIELD, COMPONENT} | self.own)
         if taken:
             refuse("lanes", "names that nothing else in the result has", repr(min(taken)), "Call it otherwise.")
         variables = {}
@@ -184,6 +187,10 @@ class Table:
             if rows.size and np.array_equal(rows, np.broadcast_to(rows[0], rows.shape), equal_nan=x.dtype.kind == "f"):
                 return key, [key], rows[0]
         return f"{key}s", axes, x
+
+
+def _parts(key, x):
+    return {f"{key}_real": x.real, f"{key}_imag": x.imag} if x.dtype.kind == "c" else {key: x}
 
 
 def _arrays(name: str, value: Any, over_sites: bool) -> Iterator[tuple[str, Any]]:

@@ -42,7 +42,7 @@ class Run(Result):
     us: Displacements
     vs: Displacements
     final: State
-    recorded: dict[str, Numbers]
+    recorded: dict[str, Pytree]
     energy_error: Numbers
     _margin: Numbers
     _short: dict[str, Pytree]

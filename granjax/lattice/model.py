@@ -83,13 +83,12 @@ class Lattice(eqx.Module):
 
     def __repr__(self) -> str:
         try:
-            lanes = self.lanes
-        except (ValueError, AttributeError):
-            lanes = ()
+            lanes, kilogram = self.lanes, "kg" if self.units == SI else ""
+        except (AttributeError, TypeError, ValueError):  # of a tree that JAX has made of it
+            lanes, kilogram = (), ""
         rows = [("sites", text(self.sites) if isinstance(self.sites, dict) else " x ".join(map(str, self.sites)))]
         rows += [("vectors of", f"{self.dimension} components")] if self.dimension else []
         rows += [("lanes", " x ".join(map(str, lanes)))] if lanes else []
-        kilogram = "kg" if self.units == SI else ""
         rows += [("mass", text(self.mass, kilogram)), *(("term", repr(term)) for term in self.terms)]
         return "\n".join(f"{name:<15}{value}".replace("\n", f"\n{'':15}") for name, value in rows)
 

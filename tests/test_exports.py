@@ -1,0 +1,321 @@
+"""Every result of the public face goes to xarray, netCDF and MATLAB, and comes back as the same Dataset."""
+
+import functools
+import inspect
+import re
+from typing import ClassVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from equinox.nn import MLP
+from test_vocabulary import NAMES, public
+
+import granjax as gx
+from granjax import identify, linear, measures, studies
+from granjax.continuation import continuation
+from granjax.identify.regression import Coefficient
+from granjax.newton import newton
+from granjax.orbits.sweep import Jump, Sweep, Way
+from granjax.results import Held, Result
+from granjax.studies.resonance import Extrema, Transmission
+from granjax.theory import nls
+from granjax.work_precision import Ladder
+from granjax.work_precision.advice import Advice
+from granjax.work_precision.measuring import measure
+
+N, T = 5, np.linspace(0.0, 2.0, 33)
+OTHER = {"_mark": 1.0}
+
+
+@functools.cache
+def chain():
+    return gx.scenes.pattern(N, (1.0, 2.96), precompression=1.0, boundary="free")
+
+
+def ring():
+    return gx.scenes.monomer(N, precompression=1.0)
+
+
+@functools.cache
+def run():
+    record = {"peak": gx.Peak(measures.contact_force), "ends": gx.Integral(lambda t, y, lattice: {"left": y.v[0]})}
+    return gx.simulate(chain(), gx.states.impact(chain(), velocity=0.1), 2.0, step=0.1, save_at=33, record=record)
+
+
+@functools.cache
+def branch():
+    return gx.breathers.family(chain(), until=0.99 * 3**0.5, points=3)
+
+
+@functools.cache
+def fitted():
+    def scene(p):
+        return gx.scenes.monomer(N, stiffness=p["stiffness/A"], precompression=1.0)
+
+    traces = gx.Traces(T, velocity=np.outer(np.sin(T), [1.0, 2.0]), sites=[1, 3], sigma=0.1)
+    return gx.fit(scene, {"stiffness/A": 1.0}, traces, state=lambda p, chain: gx.states.impact(chain), step=0.1,
+                  max_steps=2, throw=False)
+
+
+def state(*shape):
+    return gx.State(np.zeros((*shape, N)), np.ones((*shape, N)))
+
+
+def settled():
+    numbers = np.ones(N), np.ones(N - 1), np.ones(())
+    return gx.driven.Attractor(state(), 2.0, 8, 1, 1e-9, np.ones(8), T, np.ones((33, N)), np.ones((33, N)), *numbers,
+                               state(), *numbers, "It repeats.", **OTHER)
+
+
+def way():
+    P = 3
+    ones = dict(response=np.ones(P), velocity=np.ones((P, N)), energy=np.ones(P))
+    errors = {f"{name}_error": x for name, x in ones.items()}
+    return Way(**ones, **errors, multiple=np.ones(P, int), periods=np.ones(P, int), states=state(P),
+               jumps=(Jump(1.0, 2.0, 3.0),), bifurcations=(gx.driven.Bifurcation("repetition", 1.5, 1),))
+
+
+def sweep():
+    return Sweep(np.arange(3.0), way(), way(), [(1.0, 2.0), (2.0, 2.5)], **OTHER)
+
+
+def law():
+    def band(points=4, deviations=2.0):
+        return tuple(np.ones((4, points)))
+
+    made = object.__new__(identify.ForceLaw)
+    for name, x in dict(law=gx.Hertz(), fit=fitted(), strain_range=(-0.1, 0.2), scene=None, band=band, _mark=None,
+                        _space=None).items():
+        object.__setattr__(made, name, x)
+    return made
+
+
+def motion():
+    return identify.pinn.Motion(MLP(1, N, 2, 1, key=jax.random.key(0)), *map(jnp.ones, (2, (), ())))
+
+
+def table():
+    def call(step):
+        return (np.array([1 + step**2]), np.ones(1)), 1 / step, 1 / step
+
+    return measure([Ladder("method", "step", [0.08, 0.01, 0.001], call)], (np.ones(1), np.ones(1)), 1e-12, 1)
+
+
+# made in less than a second, or once for several; where that would take long, of numbers without meaning
+MAKERS = {
+    "Run": run, "Branch": branch, "Fit": fitted, "Attractor": settled, "Way": way, "Sweep": sweep, "ForceLaw": law,
+    "WorkPrecision": table,
+    "Orbit": lambda: branch().orbit(-1), "OrbitRun": lambda: branch().orbit(-1).run(4),
+    "OrbitError": lambda: branch().orbit(-1).error, "Floquet": lambda: branch().orbit(-1).floquet(steps=64),
+    "Bifurcation": lambda: gx.breathers.Bifurcation("torus", 0.5, 1, state(), 1j, 0, 1),
+    "NormalModes": lambda: linear.normal_modes(chain()), "Bands": lambda: linear.bands(ring()),
+    "Dispersion": lambda: linear.dispersion(ring(), np.linspace(0.1, 3.0, 4)),
+    "Peaks": lambda: measures.peak_times(T, np.outer(np.sin(T), np.ones(3))),
+    "Front": lambda: measures.front_speed(T, np.exp(-((T[:, None] - np.arange(0.5, 1.6, 0.5)) ** 2))),
+    "Trace": lambda: measures.velocity_trace(T, np.ones((33, 2)), 0, sampling=5.0),
+    "Spectrum": lambda: measures.spectrum(np.ones((33, N)), 0.1),
+    "Spectrogram": lambda: measures.spectrogram(np.ones(33), 0.1, 0.9),
+    "Derivative": lambda: gx.derivative(lambda x, step: {"a": x["a"] ** 2, "b": x["a"].sum()}, {"a": jnp.ones(2)}, 0.1),
+    "Root": lambda: newton(lambda x, _: x**2 - 2, np.ones(1)),
+    "Curve": lambda: continuation(lambda x, p, _: x - p, np.zeros(1), 0.0, points=3),
+    "Coefficients": lambda: nls.coefficients([1.0, 2.0], 1.0, 0.1, 0.1, 1.0),
+    "Profile": lambda: nls.bright_profile(nls.coefficients(1.0, 1.0, 0.5, 2.0, np.pi), 2.001, 9),
+    "DynamicModes": lambda: identify.dmd(np.sin(np.outer(T, [1.0, 2.0])), 0.1, 2),
+    "Regression": lambda: identify.Regression(
+        {"e": Coefficient(1.0, 0.1, 0.5)}, ("v",), np.eye(1), 0.9, 0.1, 2.0, None, "Found."),
+    "Comparison": lambda: identify.Comparison(
+        ("one", "on-site"), {"one": fitted(), "on-site": fitted()}, np.array([1, 2]), *np.ones((3, 2)), 10.0, 0.5),
+    "PhysicsInformed": lambda: identify.PhysicsInformed(
+        {"a": jnp.ones(())}, motion(), np.ones(4), 0.1, 0.1, 2.0, "Found."),
+    "WallModulus": lambda: identify.WallModulus(
+        *np.ones(5).tolist(), np.ones(3), np.ones(4), np.ones(4), fitted()),
+    "Design": lambda: gx.Design(
+        {"r": jnp.ones(2)}, np.ones(()), np.ones(()), np.ones(4), np.ones(4), np.ones(2), np.array(3), np.ones(1),
+        np.array(0), ("r[0]", "r[1]")),
+    "Lyapunov": lambda: gx.driven.Lyapunov(np.ones(2), np.ones(2), np.ones((6, 2)), state(), "chaotic", "It is."),
+    "Advice": lambda: Advice(1e-3, "SRKN6b", "step", 0.1, 1e-4, 0.01, 100.0, np.nan, np.nan, gx.SRKN6b()),
+    "BrightBreather": lambda: studies.BrightBreather(
+        np.ones(6), np.ones(6, int), np.ones(6), 0.6, 5e3, (4e3, 6e3), 2, np.ones(9), 0.1, 3, chain(), state(), "So."),
+    "DarkBreather": lambda: studies.DarkBreather(
+        settled(), chain(), 1.0, 2.0, np.ones(N), np.ones(N + 1), 1.0, 0.5, 3.0, -0.9, np.ones((6, N))),
+    "Rectifier": lambda: studies.Rectifier(np.ones(3), sweep(), sweep(), 1.0, np.inf, np.ones(3), 1.0, 2.0, 3.0),
+    "Transmission": lambda: Transmission(np.ones(3), np.ones(3), np.ones(3), 1.0, 9, 20.0),
+    "Extrema": lambda: Extrema(np.ones(2), np.ones(2), np.ones(0), np.ones(0)),
+    "Made": lambda: gx.reproduce.Made("fig", 1.0, 1.0, 0.1, None, 2.0, {"eps": 0.5}, None, None, "", "", "Agrees."),
+}
+made = functools.cache(lambda name: MAKERS[name]())
+
+
+def classes():
+    """The result classes that the face shows."""
+    values = {value for module in NAMES for value in public(module) if inspect.isclass(value)}
+    return {value.__name__: value for value in values if issubclass(value, Result) and value is not Result}
+
+
+def legible(text):
+    """That a text is one for reading."""
+    for ugly in ("f64", "Array(", "array(", "<function", "object at 0x", "np.float64(", "dtype"):
+        assert ugly not in text, text
+    assert 5 < len(text) < 2500 and len(text.splitlines()) < 30, text
+
+
+def test_every_result_of_the_face_is_here():
+    assert classes().keys() <= MAKERS.keys()
+
+
+@pytest.mark.parametrize("name", MAKERS)
+def test_a_result_goes_out_and_comes_back(name, tmp_path):
+    result = made(name)
+    assert isinstance(result, Result) and type(result).__name__ == name
+    legible(repr(result))
+    data = result.to_xarray()
+    for axis in data.dims:
+        assert axis.partition("_")[0] != "site" or data[axis].values.tolist() == list(range(data.sizes[axis]))
+    for ending in ("nc", "mat"):
+        again = Result.load(result.save(tmp_path / f"{name}.{ending}"))
+        assert again.identical(data), f"{again}\n{data}"
+        assert again.attrs.keys() == data.attrs.keys()
+        kinds = [{key: x.dtype.kind.replace("U", "O") for key, x in d.variables.items()} for d in (again, data)]
+        assert kinds[0] == kinds[1]
+
+
+def batch(ts, us, lanes, space=(1, 0), **recorded):
+    """A run of such arrays, as `simulate` returns it."""
+    known = dict(
+        ts=ts, us=us, vs=us, final=None, recorded=recorded, energy_error=np.full(lanes, 0.5), _margin=np.ones(lanes),
+        _short={}, code=np.zeros((), int), stats={"steps": np.full(lanes, 9), "rejected": np.zeros((), int)},
+        failed_at=None, solver="SRKN6b", choice="", remark="", unseen="", _zone=0.0, _space=space, _mark=1.0)
+    made = object.__new__(gx.Run)
+    for name, x in (known | {"_confirmation": None}).items():
+        object.__setattr__(made, name, x)
+    return made
+
+
+RATIOS, LOADS, NAMES_ = np.array([0.2, 0.5, 1.0]), np.array([1.0, 2.0, 4.0]), ["PTFE", "brass", "steel 316"]
+F = 4
+
+
+@pytest.mark.parametrize("lanes, named, wanted", [
+    ((3,), None, ("lane",)), ((3,), {"ratio": RATIOS}, ("ratio",)), ((3,), {"bead": NAMES_}, ("bead",)),
+    ((3,), {"ratio": RATIOS, "load": LOADS}, ("lane",)), ((3, 2), None, ("lane", "lane_1")),
+    ((3, 2), {"ratio": RATIOS, "load": [1, 2]}, ("ratio", "load")),
+    ((3, 2), {"ratio": RATIOS[:, None] * [1, 2]}, ("lane", "lane_1")), ((3, 3), {"a": RATIOS, "b": LOADS}, ("a", "b")),
+], ids=str)
+@pytest.mark.parametrize("first", [False, True])
+def test_lanes_are_called_by_what_was_swept(lanes, named, wanted, first, tmp_path):
+    shape, own = (N, *lanes), np.arange(float(F))
+    if first:
+        us, ts = np.ones((*lanes, F, N)), np.broadcast_to(own, (*lanes, F))
+    else:
+        us, ts = np.ones((F, *shape)), own
+    peak = np.ones((*lanes, N + 1) if first else (N + 1, *lanes))
+    run = batch(ts, us, lanes, peak=peak, last=np.ones(lanes), site=np.ones(lanes))
+    data = run.to_xarray(lanes=named)
+    assert data.u.dims == ((*wanted, "time", "site") if first else ("time", "site", *wanted))
+    assert data.energy_error.dims == data["last"].dims == data.sites.dims == data.stats_steps.dims == wanted
+    assert data.time.dims == ("time",) and data.attrs["stats_rejected"] == 0
+    assert data.peak.dims == ((*wanted, "peak_0") if first else ("peak_0", *wanted))
+    for name, values in (named or {}).items():
+        assert np.array_equal(data[name], values) and name in data.coords
+    for ending in ("nc", "mat"):
+        assert Result.load(run.save(tmp_path / f"run.{ending}", lanes=named)).identical(data)
+    assert run.in_units("ms", lanes=named).u.dims == data.u.dims
+
+
+def test_times_of_their_own_of_each_lane_are_kept():
+    run = batch(np.outer([1.0, 2.0], np.arange(F)), np.ones((2, F, N)), (2,))
+    data = run.to_xarray(lanes={"speed": [1.0, 2.0]})
+    assert data.times.dims == ("speed", "time") and "time" not in data.variables
+    behind = batch(np.outer(np.arange(F), [1.0, 2.0]), np.ones((F, N, 2)), (2,)).to_xarray()
+    assert behind.times.dims == ("time", "lane") and behind.u.dims == ("time", "site", "lane")
+
+
+@pytest.mark.parametrize("lanes, said", [
+    ({"ratio": [1.0]}, "lanes: expected names and values of 3 lanes, got ratio of shape (1,)"),
+    ({}, "got none"),
+    ({"ratio": RATIOS, "load": [1.0]}, "load of shape (1,)"), ({"u": RATIOS}, "lanes: expected names that nothing"),
+    ({"time": RATIOS}, "expected names that nothing"), ({"site": RATIOS}, "expected names"), ({"": RATIOS}, "lanes"),
+    ({"a/b": RATIOS}, "without a slash"),
+    ({"a": [None] * 3}, "numbers or words"), ({"a": 1.0}, "lanes"), ([1.0], "lanes: expected a dict"),
+])
+def test_lanes_that_do_not_fit_are_refused(lanes, said, tmp_path):
+    run = batch(np.arange(float(F)), np.ones((F, N, 3)), (3,))
+    with pytest.raises(ValueError, match=re.escape(said)):
+        run.to_xarray(lanes=lanes)
+    with pytest.raises(ValueError, match=re.escape(said)):
+        run.save(tmp_path / "run.nc", lanes=lanes)
+    assert not [*tmp_path.iterdir()]
+
+
+def test_what_is_no_batch_has_no_lanes():
+    one = batch(np.arange(float(F)), np.ones((F, N)), ())
+    with pytest.raises(ValueError, match="lanes: expected a result of a batch"):
+        one.to_xarray(lanes={"ratio": RATIOS})
+    assert one.to_xarray().u.dims == ("time", "site")
+
+
+def test_batches_of_other_results_are_named_too():
+    modes = jax.tree.map(lambda *x: np.stack(x), *[made("NormalModes")] * 3).to_xarray(lanes={"ratio": RATIOS})
+    assert modes.omega.dims == ("ratio", "mode") and modes.modes.dims == ("ratio", "site", "mode")
+    peaks = measures.Peaks(np.ones((N, 3)), np.ones((N, 3)))
+    assert peaks.to_xarray(lanes={"ratio": RATIOS}).heights.dims == ("site", "ratio")
+    orbit = jax.tree.map(lambda *x: np.stack(x), *[made("Orbit")] * 2).to_xarray(lanes={"load": [1.0, 2.0]})
+    assert orbit.state_u.dims == orbit.error_state_u.dims == ("load", "site") and orbit.omega.dims == ("load",)
+
+
+def test_vectors_of_the_plane_and_fields_of_a_cell_are_named(tmp_path):
+    plane = batch(np.arange(float(F)), np.ones((F, 3, 4, 2, 3)), (3,), (2, 2))
+    data = plane.to_xarray(lanes={"ratio": RATIOS})
+    assert data.u.dims == ("time", "site", "site_1", "component", "ratio")
+    assert data.component.values.tolist() == ["x", "y"] and data.u.sel(component="y", site=1).shape == (F, 4, 3)
+    space = batch(np.arange(float(F)), np.ones((F, N, 3)), (), (1, 3)).to_xarray()
+    assert space.u.dims == ("time", "site", "component") and space.component.values.tolist() == ["x", "y", "z"]
+    cell = {"bead": np.ones((F, N, 2)), "core": np.zeros((F, N, 2))}
+    data = batch(np.arange(float(F)), cell, (2,)).to_xarray()
+    assert data.u.dims == ("time", "field", "site", "lane") and float(data.u.sel(field="core").max()) == 0
+    uneven = batch(np.arange(float(F)), {"bead": np.ones((F, N)), "core": np.ones((F, N - 1))}, ())
+    data = uneven.to_xarray()
+    assert data.u_core.dims == ("time", "site_core") and data.site_core.size == N - 1
+    for k, run in enumerate((plane, uneven)):
+        for ending in ("nc", "mat"):
+            path = run.save(tmp_path / f"{k}.{ending}")
+            assert Result.load(path).identical(run.to_xarray())
+
+
+class Named(Result):
+    held: ClassVar = {"values": Held("site"), "words": Held("word")}
+    values: object
+    words: object
+    parameters: object
+    outcome: str = "Found."
+
+
+def test_names_that_files_do_not_have(tmp_path):
+    odd = {"a/b": 1.0, "2nd": np.ones(2), "x" * 80: 2.0, "x" * 80 + "y": 3.0, "\u00b5 [m]": 4.0, "outcome": "none",
+           "": 5.0}
+    result = Named(np.zeros(0), ["a", "", "\u00e9\u00df"], odd)
+    for ending in ("nc", "mat"):
+        again = Result.load(result.save(tmp_path / f"odd.{ending}"))
+        assert again.identical(result.to_xarray()) and again.words.values.tolist() == ["a", "", "\u00e9\u00df"]
+    from scipy.io import loadmat
+
+    assert loadmat(tmp_path / "odd.mat")["parameters_2nd"].tolist() == [[1.0, 1.0]]
+
+
+def test_a_matlab_file_of_others_is_refused(tmp_path):
+    from scipy.io import savemat
+
+    savemat(tmp_path / "other.mat", {"u": np.ones(3)})
+    (tmp_path / "text.mat").write_text("no file of MATLAB's")
+    made("Trace").save(tmp_path / "cut.mat")
+    (tmp_path / "cut.mat").write_bytes((tmp_path / "cut.mat").read_bytes()[:-300])
+    for name in ("other", "text", "cut", "none"):
+        with pytest.raises(ValueError, match="path: expected a .mat file that `save` wrote"):
+            Result.load(tmp_path / f"{name}.mat")
+
+
+def test_every_model_of_a_comparison_is_kept():
+    data = made("Comparison").to_xarray()
+    assert data["fits_on-site_parameter"].values.tolist() == ["stiffness/A"] and "fits_one_outcome" in data.attrs
