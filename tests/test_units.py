@@ -208,3 +208,23 @@ def test_words_that_no_axis_takes_are_refused(draw, message):
 def test_an_axis_that_nobody_knows_takes_the_word_that_is_left():
     ax = plots.space_time(np.ones((3, 3)), ts=1e-3 * np.arange(3.0), units=("ms", "mV"), label="signal")
     assert labels(ax) == ["site", "time (ms)", "signal (mV)"] and ax.images[0].get_array()[0, 0] == 1e3
+
+
+def test_what_is_a_pure_number_takes_no_words_and_parameters_those_that_are_asked_for():
+    fl = SimpleNamespace(multipliers=np.array([1.0]), krein=np.zeros(1), error=np.zeros(1), expected=1, rate=0.0,
+                         period=1.0)
+    assert labels(plots.floquet_circle(fl, units="SI")) == [r"Re $\rho$", r"Im $\rho$"]
+    with pytest.raises(ValueError, match="units: expected None"):
+        plots.floquet_circle(fl, units="us")
+    fit = SimpleNamespace(parameters={"damping_time": 2e-3, "k": 3.0}, names=("damping_time", "k"),
+                          covariance=np.diag([1e-8, 0.01]), units="SI")
+    assert plots.corner(fit)[1, 0].get_xlabel() == r"damping_time ($10^{-3}$)"
+    axes = plots.corner(fit, units="ms", truths={"damping_time": 2.1e-3})
+    assert (axes[1, 0].get_xlabel(), axes[1, 0].get_ylabel()) == ("damping_time (ms)", "k")
+    assert axes[0, 0].get_title(loc="center") == r"2.00 $\pm$ 0.10" and axes[0, 0].lines[-1].get_xdata()[0] == 2.1
+
+
+def test_sites_and_frames_have_whole_ticks():
+    ax = plots.space_time(np.ones((4, 5)))
+    ticks = np.concatenate([ax.get_xticks(), ax.get_yticks()])
+    np.testing.assert_array_equal(ticks, np.round(ticks))

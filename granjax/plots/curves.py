@@ -11,7 +11,7 @@ from ..entry import checked
 from ..types import Parameter, Scalar
 from ..units import UnitsOrWords
 from .arrays import Samples, numbers
-from .quantities import Axis, quantity, scaled_by, shown
+from .quantities import Axis, drawn_in, quantity, scaled_by
 from .style import COLOURS, DASHES, FAINT, AxesOrNone, axes_or_new, colour
 
 INSETS = ("log", "none")
@@ -49,7 +49,7 @@ def profile(
     if labels is not None and len(labels) != y.shape[1]:
         refuse("labels", f"{y.shape[1]} names, one per curve", f"{len(labels)}")
     floor = float(within("floor", floor, 0, 1, open_low=True, open_high=True))
-    by_x, by_y = shown(units, None, Axis(x_label, x, quantity(x_label) or ""), Axis(y_label, y))
+    by_x, by_y = drawn_in(units, None, Axis(x_label, x, quantity(x_label) or ""), Axis(y_label, y))
     x, y = scaled_by(x, by_x.factor), scaled_by(y, by_y.factor)
     if points is not None:
         points = tuple(scaled_by(p, by.factor) for p, by in zip(_points(points), (by_x, by_y)))
@@ -114,7 +114,7 @@ def transmission(
     labels = [label] * values.shape[1] if label is None or isinstance(label, str) else list(label)
     if len(labels) != values.shape[1]:
         refuse("label", f"{values.shape[1]} names, one per curve", f"{len(labels)}")
-    (by,) = shown(units, None, Axis(y_label, values, quantity(y_label) or ""))
+    (by,) = drawn_in(units, None, Axis(y_label, values, quantity(y_label) or ""))
     values = scaled_by(values, by.factor)
     ax = axes_or_new(ax, 5.6, 3.6)
     order = np.argsort(ratios)

@@ -14,7 +14,7 @@ from ..entry import checked
 from ..types import Count, Parameter, Scalar
 from ..units import UnitsOrWords
 from .arrays import having, numbers, rising
-from .quantities import Axis, scaled_by, shown, units_of
+from .quantities import Axis, drawn_in, quantity, scaled_by, units_of
 from .style import COLOURS, FAINT, AxesOrNone, style
 
 # half-width of a corner plot's axes, in standard deviations
@@ -84,7 +84,7 @@ def _counted(units, said, x_label, y_label, columns):
         data, fitted = (numbers("data", x, 2, finite=False)[:, sensor] for x in (trace.data, signal))
         plain.append((numbers("times", trace.times, 1), data, fitted, name.split()[0] if y_label is None else y_label))
     kinds = {kind: np.concatenate([x for *_, x, other in plain if other == kind]) for *_, kind in plain}
-    by_time, *by_kind = shown(units, said, Axis(x_label, np.concatenate([times for times, *_ in plain])),
+    by_time, *by_kind = drawn_in(units, said, Axis(x_label, np.concatenate([times for times, *_ in plain])),
                               *(Axis(kind, x) for kind, x in kinds.items()))
     by_kind = dict(zip(kinds, by_kind))
     return [(scaled_by(times, by_time.factor), *(scaled_by(x, by_kind[kind].factor) for x in (data, fitted)), by_time,
@@ -94,7 +94,7 @@ def _counted(units, said, x_label, y_label, columns):
 @checked
 def corner(
     result: Any, axes: Axes | Shaped[np.ndarray, "..."] | None = None, *, truths: dict[str, Scalar] | None = None,
-    labels: Sequence[str] | None = None,
+    labels: Sequence[str] | None = None, units: UnitsOrWords = None,
 ) -> Shaped[np.ndarray, "P P"]:
     """What is known of each pair of parameters: ellipses of one and two standard deviations, Gaussians on the diagonal.
 
@@ -103,7 +103,8 @@ def corner(
 
     **Arguments:** `result`: a `Fit`, or anything with `parameters` (a dict), `names` (P,) of its numbers, "a" or
     "a[0]", "a[1]", ..., and `covariance` (P, P) in their order. `axes`: Axes (P, P). `truths`: dict of known values to
-    mark, with names as in `names`. `labels`: one per parameter, in place of `names`.
+    mark, with names as in `names`. `labels`: one per parameter, in place of `names`. `units`: `("mm/s", "us")`, as in
+    `granjax.plots`, for labels that end with a known word, such as "damping_time"; by default none is assumed.
 
     **Returns:** the Axes (P, P), hidden above the diagonal. **Raises** ValueError for a covariance that is not finite
     (parameters that are not determined) or Axes or labels that do not fit.
@@ -121,10 +122,15 @@ def corner(
     labels = names if labels is None else list(labels)
     if len(labels) != len(names):
         refuse("labels", f"{len(names)} names, one per parameter", f"{len(labels)}")
+    kinds = ["" if units is None else quantity(label.replace("_", " ")) or "" for label in labels]
+    by = drawn_in(units, units_of(result), *map(Axis, labels, values, kinds))
+    sizes = np.array([way.factor for way in by])
+    labels, values, deviations = [x.label for x in by], values * sizes, deviations * sizes
+    matrix = matrix * np.outer(sizes, sizes)
     for name in truths or {}:
         if name not in names:
             refuse("truths", f"names among {names}", repr(name))
-    marks = [(truths or {}).get(name) for name in names]
+    marks = [None if (truths or {}).get(name) is None else truths[name] * x for name, x in zip(names, sizes)]
     count = len(names)
     axes = _grid("axes", axes, count, count, (1.7 * count + 0.8, 1.7 * count + 0.5))
     powers = [_power(value) for value in values]
@@ -186,7 +192,7 @@ def law(
             refuse(name, f"shape {force.shape}, as force", f"shape {x.shape}")
     if (low > high).any():
         refuse("low", "numbers not above high", show(low), "Swap low and high.")
-    by_x, by_y = shown(units, None, Axis(x_label, strain), Axis(y_label, force))
+    by_x, by_y = drawn_in(units, None, Axis(x_label, strain), Axis(y_label, force))
     strain = scaled_by(strain, by_x.factor)
     force, low, high, truth = (None if x is None else scaled_by(x, by_y.factor) for x in (force, low, high, truth))
     ax = _grid("ax", ax, 1, 1, (5.0, 3.6))[0, 0]

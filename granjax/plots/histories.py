@@ -6,13 +6,14 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm, Normalize, TwoSlopeNorm
+from matplotlib.ticker import MaxNLocator
 
 from ..checks import one_of, positive, refuse, within
 from ..entry import checked
 from ..types import Parameter, Scalar
 from ..units import SCALED, UnitsOrWords
 from .arrays import Samples, having, history, is_run, numbers, rising
-from .quantities import Axis, scaled_by, shown, units_of
+from .quantities import Axis, drawn_in, scaled_by, units_of
 from .style import AxesOrNone, add_colour_bar, axes_or_new, colour
 
 SCALES = ("linear", "log")
@@ -59,7 +60,7 @@ def space_time(
         label = (LABELS.get(given) if known else None) or "quantity"
     top = _limit(data, limit)
     frames = ts is None
-    by_time, by_quantity = shown(units, said, Axis("frame" if frames else "time", y), Axis(label, top))
+    by_time, by_quantity = drawn_in(units, said, Axis("frame" if frames else "time", y), Axis(label, top))
     y, data, top = scaled_by(y, by_time.factor), scaled_by(data, by_quantity.factor), top * by_quantity.factor
     label = by_quantity.label
     ax = axes_or_new(ax, 5.2, 3.8)
@@ -71,6 +72,10 @@ def space_time(
     image = _draw(ax, x, y, data, norm, map_name)
     ax.set_xlabel(site_label)
     ax.set_ylabel(by_time.label)
+    if sites is None or np.all(2 * x % 1 == 0):
+        ax.xaxis.set_major_locator(MaxNLocator(integer=True))
+    if frames:
+        ax.yaxis.set_major_locator(MaxNLocator(integer=True))
     for spine in ax.spines.values():
         spine.set_visible(True)
     if colour_bar:
@@ -154,7 +159,7 @@ def traces(
     ts = rising("ts", ts, len(qs))
     sites = _sites(sites, qs.shape[1])
     known = qs[:, sites][np.isfinite(qs[:, sites])]
-    by_time, by_quantity = shown(units, said, Axis("time", ts), Axis(label, known))
+    by_time, by_quantity = drawn_in(units, said, Axis("time", ts), Axis(label, known))
     ts, qs = scaled_by(ts, by_time.factor), scaled_by(qs, by_quantity.factor)
     offset = None if offset is None else offset * by_quantity.factor
     names = [str(n) for n in sites] if labels is None else [str(name) for name in labels]

@@ -13,7 +13,7 @@ from ..types import Count
 from ..units import UnitsOrWords
 from .arrays import having, history, numbers, rising
 from .histories import space_time
-from .quantities import Axis, scaled_by, shown, units_of
+from .quantities import Axis, drawn_in, scaled_by, units_of
 from .style import COLOURS, FAINT, AxesOrNone, add_colour_bar, axes_or_new, style
 
 # Krein signature -> colour, mark, what it is called
@@ -33,7 +33,7 @@ _ORBITS = {
 
 
 @checked
-def floquet_circle(fl: Any, ax: AxesOrNone = None, *, legend: bool = True) -> Axes:
+def floquet_circle(fl: Any, ax: AxesOrNone = None, *, legend: bool = True, units: UnitsOrWords = None) -> Axes:
     r"""Floquet multipliers in the complex plane with the unit circle.
 
     Colours and marks tell the Krein signature; 0 is off the circle, at a meeting of two signs, or of a flow without
@@ -41,11 +41,13 @@ def floquet_circle(fl: Any, ax: AxesOrNone = None, *, legend: bool = True) -> Ax
     radius exp(-gamma T/2), about which multipliers pair, is dotted.
 
     **Arguments:** `fl`: a `Floquet`, or anything with `multipliers` (2n,), `krein` (2n,), `error` (2n,), `expected`,
-    `rate` and `period`. `legend`: whether signatures are named.
+    `rate` and `period`. `legend`: whether signatures are named. `units`: as in `granjax.plots`; multipliers are pure
+    numbers, which take no words.
 
     **Returns:** the Axes; the rings are the last of `ax.lines`, labelled "unstable".
     """
     having("fl", fl, "a Floquet", "multipliers", "krein", "error", "expected", "rate", "period")
+    drawn_in(units, units_of(fl))
     rho, signature = np.asarray(fl.multipliers), np.nan_to_num(np.asarray(fl.krein))
     ax = axes_or_new(ax, 4.2, 4.0)
     angle = np.linspace(0, 2 * np.pi, 361)
@@ -111,7 +113,7 @@ def breather(
     history = breather.run() if mode is None and hasattr(breather, "run") else None
     still = [Axis("displacement $u_n(0)$", u), Axis("strain $u_n - u_{n+1}$", u[:-1] - u[1:])][: 1 + (mode is None)]
     moving = [] if history is None else [Axis("time", history.ts), Axis("velocity", history.vs)]
-    by = shown(units, units_of(breather), *still, *moving)
+    by = drawn_in(units, units_of(breather), *still, *moving)
     _bars(a, site, scaled_by(u, by[0].factor), COLOURS[0])
     a.set_ylabel(by[0].label)
     floquet_circle(fl, b)
@@ -216,7 +218,7 @@ def branch(
     marks = [] if marks is None else list(np.atleast_1d(np.asarray(marks, object)))
     if bands.shape[1:] != (2,):
         refuse("bands", "intervals, shape (B, 2)", f"shape {bands.shape}")
-    by, *by_height = shown(units, units_of(br), Axis(omega_label, omega, "rad/s"), Axis("energy", heights[0]),
+    by, *by_height = drawn_in(units, units_of(br), Axis(omega_label, omega, "rad/s"), Axis("energy", heights[0]),
                            Axis(r"amplitude $\max_n |u_n|$", heights[1]))
     omega, drawn = scaled_by(omega, by.factor), [scaled_by(x, way.factor) for x, way in zip(heights, by_height)]
     axes = _axes(axes, 1, 2, 8.4, 3.4)
@@ -299,7 +301,7 @@ def hysteresis(
     """
     values, up, down, intervals = _ways(sweep)
     said = next((x for x in map(units_of, (sweep, orbits)) if x), None)
-    by_x, by_y = shown(units, said, Axis(x_label, values), Axis(y_label, up))
+    by_x, by_y = drawn_in(units, said, Axis(x_label, values), Axis(y_label, up))
     values, up, down = scaled_by(values, by_x.factor), by_y.factor * up, None if down is None else by_y.factor * down
     ax = axes_or_new(ax, 5.6, 3.6)
     for low, high in scaled_by(np.reshape(intervals, (-1, 2)), by_x.factor):

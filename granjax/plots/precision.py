@@ -7,16 +7,21 @@ from matplotlib.axes import Axes
 
 from ..checks import one_of, refuse
 from ..entry import checked
+from ..units import SI, UnitsOrWords
 from .arrays import having, numbers
+from .quantities import Axis, drawn_in, scaled_by
 from .style import FAINT, AxesOrNone, axes_or_new, colour
 
-AGAINST = {"time": ("seconds", "time of one run (s)"), "evaluations": ("evaluations", "force evaluations of one run")}
+# what is drawn, its label and unit
+AGAINST = {
+    "time": ("seconds", "time of one run", "s"), "evaluations": ("evaluations", "force evaluations of one run", ""),
+}
 MARKS = ("o", "s", "^", "D", "v", "P", "X")
 DEFAULT = "default"
 
 
 @checked
-def work_precision(wp: Any, ax: AxesOrNone = None, *, against: str = "time") -> Axes:
+def work_precision(wp: Any, ax: AxesOrNone = None, *, against: str = "time", units: UnitsOrWords = None) -> Axes:
     """Error against the work that it takes, both logarithmic: down and to the left is better.
 
     **Arguments:**
@@ -24,18 +29,21 @@ def work_precision(wp: Any, ax: AxesOrNone = None, *, against: str = "time") -> 
     - `wp`: what `gx.work_precision` returns, or any table with one entry a point: `method`, `error`, `seconds`,
       `evaluations`, `drawn`; with `methods`, their names in order, and `floor`, the uncertainty of the reference, which
       is shaded (NaN: none). A method named `"default"` is a star.
-    - `against`: `"time"` or `"evaluations"`; methods that do not count those are left out.
+    - `against`: `"time"` or `"evaluations"`; methods that do not count those are left out. `units`: `"ms"` of the
+      time, as in `granjax.plots`; seconds by default.
 
     **Returns:** the Axes; one line per method in `ax.lines`. **Raises** ValueError for anything else to draw against,
     or a table where no point is drawn.
     """
     having("wp", wp, "a WorkPrecision", "method", "error", "seconds", "evaluations", "drawn", "methods", "floor")
-    column, label = AGAINST[one_of("against", against, tuple(AGAINST))]
+    column, label, unit = AGAINST[one_of("against", against, tuple(AGAINST))]
     work, error = numbers(f"wp.{column}", getattr(wp, column), 1, finite=False), numbers("wp.error", wp.error, 1, False)
     method = np.array(wp.method, dtype=object)
     shown = np.asarray(wp.drawn, bool) & np.isfinite(work) & (work > 0) & (error > 0)
     if not shown.any():
         refuse("wp", "a table with points to draw", "none", "Its notes say why; print it.")
+    (by,) = drawn_in("s" if units is None and against == "time" else units, SI, Axis(label, work, unit))
+    work, label = scaled_by(work, by.factor), by.label
     ax = axes_or_new(ax, 6.6, 4.0)
     ax.set(xscale="log", yscale="log", xlabel=label, ylabel="relative error of the final state")
     for i, name in enumerate(wp.methods):

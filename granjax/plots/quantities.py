@@ -54,7 +54,7 @@ def quantity(label: str) -> str | None:
     return _QUANTITIES[max(fitting, key=len)] if fitting and "/" not in plain else None
 
 
-def shown(units: UnitsOrWords, said: str | None, *axes: Axis, argument: str = "units") -> list[Shown]:
+def drawn_in(units: UnitsOrWords, said: str | None, *axes: Axis, argument: str = "units") -> list[Shown]:
     """How axes are drawn in the units that are asked for.
 
     **Arguments:** `units`: as every plot takes them, below. `said`: what the numbers are counted in, "SI", "scaled", or

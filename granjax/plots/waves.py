@@ -11,7 +11,7 @@ from ..entry import checked
 from ..types import Scalar
 from ..units import UnitsOrWords
 from .arrays import numbers
-from .quantities import OMEGA, Axis, scaled_by, shown, units_of
+from .quantities import OMEGA, Axis, drawn_in, scaled_by, units_of
 from .style import COLOURS, AxesOrNone, add_colour_bar, axes_or_new
 
 CLOSED = 1e-6
@@ -41,7 +41,7 @@ def dispersion(
     said = {units_of(x) for x in (dispersion_record, spectrum)} - {None}
     if len(said) > 1:
         refuse("spectrum", f"one in {units_of(dispersion_record)} numbers, as the dispersion", units_of(spectrum))
-    (by,) = shown(units, next(iter(said), None), Axis(OMEGA, omega, "rad/s"))
+    (by,) = drawn_in(units, next(iter(said), None), Axis(OMEGA, omega, "rad/s"))
     omega = scaled_by(omega, by.factor)
     ax = axes_or_new(ax, 5.4, 4.0)
     if spectrum is None:
