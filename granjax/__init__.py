@@ -2,6 +2,108 @@
 
 `import granjax as gx` is enough. It switches float64 on unless the environment holds JAX_ENABLE_X64, and sets two XLA
 flags that speed up its loops on the CPU unless it holds GRANJAX_TUNE=0; `gx.tune()` says what is in force.
+
+    chain = gx.scenes.dimer(101, ratio=0.59)
+    run = gx.simulate(chain, gx.states.impact(chain, velocity=1.0), 120.0, save_at=400)
+    print(run)
+
+What there is; `help(gx.simulate)` says more of each.
+
+Scenes
+    scenes              ready lattices: monomer, dimer, defects, disorder, FPUT, Toda, beads of materials in SI
+    states              where they start: impact, rest, modes, packets, steps, random
+    materials           steel, brass, PTFE ...; Hertz's contact coefficient from moduli and radii
+    canonical           scenes with references in extended precision
+    Units               sizes of a scene's units of mass, length and time in SI
+Lattices
+    Lattice             masses and terms, m a = sum of forces
+    State               displacements and velocities, (u, v)
+    vector_field        the equation of motion, for any diffrax solver
+    Term                what a term of your own derives from
+    Bond                a strain map and a law between sites
+    OnSite              a force of each site's displacement
+    Damping             a force -gamma m v
+    Dashpot             a force of the rate of a bond
+    ViscousContact      a dashpot that acts while a contact is closed
+    Drag                a force of the velocity's square
+    Drive               a force of time on a site
+    Wall                a wall that yields, or moves
+    Modulated           a term times a function of time
+    Harmonic            a cosine of time, whose numbers can be swept
+    Breaks              times at which a function of time jumps
+    terms               the same, and what they are made of
+Strain maps
+    Shift               bonds to a neighbour, on chains and grids, between fields of a cell
+    Pairs               bonds of any graph
+    Stretch             bonds as distances in the plane or in space
+    StrainMap           what a strain map of your own derives from
+    strains             the same, and `Stencil`: sums over several sites and fields
+Laws
+    Hertz               spheres in contact, A d^{3/2}
+    PowerLaw            contacts of any exponent, magnets
+    Polynomial          Fermi, Pasta, Ulam and Tsingou
+    Toda                exponential springs
+    Linear              springs
+    Sine                sine-Gordon
+    Yielding            a contact in series with a spring
+    Spline              a law of free shape that never falls
+    Network             a law of free shape as a small network
+    Law                 what a law of your own derives from
+    laws                the same, and their Taylor coefficients
+Motion
+    simulate            run a lattice in time
+    Run                 what it returns
+    Peak                a record: the highest value between the steps
+    Lowest              the lowest
+    Arrival             the time at which a quantity passes a threshold
+    Integral            an integral over time
+    Record              what a record of your own derives from
+    Reversible          reverse mode by integrating backwards, without memory
+    derivative          the derivative of a run, with its error
+    Derivative          what it returns
+    Flow                a map over a number of steps, with tangents
+    measures            contact forces, energies, spectra, fronts, localisation of a state or a run
+    linear              modes, dispersion, bands, speed of sound
+Solvers
+    VelocityVerlet      order 2
+    SRKN6b              order 4
+    SRKN11b             order 6
+    SRKN14a             order 6, of 14 stages: orbits
+    KahanLi8            order 8
+    SofroniouSpaletta10 order 10
+    RKN86               order 8, with a tolerance
+    RKN1210             order 12, with a tolerance
+    solvers             the same, and their stability
+    work_precision      error against time of many solvers on a scene
+    WorkPrecision       what it returns
+Periodic orbits
+    breathers           breathers and their families
+    forced              orbits of driven lattices, and their branches
+    driven              where driven lattices settle: attractors, sweeps, Lyapunov exponents
+    floquet             stability of periodic orbits
+    orbits              what these are made of: any orbit, its symmetry
+    newton              Newton's method
+    continuation        pseudo-arclength continuation
+Measurements and design
+    fit                 parameters from traces, with errors
+    Fit                 what it returns
+    Traces              what was measured, from arrays and files
+    identify            force laws, comparison of models, regression, dynamic modes
+    design              parameters that minimise an objective
+    Design              what it returns
+    smooth_peak         a maximum that differentiates
+Theory and studies
+    theory              closed forms: the envelope equation (nls)
+    travelling          solitary waves
+    studies             a rectifier, dark and bright breathers, as they were made
+    resonance           transmission of dimers over their mass ratio
+    reproduce           figures of a review, each with a number
+Pictures and files
+    plots               pictures of all of it, with units
+    Result              what every result is: `to_xarray`, `save`, `in_units`; `Result.load` reads a file
+This process
+    tune                XLA's flags
+    clear               let go of compiled programs
 """
 
 from . import interrupts as _interrupts
@@ -15,7 +117,7 @@ from . import tuning as _tuning
 _tuning.prepare_import()
 _interrupts.prepare_python()
 
-from . import laws, strains, terms  # noqa: E402
+from . import laws, solvers, strains, terms  # noqa: E402
 from .design import Design, design, smooth_peak  # noqa: E402
 from .fit import Fit, Traces, fit  # noqa: E402
 from .flow import (  # noqa: E402
@@ -33,6 +135,7 @@ from .flow import (  # noqa: E402
 )
 from .lattice import Lattice, State, vector_field  # noqa: E402
 from .laws import Hertz, Law, Linear, Network, Polynomial, PowerLaw, Sine, Spline, Toda, Yielding  # noqa: E402
+from .results import Result  # noqa: E402
 from .solvers import (  # noqa: E402
     RKN86,
     RKN1210,
@@ -70,6 +173,16 @@ _LAZY = {
     )
 } | {"reproduce": ".studies.reproduce", "resonance": ".studies.resonance"}
 
+__all__ = [
+    "Arrival", "Bond", "Breaks", "Damping", "Dashpot", "Derivative", "Design", "Drag", "Drive", "Fit", "Flow",
+    "Harmonic", "Hertz", "Integral", "KahanLi8", "Lattice", "Law", "Linear", "Lowest", "Modulated", "Network",
+    "OnSite", "Pairs", "Peak", "Polynomial", "PowerLaw", "RKN1210", "RKN86", "Record", "Result", "Reversible",
+    "Run", "SRKN11b", "SRKN14a", "SRKN6b", "Shift", "Sine", "SofroniouSpaletta10", "Spline", "State", "StrainMap",
+    "Stretch", "Term", "Toda", "Traces", "Units", "VelocityVerlet", "ViscousContact", "Wall", "WorkPrecision",
+    "Yielding", "clear", "derivative", "design", "fit", "laws", "simulate", "smooth_peak", "solvers", "strains",
+    "terms", "tune", "vector_field", "work_precision", *_LAZY,
+]
+
 
 def __getattr__(name):
     """Submodules that are loaded when first asked for, so that import stays quick."""
@@ -81,4 +194,4 @@ def __getattr__(name):
 
 
 def __dir__():
-    return sorted([*globals(), *_LAZY])
+    return sorted(__all__)

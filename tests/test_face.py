@@ -1,0 +1,37 @@
+"""What `import granjax as gx` shows: `help(gx)`, `dir(gx)` and `__all__` say the same, each name once."""
+
+import pydoc
+import re
+import types
+
+import granjax as gx
+
+# parts of the library that are modules of the package and no part of its face
+INSIDE = {"checks", "cli", "descent", "entry", "files", "flow", "interrupts", "lattice", "outside", "parameters",
+          "printing", "reading", "results", "split_system", "tuning", "types", "units", "variables"}
+
+
+def listed():
+    """(name, what is said of it) of each line of the module's docstring."""
+    return re.findall(r"^    (\w+) +(\S.*)$", gx.__doc__[gx.__doc__.index("What there is") :], re.M)
+
+
+def test_help_lists_the_face_once():
+    names = [name for name, _ in listed()]
+    assert sorted(names) == sorted(gx.__all__) == dir(gx) and len(set(names)) == len(names)
+    assert not [name for name in dir(gx) if name.startswith("_")]
+    text = pydoc.plain(pydoc.render_doc(gx))
+    for name, said in listed():
+        assert getattr(gx, name) is not None and f"{name:<19} {said}" in text
+
+
+def test_nothing_public_is_missing_from_the_list():
+    shown = {name for name in vars(gx) if not name.startswith("_")} - {"jaxtyping"}  # of the tests' import hook
+    assert shown - {*gx.__all__} <= INSIDE
+    assert all(isinstance(getattr(gx, name), types.ModuleType) for name in shown - {*gx.__all__})
+
+
+def test_all_of_it_is_imported_by_a_star():
+    space = {}
+    exec("from granjax import *", space)
+    assert space.keys() >= {*gx.__all__} and space["simulate"] is gx.simulate
