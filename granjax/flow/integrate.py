@@ -15,6 +15,7 @@ from ..types import Displacements, Number, Numbers, Scalar, StateLike, Times
 from .breaks import Landing, one_sided
 from .control import Scales, StepControl
 from .dispatch import compiled
+from .lanes import each_lane
 from .record import CLOSEST, EXTREMES, AtEnds, Recorded, leaf_by_leaf
 from .record.dips import Dips
 from .run import COMPLETED, FAILED, NOT_FINITE, NOTHING, STEP_TOO_SMALL, TOO_MANY_STEPS, Run, finite
@@ -35,12 +36,18 @@ def integrate(
 
     `watch`: follow every compression, for the highest frequency that the run reaches. `outside`: what the records'
     functions read, of which only the structure counts. `dips`: look for openings between steps too, where no second
-    run can.
+    run can. Adaptive steps are each lane's own.
     """
-    records = own_records(lattice, state, t0, records, watch, dips)
-    begin, rest = (state, t0, t1), (solver, adjoint, max_steps, every, progress)
-    part = part_of(lattice, begin, state, t0, t1, dt, tolerance, save_ts, records, None, *rest)
-    return reduced(lattice, begin, dt if tolerance is None else tolerance, records, solver, watch, part)
+
+    def run(lattice, state, records, progress=False):
+        records = own_records(lattice, state, t0, records, watch, dips)
+        begin, rest = (state, t0, t1), (solver, adjoint, max_steps, every, progress)
+        part = part_of(lattice, begin, state, t0, t1, dt, tolerance, save_ts, records, None, *rest)
+        return reduced(lattice, begin, dt if tolerance is None else tolerance, records, solver, watch, part)
+
+    if tolerance is not None and lattice.lanes:
+        return each_lane(run, lattice, state, records, t0)
+    return run(lattice, state, records, progress)
 
 
 def own_records(

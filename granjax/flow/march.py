@@ -7,6 +7,7 @@ from functools import cache
 from typing import Any
 
 import diffrax
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -18,6 +19,7 @@ from ..outside import Outside
 from ..types import Number, Scalar, StateLike, Times
 from .dispatch import compiled, facts
 from .integrate import Part, integrate, own_records, part_of, reduced
+from .lanes import apart, together
 from .record import Record
 from .run import COMPLETED, NOT_FINITE, TOO_MANY_STEPS, Run
 
@@ -27,6 +29,8 @@ TAKES, LEAST = (5e-8, 1e-9), (2e-8, 2e-11)
 EVALUATIONS = 10
 # seconds of a piece; and from which on a run has pieces, and from which on it is waited for in a way that hears Ctrl-C
 PIECE, LONG, SHORT = 0.5, 2.0, 0.05
+# lanes of an adaptive run in one program, at most; and steps that one of them may well take
+TOGETHER, EXPECTED = 16, 4096
 # what one loop counts; and steps that no lattice takes a day for
 COUNTED, FEW = 2**31 - 1, 1e6
 DAY = 86400.0
@@ -48,6 +52,8 @@ def march(
     rest = every, progress, watch, outside, dips
     if traced((t0, t1, dt)):
         return integrate(*arguments, max_steps, *rest)
+    if tolerance is not None and lattice.lanes:
+        return (integrate if traced(-_one()) else _lane_by_lane)(*arguments, max_steps, *rest)
     forward = in_pieces(adjoint, every) and not dips
     takes, ends, budget = seconds_a_step(lattice, solver, TAKES), [], None
     span = float(t1) - float(t0)
@@ -130,6 +136,51 @@ def refuse_endless(
 
 
 @interruptible
+def _lane_by_lane(
+    lattice, state, t0, t1, dt, tolerance, save_ts, records, solver, adjoint, max_steps, every, progress, *rest,
+):
+    """The lanes of an adaptive run: some in each program as long as none of them takes long, then one by one."""
+    parts, build = apart(lattice, state, records)
+    count, forward = parts[0].shape[-1], in_pieces(adjoint, every)
+    takes = seconds_a_step(lattice, solver, TAKES) / count
+    width, limit = min(count, TOGETHER), max_steps
+    if forward:
+        width = min(width, max(int(LONG / (EXPECTED * takes)), 1))
+        limit = min(int(LONG / takes) // width, max_steps or COUNTED)
+
+    def run(go, some, limit):
+        one, y, own = build(some)
+        return go(one, y, t0, t1, dt, tolerance, save_ts, own, solver, adjoint, limit, every, False, *rest)
+
+    runs, done, bar = [], 0, _bar(progress, count, "lanes")
+    try:
+        while done < count:
+            # a whole program that overlaps the one before, rather than another one
+            first = min(done, count - width)
+            if width > 1:
+                found = wait(run(integrate, [x[..., first : first + width] for x in parts], limit))
+                if limit != max_steps and (np.asarray(found.code) == TOO_MANY_STEPS).any():
+                    width = 1
+                    continue
+                ts = np.repeat(np.asarray(found.ts)[:, None], width, 1)
+                found = eqx.tree_at(lambda r: r.ts, found, ts)
+                found = jax.tree.map(lambda x, skip=done - first: np.asarray(x)[..., skip:], found)
+            else:
+                found = wait(run(march, [x[..., first] for x in parts], max_steps))
+                found = jax.tree.map(lambda x: np.asarray(x)[..., None], found)
+            runs.append(found)
+            bar.update(first + width - done)
+            done = first + width
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(f"simulate was interrupted at lane {done} of {count}; nothing is kept") from None
+    finally:
+        bar.close()
+    shape = lattice.lanes
+    whole = jax.tree.map(lambda *x: np.concatenate(x, -1).reshape(x[0].shape[:-1] + shape), *runs)
+    return jax.tree.map(jnp.asarray, together(whole))
+
+
+@interruptible
 def _in_pieces(
     lattice, begin, ends, budget, max_steps, dt, tolerance, save_ts, records, solver, progress, watch, outside,
 ):
@@ -190,10 +241,10 @@ def _filled(wanted, kept, taken, lost):
     return ts, jax.tree.map(join, *kept)
 
 
-def _bar(progress):
+def _bar(progress, total=100, unit="%"):
     from tqdm import tqdm
 
-    return tqdm(total=100, unit="%", bar_format="{l_bar}{bar}| {elapsed}<{remaining}", disable=not progress)
+    return tqdm(total=total, unit=unit, bar_format="{l_bar}{bar}| {elapsed}<{remaining}", disable=not progress)
 
 
 @compiled

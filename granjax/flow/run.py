@@ -23,13 +23,16 @@ class Run(Result):
     """What `simulate` returns. It prints itself.
 
     - `ts` (T,), `us`, `vs` (T, N): times, displacements and velocities that were saved (T = 1, the end, by default).
-    - `final`: `State` at the last time; `recorded`: dict of the records' results, `record_error`: of their errors.
+    - `final`: `State` at the last time, of a lane that stopped where it did; `recorded`: dict of the records' results,
+      `record_error`: of their errors.
     - `energy_error`: largest |E - E0|/max(|E0|, kinetic energy) over the saved times, NaN where a term does not keep
       the energy (says so, or its force is not the slope of its energy); shape of the lanes.
     - `contact_opened`: whether any contact was open, one that never closed included; `opening`: the same in a word,
       with "unsure" and "unknown". `unseen`: the terms that may have contacts of which nobody knows whether they opened.
-    - `outcome`: a sentence; `completed`: whether the run reached t1 with finite numbers, in every lane.
-    - `stats`: dict of `steps`, `accepted`, `rejected`, `step` (the fixed one, or the mean of adaptive ones),
+    - `outcome`: a sentence; `completed`: whether the run reached t1 with finite numbers: each lane where they have
+      steps of their own (what a lane that stopped would have to show at later times is NaN), else every lane.
+    - `stats`: dict, per lane where they have steps of their own, of `steps`, `accepted`, `rejected`, `step` (the
+      fixed one, or the mean of adaptive ones),
       `force_evaluations` (NaN for diffrax's own solvers), and where energy might gather beyond the default step's
       bound `omega`, that of what was reached. `solver`: its name; `choice`: what was chosen and why.
     """
@@ -86,7 +89,9 @@ class Run(Result):
         code = concrete(self.code)
         if code is None:
             return "Not known while traced."
-        t, steps = float(np.max(np.asarray(self.ts)[..., -1])), int(np.max(self.stats["steps"]))
+        worst = code.max()
+        t = float(np.max(np.asarray(self.ts)[..., -1]))
+        steps = int(np.max(np.asarray(self.stats["steps"]), where=code == worst, initial=0))
         sentence = {
             COMPLETED: f"Completed at t = {t:g} after {steps} steps.",
             NOT_FINITE: f"The state is not finite{self._where()}: "
@@ -96,7 +101,10 @@ class Run(Result):
             FAILED: "The solver reported a failure.",
             NOTHING: "Nothing was integrated: t1 is not after t0, the step or the tolerance is not above zero, or one "
                      "of them is no finite number.",
-        }[int(np.max(code))]
+        }[int(worst)]
+        if code.ndim and worst:
+            first = ", ".join(map(str, np.unravel_index(np.argmax(code), code.shape)))
+            sentence = f"{np.count_nonzero(code)} of {code.size} lanes did not complete. Lane {first}: {sentence}"
         return f"{sentence} {self.remark}".strip()
 
     @property
@@ -153,11 +161,11 @@ class Run(Result):
     def _rows(self) -> Iterator[tuple[str, str]]:
         yield "solver", self.solver
         yield "choice", self.choice
-        steps = f"{int(np.max(self.stats['steps']))}"
-        rejected = int(np.max(self.stats["rejected"]))
+        taken, rejected = np.asarray(self.stats["steps"]), int(np.max(self.stats["rejected"]))
+        steps = f"{taken.max()}" if taken.min() == taken.max() else f"{taken.min()} to {taken.max()}, lane by lane"
         yield "steps", steps + (f", {rejected} of them rejected" if rejected else "")
         yield "step", f"{float(np.max(self.stats['step'])):.6g}"
-        lost = float(np.max(self.energy_error))
+        lost = float(np.fmax.reduce(self.energy_error, axis=None))
         yield "energy error", "no energy is kept" if np.isnan(lost) else f"{lost:.2g}"
         yield "contact opened", self.opening + self._approach_in_words()
         yield "saved", f"{self.ts.shape[-1]} times" + (f", records {', '.join(self.recorded)}" if self.recorded else "")

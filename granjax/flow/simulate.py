@@ -21,6 +21,7 @@ from .confirmation import Confirmation
 from .dispatch import facts
 from .inputs import checked_records, checked_save_at, checked_state, checked_times, held_frames
 from .integrate import integrate
+from .lanes import apart
 from .march import in_pieces, march, refuse_endless
 from .method import checked_method, doubts, fixed_step, linear_bound, number, passed
 from .opening import approach
@@ -68,17 +69,17 @@ def simulate(
     - `tolerance`: adaptive steps, each with a local error below `tolerance` times the scene's scale of velocity (and
       that over omega_max for displacements), in the largest norm over sites. With `step` too, no step is longer than
       that. Above 0.01 the outcome says that it is loose; from 1 on it is refused. The mesh follows the state, not its
-      tangents: for derivatives of a smooth orbit (a monodromy) give `step` alone. Lanes share every step, and so the
-      events of all: sort them and go in chunks, or give `step`.
+      tangents: for derivatives of a smooth orbit (a monodromy) give `step` alone. Every lane of a batch has steps of
+      its own, as in a call by itself; a fixed `step` is shared by all.
     - `save_at`: `None` only the end; a whole number, that many frames from t0 to t1; an array of times; `"steps"`,
-      the end of every step.
+      the end of every step (of one lattice, or of lanes that share a fixed one).
     - `record`: dict of `Peak`, `Arrival`, `Integral`, `Lowest`, reduced along the run and found between steps; each
       with its error in `run.record_error`. They take functions `(t, y, lattice)` and measures `(lattice, y, t)`.
     - `adjoint`: `None` for derivatives in both modes; or diffrax's `ForwardMode`, `DirectAdjoint` or
       `RecursiveCheckpointAdjoint` (reverse mode alone, cheaper there); or `Reversible()` (reverse mode alone, memory
       independent of the number of steps, for scenes that integrate back to where they came from).
-    - `progress`: a progress bar. `throw`: raise where the run does not complete; `None` does so outside of
-      transformations. `max_steps`: the most steps of an adaptive or traced run.
+    - `progress`: a progress bar. `throw`: raise where the run, or a lane of it, does not complete; `None` does so
+      outside of transformations. `max_steps`: the most steps of an adaptive or traced run, of each lane.
 
     A derivative is that of the discrete steps. Where a force has a kink (a slope that jumps: a bilinear spring, an
     exponent 1) it converges with the first power of the step, erratically, and at the default step tens of per cent
@@ -100,6 +101,9 @@ def simulate(
         refuse("throw", "None or False under a transformation", "True", remedy)
     save_ts, frames, every = checked_save_at(save_at, t0, t1, state)
     solver, step, tolerance = checked_method(lattice, solver, step, tolerance)
+    if every and tolerance is not None and lattice.lanes:
+        remedy = "Give times, or step= for steps that lanes share."
+        refuse("save_at", "times, where each lane has steps of its own", "'steps'", remedy)
     records = checked_records(record, lattice, state)
     outside = Outside(tuple(records.values())) if records else None
     if tolerance is None:
@@ -161,6 +165,9 @@ def simulate(
     if not (code == COMPLETED).all():
         if code.max() == NOT_FINITE:
             begin, *last = run.__dict__.get("_last", (state, *span))
+            if code.ndim:
+                parts, build = apart(lattice, begin)
+                lattice, begin = build([x[..., code.argmax()] for x in parts])
             run = _located(run, lattice, begin, last, dt, tolerance, solver)
         if throw is None or throw:
             raise RuntimeError(run.outcome)

@@ -125,7 +125,8 @@ def _call(lattice, state, t0, t1, solver, parameter, tangents):
     def final(value):
         chosen = {} if parameter is None else {parameter: value}
         run = simulate(lattice, state, t1, t0=t0, solver=solver, **chosen)
-        return run.final, _evaluations(run.solver, run.stats), run.stats["steps"]
+        stats = jax.tree.map(np.mean, run.stats)  # over lanes, each by steps of its own
+        return run.final, _evaluations(run.solver, stats), stats["steps"]
 
     def counted(value):
         matrix, stats = mapped(value)
@@ -162,7 +163,7 @@ def _evaluations(name, stats):
     kind = getattr(diffrax, name, None)
     if not isinstance(kind, type) or not issubclass(kind, diffrax.AbstractERK):
         return stats["force_evaluations"]
-    return np.max(stats["steps"]) * (kind.tableau.num_stages - bool(kind.tableau.fsal))
+    return stats["steps"] * (kind.tableau.num_stages - bool(kind.tableau.fsal))
 
 
 def highest_frequency(lattice: Lattice, state: Pytree, t0: Scalar, t1: Scalar) -> float:

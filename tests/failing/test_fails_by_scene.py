@@ -51,16 +51,16 @@ def test_a_batch_is_paced_by_its_slowest_lane():
 
 
 @pytest.mark.slow
-def test_lanes_of_one_lattice_share_the_steps_that_their_events_ask_for():
-    # in a sonic vacuum: more steps than the worst lane would take alone, and `simulate` counts them
+def test_lanes_of_one_lattice_have_steps_of_their_own():
+    # in a sonic vacuum: where they shared steps, they took more than the worst lane takes alone
     ratios = jnp.linspace(0.3, 1.0, 8)
     chains = jax.vmap(lambda ratio: dimer(ratio, 0.0), out_axes=-1)(ratios)
-    shared = gx.simulate(chains, gx.states.impact(chains), 10.0, tolerance=1e-7).stats["steps"]
+    each = gx.simulate(chains, gx.states.impact(chains), 10.0, tolerance=1e-7).stats["steps"]
     alone = []
     for ratio in ratios:
         chain = dimer(ratio, 0.0)
         alone.append(int(gx.simulate(chain, gx.states.impact(chain), 10.0, tolerance=1e-7).stats["steps"]))
-    assert shared > 1.5 * max(alone)
+    assert each.tolist() == alone
     # at a fixed step the lanes cost what they cost alone
     fixed = gx.simulate(chains, gx.states.impact(chains), 10.0, step=0.05)
     assert int(fixed.stats["steps"]) == 200 and fixed.energy_error.max() < 1e-5

@@ -1,0 +1,106 @@
+"""Lanes apart: an adaptive run of a batch is a run of each lane, by steps of its own."""
+
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..checks import refuse
+from ..lattice import Lattice
+from ..types import AnyArray, Number, Pytree, StateLike
+from .run import Run
+
+
+def each_lane(function: Callable, lattice: Lattice, state: StateLike, records: dict, t0: Number) -> Run:
+    """The `Run` of all lanes from `function(lattice, state, records)`, which gives that of one, one after another."""
+    parts, build = apart(lattice, state, records)
+
+    def one(parts):
+        member = build(parts)
+        _refuse_lanes_within(t0, member, (lattice, state, records))
+        return function(*member)
+
+    found, lanes = jax.lax.map(one, [jnp.moveaxis(x, -1, 0) for x in parts]), lattice.lanes
+    return together(jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1).reshape(x.shape[1:] + lanes), found))
+
+
+def apart(lattice: Lattice, *others: Pytree) -> tuple[list[AnyArray], Callable]:
+    """What lanes do not share, each with all lanes in one last axis, and the function that makes trees of it again.
+
+    That function takes those arrays for some lanes, or without that axis for one. Arrays have lanes as they broadcast:
+    by their last axes; what does not reach over the lanes belongs to all of them.
+    """
+    lanes, mark = lattice.lanes, lattice._mark
+    # it has as many axes as sites have; lanes too, where not only some of the parameters have them
+    missing = lattice.axes + (lattice.dimension is not None) + len(lanes) - mark.ndim
+    lattice = eqx.tree_at(lambda x: x._mark, lattice, mark.reshape(mark.shape + (1,) * missing))
+    leaves, structure = jax.tree.flatten((lattice, *others))
+    parts = [_over_lanes(x, lanes) for x in leaves]
+
+    def build(some):
+        some = iter(some)
+        return jax.tree.unflatten(structure, [x if part is None else next(some) for x, part in zip(leaves, parts)])
+
+    return [part for part in parts if part is not None], build
+
+
+def _over_lanes(x, lanes):
+    """An array with its lanes in one last axis; `None` where it has none."""
+    shape = np.shape(x)
+    if not shape:
+        return None
+    shape = (1,) * (len(lanes) - len(shape)) + shape
+    own, last = shape[: len(shape) - len(lanes)], shape[len(shape) - len(lanes) :]
+    if any(n not in (1, count) for n, count in zip(last, lanes)):
+        return None
+    xp = _module(x)
+    return xp.broadcast_to(xp.reshape(x, shape), own + lanes).reshape(own + (-1,))
+
+
+def _module(x):
+    """NumPy where nothing is traced, which compiles nothing."""
+    return jnp if isinstance(x, jax.core.Tracer) else np
+
+
+def together(run: Run) -> Run:
+    """A run whose `ts` (T, lanes...) are those of each lane with the times that all share.
+
+    What a lane that stopped would have to show at a time that another one came to is NaN.
+    """
+    over, xp = tuple(range(1, run.ts.ndim)), _module(run.ts)
+    reached = xp.max(xp.where(xp.isfinite(run.ts), run.ts, -xp.inf), axis=over)
+    ts = xp.where(xp.isfinite(reached), reached, xp.inf)
+    there = run.ts == ts.reshape((-1,) + (1,) * len(over))
+
+    def seen(x):
+        return xp.where(there.reshape(there.shape[:1] + (1,) * (x.ndim - there.ndim) + there.shape[1:]), x, xp.nan)
+
+    us, vs = jax.tree.map(seen, (run.us, run.vs))
+    return eqx.tree_at(lambda r: (r.ts, r.us, r.vs), run, (ts, us, vs))
+
+
+def _refuse_lanes_within(t0, one, every):
+    """Refuse functions of the user's that hold lanes themselves, or look from one lane at another."""
+    remedy = "What differs from lane to lane belongs into a field of a Module; or give step=, where lanes share theirs."
+    try:
+        one[0].check_terms()
+    except ValueError as error:
+        refuse("lattice", "terms that work on one lane, as each has steps of its own", str(error).rstrip("."), remedy)
+    for name, record in one[2].items():
+        wanted = _shapes(record, t0, *every[:2])
+        try:
+            got = _shapes(record, t0, *one[:2])
+        except (ValueError, TypeError, AttributeError, KeyError, IndexError) as error:
+            got, said = None, f"an error: {error}"
+        else:
+            said = f"shape {got} for one and {wanted} for all"
+        if got is None or [shape + every[0].lanes for shape in got] != wanted:
+            wanted = "a quantity of each lane, lanes last, as each has steps of its own"
+            refuse(f"record[{name!r}]", wanted, said.rstrip("."), remedy)
+
+
+def _shapes(record, t, lattice, y):
+    value = jax.eval_shape(lambda: record.value(jnp.asarray(t), y, lattice))
+    return [x.shape for x in jax.tree.leaves(value)]
