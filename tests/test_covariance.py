@@ -811,8 +811,9 @@ def orbit_of(b):
 
 def branch_of(b, **of):
     shown = {name for name, _ in b._fields()}
-    given = {"states": state, "bifurcations": None, "multipliers": lambda x: moduli(x, b.error), "error": None,
-             "amplitude": length, "verdict": list, "response_error": None, **of}
+    given = {"states": state, "state_error": lambda y: About(state(y)), "bifurcations": None,
+             "multipliers": lambda x: moduli(x, b.error), "error": None, "amplitude": length, "verdict": list,
+             "response_error": None, **of}
     found = fields_of(b, **{name: how for name, how in given.items() if name in shown})
     return found | {"bifurcations": [x.kind for x in b.bifurcations], "places": rate([x.p for x in b.bifurcations])}
 

@@ -461,3 +461,13 @@ def test_multipliers_are_differentiable_in_the_lattice_and_the_period():
         a, b, c, d = (largest(*(x + k * h * (i == j) for j, x in enumerate(at))) for k in (-2, -1, 1, 2))
         assert abs(slope - (a - 8 * b + 8 * c - d) / (12 * h)) < 1e-9 * abs(slope) + 1e-9
         assert abs(slope) > 0.1
+
+
+def test_rest_between_loaded_contacts_needs_no_exact_balance():
+    """Forces of neighbours cancel to rounding alone, whatever the order in which a program adds: it is rest."""
+    mass = np.where(np.arange(9) % 2 == 0, 1.0, 2.9)
+    lattice = gx.Lattice(mass, gx.Bond(gx.Shift(1, "free"), gx.Hertz(1.3, 1.0)))
+    omega = float(gx.linear.normal_modes(lattice).omega[4])
+    for size in (0.0, 1e-18):
+        state = gx.State(jnp.full(9, size), jnp.zeros(9))
+        assert floquet(lattice, state, 2 * np.pi / omega, steps=24).expected == 2

@@ -1,15 +1,17 @@
 """What `simulate` is given, checked before tracing."""
 
 import math
-from functools import partial
+from functools import lru_cache
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ..checks import concrete, held_in_memory, one_of, real, refuse, show, whole
 from ..lattice import Lattice, State
+from ..outside import Outside
 from ..types import Scalar, StateLike
 from .dispatch import facts
 from .record import CLOSEST, EXTREMES, FORMS
@@ -130,10 +132,29 @@ def _intervals(ts, t0, t1):
     return int(round((t1 - t0) / spacing)) if fits else 1
 
 
-def _started(record, lattice, y):
-    """What a record carries at first, of as many samples as there may be."""
-    t = jnp.zeros((), lattice.dtype)
-    return jax.tree.map(lambda q: record.start(t, q, 2), record.value(t, y, lattice))
+def _try(record, lattice, state):
+    """Trace what a record carries at first, once for each structure; its errors are raised each time."""
+    leaves, structure = jax.tree.flatten((record, lattice, state, Outside(record)))
+    shapes = tuple(jax.ShapeDtypeStruct(x.shape, x.dtype) if hasattr(x, "dtype") else x for x in leaves)
+    try:
+        hash((structure, shapes))
+    except TypeError:
+        _start.__wrapped__(structure, shapes)
+    else:
+        _start(structure, shapes)
+
+
+@lru_cache(maxsize=256)
+def _start(structure, shapes):
+    arrays, static = eqx.partition(shapes, lambda x: isinstance(x, jax.ShapeDtypeStruct))
+
+    def started(arrays):
+        record, lattice, y, _ = jax.tree.unflatten(structure, eqx.combine(arrays, static))
+        t = jnp.zeros((), lattice.dtype)
+        # of as many samples as there may be
+        return jax.tree.map(lambda q: record.start(t, q, 2), record.value(t, y, lattice))
+
+    jax.eval_shape(started, arrays)
 
 
 def checked_records(record: Any, lattice: Lattice, state: State) -> dict:
@@ -145,7 +166,7 @@ def checked_records(record: Any, lattice: Lattice, state: State) -> dict:
             taken = f"Taken: {', '.join(RESERVED)}, and NAME_error."
             refuse("record", "names other than those of a run's own results", repr(name), taken)
         try:
-            jax.eval_shape(partial(_started, one, lattice), state)
+            _try(one, lattice, state)
         except (TypeError, AttributeError, KeyError, IndexError) as error:
             refuse(f"record[{name!r}]", f"{FORMS} that works on the lattice", f"an error: {error}")
     return dict(record)

@@ -35,6 +35,8 @@ MOST_STEPS = 2**14
 TOLERANCE = 1e-9
 # a state further from returning is no orbit, of its size; singular values of M - 1 below are zero, of the largest
 OPEN, SINGULAR = 1e-2, 1e-10
+# of the forces at an equilibrium, in units of their last place
+BALANCED = 16
 # for a change of M that is known to first order
 TWICE = 2
 
@@ -179,12 +181,13 @@ def floquet(
     resolution = float(within("resolution", resolution, 0, 1, open_high=True))
     if steps is not None and whole("steps", steps, 1) % (2 * segments):
         refuse("steps", f"a multiple of {2 * segments}, twice the segments", repr(steps))
-    known = NOTHING
+    known, rests = NOTHING, False
     if isinstance(lattice, Lattice):
         state, known, args = checked_state(lattice, state), structure(lattice), lattice
         if symmetry.trivial:
             checked_period(lattice, state, t0, period)
-        if known.autonomous and _rests(lattice, state, np.float64(t0)):  # has neither phase nor energy
+        rests = known.autonomous and bool(_rests(lattice, state, np.float64(t0)))
+        if rests:  # has neither phase nor energy
             known = known._replace(expected=known.expected - (2 if known.rate == 0 else 1))
         turned = shifts(lattice).shape[1] - free_moves(lattice, symmetry).shape[1]
         known = known._replace(expected=known.expected - turned * (2 if known.rate == 0 else 1))
@@ -222,7 +225,8 @@ def floquet(
     begin = there * scale
     away = _displacement(known, _product(fine[0]), fine[1] - begin, change(fine[1], coarse[1], coarser[1]))
     free = shifts(lattice) if isinstance(lattice, Lattice) else None
-    refuse_open(begin, away, fine[1], coarser[1], free, scale)
+    if not rests:
+        refuse_open(begin, away, fine[1], coarser[1], free, scale)
     moved = ((begin + away) / scale).astype(there.dtype)
     other = run(count // 2, moved)[0] if away.any() else coarser[0]
     levels = fine[0], coarse[0], coarser[0]
@@ -316,9 +320,12 @@ def _record(known, levels, moved, scale, state, period, steps, resolution, origi
 
 @compiled
 def _rests(lattice, state, t0):
-    """Whether the state is an equilibrium, to rounding."""
+    """Whether the state is an equilibrium, to rounding, also that of contact forces which balance each other."""
     (v, a), omega = vector_field(t0, state, lattice), linear_frequency(lattice)
-    return jnp.maximum(largest(v) * omega, largest(a)) <= 1e-12 * omega**2 * largest(state[0])
+    held = [jnp.max(jnp.abs(c.force)) for term in lattice.terms for c in term.compressions(t0, state[0])]
+    lightest = jnp.min(jnp.stack([jnp.min(m) for m in jax.tree.leaves(lattice.mass)]))
+    rounding = BALANCED * jnp.finfo(lattice.dtype).eps * jnp.max(jnp.stack([jnp.zeros(()), *held])) / lightest
+    return jnp.maximum(largest(v) * omega, largest(a)) <= 1e-12 * omega**2 * largest(state[0]) + rounding
 
 
 def _factors(flow, like, x, t0, period, segments, args):
