@@ -955,6 +955,7 @@ def _(s):
 # public, with a lattice among the arguments, and not in the table
 ELSEWHERE = {
     "split_system": "a solver's working form of the same forces: `simulate`", "variational": "`floquet`",
+    "in_blocks": "the same for long chains",
     "Record.value": "`simulate`", "Problem.state": "`fit`", "return_error": "rounding alone; `fit` and `Reversible`",
     "cell_of": "`bright_guess`", "edges_beside": "`bright_guess`", "edge_of": "`breather`",
     "steps_per_period": "`settle`, `sweep`",

@@ -1,11 +1,12 @@
 """The lattice, its equation of motion, and its split form."""
 
+from .blocks import in_blocks
 from .linearised import linearised
 from .model import Lattice, State, spread_mass
 from .split import acceleration_only, split_system, vector_field
 from .tangents import variational
 
 __all__ = [
-    "Lattice", "State", "acceleration_only", "linearised", "split_system", "spread_mass", "variational",
+    "Lattice", "State", "acceleration_only", "in_blocks", "linearised", "split_system", "spread_mass", "variational",
     "vector_field",
 ]

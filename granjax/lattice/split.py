@@ -30,7 +30,7 @@ class PlainSplit(Split):
 
     def drift(self, w, ah):
         u, v, a = w
-        for name, rate in _damping_rates(self.lattice, u):
+        for name, rate in damping_rates(self.lattice, u):
             moved, slowed = damped_flight(_at(u, name), _at(v, name), rate, ah)
             u, v = _with(u, name, moved), _with(v, name, slowed)
         return u, v, a
@@ -38,7 +38,7 @@ class PlainSplit(Split):
     def acceleration(self, y, cache):
         _, v = y
         a = cache
-        for name, rate in _damping_rates(self.lattice, v):
+        for name, rate in damping_rates(self.lattice, v):
             if rate is not None:
                 a = _with(a, name, _at(a, name) - rate * _at(v, name))
         return a
@@ -116,7 +116,7 @@ class ChainSplit(eqx.Module):
 
     def drift(self, w, ah):
         u, v, f = w
-        ((_, rate),) = _damping_rates(self.lattice, u)
+        ((_, rate),) = damping_rates(self.lattice, u)
         inner = u[1:-1] if self._walls else u
         inner, v = damped_flight(inner, v, rate, ah)
         u = jax.lax.dynamic_update_slice(u, inner, (1,) + (0,) * (u.ndim - 1)) if self._walls else inner
@@ -124,7 +124,7 @@ class ChainSplit(eqx.Module):
 
     def acceleration(self, y, cache):
         _, v = y
-        ((_, rate),) = _damping_rates(self.lattice, v)
+        ((_, rate),) = damping_rates(self.lattice, v)
         a = (1 / self.lattice.mass) * self._pull(cache)
         return a if rate is None else a - rate * v
 
@@ -159,12 +159,12 @@ class SpringSplit(eqx.Module):
 
     def drift(self, w, ah):
         u, v = w
-        ((_, rate),) = _damping_rates(self.lattice, u)
+        ((_, rate),) = damping_rates(self.lattice, u)
         inner, v = damped_flight(u[1:-1], v, rate, ah)
         return jax.lax.dynamic_update_slice(u, inner, (1,) + (0,) * (u.ndim - 1)), v
 
     def acceleration(self, y, cache):
-        (u, v), ((_, rate),) = y, _damping_rates(self.lattice, y[1])
+        (u, v), ((_, rate),) = y, damping_rates(self.lattice, y[1])
         a = self._pull(self.enter(y, ())[0], jnp.ones((), u.dtype))
         return a if rate is None else a - rate * v
 
@@ -192,13 +192,18 @@ def split_system(lattice: Lattice) -> Any:
                 f"terms[{i}] ({type(term).__name__}), which reads the velocity",
                 "Use solver=diffrax.Tsit5() or diffrax.Dopri8() with tolerance=..., or replace the term by Damping.",
             )
-    forces = _without_velocity(lattice)
-    plain = lattice.fields is None and lattice.dimension is None and lattice.axes == 1
-    found = forces[0].next_neighbours() if plain and len(forces) == 1 else None
+    found = next_neighbours(lattice)
     if found is None or found[1] == "periodic":
         return PlainSplit(lattice)
     law, boundary = found
     return (SpringSplit if law.is_linear else ChainSplit)(lattice, law, boundary)
+
+
+def next_neighbours(lattice: Lattice) -> tuple[Law, str] | None:
+    """(law, boundary) of the bonds of a chain that has, beside damping, bonds to the next site alone; else `None`."""
+    forces = _without_velocity(lattice)
+    plain = lattice.fields is None and lattice.dimension is None and lattice.axes == 1
+    return forces[0].next_neighbours() if plain and len(forces) == 1 else None
 
 
 @checked
@@ -250,7 +255,7 @@ def _without_velocity(lattice):
     return tuple(term for term in lattice.terms if term.exact_damping() is None)
 
 
-def _damping_rates(lattice, u):
+def damping_rates(lattice, u):
     """Pairs (field, total rate or `None`) for every field of the displacements."""
     damping = [term.exact_damping() for term in lattice.terms]
     for name in tuple(u) if isinstance(u, dict) else (None,):

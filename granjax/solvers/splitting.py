@@ -2,18 +2,19 @@
 
 The equation is m a = F(t, u), H = T(v) + V(t, u). One step composes the two exact flows, kick (v += b h a) and drift
 (u += a h v), with a table of coefficients. A solver sees a *split system* and no physics: the vector field offers it
-as an attribute `split_system(args)`; any other f(t, (u, v), args) = (v, a(t, u)) gets `FieldSplit`.
+as an attribute `split_system(args)`, and one that takes whole steps as `in_blocks(args, y)`; any other
+f(t, (u, v), args) = (v, a(t, u)) gets `FieldSplit`.
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, ClassVar
 
 import diffrax
-import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..split_system import FieldSplit
+from ..split_system import FieldSplit, by_stages
 from ..types import Number
 from . import tables
 from .interpolation import QuinticHermite
@@ -53,37 +54,28 @@ class AbstractSplitting(diffrax.AbstractSolver):
     def order(self, terms):
         return self.table().order
 
-    def _system(self, terms, args):
+    def _system(self, terms, args, y):
         field, direction = unwrap(terms)
-        offer = getattr(field, "split_system", None)
-        return (FieldSplit(field, args) if offer is None else offer(args)), direction
+        whole, offer = getattr(field, "in_blocks", None), getattr(field, "split_system", None)
+        found = None if whole is None else whole(args, y)
+        if found is None:
+            found = FieldSplit(field, args) if offer is None else offer(args)
+        return found, direction
 
     def init(self, terms, t0, t1, y0, args):
-        system, direction = self._system(terms, args)
+        system, direction = self._system(terms, args, y0)
         return system.start(t0 * direction, y0)
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         # fixed steps: no controller that these methods accept reports a jump, so the kept force is never stale
         del made_jump
-        system, direction = self._system(terms, args)
+        system, direction = self._system(terms, args, y0)
         table = self.table()
         h, t = (t1 - t0) * direction, t0 * direction
-        ah, bh = table.a * h, table.b * h
-        times = t + np.cumsum(table.a) * h
-        w = system.enter(y0, solver_state)
-        kicks_last = table.b[-1] != 0
-        if table.b[0] != 0:
-            w = system.kick(w, bh[0])
-
-        def stage(w, x):
-            ah, bh, time = x
-            return system.kick(system.refresh(system.drift(w, ah), time), bh), None
-
-        count = len(ah) if kicks_last else len(ah) - 1
-        w, _ = jax.lax.scan(stage, w, (ah[:count], bh[1 : count + 1], times[:count]))
-        if not kicks_last:
-            w = system.drift(w, ah[-1])
+        compose = getattr(system, "compose", partial(by_stages, system))
+        w = compose(system.enter(y0, solver_state), table, t, h)
         y1, kept = system.leave(w, y0)
+        kicks_last = table.b[-1] != 0
         a0 = system.acceleration(y0, solver_state if kicks_last else system.start(t, y0))
         a1 = system.acceleration(y1, kept if kicks_last else system.start(t + h, y1))
         dense = dict(y0=y0, y1=y1, a0=a0, a1=a1, direction=jnp.asarray(direction, h.dtype))

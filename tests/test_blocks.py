@@ -1,0 +1,95 @@
+"""Long chains in blocks: the same as stage by stage, and so are their derivatives."""
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import granjax as gx
+from granjax.lattice import blocks, split_system
+
+BONDS = {"fixed": 1, "free": -1, "periodic": 0}
+
+
+@pytest.fixture
+def short(monkeypatch):
+    """Blocks so short that a chain of 130 sites has some."""
+    monkeypatch.setattr(blocks, "BLOCK", 48)
+    monkeypatch.setattr(blocks, "LONG", 100)
+
+
+def chain(sites, boundary, even, damping):
+    """A Hertz chain with numbers that are alike along it, or one for each bond and site."""
+    rng = np.random.default_rng(sites)
+    along = lambda count: 1.2 if even else rng.uniform(0.6, 1.8, count)
+    terms = (gx.Bond(gx.Shift(1, boundary), gx.Hertz(along(sites + BONDS[boundary]), 1.0)),)
+    if damping:
+        terms = (*terms, gx.Damping(0.1 if even else rng.uniform(0.1, 0.3, sites)))
+    return gx.Lattice(along(sites), terms, sites=sites)
+
+
+def state(sites):
+    rng = np.random.default_rng(1)
+    return gx.State(*(jnp.asarray(rng.uniform(-0.3, 0.3, sites)) for _ in "uv"))
+
+
+def steps(lattice, y, solver, field=gx.vector_field):
+    """Three steps, through diffrax as in any run."""
+    return diffrax.diffeqsolve(diffrax.ODETerm(field), solver, 0.0, 0.6, 0.2, y, args=lattice, max_steps=4,
+                               adjoint=diffrax.DirectAdjoint()).ys
+
+
+def by_stages(t, y, lattice):
+    return gx.vector_field(t, y, lattice)
+
+
+by_stages.split_system = split_system
+
+FIRST = [(143, "fixed", False, True, gx.SRKN14a()), (191, "periodic", True, True, gx.SRKN6b())]
+MORE = [
+    (130, "fixed", True, False, gx.SRKN6b()), (144, "free", True, True, gx.VelocityVerlet()),
+    (145, "free", False, False, gx.SRKN6b()), (192, "periodic", False, True, gx.SRKN14a()),
+]
+CASES = [*FIRST, *(pytest.param(*case, marks=pytest.mark.slow) for case in MORE)]
+
+
+@pytest.mark.parametrize(("sites", "boundary", "even", "damping", "solver"), CASES)
+def test_a_chain_in_blocks_is_the_chain(short, sites, boundary, even, damping, solver):
+    """Contacts that open included; at every place of the last block's end and of a wall in it."""
+    lattice, y = chain(sites, boundary, even, damping), state(sites)
+    assert isinstance(blocks.in_blocks(lattice, y), blocks.BlockSplit)
+    got, want = steps(lattice, y, solver), steps(lattice, y, solver, by_stages)
+    for a, b in zip(got, want):
+        np.testing.assert_allclose(a, b, rtol=0, atol=2e-15)
+
+
+def test_derivatives_through_blocks_are_those_without(short):
+    lattice, y = chain(130, "periodic", False, True), state(130)
+    weights = state(130)
+
+    def value(field):
+        def of(stiffness, y):
+            bond = gx.Bond(lattice.terms[0].strain_map, gx.Hertz(stiffness, 1.0))
+            made = gx.Lattice(lattice.mass, (bond, *lattice.terms[1:]), sites=130)
+            return sum(jnp.vdot(w, x) for w, x in zip(weights, steps(made, y, gx.VelocityVerlet(), field)))
+
+        return of
+
+    at, direction = (lattice.terms[0].law.stiffness, y), (jnp.ones(130), state(130))
+    forward = [jax.jvp(value(field), at, direction)[1] for field in (gx.vector_field, by_stages)]
+    np.testing.assert_allclose(*forward, rtol=1e-12)
+    reverse = [jax.grad(value(field), argnums=(0, 1))(*at) for field in (gx.vector_field, by_stages)]
+    for a, b in zip(*map(jax.tree.leaves, reverse)):
+        np.testing.assert_allclose(a, b, rtol=0, atol=1e-12 * np.abs(b).max())
+
+
+def test_what_is_no_long_chain_goes_by_stages(short):
+    y = state(130)
+    for lattice in (
+        gx.Lattice(1.0, (gx.Bond(gx.Shift(2, "fixed"), gx.Hertz()),), sites=130),
+        gx.Lattice(1.0, (gx.Bond(gx.Shift(1, "fixed"), gx.Hertz()), gx.OnSite(gx.Linear(1.0))), sites=130),
+        gx.Lattice(jnp.ones((130, 2)), (gx.Bond(gx.Shift(1, "fixed"), gx.Hertz()),)),
+    ):
+        assert blocks.in_blocks(lattice, y) is None
+    assert blocks.in_blocks(chain(130, "fixed", True, False), state(99)) is None
