@@ -1,5 +1,7 @@
 """`fit`: parameters from traces that SciPy made, their errors, what is not determined, what is refused."""
 
+from types import SimpleNamespace
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -8,8 +10,10 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import granjax as gx
+from granjax.fit.fitted import Fit
 from granjax.fit.problem import prepared
 from granjax.fit.solve import STALLED, least_squares
+from granjax.fit.traces import Origin
 from granjax.fit.windows import cut
 from granjax.parameters import Coordinates
 
@@ -219,8 +223,9 @@ class Edge(eqx.Module):
         return jnp.stack([ahead, jnp.asarray(0.1)]), jnp.array([[1.0], [0.0]]), ()
 
 
-def test_the_edge_of_what_is_finite_is_no_minimum():
-    found = least_squares(Edge(), np.zeros(1), 1e-8, 100)
+def test_the_edge_of_what_is_finite_is_no_minimum(capsys):
+    found = least_squares(Edge(), np.zeros(1), 1e-8, 100, delay=0)
+    assert "fit:" in capsys.readouterr().err  # a bar of the steps that are left
     assert found.code == STALLED and 0.999 < found.x[0] <= 1
 
 
@@ -320,6 +325,9 @@ def test_a_record_in_another_unit_of_time_is_refused_at_once(factor):
     for state in (struck, tapped):
         with pytest.raises(ValueError, match="traces: expected times in the lattice's unit of time"):
             gx.fit(scene, START, traces, state=state)
+    # what was read from a file is in SI
+    read = gx.Traces(TIMES, velocity=np.ones((400, 1)), sites=[2], origin=Origin("a.csv"))
+    assert Fit.units.fget(SimpleNamespace(traces=(read,))) == "SI"
     # without a precompression from its energy
     sonic = lambda p: gx.scenes.monomer(N, stiffness=p["stiffness"]).counted_in("SI")
     with pytest.raises(ValueError, match="traces: expected times in seconds"):

@@ -102,6 +102,12 @@ def test_a_run_counted_in_other_units(runs):
     assert back.attrs["units"] == back.v.attrs["units"] == "scaled" and back.v.attrs["si_units"] == "m/s"
 
 
+def test_what_a_transformation_returns_knows_it_too():
+    chain = steel()
+    run = lambda v: gx.simulate(chain, gx.states.impact(chain, velocity=v), 1e-5, solver=gx.VelocityVerlet(), step=2e-6)
+    assert [jax.jit(run)(0.1).units, jax.vmap(run)(jnp.ones(2)).units] == ["SI", "SI"]
+
+
 @pytest.mark.parametrize("units, message", [
     (("kHz",), "units of m, m/s, s, got 'kHz'"), (("usec",), "name of a unit, got 'usec'. Nearest: 'us'"),
     (("s", "ms"), "one word for each dimension"), (("scaled",), "units of numbers in SI"),

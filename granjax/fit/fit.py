@@ -20,7 +20,7 @@ from ..types import Count, Parameter, Scalar, Scene
 from .fitted import Fit
 from .judge import judged, looked_at, way_back
 from .problem import Problem, Start, prepared
-from .solve import evaluated, gradient_descent, least_squares
+from .solve import evaluated, gradient_descent, least_squares, patience
 from .traces import Traces
 from .windows import cut
 
@@ -122,7 +122,8 @@ def _sized(problem, x):
 def _minimised(problem, x0, method, optimiser, tolerance, max_steps):
     """What a method found from every start, and the name of its derivatives."""
     if method == METHODS[0]:
-        return [least_squares(problem, x, tolerance, max_steps) for x in x0], "forward mode"
+        delay = patience(problem.plain)
+        return [least_squares(problem, x, tolerance, max_steps, delay) for x in x0], "forward mode"
     adjoint, most = reverse_mode(problem)
     x0 = jnp.asarray(x0, problem.dtype)
     found = [gradient_descent(problem, x, optimiser, tolerance, max_steps, adjoint, most) for x in x0]

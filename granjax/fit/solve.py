@@ -11,6 +11,7 @@ from jaxtyping import Float
 from .. import descent
 from ..checks import described, refuse
 from ..entry import checked
+from ..flow.march import seconds_a_step
 from ..interrupts import waited
 from ..types import AnyArray, Scalar
 from .problem import Problem, Signals, misfit
@@ -71,8 +72,11 @@ def directions_left(value: Float[np.ndarray, " m"], jacobian: Float[np.ndarray, 
 @np.errstate(over="ignore", invalid="ignore")
 def least_squares(
     problem: Problem | eqx.Module, x: Float[AnyArray, " n"], tolerance: Scalar, max_steps: int,
+    delay: float = PATIENCE,
 ) -> Found:
     """Levenberg and Marquardt from x (n,), damped as by Nielsen: IMM-REP-1999-05, Technical University of Denmark.
+
+    A bar shows the steps that are left at most after a `delay` [s].
 
     It has converged where the undamped step, or what that could gain, is relatively below the tolerance, and has
     stalled where no step above it is better.
@@ -81,7 +85,7 @@ def least_squares(
     x, square, scale = np.asarray(x, float), value @ value, np.zeros(len(x))
     damping, growth = DAMPING, 2.0
     tolerance = max(float(tolerance), 4 * float(jnp.finfo(problem.dtype).eps))
-    for iterations in _followed(range(1, max_steps + 1)):
+    for iterations in _followed(range(1, max_steps + 1), delay):
         scale = np.maximum(scale, np.linalg.norm(jacobian, axis=0))
         unit = np.where(scale > 0, scale, 1.0)
         s, vh, b, kept = directions_left(value, jacobian / unit)
@@ -107,11 +111,19 @@ def least_squares(
     return Found(x, square / 2, max_steps, SPENT)
 
 
-def _followed(steps):
+def _followed(steps, delay):
     """Steps with a bar of those that are left at most, beyond some seconds."""
     from tqdm import tqdm
 
-    return tqdm(steps, desc="fit", unit="step", delay=PATIENCE, leave=False)
+    return tqdm(steps, desc="fit", unit="step", delay=delay, leave=False)
+
+
+def patience(problem: Problem) -> float:
+    """Seconds before a fit says how far it is: none where one step of it takes longer."""
+    lattice = problem.lattice(problem.coordinates.start)
+    steps = float(problem.t1 - problem.t0) / float(problem.step)
+    each = steps * seconds_a_step(lattice, problem.solver) * (1 + problem.coordinates.size)
+    return 0.0 if each > PATIENCE else PATIENCE
 
 
 @waited

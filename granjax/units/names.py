@@ -137,8 +137,10 @@ class Counted(NamedTuple):
 
     def size(self, unit: Named) -> float:
         """Size of a quantity's unit in SI, of numbers that are scaled by a `Units`."""
-        force, length, time = (float(x) for x in unit.dimension[:3])
-        return float(np.max(np.asarray(self.sizes.of(force, length, time))))
+        size = np.asarray(self.sizes.of(*(float(x) for x in unit.dimension[:3])))
+        if size.ndim:
+            refuse("units", "a Units of single numbers", f"one of {size.shape} lanes", "Pick one of them.")
+        return float(size)
 
     def word(self, dimension: Sequence[Fraction]) -> Named | None:
         """The unit that is named for a dimension."""
