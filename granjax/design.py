@@ -14,9 +14,9 @@ from .checks import described, given_by_name, held_in_memory, one_of, parameter,
 from .checks import tolerance as checked_tolerance
 from .descent import CONVERGED, NO_GRADIENT, NO_START, NOT_FINITE, SPENT, STALLED, checked_optimiser, descend
 from .entry import checked, shape_of
-from .interrupts import interruptible, waited
 from .outside import Outside
 from .parameters import Bounds, Coordinates
+from .programs import waited
 from .results import Held, Result
 from .types import AnyArray, Count, Numbers, Parameter, Scalar
 
@@ -82,7 +82,6 @@ class Design(Result):
 
 
 @checked
-@interruptible
 def design(
     objective: Callable[[Any], Any], start: dict[str, Parameter], *, bounds: Bounds = None, maximise: bool = False,
     optimiser: object = None, max_steps: Count = 200, tolerance: Scalar = 1e-6, mode: str | None = None,
@@ -205,14 +204,12 @@ def _with_gradient(objective, coordinates, maximise, mode):
 
 
 @waited
-@eqx.filter_jit
 def _first(objective, coordinates, mode, outside):
     """The objective and its gradient in the free coordinates, at the start."""
     return _with_gradient(objective, coordinates, False, mode)[1](jnp.zeros(coordinates.size))
 
 
 @waited
-@eqx.filter_jit
 def _solve(objective, coordinates, optimiser, max_steps, tolerance, maximise, mode, outside):
     cost, both = _with_gradient(objective, coordinates, maximise, mode)
     found = descend(cost, both, coordinates.size, optimiser, max_steps, tolerance)

@@ -5,8 +5,9 @@ they are loaded or at work ends in a traceback of theirs, or in a segmentation f
 down. So the command line raises nothing: a second thread, which the signal reaches at once, says one line and ends
 the process.
 
-In Python the compiler works in a thread of its own while the main one waits in a way that a signal reaches, and so
-does `wait` for a program. What Ctrl-C has left at work cannot be stopped, and must not meet the end of the interpreter.
+In Python the compiler works in a thread of its own while the main one waits in a way that a signal reaches; how it
+waits for programs is in `programs`. What Ctrl-C has left at work cannot be stopped, and must not meet the end of the
+interpreter.
 
 Nothing here is imported that takes time.
 """
@@ -21,15 +22,14 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn
 
 INTERRUPTED = 130
-# seconds for which an array is asked again and again; then pauses, of a share of what has passed, and the longest
-EAGER, SHARE, LONGEST = 5e-4, 0.02, 0.02
-# seconds between two looks at a signal on systems that do not wake a thread that waits; and until one comes again
-LONGEST_WAIT, AGAIN = 0.1, 0.01
+# seconds between two looks at what is at work, and at a signal where the system does not wake a thread that waits
+LOOK = 0.05
+# seconds until an interrupt that came in a callback comes again
+AGAIN = 0.01
 
 
 def is_command() -> bool:
@@ -113,7 +113,7 @@ def prepare_python() -> None:
 
 def _hears():
     """Whether Ctrl-C raises KeyboardInterrupt here."""
-    return _is_main() and signal.getsignal(signal.SIGINT) in (signal.default_int_handler, _noted)
+    return _is_main() and signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 class _Aside(threading.Thread):
@@ -136,7 +136,7 @@ def _aside(work):
     """What a function returns or raises, from a thread of its own, while Ctrl-C is heard in this one."""
     thread = _Aside(work)
     thread.start()
-    while not thread.done.wait(LONGEST_WAIT):
+    while not thread.done.wait(LOOK):
         pass
     if thread.error is not None:
         raise thread.error
@@ -166,7 +166,7 @@ def _end_with_what_is_left():
     interrupted = isinstance(getattr(sys, "last_value", None), KeyboardInterrupt) and not hasattr(sys, "ps1")
     with contextlib.suppress(KeyboardInterrupt):
         while not interrupted and _at_work():
-            time.sleep(LONGEST)
+            time.sleep(LOOK)
         if not interrupted:
             return
     for stream in (sys.stdout, sys.stderr):
@@ -178,73 +178,22 @@ def _end_with_what_is_left():
     os._exit(INTERRUPTED)
 
 
+# arrays of programs that Ctrl-C has left at work
+_left: list[Any] = []
+
+
+def leave(arrays: list[Any]) -> None:
+    """Remember arrays that are not there yet, of a program whose end nobody waits for any more."""
+    _left[:] = [x for x in [*_left, *arrays] if _unfinished(x)]
+
+
+def _unfinished(x):
+    return not (x.is_deleted() or x.is_ready())
+
+
 def _at_work():
-    return any(isinstance(thread, _Aside) for thread in threading.enumerate())
-
-
-# whether Ctrl-C was pressed since the outermost function that is `interruptible` began
-_pressed: list[bool] = []
-_inside = False
-
-
-def wait(tree: Any) -> Any:
-    """What a compiled program returns, when all of it is there. Nothing happens to what is traced.
-
-    JAX itself waits in a way that no signal reaches. An interrupt leaves the program at work, so that what is computed
-    next waits for it. One that Python has lost, because it came while a callback of a library ran, is raised here.
-    """
-    import jax
-
-    if _inside and _pressed and _is_main():
-        raise KeyboardInterrupt
-    arrays = [x for x in jax.tree.leaves(tree) if hasattr(x, "is_ready")]
-    begin = time.perf_counter()
-    while not all(x.is_ready() for x in arrays):
-        passed = time.perf_counter() - begin
-        time.sleep(0 if passed < EAGER else min(SHARE * passed, LONGEST))
-    return tree
-
-
-def waited(program: Callable) -> Callable:
-    """A compiled program that Ctrl-C reaches while it runs: `wait` for what it returns."""
-
-    @functools.wraps(program)
-    def call(*args, **kwargs):
-        return wait(program(*args, **kwargs))
-
-    return call
-
-
-def interruptible(function: Callable) -> Callable:
-    """A function of many programs in which Ctrl-C is not lost: what a library swallows is raised at the next `wait`."""
-
-    @functools.wraps(function)
-    def call(*args, **kwargs):
-        global _inside
-        if _inside or not _is_main() or signal.getsignal(signal.SIGINT) not in (signal.default_int_handler, _noted):
-            return function(*args, **kwargs)
-        try:
-            _inside = True
-            _pressed.clear()
-            signal.signal(signal.SIGINT, _noted)
-            result = function(*args, **kwargs)
-            if _pressed:
-                raise KeyboardInterrupt
-            return result
-        finally:
-            # an interrupt that comes between these lines leaves the handler, which the next call takes over
-            _inside = False
-            _pressed.clear()
-            signal.signal(signal.SIGINT, signal.default_int_handler)
-
-    return call
+    return any(isinstance(thread, _Aside) for thread in threading.enumerate()) or any(map(_unfinished, _left))
 
 
 def _is_main():
     return threading.current_thread() is threading.main_thread()
-
-
-def _noted(number, frame):
-    if _inside:
-        _pressed.append(True)
-    raise KeyboardInterrupt

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import granjax as gx
+from granjax import programs
 from granjax.flow import dispatch
 
 # other tests of the same process must not have compiled these shapes
@@ -66,7 +67,7 @@ def test_equal_shapes_compile_once(name, compilations):
 def test_compiled_takes_any_pytree_and_traces_once():
     traces = []
 
-    @dispatch.compiled
+    @programs.compiled
     def scaled(tree, factor, name):
         traces.append(name)
         return {name: tree["x"] * factor}
@@ -79,7 +80,7 @@ def test_compiled_takes_any_pytree_and_traces_once():
 
 
 def test_compiled_differentiates_and_nests():
-    @dispatch.compiled
+    @programs.compiled
     def cube(x):
         return x**3
 

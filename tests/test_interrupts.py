@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from granjax import interrupts
+from granjax import interrupts, programs
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
 
@@ -165,76 +165,33 @@ def default_interrupt():
         signal.signal(signal.SIGINT, before)
 
 
-def swallowed():
-    """As in a callback of a library, whose exceptions Python does not raise."""
-    with contextlib.suppress(KeyboardInterrupt):
-        signal.raise_signal(signal.SIGINT)
-
-
-def test_an_interrupt_that_python_loses_is_raised_all_the_same():
-    reached = []
-
-    @interrupts.interruptible
-    def computed(then):
-        swallowed()
-        then(np.ones(3))
-        reached.append(1)
-        return 1
-
-    with default_interrupt():
-        with pytest.raises(KeyboardInterrupt):
-            computed(interrupts.wait)
-        assert not reached, "at the next program"
-        with pytest.raises(KeyboardInterrupt):
-            computed(np.sum)
-        assert reached, "at the end, where none follows"
-        assert interrupts.wait(1) == 1, "not later"
-        assert interrupts.interruptible(lambda: 3)() == 3
-
-
-def test_an_interrupt_at_the_end_leaves_nothing_behind(monkeypatch):
-    put_back, late = signal.signal, [True]
-
-    def restoring(number, handler):
-        if handler is signal.default_int_handler and late.pop():
-            late.append(False)
-            raise KeyboardInterrupt
-        return put_back(number, handler)
-
-    with default_interrupt():
-        monkeypatch.setattr(interrupts.signal, "signal", restoring)
-        with pytest.raises(KeyboardInterrupt):
-            interrupts.interruptible(lambda: 3)()
-        assert interrupts.wait(1) == 1 and interrupts.interruptible(lambda: 3)() == 3
-        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
-        monkeypatch.undo()
-
-
-def test_waiting_hears_an_interrupt():
-    class Never:
-        def is_ready(self):
-            return False
-
-    main = threading.get_ident()
-    thread = threading.Timer(0.05, lambda: signal.pthread_kill(main, signal.SIGINT))
-    with default_interrupt():
-        thread.start()
-        with pytest.raises(KeyboardInterrupt):
-            interrupts.waited(Never)()
-        thread.join()
-
-
-def test_waiting_leaves_values_as_they_are():
-    x = jnp.ones(3) * 2
-    assert interrupts.wait(()) == () and interrupts.wait({"a": (1, x)})["a"][1] is x
-    assert jax.jit(interrupts.waited(lambda x: 2 * x))(x)[0] == 4
-
-
 def pressed(after=0.05):
     """Ctrl-C, a moment from now."""
     thread = threading.Timer(after, signal.pthread_kill, (threading.main_thread().ident, signal.SIGINT))
     thread.start()
     return thread
+
+
+def test_a_program_of_few_operations_that_takes_long_hears_an_interrupt():
+    @programs.waited
+    def turned(x, count):
+        return jax.lax.fori_loop(0, count, lambda i, x: jnp.sin(x) + 1e-9 * i, x), "words", turned
+
+    x, count = np.ones(2), np.asarray
+    assert turned(x, count(3))[1:] == ("words", turned), "of what it returns only arrays are computed"
+    with default_interrupt():
+        thread = pressed()
+        with pytest.raises(KeyboardInterrupt):
+            turned(x, count=count(30_000_000))
+        thread.join()
+        assert interrupts._at_work()
+    np.testing.assert_allclose(turned(x, count(3))[0], np.sin(np.sin(np.sin(x)) + 1e-9) + 2e-9, rtol=1e-12)
+
+
+def test_waiting_leaves_values_as_they_are():
+    x = jnp.ones(3) * 2
+    assert programs.wait(()) == () and programs.wait({"a": (1, x)})["a"][1] is x
+    assert jax.jit(programs.waited(lambda x: 2 * x))(x)[0] == 4
 
 
 def test_compiling_hears_an_interrupt(monkeypatch):

@@ -11,7 +11,7 @@ ROOT = Path(granjax.__file__).parent
 
 FLOORS = (
     {"checks", "files", "interrupts", "outside", "printing", "tuning", "types"},
-    {"entry", "reading", "variables"},
+    {"entry", "programs", "reading", "variables"},
     {"split_system", "units"},
     {"results"},
     {"laws", "strains", "materials", "solvers", "newton", "parameters", "descent", "theory", "plots"},

@@ -13,7 +13,6 @@ from ..checks import tolerance as checked_tolerance
 from ..descent import checked_optimiser
 from ..entry import checked
 from ..flow import Reversible
-from ..interrupts import interruptible
 from ..parameters import Bounds
 from ..tuning import one_thread
 from ..types import Count, Parameter, Scalar, Scene
@@ -35,7 +34,6 @@ MOST = 1e-2
 
 @checked
 @one_thread
-@interruptible
 def fit(
     scene: Scene, start: dict[str, Parameter], traces: Traces | Sequence[Traces], *, state: Start,
     bounds: Bounds = None, t0: Scalar = 0.0, step: Scalar | None = None, solver: AbstractSolver | None = None,

@@ -12,7 +12,7 @@ from .. import descent
 from ..checks import described, refuse
 from ..entry import checked
 from ..flow.march import seconds_a_step
-from ..interrupts import waited
+from ..programs import waited
 from ..types import AnyArray, Scalar
 from .problem import Problem, Signals, misfit
 
@@ -38,7 +38,6 @@ class Found(NamedTuple):
 
 @checked
 @waited
-@eqx.filter_jit
 def linearised(
     problem: Problem | eqx.Module, x: Float[AnyArray, " n"],
 ) -> tuple[Float[AnyArray, " m"], Float[AnyArray, "m n"], Signals, Signals]:
@@ -127,7 +126,6 @@ def patience(problem: Problem) -> float:
 
 
 @waited
-@eqx.filter_jit
 def gradient_descent(
     problem: Problem, x: Float[AnyArray, " n"], optimiser: object, tolerance: Scalar, max_steps: int,
     adjoint: eqx.Module, most: int | None,

@@ -13,9 +13,9 @@ import numpy as np
 from ..checks import refuse, traced
 from ..lattice import vector_field
 from ..outside import Outside
+from ..programs import joined, parted
 from ..types import Flags
 from .control import tighter
-from .dispatch import joined, parted
 from .integrate import integrate
 from .march import march
 

@@ -1,7 +1,6 @@
 """The derivative of what comes out of a run, with its error."""
 
 from collections.abc import Callable, Iterator
-from functools import partial
 from typing import Any, ClassVar
 
 import jax
@@ -10,8 +9,8 @@ import numpy as np
 
 from ..checks import positive, refuse, returned
 from ..entry import checked
-from ..interrupts import wait
 from ..outside import Outside
+from ..programs import waited
 from ..results import Held, Result
 from ..types import Numbers, Pytree, Scalar
 
@@ -78,7 +77,7 @@ def derivative(function: Callable[[Any, Any], Any], x: Pytree, step: Scalar) -> 
         refuse("x", "real numbers", "complex ones", "Write real and imaginary parts as parameters of their own.")
     ladder = float(positive("step", step)) * np.asarray(LADDER)
     x = jax.tree.map(lambda a: a if hasattr(a, "dtype") and a.dtype.kind == "f" else jnp.asarray(a, float), x)
-    slopes = wait(_slopes(function, x, jnp.asarray(ladder), Outside(function)))
+    slopes = _slopes(function, x, jnp.asarray(ladder), Outside(function))
     value = jax.tree.map(lambda s: s[-1], slopes)
 
     def error(s):
@@ -88,7 +87,7 @@ def derivative(function: Callable[[Any, Any], Any], x: Pytree, step: Scalar) -> 
     return Derivative(value, jax.tree.map(error, slopes), slopes, ladder)
 
 
-@partial(jax.jit, static_argnums=0)
+@waited
 def _slopes(function, x, ladder, outside):
     def looked_at(x, step):
         return returned("function", function(x, step))

@@ -1,59 +1,11 @@
-"""What a call of `simulate` costs beside the run: compiled functions that are found quickly, and facts found once."""
+"""What every call of `simulate` asks of a lattice: facts that are found once."""
 
-import inspect
 import weakref
-from collections.abc import Callable
-from functools import partial, wraps
 from typing import NamedTuple
-
-import jax
-import numpy as np
 
 from ..checks import traced
 from ..lattice import Lattice
 from ..terms.tracing import reads
-from ..types import Pytree
-
-_ARRAYS = (jax.Array, np.ndarray, np.generic)
-
-
-def compiled(function: Callable) -> Callable:
-    """`jax.jit` of a function of pytrees, in which everything but arrays is static.
-
-    As `equinox.filter_jit`, for arguments that may be given by position, with less to do at each call.
-    """
-
-    @partial(jax.jit, static_argnums=0)
-    def flat(static, arrays):
-        return function(*joined(static, arrays))
-
-    signature = inspect.signature(function)
-
-    @wraps(function)
-    def call(*arguments, **named):
-        if named:
-            arguments = signature.bind(*arguments, **named)
-            arguments.apply_defaults()
-            arguments = arguments.args
-        return flat(*parted(arguments))
-
-    call.lower = lambda *arguments: flat.lower(*parted(arguments))
-    return call
-
-
-def parted(tree: Pytree) -> tuple:
-    """What is static in a pytree, hashable, and a list of its arrays."""
-    leaves, treedef = jax.tree.flatten(tree)
-    is_array = [isinstance(leaf, _ARRAYS) for leaf in leaves]
-    rest = tuple([_ARRAYS if own else leaf for own, leaf in zip(is_array, leaves)])
-    return (treedef, rest), [leaf for own, leaf in zip(is_array, leaves) if own]
-
-
-def joined(static: tuple, arrays: list) -> Pytree:
-    """The pytree that `parted` took apart."""
-    treedef, rest = static
-    arrays = iter(arrays)
-    return jax.tree.unflatten(treedef, [next(arrays) if leaf is _ARRAYS else leaf for leaf in rest])
 
 
 def shared_size(n: int) -> int:

@@ -10,11 +10,11 @@ import jax.numpy as jnp
 
 from ..lattice import Lattice, State, vector_field
 from ..outside import Outside
+from ..programs import compiled
 from ..solvers import AbstractNystrom
 from ..types import Displacements, Number, Numbers, Scalar, StateLike, Times
 from .breaks import Landing, one_sided
 from .control import Scales, StepControl
-from .dispatch import compiled
 from .lanes import each_lane
 from .record import CLOSEST, EXTREMES, AtEnds, Recorded, leaf_by_leaf
 from .record.dips import Dips

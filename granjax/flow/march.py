@@ -13,11 +13,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import refuse, traced
-from ..interrupts import interruptible, wait
 from ..lattice import Lattice
 from ..outside import Outside
+from ..programs import compiled, wait, waited
 from ..types import Number, Scalar, StateLike, Times
-from .dispatch import compiled, facts
+from .dispatch import facts
 from .integrate import Part, integrate, own_records, part_of, reduced
 from .lanes import apart, together
 from .record import Record
@@ -59,13 +59,13 @@ def march(
     span = float(t1) - float(t0)
     if tolerance is None:
         steps = _steps(span / float(dt), facts(lattice).dtype)
-        long = steps * takes > SHORT
+        long, alone = steps * takes > SHORT, steps * takes > LONG
         if steps * takes > LONG and forward and (max_steps is None or max_steps >= steps):
             ends = [*range(0, steps, max(min(int(PIECE / takes), COUNTED), 1)), steps]
     else:
         # what an adaptive run takes is known from the one before
         known, pace = facts(lattice).known, ("pace", type(solver), float(tolerance))
-        long = not forward or known.get(pace, math.inf) * span > SHORT
+        long, alone = not forward or known.get(pace, math.inf) * span > SHORT, not forward
         budget = 1 << int(LONG / takes).bit_length() if forward else None
     # in a program that somebody else traces, constants too become its values
     if (long or budget) and traced(-_one()):
@@ -73,7 +73,7 @@ def march(
     if not ends:
         since = time.perf_counter()
         limit = max_steps if budget is None else min(budget, max_steps or budget)
-        run = integrate(*arguments, limit, *rest)
+        run = (_alone if alone else integrate)(*arguments, limit, *rest)
         if long:
             wait(run.code)
             if tolerance is not None:
@@ -135,7 +135,6 @@ def refuse_endless(
                f"{remedy}; or max_steps={steps} if you mean it.")
 
 
-@interruptible
 def _lane_by_lane(
     lattice, state, t0, t1, dt, tolerance, save_ts, records, solver, adjoint, max_steps, every, progress, *rest,
 ):
@@ -180,7 +179,6 @@ def _lane_by_lane(
     return jax.tree.map(jnp.asarray, together(whole))
 
 
-@interruptible
 def _in_pieces(
     lattice, begin, ends, budget, max_steps, dt, tolerance, save_ts, records, solver, progress, watch, outside,
 ):
@@ -245,6 +243,10 @@ def _bar(progress, total=100, unit="%"):
     from tqdm import tqdm
 
     return tqdm(total=total, unit=unit, bar_format="{l_bar}{bar}| {elapsed}<{remaining}", disable=not progress)
+
+
+# what cannot go in pieces and takes long
+_alone = waited(integrate.__wrapped__)
 
 
 @compiled

@@ -9,12 +9,11 @@ import numpy as np
 from ..checks import refuse
 from ..checks import tolerance as checked_tolerance
 from ..entry import checked
-from ..interrupts import waited
 from ..lattice import Lattice, split_system, vector_field
 from ..printing import told
+from ..programs import waited
 from ..solvers import AbstractSplitting
 from ..types import Count, Counts, Number, Scalar, StateLike, Times
-from .dispatch import compiled
 from .integrate import integrate
 from .run import Run
 from .stepping import Flow, check_moved
@@ -80,7 +79,6 @@ def refuse_forward_mode(adjoint: eqx.Module, error: TypeError) -> None:
 
 @checked
 @waited
-@compiled
 def return_error(
     lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, steps: Count | Counts, solver: diffrax.AbstractSolver,
 ) -> Number:

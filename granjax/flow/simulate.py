@@ -13,9 +13,9 @@ import numpy as np
 
 from ..checks import one_of, refuse, show, traced, whole
 from ..entry import checked
-from ..interrupts import wait
 from ..lattice import Lattice
 from ..outside import Outside
+from ..programs import wait
 from ..types import Count, Parameter, Scalar, StateLike
 from .confirmation import Confirmation
 from .dispatch import facts
@@ -130,7 +130,8 @@ def simulate(
     watch = watch and not unknown
     rest = records, solver, adjoint, limit, every, progress, watch, outside, dips
     try:
-        if backwards is None:
+        # its derivative is asked for where something is traced
+        if backwards is None or not (unknown or traced(backwards)):
             go = integrate if unknown else march
             run = go(lattice, state, *span, dt, tolerance, save_ts, *rest)
         else:

@@ -15,10 +15,10 @@ from ..lattice import Lattice, vector_field
 from ..lattice.model import check_shape
 from ..outside import Outside
 from ..printing import told
+from ..programs import compiled
 from ..solvers import SRKN14a
 from ..types import Count, Counts, Numbers, Pytree, Scalar, VectorField
 from .breaks import OneSided, breaks_of, shared_out
-from .dispatch import compiled
 
 # numbers that go through a processor at once, at most: rows of tangents that are a multiple of it are up to 1.2x faster
 VECTOR = 8

@@ -21,9 +21,9 @@ import numpy as np
 from ..checks import whole
 from ..entry import checked
 from ..lattice import Lattice
+from ..programs import compiled
 from ..terms import Reach, Reached
 from ..types import Count, Displacements, Number, Numbers, Scalar, StateLike
-from .dispatch import compiled
 from .inputs import checked_state, checked_times
 
 # of power iteration; few are enough for a look, which a tenth too much does not mislead

@@ -12,7 +12,6 @@ from ..entry import checked
 from ..fit import Fit, Traces, fit
 from ..fit.problem import Start
 from ..fit.traces import checked_traces
-from ..interrupts import interruptible
 from ..results import Held, Result
 from ..types import Parameter, Scalar, Scene
 
@@ -88,7 +87,6 @@ class Comparison(Result):
 
 
 @checked
-@interruptible
 def compare(
     models: dict[str, tuple[Scene, dict[str, Parameter]] | list], traces: Traces | Sequence[Traces], *, state: Start,
     level: Scalar = 10.0, options: dict[str, dict] | None = None, **common: object,

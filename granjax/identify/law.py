@@ -16,10 +16,10 @@ from ..fit import Fit, Traces, fit, prepared
 from ..fit.problem import Start
 from ..fit.traces import checked_traces
 from ..flow import Flow
-from ..interrupts import interruptible, waited
 from ..lattice import Lattice, State
 from ..laws import Law, Linear
 from ..parameters import Bounds
+from ..programs import waited
 from ..results import Held, Result
 from ..types import Count, Parameter, Scalar
 from .families import LawScene, law_scene, starting_law
@@ -85,7 +85,6 @@ class ForceLaw(Result):
 
 
 @checked
-@interruptible
 def law(
     scene: Callable[..., Lattice], family: str | Law, traces: Traces | Sequence[Traces], *, state: Start,
     stiffness: Scalar | None = None, reach: Sequence | None = None, others: dict[str, Parameter] | None = None,
@@ -191,7 +190,6 @@ def _visited(acting, problem, parameters):
 
 
 @waited
-@eqx.filter_jit
 def _extremes(problem, parameters, last, frames, acting):
     lattice, one, h = problem.lattice(parameters), Flow(1, problem.solver), (last - problem.t0) / frames
 

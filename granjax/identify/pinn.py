@@ -22,10 +22,10 @@ from ..entry import checked
 from ..fit.problem import checked_scene
 from ..flow.dispatch import shared_size
 from ..flow.stiffness import linear_frequency
-from ..interrupts import interruptible, waited
 from ..outside import Outside
 from ..parameters import Bounds, Coordinates
 from ..printing import told
+from ..programs import waited
 from ..results import Held, Result
 from ..types import AnyArray, Count, Numbers, Parameter, Scalar, Scene, Times
 
@@ -74,7 +74,6 @@ class PhysicsInformed(Result):
 
 
 @checked
-@interruptible
 def physics_informed(
     scene: Scene, start: dict[str, Parameter], times: Times, velocity: Float[AnyArray, "T sensors"], *,
     sites: Parameter | None = None, state: tuple | None = None, bounds: Bounds = None, weight: Scalar = 1.0,
@@ -193,7 +192,7 @@ class _Training(eqx.Module):
         return model, np.concatenate([first, then])
 
 
-_parts = waited(eqx.filter_jit(_Training.parts))
+_parts = waited(_Training.parts)
 
 
 def _parted(training, model):
@@ -205,7 +204,6 @@ def _parted(training, model):
 
 
 @waited
-@eqx.filter_jit
 def _by_adam(training, model, max_steps, rate):
     cost, free, whole = _parted(training, model)
     optimiser = optax.adam(optax.cosine_decay_schedule(rate, max_steps))
@@ -221,7 +219,6 @@ def _by_adam(training, model, max_steps, rate):
 
 
 @waited
-@eqx.filter_jit
 def _by_search(training, model, max_steps):
     cost, free, whole = _parted(training, model)
     optimiser = optax.lbfgs()

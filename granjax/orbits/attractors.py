@@ -15,9 +15,9 @@ from ..checks import tolerance as checked_tolerance
 from ..entry import checked
 from ..flow import Flow
 from ..flow.inputs import held_frames
-from ..interrupts import interruptible, waited
 from ..lattice import Lattice, State
 from ..measures import contacts
+from ..programs import waited
 from ..results import STATE, Held, Result
 from ..solvers import SRKN11b
 from ..types import Count, Counts, Displacements, Numbers, Pytree, Scalar, StateLike, Times
@@ -92,7 +92,6 @@ class Attractor(Result):
 
 
 @checked
-@interruptible
 def settle(
     lattice: Lattice, state: StateLike, period: Scalar, *, periods: Count = 4000, tolerance: Scalar = 1e-8,
     steps: Count | None = None, solver: AbstractSolver | None = None,
@@ -227,7 +226,7 @@ def largest(x: Numbers) -> Numbers:
     return b + (a - c) ** 2 / (8 * np.where(curve > 0, curve, 1))
 
 
-_follow = waited(eqx.filter_jit(follow))
+_follow = waited(follow)
 
 
 def otherwise(
@@ -263,7 +262,7 @@ def otherwise(
     return y, jnp.where(last <= tolerance, left, jnp.nan)
 
 
-_otherwise = waited(eqx.filter_jit(otherwise))
+_otherwise = waited(otherwise)
 
 
 def errors_of(found: Pytree, other: Pytree, left: Scalar) -> Pytree:
@@ -278,7 +277,6 @@ def _apart(found, other, left, sampling):
 
 
 @waited
-@eqx.filter_jit
 def _stretch(solver, lattice, state, period, steps, first):
     """Some steps from the one of number `first` on: (the state after them, times, states, forces, energies)."""
     one, h = Flow(1, solver), period / steps

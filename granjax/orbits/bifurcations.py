@@ -8,7 +8,6 @@ import numpy as np
 from ..checks import one_of, refuse, tolerance
 from ..continuation import continuation
 from ..entry import checked
-from ..interrupts import interruptible
 from ..lattice import State
 from ..tuning import one_thread
 from ..types import Scalar
@@ -25,7 +24,6 @@ NEAR, LEAST_ERROR = 1e-4, 1e-12
 
 @checked
 @one_thread
-@interruptible
 def bifurcations(branch: Branch, kinds: Sequence[str] = KINDS, *, accuracy: Scalar = 1e-9) -> list[Bifurcation]:
     r"""Bifurcations along a family, each located between two neighbouring breathers.
 

@@ -13,9 +13,9 @@ from ..checks import refuse
 from ..continuation import Curve
 from ..entry import checked
 from ..flow import Flow
-from ..interrupts import waited
 from ..lattice import State
 from ..newton import Root
+from ..programs import waited
 from ..results import STATE, Held, Result
 from ..types import Count, Displacements
 from .confirm import OrbitError
@@ -166,7 +166,6 @@ class Branch(Result):
 
 
 @waited
-@eqx.filter_jit
 def _residual(family, x, q):
     return jnp.max(jnp.abs(family.residual(x, q)))
 

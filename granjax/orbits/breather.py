@@ -10,7 +10,6 @@ from jaxtyping import Float
 from ..checks import one_of, positive, refuse, traced
 from ..entry import checked
 from ..flow import Flow
-from ..interrupts import interruptible
 from ..lattice import Lattice, State
 from ..linear import bands, normal_modes
 from ..solvers import KahanLi8
@@ -36,7 +35,6 @@ NEARER = (0.5, 0.2, 0.1)
 
 @checked
 @one_thread
-@interruptible
 def breather(
     lattice: Lattice, omega: Scalar, guess: StateLike | Orbit | str | None = None, *, energy: Scalar | None = None,
     centre: Scalar | None = None, steps: Count | None = None, solver: AbstractSolver | None = None,

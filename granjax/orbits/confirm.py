@@ -10,9 +10,9 @@ from jax.typing import DTypeLike
 
 from ..checks import refuse
 from ..checks import tolerance as checked_tolerance
-from ..interrupts import waited
 from ..lattice import Lattice, State
 from ..newton import CONVERGED, SPENT, STALLED, Root, newton
+from ..programs import waited
 from ..results import STATE, Held, Result
 from ..types import Count, Number, Numbers, Pytree, Scalar
 from .repeats import largest
@@ -81,7 +81,6 @@ def rounding(inverse: Numbers, size: Scalar = 1.0) -> Numbers:
 
 
 @waited
-@eqx.filter_jit
 def _corrected(problem, x, jacobian, scene):
     problem, x, jacobian, scene = jax.lax.stop_gradient((problem, x, jacobian, scene))
     inverse = jnp.linalg.inv(jacobian)
@@ -144,7 +143,6 @@ def confirmed(
 
 
 @waited
-@eqx.filter_jit
 def error_of(lattice: Lattice, t0: Scalar, state: State, apart: State, omega: Scalar, in_omega: Scalar) -> OrbitError:
     """The `OrbitError` of a state that is known up to `apart`, at a frequency that is known up to `in_omega`."""
     apart = jax.tree.map(jnp.abs, apart)

@@ -13,9 +13,9 @@ from ..checks import positive, refuse, whole
 from ..continuation import continuation
 from ..entry import checked
 from ..flow import Flow
-from ..interrupts import interruptible, waited
 from ..lattice import Lattice, State
 from ..linear import normal_modes
+from ..programs import waited
 from ..solvers import KahanLi8
 from ..tuning import one_thread
 from ..types import Count, Numbers, Scalar, StateLike
@@ -42,7 +42,6 @@ SLOW = 20
 
 @checked
 @one_thread
-@interruptible
 def family(
     lattice: Lattice, until: Scalar | None = None, *, guess: Orbit | None = None, amplitude: Scalar | None = None,
     mode: Count | None = None, arclength: Scalar | None = None, longest_arclength: Scalar | None = None,
@@ -275,7 +274,6 @@ def _members(problem, xs, aparts):
 
 
 @waited
-@eqx.filter_jit
 def _some(problem, xs, aparts):
     def one(pair):
         x, apart = pair

@@ -14,10 +14,9 @@ from ..checks import refuse, whole, within
 from ..checks import tolerance as checked_tolerance
 from ..entry import checked
 from ..flow import Flow, linear_frequency
-from ..flow.dispatch import compiled
 from ..flow.stepping import check_moved
-from ..interrupts import interruptible, waited
 from ..lattice import Lattice, vector_field
+from ..programs import compiled, waited
 from ..results import Held, Result
 from ..solvers import KahanLi8
 from ..tuning import one_thread
@@ -140,7 +139,6 @@ def decide(
 
 
 @waited
-@compiled
 def _derivative(flow, like, x, t0, t1, args):
     """(phi(x), D phi(x)) over the raveled state."""
     end, factor = flow.derivative(ravel_pytree(like)[1](x), t0, t1, args)
@@ -148,7 +146,6 @@ def _derivative(flow, like, x, t0, t1, args):
 
 
 @checked
-@interruptible
 def floquet(
     lattice: Lattice | Flow, state: Pytree, period: Scalar, *, t0: Scalar = 0.0, steps: Count | None = None,
     solver: AbstractSolver | None = None, segments: Count = 1, tolerance: Scalar = TOLERANCE, args: Any = None,

@@ -15,11 +15,11 @@ from ..checks import parameter, positive, refuse, whole
 from ..continuation import continuation
 from ..entry import checked
 from ..flow import Flow
-from ..interrupts import interruptible, waited
 from ..lattice import State
 from ..measures import rms_velocity
 from ..newton import nearby
 from ..outside import Outside
+from ..programs import waited
 from ..solvers import SRKN14a
 from ..tuning import one_thread
 from ..types import Count, Numbers, Scalar, StateLike
@@ -53,7 +53,6 @@ LOCATED, APART = 1e-10, 1e-7
 
 @checked
 @one_thread
-@interruptible
 def forced_branch(
     make: Callable[[Any], Any], start: Scalar, until: Scalar, *, period: Callable[[Any], Any] | Scalar,
     guess: StateLike | None = None, transient: Count = 0, t0: Scalar = 0.0, steps: Count | None = None,
@@ -171,7 +170,6 @@ class Examined(NamedTuple):
 
 
 @waited
-@eqx.filter_jit
 def _examined(family, flow, z, response):
     """What there is to say of an orbit; its error is the most that the other steps change."""
     (lattice, period), state = family.scene(z[-1]), family.shooting.state(z[:-1])

@@ -14,8 +14,8 @@ from ..checks import held_in_memory, positive, refuse, whole
 from ..entry import checked
 from ..flow import Flow
 from ..flow.stepping import columns, matrix
-from ..interrupts import interruptible, waited
 from ..lattice import Lattice, State
+from ..programs import waited
 from ..results import STATE, Held, Result
 from ..solvers import SRKN11b
 from ..types import Count, Scalar, StateLike
@@ -51,7 +51,6 @@ class Lyapunov(Result):
 
 
 @checked
-@interruptible
 def lyapunov(
     lattice: Lattice, state: StateLike, period: Scalar, *, periods: Count = 1000, transient: Count = 100,
     number: Count = 1, windows: Count = 10, steps: Count | None = None, solver: AbstractSolver | None = None,
@@ -106,7 +105,6 @@ def lyapunov(
 
 
 @waited
-@eqx.filter_jit
 def _grow(flow, lattice, state, start, period, periods):
     weight = jnp.concatenate([
         ravel_pytree(jax.tree.map(lambda x: jnp.full(x.shape, flow.steps / period), state.u))[0],

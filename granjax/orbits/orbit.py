@@ -15,9 +15,9 @@ from ..checks import positive, refuse, traced, whole
 from ..entry import checked
 from ..flow import Flow
 from ..flow.inputs import held_frames
-from ..interrupts import interruptible, waited
 from ..lattice import Lattice, State, vector_field
 from ..newton import CONVERGED, Root
+from ..programs import waited
 from ..results import STATE, Held, Result
 from ..solvers import SRKN14a
 from ..tuning import one_thread
@@ -190,7 +190,6 @@ class Orbit(Result):
 
 @checked
 @one_thread
-@interruptible
 def orbit(
     lattice: Lattice, guess: StateLike, period: Scalar, *, symmetry: Symmetry = Symmetry(), t0: Scalar = 0.0,
     steps: Count | None = None, segments: Count = 1, transient: Count = 0, solver: AbstractSolver | None = None,
@@ -293,7 +292,6 @@ def checked_orbit(orbit: Orbit, guess: State, throw: bool | None) -> Orbit:
 
 
 @waited
-@eqx.filter_jit
 def prepared(
     lattice: Lattice, period: Scalar, guess: State, flow: Flow, t0: Scalar, segments: int, transient: Counts,
     symmetry: Symmetry = Symmetry(), free: bool = False,
@@ -315,5 +313,5 @@ def prepared(
     return shooting, shooting.guess(guess, (lattice, period))
 
 
-_history = waited(eqx.filter_jit(history))
+_history = waited(history)
 _energy = eqx.filter_jit(lambda lattice, t, state: lattice.energy(t, state.u, state.v))

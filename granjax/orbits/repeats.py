@@ -1,14 +1,13 @@
 """What an orbit is asked for with: one lattice, a state of it, a period and a symmetry with which its forces repeat."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from ..checks import refuse, traced
-from ..interrupts import waited
 from ..lattice import Lattice, State
+from ..programs import waited
 from ..terms.tracing import reads
 from ..types import Numbers, Pytree, Scalar, StateLike
 from .symmetry import Symmetry
@@ -108,7 +107,6 @@ def checked_period(lattice: Lattice, state: StateLike, t0: Scalar, period: Scala
 
 
 @waited
-@eqx.filter_jit
 def _repeated(lattice, shape, sizes, t0, period):
     """By how much the forces that read time differ a period later, by how much they change, how large they are.
 

@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from typing import Any, ClassVar, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -16,11 +15,11 @@ from ..entry import checked
 from ..flow import Flow
 from ..flow.dispatch import shared_size
 from ..flow.inputs import held_frames
-from ..interrupts import interruptible, waited
 from ..lattice import State
 from ..measures import rms_velocity
 from ..outside import Outside
 from ..printing import told
+from ..programs import waited
 from ..results import STATE, Held, Result
 from ..solvers import SRKN11b
 from ..types import Count, Displacements, Parameter, Scalar, StateLike
@@ -114,7 +113,6 @@ class Sweep(Result):
 
 
 @checked
-@interruptible
 def sweep(
     make: Callable[[Any], Any], values: Parameter, period: Callable[[Any], Any] | Scalar, *,
     state: StateLike | None = None, response: Callable[[Any, Any, Any, Any], Any] = rms_velocity,
@@ -204,7 +202,6 @@ def sweep(
 
 
 @waited
-@eqx.filter_jit
 def _run(make, period, response, flow, periods, watch, value, y, tolerance, most, outside):
     """What is found at a value, and whether it settles still."""
     lattice, T = make(value), period_at(period, value)
@@ -216,7 +213,6 @@ def _run(make, period, response, flow, periods, watch, value, y, tolerance, most
 
 
 @waited
-@eqx.filter_jit
 def _errors(make, period, response, flow, watch, value, found, periods, tolerance, outside):
     """The errors of what is found at a value."""
     lattice, T, multiple = make(value), jnp.asarray(period_at(period, value)), found["multiple"]

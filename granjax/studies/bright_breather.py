@@ -13,11 +13,11 @@ from ..checks import held_in_memory, positive, whole, within
 from ..driven import driven_chain
 from ..entry import checked
 from ..flow import Flow
-from ..interrupts import waited
 from ..lattice import Lattice, State
 from ..linear import bands
 from ..measures import site_energy
 from ..orbits.attractors import steps_per_period
+from ..programs import waited
 from ..results import Held, Result
 from ..scenes import beads
 from ..solvers import SRKN11b
@@ -119,7 +119,6 @@ def bright_by_instability(
 
 
 @waited
-@eqx.filter_jit
 def _run(lattice, state, period, steps, count):
     """Period by period: the state at the end, (share, place, energy) after each, and all velocities."""
     one = Flow(1, SRKN11b())

@@ -13,7 +13,6 @@ from ..checks import non_negative, positive, refuse, whole
 from ..entry import checked
 from ..flow import simulate
 from ..flow.inputs import checked_state, checked_times
-from ..interrupts import interruptible
 from ..lattice import Lattice
 from ..printing import told
 from ..solvers import RKN86, RKN1210, SofroniouSpaletta10
@@ -47,7 +46,6 @@ OTHER_MESH = 1.3
 
 
 @checked
-@interruptible
 def work_precision(
     lattice: Lattice, state: StateLike, t1: Scalar,
     solvers: diffrax.AbstractSolver | Sequence | Mapping[str, diffrax.AbstractSolver] | None = None,

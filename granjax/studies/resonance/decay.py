@@ -7,7 +7,6 @@ from jaxtyping import Float
 
 from ...checks import held_in_memory, refuse, whole, within
 from ...entry import checked
-from ...interrupts import interruptible
 from ...types import Parameter, Scalar
 from .lanes import LANES, checked_ratios, peak_forces
 
@@ -41,7 +40,6 @@ def contact_forces(
 
 
 @checked
-@interruptible
 def decay_rate(
     ratios: Parameter, contacts: Sequence[int] = (200, 600), *, progress: bool = False
 ) -> Float[np.ndarray, " n"]:
@@ -74,7 +72,6 @@ def _pair(contacts):
 
 
 @checked
-@interruptible
 def anti_resonance(
     low: Scalar, high: Scalar, *, contacts: Sequence[int] = (200, 600), progress: bool = False
 ) -> float:

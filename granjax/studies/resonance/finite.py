@@ -8,7 +8,6 @@ from jaxtyping import Float
 
 from ...checks import held_in_memory, positive, refuse, tolerance, whole
 from ...entry import checked
-from ...interrupts import interruptible
 from ...results import Held, Result
 from ...types import Count, Parameter, Scalar
 from .lanes import LANES, checked_ratios, peak_forces
@@ -69,7 +68,6 @@ def _run_time(beads):
 
 
 @checked
-@interruptible
 def transmission(
     ratios: Parameter, beads: Count = 101, *, run_time: Scalar | None = None, progress: bool = False
 ) -> Transmission:
@@ -113,7 +111,6 @@ def _wall_forces(ratios, beads, run_time, progress):
 
 
 @checked
-@interruptible
 def refine(sweep: Transmission, *, accuracy: Scalar = 1e-4, progress: bool = False) -> Extrema:
     """Local extrema of a transmission over the mass ratio, by search between the neighbours of the grid's.
 

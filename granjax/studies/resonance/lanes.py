@@ -17,8 +17,8 @@ from jaxtyping import Float
 
 from ...checks import refuse, show, within
 from ...flow import Peak, simulate
-from ...interrupts import wait
 from ...measures import contact_force
+from ...programs import wait
 from ...scenes import dimer
 from ...states import impact
 from ...types import Count, Parameter, Scalar

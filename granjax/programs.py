@@ -1,0 +1,119 @@
+"""Compiled programs: found quickly where they are called again, and waited for in a way that Ctrl-C reaches."""
+
+import inspect
+import time
+from collections.abc import Callable
+from functools import partial, wraps
+from typing import Any
+
+import jax
+import numpy as np
+
+from . import interrupts
+from .types import Pytree
+
+_ARRAYS = (jax.Array, np.ndarray, np.generic)
+# seconds for which an array is asked again and again; then pauses, of a share of what has passed, and the longest
+EAGER, SHARE, LONGEST = 5e-4, 0.02, 0.02
+# a product of it takes 1 us, and more operations than what XLA runs before a call returns
+_WEIGHT = np.ones((12, 12))
+
+
+def compiled(function: Callable) -> Callable:
+    """`jax.jit` of a function of pytrees, in which everything but arrays is static.
+
+    As `equinox.filter_jit`, for arguments that may be given by position, with less to do at each call.
+    """
+
+    @partial(jax.jit, static_argnums=0)
+    def flat(static, arrays):
+        return function(*joined(static, arrays))
+
+    ordered = _ordered(function)
+
+    @wraps(function)
+    def call(*arguments, **named):
+        return flat(*parted(ordered(arguments, named)))
+
+    call.lower = lambda *arguments: flat.lower(*parted(arguments))
+    return call
+
+
+def waited(function: Callable) -> Callable:
+    """`compiled`, for programs that may take long: Ctrl-C reaches one that runs. What it returns need not be arrays.
+
+    XLA runs a program of few operations before the call returns, a loop counted as if it turned once. So there are
+    more of them.
+    """
+
+    def weighty(static, arrays, weight):
+        static, arrays = parted(function(*joined(static, arrays)))
+        return arrays, _Static(static), (weight @ weight)[0, 0]
+
+    weighty.__name__ = weighty.__qualname__ = function.__name__
+    flat, ordered = jax.jit(weighty, static_argnums=0), _ordered(function)
+
+    @wraps(function)
+    def call(*arguments, **named):
+        arrays, static, last = flat(*parted(ordered(arguments, named)), _WEIGHT)
+        wait((arrays, last))
+        return joined(static.value, arrays)
+
+    return call
+
+
+def _ordered(function):
+    """What is given to a function, in the order of its arguments."""
+    signature = inspect.signature(function)
+
+    def ordered(arguments, named):
+        if not named:
+            return arguments
+        bound = signature.bind(*arguments, **named)
+        bound.apply_defaults()
+        return bound.args
+
+    return ordered
+
+
+class _Static:
+    """What is no array of what a program returns: a pytree without leaves."""
+
+    def __init__(self, value: tuple):
+        self.value = value
+
+
+jax.tree_util.register_pytree_node(_Static, lambda x: ((), x.value), lambda value, _: _Static(value))
+
+
+def parted(tree: Pytree) -> tuple:
+    """What is static in a pytree, hashable, and a list of its arrays."""
+    leaves, treedef = jax.tree.flatten(tree)
+    is_array = [isinstance(leaf, _ARRAYS) for leaf in leaves]
+    rest = tuple([_ARRAYS if own else leaf for own, leaf in zip(is_array, leaves)])
+    return (treedef, rest), [leaf for own, leaf in zip(is_array, leaves) if own]
+
+
+def joined(static: tuple, arrays: list) -> Pytree:
+    """The pytree that `parted` took apart."""
+    treedef, rest = static
+    arrays = iter(arrays)
+    return jax.tree.unflatten(treedef, [next(arrays) if leaf is _ARRAYS else leaf for leaf in rest])
+
+
+def wait(tree: Any) -> Any:
+    """What a compiled program returns, when all of it is there. Nothing happens to what is traced.
+
+    JAX itself waits in a way that no signal reaches. An interrupt leaves the program at work, so that what is computed
+    next waits for it.
+    """
+    arrays = [x for x in jax.tree.leaves(tree) if hasattr(x, "is_ready")]
+    begin = time.perf_counter()
+    try:
+        while not all(x.is_ready() for x in arrays):
+            passed = time.perf_counter() - begin
+            time.sleep(0 if passed < EAGER else min(SHARE * passed, LONGEST))
+    except KeyboardInterrupt:
+        interrupts.leave(arrays)
+        raise
+    return tree
