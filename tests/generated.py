@@ -55,6 +55,7 @@ NOT_FACE = {
     "descent.": "a part of `fit` and `design`", "parameters.": "a part of `fit` and `design`",
     "printing.": "what prints: its input is anything", "variables.": "what names the arrays of results",
     "files.": "what writes", "reading.": "what reads", "interrupts.": "what answers Ctrl-C",
+    "programs.": "what compiles: what it is given is anything",
     "outside.": "for functions of the user's alone",
     "checks.": "what refuses: its input is anything",
     "split_system.": "between a lattice and a solver, inside of a loop",

@@ -301,8 +301,8 @@ def test_an_annotation_that_says_nothing_lets_everything_through():
 
 
 # inside of the library, called by the command line or before JAX is there, and what refuses itself
-INSIDE = {"checks", "cli", "descent", "entry", "files", "interrupts", "outside", "printing", "reading", "split_system",
-          "tuning", "variables"}
+INSIDE = {"checks", "cli", "descent", "entry", "files", "interrupts", "outside", "printing", "programs", "reading",
+          "split_system", "tuning", "variables"}
 # classes that only the library makes
 MADE = {"Function", "InUnits", "Motion", "Problem", "Reach", "Reached", "Shooting", "UnitCell"}
 
