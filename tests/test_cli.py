@@ -51,7 +51,7 @@ def test_resonance_from_a_shell(tmp_path):
 @pytest.mark.slow
 def test_the_command_makes_a_device_of_every_core(tmp_path):
     code = (
-        "import jax; from granjax.cli import _cores, _prepare; _prepare(False); "
+        "import jax; from granjax.cli.commands import _cores, _prepare; _prepare(False); "
         "print(jax.device_count() == _cores())"
     )
     environment = {k: v for k, v in os.environ.items() if k != "JAX_NUM_CPU_DEVICES"}
@@ -261,3 +261,61 @@ def test_bench_lists_the_scenes(bench):
     code, printed, files, asked = bench([Scene("one"), Scene("two")], "--list")
     assert code == 0 and not files and not asked
     assert [line.split()[0] for line in printed.out.splitlines()] == ["one", "two"]
+
+
+NAMES = ("slow", "quick", "middle")
+
+
+@pytest.fixture
+def timed(monkeypatch, bench):
+    """`granjax bench` on three scenes of known cost, on a clock that stands still unless a scene is measured."""
+    from granjax.cli import bench as module
+
+    def run(*arguments, pace=1.0, limit=120.0):
+        now = [0.0]
+        cost = {"slow": 500.0, "quick": 10.0, "middle": 40.0}
+        monkeypatch.setattr(module, "SECONDS", cost)
+        monkeypatch.setattr(module, "LIMIT", limit)
+        monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: now[0]))
+        took = module._measured
+
+        def measure(scene, repeats):
+            now[0] += pace * cost[scene.name]
+            return took(scene, repeats)
+
+        monkeypatch.setattr(module, "_measured", measure)
+        found = bench([Scene(name) for name in NAMES], *arguments)
+        monkeypatch.setattr(module, "_measured", took)
+        return found
+
+    return run
+
+
+def test_bench_says_what_it_takes_and_runs_the_quick_scenes_first(timed):
+    code, printed, files, asked = timed()
+    assert code == 0 and files[::2] == ["bench-middle.json", "bench-quick.json"] and len(asked) == 2
+    assert printed.err.splitlines() == [
+        "granjax: 2 scenes, about 50 s: quick, middle. More if there is time; all 3 take 9 min: --all.",
+        "granjax: quick (1 of 2), 0 s gone, about 50 s left", "granjax: middle (2 of 2), 10 s gone, about 40 s left",
+        "granjax: 50 s gone, and no time for slow: --all, or names.",
+    ]
+    assert printed.out.index("quick:") < printed.out.index("middle:")
+
+
+def test_bench_ends_within_its_time_on_a_slow_machine_and_does_more_on_a_fast_one(timed):
+    code, printed, files, _ = timed(pace=4.0)
+    assert code == 0 and len(files) == 2 and "quick" in files[0]
+    assert printed.err.splitlines()[-1] == "granjax: 40 s gone, and no time for middle, slow: --all, or names."
+    code, printed, files, _ = timed(pace=0.1)
+    assert code == 0 and len(files) == 6 and "slow (3 of 3), 5 s gone, about 50 s left" in printed.err
+
+
+def test_bench_of_all_scenes_has_no_limit(timed):
+    code, printed, files, _ = timed("--all", pace=4.0)
+    assert code == 0 and len(files) == 6
+    assert printed.err.splitlines()[0] == "granjax: 3 scenes, about 9 min: quick, middle, slow."
+    assert "slow (3 of 3), 3 min gone, about 33 min left" in printed.err
+    assert timed("slow", "quick")[0] == 0
+    assert timed("slow", "--all")[0] == 2
+    listed = timed("--list")[1].out.splitlines()
+    assert [line.split()[:3] for line in listed][0] == ["quick", "10", "s"] and len(listed) == 3

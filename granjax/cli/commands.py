@@ -6,9 +6,7 @@ that cannot be meant, with a sentence; 130 where it was interrupted; 141 where n
 """
 
 import argparse
-import contextlib
 import json
-import math
 import os
 import sys
 import warnings
@@ -18,15 +16,14 @@ from typing import NoReturn
 
 import granjax as gx
 
-from .checks import one_of, refuse, whole
-from .files import folder, netcdf, reason, rescue, target
-from .interrupts import INTERRUPTED, prepare_command
-from .tuning import keep_compiled
+from ..checks import refuse, whole
+from ..files import folder, netcdf, target
+from ..interrupts import INTERRUPTED, prepare_command
+from ..tuning import keep_compiled
+from .bench import bench
+from .output import UNREAD, complain, keep, say
 
-# as of a process that a closed pipe ends
-UNREAD = 141
 LEAST_RATIOS = 3
-ADVISED = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
 LOWEST_RATIO = 0.05
 DEFINITION = (
     "largest force on a rigid wall behind a struck 1:1 dimer chain (heavy bead first, Hertz contacts, no "
@@ -40,7 +37,7 @@ def command() -> NoReturn:
     try:
         code = main()
     except SystemExit as end:  # of --help and --version
-        code = end.code or _say("")
+        code = end.code or say("")
     # threads of XLA may be at work still, and what could not be written would be tried again
     os._exit(code)
 
@@ -50,44 +47,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         arguments = _parser().parse_args(argv)
         if arguments.command is None:
-            return _say(_parser().format_help().rstrip())
+            return say(_parser().format_help().rstrip())
         _prepare(not arguments.no_cache)
         return arguments.command(arguments)
     except (ValueError, OSError) as error:
-        return _complain(error, 2)
+        return complain(error, 2)
     except RuntimeError as error:
-        return _complain(error, 1)
+        return complain(error, 1)
     except KeyboardInterrupt:
-        return _complain("interrupted", INTERRUPTED)
-
-
-def _complain(error, code=0):
-    """The exit code; the sentence goes to standard error, or to standard output where that is closed."""
-    stream = sys.stdout if sys.stderr is None else sys.stderr
-    with contextlib.suppress(OSError):
-        print(f"granjax: {error}", file=stream, flush=True)
-    return code
-
-
-def _say(text):
-    """A result on standard output; the exit code that follows from what became of it."""
-    if sys.stdout is None:
-        return _complain("standard output is closed: results are not printed", 1)
-    try:
-        print(text, end="\n" if text else "", flush=True)
-    except OSError as error:
-        # said once: nothing more comes there
-        sys.stdout = open(os.devnull, "w")
-        if isinstance(error, BrokenPipeError):
-            return UNREAD
-        return _complain(f"standard output could not be written ({reason(error)})", 1)
-    return 0
-
-
-def _keep(path, content):
-    """Write a file; a sentence and exit code 1 where it could not be written to its place."""
-    _, said = rescue(path, content)
-    return _complain(said, 1) if said else 0
+        return complain("interrupted", INTERRUPTED)
 
 
 class _Parser(argparse.ArgumentParser):
@@ -134,13 +102,16 @@ def _parser():
     reproduce.set_defaults(command=_reproduce)
 
     text = "Error against time of many solvers on the canonical scenes: charts, data, advice."
-    bench = commands.add_parser("bench", help=text, description=text)
-    bench.add_argument("scenes", nargs="*", metavar="SCENE", help="names of scenes (default: all)")
-    bench.add_argument("--list", action="store_true", help="list the scenes and stop")
-    bench.add_argument("--out", default=".", metavar="DIR", help="folder for bench-SCENE.png and bench-SCENE.json")
-    bench.add_argument("--json", action="store_true", help="print one JSON object instead of tables")
-    bench.add_argument("--repeats", type=int, default=5, metavar="N", help="timed calls of each point (default: 5)")
-    bench.set_defaults(command=_bench)
+    scenes = commands.add_parser("bench", help=text, description=text)
+    scenes.add_argument(
+        "scenes", nargs="*", metavar="SCENE", help="names of scenes (default: the quick ones, two minutes)",
+    )
+    scenes.add_argument("--all", action="store_true", help="all scenes, the quick ones first")
+    scenes.add_argument("--list", action="store_true", help="list the scenes with the time they take, and stop")
+    scenes.add_argument("--out", default=".", metavar="DIR", help="folder for bench-SCENE.png and bench-SCENE.json")
+    scenes.add_argument("--json", action="store_true", help="print one JSON object instead of tables")
+    scenes.add_argument("--repeats", type=int, default=5, metavar="N", help="timed calls of each point (default: 5)")
+    scenes.set_defaults(command=bench)
     return parser
 
 
@@ -154,13 +125,13 @@ def _prepare(cache):
         keep_compiled()
     tuning = gx.tune()
     if not tuning.complete and os.environ.get("GRANJAX_TUNE", "1") != "0":
-        _complain(tuning.outcome)
+        complain(tuning.outcome)
     chosen = "xla_force_host_platform_device_count" in tuning.flags or jax.config.jax_num_cpu_devices > 0
     if not chosen:
         try:
             jax.config.update("jax_num_cpu_devices", _cores())
         except RuntimeError:
-            _complain("JAX has started already, so the cores stay as they are shared.")
+            complain("JAX has started already, so the cores stay as they are shared.")
 
 
 def _cores():
@@ -183,12 +154,12 @@ def _resonance(arguments):
             "mass_ratio": sweep.mass_ratio, "transmission": sweep.transmission,
             "resonances": extrema.resonances, "anti_resonances": extrema.anti_resonances,
         }
-        code = _say(json.dumps({name: column.tolist() for name, column in columns.items()}))
+        code = say(json.dumps({name: column.tolist() for name, column in columns.items()}))
     else:
-        code = _say("\n".join(_table(sweep, extrema)))
-    kept = [_keep(data, _data(sweep, extrema)), _keep(picture, _picture(sweep, extrema, picture.suffix))]
+        code = say("\n".join(_table(sweep, extrema)))
+    kept = [keep(data, _data(sweep, extrema)), keep(picture, _picture(sweep, extrema, picture.suffix))]
     if not any(kept) and not arguments.json:
-        code = code or _say(f"Written: {picture}, {data}")
+        code = code or say(f"Written: {picture}, {data}")
     return code or max(kept)
 
 
@@ -237,7 +208,7 @@ def _table(sweep, extrema):
 
 def _reproduce(arguments):
     if arguments.list:
-        return _say(gx.reproduce.listing())
+        return say(gx.reproduce.listing())
     if bool(arguments.figures) == arguments.all:
         refuse("FIGURE", "labels of figures, or --all", "both" if arguments.all else "neither", "--list shows them.")
     out = arguments.out
@@ -249,7 +220,7 @@ def _reproduce(arguments):
     code = 0
     for result in results:
         wrong = result.failure or result.unwritten or arguments.check and result.passed is False
-        said = _say(str(result))
+        said = say(str(result))
         if said == UNREAD:
             return said
         code = code or said or int(bool(wrong))
@@ -261,54 +232,3 @@ def _setting(text):
     if not name or not equals or not value:
         refuse("--set", "NAME=VALUE", repr(text))
     return name, value
-
-
-def _bench(arguments):
-    known = gx.canonical.names()
-    names = [one_of("SCENE", name, known) for name in arguments.scenes] or known
-    if arguments.list:
-        return _say("\n".join(f"{name:<20}{gx.canonical.scene(name).title}" for name in names))
-    repeats, out = whole("--repeats", arguments.repeats, 1), folder("--out", arguments.out)
-    places = {name: [target("--out", out / f"bench-{name}{end}") for end in (".json", ".png")] for name in names}
-    done, code = {}, 0
-    for name in names:
-        scene = gx.canonical.scene(name)
-        try:
-            table = _measured(scene, repeats)
-        except RuntimeError as error:
-            code = _complain(f"{name}: {error}", 1)
-            continue
-        done[name] = {"scene": name, "title": scene.title, "t0": scene.t0, "t1": scene.t1, **table.to_dict()}
-        data, picture = places[name]
-        code = _keep(data, json.dumps(done[name], indent=1) + "\n") or code
-        code = _keep(picture, _chart(scene, table, picture.suffix)) or code
-        if not arguments.json:
-            said = _say("\n".join([f"{name}: {scene.title}", str(table), *_advice(table), ""]))
-            if said == UNREAD:
-                return said
-            code = code or said
-    if arguments.json:
-        code = _say(json.dumps(done, allow_nan=False)) or code
-    return code
-
-
-def _measured(scene, repeats):
-    return gx.work_precision(
-        scene.lattice, scene.state, scene.t1, t0=scene.t0, repeats=repeats, tangents=scene.tangents,
-        reference=scene.reference, uncertainty=None if scene.reference is None else scene.uncertainty,
-    )
-
-
-def _advice(table):
-    reached = table.error[table.drawn].min(initial=math.inf)
-    return [str(table.advice(error)) for error in ADVISED if error >= reached]
-
-
-def _chart(scene, table, ending):
-    with gx.plots.style():
-        canvas = gx.plots.figure(10.5, 4.2)
-        left, right = canvas.subplots(1, 2)
-        gx.plots.work_precision(table, left).get_legend().remove()
-        gx.plots.work_precision(table, right, against="evaluations")
-        canvas.suptitle(scene.title, fontsize="medium")
-        return gx.plots.drawn(canvas, ending)

@@ -1,0 +1,40 @@
+"""What a command says, and where: results on standard output, all else on standard error, files in their place."""
+
+import contextlib
+import os
+import sys
+from pathlib import Path
+
+from ..files import reason, rescue
+
+# as of a process that a closed pipe ends
+UNREAD = 141
+
+
+def complain(error: object, code: int = 0) -> int:
+    """The exit code; the sentence goes to standard error, or to standard output where that is closed."""
+    stream = sys.stdout if sys.stderr is None else sys.stderr
+    with contextlib.suppress(OSError):
+        print(f"granjax: {error}", file=stream, flush=True)
+    return code
+
+
+def say(text: str) -> int:
+    """A result on standard output; the exit code that follows from what became of it."""
+    if sys.stdout is None:
+        return complain("standard output is closed: results are not printed", 1)
+    try:
+        print(text, end="\n" if text else "", flush=True)
+    except OSError as error:
+        # said once: nothing more comes there
+        sys.stdout = open(os.devnull, "w")
+        if isinstance(error, BrokenPipeError):
+            return UNREAD
+        return complain(f"standard output could not be written ({reason(error)})", 1)
+    return 0
+
+
+def keep(path: Path, content: bytes | str) -> int:
+    """Write a file; a sentence and exit code 1 where it could not be written to its place."""
+    _, said = rescue(path, content)
+    return complain(said, 1) if said else 0

@@ -1,0 +1,99 @@
+"""What is printed as code runs: every block of the README, in the order of the page, and of all docstrings."""
+
+import ast
+import contextlib
+import io
+import os
+import re
+import textwrap
+from pathlib import Path
+
+import matplotlib
+import pytest
+
+matplotlib.use("Agg")
+
+import matplotlib.pyplot as plt  # noqa: E402
+
+import granjax as gx  # noqa: E402
+
+ROOT = Path(__file__).parents[1]
+README = re.findall(r"^```python\n(.*?)^```", (ROOT / "README.md").read_text(), re.M | re.S)
+BUILDERS = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
+
+
+def indented(docstring):
+    """Blocks of a docstring that are set in."""
+    block = []
+    for line in [*docstring.splitlines(), "."]:
+        if line.startswith("    ") or block and not line.strip():
+            block.append(line)
+        elif block:
+            yield textwrap.dedent("\n".join(block)).strip() + "\n"
+            block = []
+
+
+def is_code(block):
+    """Whether a block is Python that calls or imports something: tables, lists and equations are none."""
+    try:
+        nodes = [*ast.walk(ast.parse(block))]
+    except SyntaxError:
+        return "gx." in block
+    return any(isinstance(node, (ast.Call, ast.Import, ast.ImportFrom)) for node in nodes)
+
+
+def docstrings():
+    """(where, block) of every block of code in a docstring."""
+    for path in sorted((ROOT / "granjax").rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text())):
+            text = ast.get_docstring(node) if isinstance(node, BUILDERS) else None
+            for block in indented(text or ""):
+                if is_code(block):
+                    yield f"{path.relative_to(ROOT)}: {getattr(node, 'name', 'module')}", block
+
+
+@pytest.fixture
+def elsewhere(tmp_path, monkeypatch):
+    """A folder that looks like the repository's, to run in and to write to."""
+    os.symlink(ROOT / "notebooks", tmp_path / "notebooks")
+    monkeypatch.chdir(tmp_path)
+    yield tmp_path
+    plt.close("all")
+
+
+def run(blocks):
+    """What the blocks leave and print, one after the other."""
+    space, printed = {"gx": gx}, io.StringIO()
+    with contextlib.redirect_stdout(printed):
+        for block in blocks:
+            exec(compile(block, "<a document>", "exec"), space)
+    return space, printed.getvalue()
+
+
+def test_the_pages_have_blocks_and_docstrings_too():
+    assert len(README) >= 4 and "Traces.from_csv" in README[2] and len(dict(docstrings())) >= 2
+    fences = (ROOT / "README.md").read_text().count("```")
+    assert fences == 2 * len(README), "a block of the README without a language"
+
+
+def test_the_readme_s_fit_runs_with_the_file_that_is_shipped(elsewhere):
+    space, printed = run(["import granjax as gx\n", README[2]])
+    fit = space["fit"]
+    assert fit.converged and not fit.undetermined and 0.8 < fit.reduced_chi_square < 1.2
+    truth = {"stiffness": 9.1e9, "precompression": 8.4, "damping_time": 1.8e-3, "velocity": 0.05}
+    assert all(abs(fit.parameters[name] - x) < 4 * fit.deviations[name] for name, x in truth.items())
+    assert "stiffness" in printed and "+-" in printed
+
+
+@pytest.mark.slow
+def test_the_readme_runs_from_top_to_bottom(elsewhere):
+    space, printed = run(README)
+    assert (elsewhere / "dimer.png").stat().st_size > 1e4 and space["run"].completed
+    assert space["branch"].verdict[0] == "stable" and "multiplier" in printed
+    assert "For 1e-06" in printed
+
+
+@pytest.mark.parametrize("where, block", list(docstrings()), ids=lambda x: x if ": " in x and "\n" not in x else "")
+def test_a_docstring_s_block_runs(where, block, elsewhere):
+    space, printed = run([block])
+    assert len(space) > 2 or printed
