@@ -26,6 +26,8 @@ def written(folder, header, columns=1):
     ("t,v", {"units": "mV", "gain": 2.0}, 1.0, 2e-3), ("t,v [mm/s]", {"gain": 1e-3}, 1.0, 1e-3),
     ("t,v [mV]", {"gain": 3.0, "units": "V"}, 1.0, 3.0), ("t (us),v [mm/s]", {"units": "SI"}, 1.0, 1.0),
     ("t,v [V]", {"gain": "sensitivity"}, 1.0, 1.0), ("time s,velocity mm/s", {}, 1.0, 1e-3),
+    ("Time (s) [rel],Velocity [mm/s] (filtered)", {}, 1.0, 1e-3), ("t (ms),Speed [m/sec]", {}, 1e-3, 1.0),
+    ("t,Bead (left)", {}, 1.0, 1.0), ("Frame,v", {"units": "ms"}, 1e-3, 1.0), ("t,v (counts)", {"gain": 0.5}, 1.0, 0.5),
     ("t,velocity_m_per_s", {}, 1.0, 1.0),
 ])
 def test_columns_are_turned_into_si(tmp_path, header, options, size, value):
@@ -38,6 +40,8 @@ def test_columns_are_turned_into_si(tmp_path, header, options, size, value):
     ("Time (samples),v", {}, r"time: expected a column in a unit of time \(s\), got 'Time \(samples\)'. Say units="),
     ("Time [V],v", {}, "time: .*unit of time"),
     ("t,v [mm]", {}, r"velocity: .*unit of velocity \(m/s\), got 'v \[mm\]'"),
+    ("t,v (in/s)", {}, "velocity: .*'v .in/s.'"), ("t,v (counts)", {}, "velocity: .*unit of velocity"),
+    ("Sample,v", {}, "time: .*got 'Sample'.* or sampling="),
     ("t,v [a.u.]", {}, "velocity: .*Say units= of it, such as 'm/s', 'mm/s'"),
     ("t,v [V]", {}, "gain: expected what leads"),
     ("t,v [mV]", {"gain": 0.1}, "gain: .*for 1 V or for 1 mV.*units='mV'"), ("T (MS),v", {}, "time: .*'T .MS.'"),

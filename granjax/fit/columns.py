@@ -17,6 +17,10 @@ _WORDS = {
     "meters": "m", "newton": "N", "newtons": "N", "hertz": "Hz",
 }
 _MINUTES = {"min": 60.0, "minute": 60.0, "minutes": 60.0, "h": 3600.0, "hour": 3600.0, "hours": 3600.0}
+# units that are none of SI, and columns that count rows
+_OTHERS = {"in", "inch", "inches", "ft", "mil", "mils", "ips", "lb", "lbf", "kgf", "gf", "a.u.", "au", "arb", "arb.",
+           "raw", "counts", "count", "adc", "lsb", "bits", "%", "db"}
+_COUNTED = {"frame", "frames", "sample", "samples", "index", "no", "no.", "#", "row", "point", "points"}
 QUANTITIES = {"time": "s", "velocity": "m/s", "displacement": "m", "force": "N"}
 _VOLT = known_unit("V").dimension
 
@@ -33,10 +37,11 @@ def unit_in(name: str, wanted: tuple) -> tuple[Named | None, str]:
 
     Words behind a blank or an underscore are a unit where they have the dimension that is `wanted`: "Bead V" is a name.
     """
-    for pattern in (r"\[([^\]]*)\]\s*$", r"\(([^)]*)\)\s*$", r"\bin\s+(\S+)\s*$"):
-        found = re.search(pattern, name)
-        if found:
-            return _known(found[1]), found[1].strip()
+    found = re.findall(r"[\[(]([^\])]*)[\])]", name) or re.findall(r"\bin\s+(\S+)\s*$", name)
+    if found:
+        # of several the one that is a unit, of what is wanted if there is such: "Velocity [mm/s] (filtered)"
+        units = [(_known(text), text.strip()) for text in found]
+        return min(reversed(units), key=lambda x: 2 if x[0] is None else int(x[0].dimension != wanted))
     parts = [x for x in re.split(r"[_\s,;:]+", name.strip()) if x != "per"]
     for text in ("/".join(parts[-2:]) if parts[2:] else "", parts[-1] if parts[1:] else ""):
         unit = _known(text) if text else None
@@ -79,10 +84,12 @@ def unit_of(
         if unit is not None and (unit.dimension == _VOLT and kind != "time" or given):
             return Read(unit, "header")
         # a word in round brackets need be no unit: "Velocity (filtered)"
-        if text and (unit is not None or kind == "time" or re.search(r"\[", name) and not given):
+        strange = "[" in name or "/" in text or text.lower() in _OTHERS
+        counted = kind == "time" and name.strip().lower() in _COUNTED
+        if counted or text and (unit is not None or kind == "time" or strange and not given):
             such = ", ".join(repr(x.name) for x in family(si.dimension)[:3])
             refuse(argument, f"a column in a unit of {kind} ({si.name})", repr(name),
-                   f"Say units= of it, such as {such}.")
+                   f"Say units= of it, such as {such}{', or sampling=' if kind == 'time' else ''}.")
     return Read(si, "")
 
 
