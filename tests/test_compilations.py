@@ -148,6 +148,30 @@ def final(x, step):
     return gx.simulate(lattice, (0 * x["v"], x["v"]), 1.0, step=step, throw=False).final.u
 
 
+@also("return_error")
+def _(seed):
+    gx.flow.return_error(chain(seed), moving(seed), 0.0, 1.0 + 0.1 * seed, 40 + seed, gx.SRKN6b())
+
+
+@also("adaptive lanes", SLOW)
+def _(seed):
+    chains = jax.vmap(chain_of, out_axes=-1)(jnp.linspace(0.5, 0.8 + 0.01 * seed, 3))
+    u, v = (jnp.stack([x] * 3, -1) for x in moving(seed))
+    gx.simulate(chains, (u, v), 1.0 + 0.01 * seed, tolerance=1e-6)
+
+
+def chain_of(load):
+    return gx.Lattice(1.0, gx.Bond(gx.Shift(1, "fixed"), gx.Hertz(1.0, load)), sites=6)
+
+
+@also("points and bifurcations of a family", SLOW)
+def _(seed):
+    site = gx.Polynomial(1.0 + 0.02 * seed, 0.0, 1.0)
+    lattice = gx.Lattice(1.0, (gx.Bond(gx.Shift(1, "periodic"), gx.Linear(0.03)), gx.OnSite(site)), sites=6)
+    branch = gx.breathers.family(lattice, until=1.1 * np.sqrt(1 + 0.02 * seed), mode=0)
+    return branch.orbit(-1).floquet(), gx.breathers.bifurcations(branch)
+
+
 @also("derivative", SLOW)
 def _(seed):
     gx.derivative(final, {"mass": masses(rng_of(seed), PLAIN), "v": moving(seed).v}, 0.05 + 0.01 * seed)
@@ -216,7 +240,7 @@ def own_make(omega):
 own_period = lambda omega: 2 * jnp.pi / omega
 
 
-@also("rectifier", SLOW)
+@also("rectifier", STUDY)
 def _(seed):
     gx.studies.rectifier(np.array([1e-8, 2e-8]) * (1 + 0.1 * seed), sites=6, periods=60, damping_time=2e-4)
 

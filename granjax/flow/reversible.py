@@ -78,7 +78,6 @@ def refuse_forward_mode(adjoint: eqx.Module, error: TypeError) -> None:
 
 
 @checked
-@waited
 def return_error(
     lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, steps: Count | Counts, solver: diffrax.AbstractSolver,
 ) -> Number:
@@ -86,6 +85,13 @@ def return_error(
 
     **Arguments:** `steps`: how many each way, a whole number or an array; `solver`: any with symmetric steps.
     """
+    # arrays, whose values compile nothing anew
+    t0, t1 = (jnp.asarray(t, lattice.dtype) for t in (t0, t1))
+    return _return_error(lattice, state, t0, t1, jnp.asarray(steps), solver)
+
+
+@waited
+def _return_error(lattice, state, t0, t1, steps, solver):
     flow = Flow(steps, solver)
     check_moved("state", state, flow, lattice, "the lattice")
     end = flow(state, t0, t1, lattice)
