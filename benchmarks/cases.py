@@ -108,6 +108,14 @@ def chain(rounds, sites, steps, dtype=float, exponent=1.5, traced=False):
     return _compared(lattice, state, steps, rounds, peer, sites * 11)
 
 
+def lengths(rounds, lengths, steps):
+    """The mean over chains of several lengths: one past a whole number of vectors is the worst."""
+    found = [chain(rounds, sites, steps) for sites in lengths]
+    mean = {key: float(np.mean([x[key] for x in found])) for key in ("ratio", "cpu_ratio", "without_record")}
+    worst = {key: max(x[key] for x in found) for key in ("difference", "busy")}
+    return {**mean, **worst, "ratios": {n: x["ratio"] for n, x in zip(lengths, found)}}
+
+
 def single(rounds, sites, steps):
     """The chain in float32, against a float32 loop."""
     return chain(rounds, sites, steps, np.float32)
@@ -139,6 +147,28 @@ def batch(rounds, steps):
         return end
 
     return _compared(lattice, state, steps, rounds, peer, u.size * 11, np.transpose)
+
+
+def lanes_apart(rounds, lanes, beads, end, tolerance=1e-8):
+    """An adaptive run of dimers as lanes, against a Python loop of single calls."""
+    scene = lambda r: gx.scenes.dimer(beads, ratio=r, precompression=1.0)
+    ratios = np.linspace(0.2, 1.0, lanes)
+    lattice, singles = jax.vmap(scene, out_axes=-1)(jnp.asarray(ratios)), [scene(jnp.asarray(r)) for r in ratios]
+    states = [gx.states.impact(x, velocity=0.1) for x in (lattice, *singles)]
+
+    def all_lanes():
+        return np.asarray(gx.simulate(lattice, states[0], end, tolerance=tolerance).final.u)
+
+    def loop():
+        runs = [gx.simulate(x, y, end, tolerance=tolerance) for x, y in zip(singles, states[1:])]
+        return np.stack([np.asarray(x.final.u) for x in runs], axis=-1)
+
+    difference = np.abs(all_lanes() - loop()).max()
+    times = alternate({"lanes": all_lanes, "loop": loop}, rounds)
+    return {
+        "ratio": times["lanes"]["ratio"], "cpu_ratio": times["lanes"]["cpu_ratio"], "difference": float(difference),
+        "seconds": {name: x["wall"] for name, x in times.items()}, "busy": times["loop"]["wall"] / times["loop"]["cpu"],
+    }
 
 
 def two_devices(rounds, steps):

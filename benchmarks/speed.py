@@ -27,9 +27,16 @@ AGREEMENT = 1e-9
 # name: (function, arguments, arguments of --quick, target)
 CASES = {
     "N = 100": ("chain", dict(sites=100, steps=50000), dict(sites=100, steps=500), ("at most", 1.5)),
-    "N = 1000": ("chain", dict(sites=1000, steps=6000), dict(sites=1000, steps=50), ("at most", 1.3)),
-    "N = 100 000": ("chain", dict(sites=100_000, steps=100), dict(sites=10_000, steps=5), ("at most", 2.0)),
-    "256 dimers of 60": ("batch", dict(steps=400), dict(steps=4), ("at most", 1.0)),
+    "N = 96 ... 128": ("lengths", dict(lengths=(96, 100, 104, 128), steps=50000), dict(lengths=(9, 12), steps=500),
+                       ("at most", 1.4)),
+    "N = 1000": ("chain", dict(sites=1000, steps=6000), dict(sites=1000, steps=50), ("at most", 1.25)),
+    "N = 100 000": ("chain", dict(sites=100_000, steps=100), dict(sites=10_000, steps=5), ("at most", 1.2)),
+    "N = 1 000 000": ("chain", dict(sites=1_000_000, steps=24), dict(sites=10_000, steps=5), ("at most", 1.1)),
+    "256 dimers of 60": ("batch", dict(steps=400), dict(steps=4), ("at most", 0.9)),
+    "256 dimers, adaptive": ("lanes_apart", dict(lanes=256, beads=60, end=20.0), dict(lanes=8, beads=8, end=2.0),
+                             ("at most", 1.2)),
+    "1024 of 20, adaptive": ("lanes_apart", dict(lanes=1024, beads=20, end=20.0), dict(lanes=8, beads=8, end=2.0),
+                             ("at most", 1.0)),
     "two cores": ("two_devices", dict(steps=800), dict(steps=8), ("at least", 1.8)),
     "float32, N = 1000": ("single", dict(sites=1000, steps=6000), dict(sites=1000, steps=50), None),
     "float32 / float64": ("precisions", dict(sites=1000, steps=6000), dict(sites=1000, steps=50), ("at most", 0.6)),
@@ -45,6 +52,7 @@ CASES = {
 }
 CALL = "microseconds a call on 4 beads costs beyond its steps"
 UNITS = {
+    **dict.fromkeys(("256 dimers, adaptive", "1024 of 20, adaptive"), "time over that of a loop of single calls"),
     "two cores": "time on one core over time on two", "float32 / float64": "time in float32 over that in float64",
     "call, step": CALL, "call, default": CALL, "call, tolerance": CALL,
     "impact, adaptive": "time over that of the numba loop at equal error",
