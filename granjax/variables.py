@@ -112,6 +112,8 @@ def lanes_named(lanes: Mapping | None, shape: tuple[int, ...]) -> tuple[tuple[st
 def _values(name, x):
     if isinstance(name, str) and name and "/" not in name:
         array = np.asarray(x)
+        if array.dtype == object and all(isinstance(word, str) for word in array.flat):  # a column of a table
+            array = array.astype(str)
         if array.ndim and array.dtype.kind in "biufU" and math.prod(array.shape):
             return array
         refuse(f"lanes[{name!r}]", "numbers or words, one for each lane", f"{array.dtype} of shape {array.shape}")

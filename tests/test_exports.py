@@ -199,7 +199,8 @@ F = 4
 
 @pytest.mark.parametrize("lanes, named, wanted", [
     ((3,), None, ("lane",)), ((3,), {"ratio": RATIOS}, ("ratio",)), ((3,), {"bead": NAMES_}, ("bead",)),
-    ((3,), {"ratio": RATIOS, "load": LOADS}, ("lane",)), ((3, 2), None, ("lane", "lane_1")),
+    ((3,), {"bead": np.array(NAMES_, object)}, ("bead",)), ((3,), {"ratio": RATIOS, "load": LOADS}, ("lane",)),
+    ((3, 2), None, ("lane", "lane_1")),
     ((3, 2), {"ratio": RATIOS, "load": [1, 2]}, ("ratio", "load")),
     ((3, 2), {"ratio": RATIOS[:, None] * [1, 2]}, ("lane", "lane_1")), ((3, 3), {"a": RATIOS, "b": LOADS}, ("a", "b")),
 ], ids=str)
@@ -212,7 +213,9 @@ def test_lanes_are_called_by_what_was_swept(lanes, named, wanted, first, tmp_pat
         us, ts = np.ones((F, *shape)), own
     peak = np.ones((*lanes, N + 1) if first else (N + 1, *lanes))
     run = batch(ts, us, lanes, peak=peak, last=np.ones(lanes), site=np.ones(lanes))
+    object.__setattr__(run, "_known_error", {"site": np.ones(lanes), "last": np.ones(lanes), "peak": peak})
     data = run.to_xarray(lanes=named)
+    assert data.peak.dims == data.peak_error.dims
     assert data.u.dims == ((*wanted, "time", "site") if first else ("time", "site", *wanted))
     assert data.energy_error.dims == data["last"].dims == data.sites.dims == data.stats_steps.dims == wanted
     assert data.time.dims == ("time",) and data.attrs["stats_rejected"] == 0

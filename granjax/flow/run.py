@@ -37,7 +37,7 @@ class Run(Result):
       bound `omega`, that of what was reached. `solver`: its name; `choice`: what was chosen and why.
     """
 
-    held: ClassVar[dict[str, Held]] = {
+    _table: ClassVar[dict[str, Held]] = {
         "ts": Held("time", "s", "time"), "us": Held("time site", "m", "u"), "vs": Held("time site", "m/s", "v"),
         "energy_error": Held(None), "contact_opened": Held(None), "completed": Held(None),
     }
@@ -58,6 +58,21 @@ class Run(Result):
     unseen: str = eqx.field(static=True)
     _zone: float = eqx.field(static=True)
     _confirmation: Any = None
+
+    @property
+    def held(self) -> dict[str, Held]:
+        """Axes and units; the error of a record has the axes of the record."""
+        lanes, held = np.ndim(self.energy_error), dict(self._table)
+        for name, said in self._names.items():
+            own = 0 if isinstance(self.recorded[name], dict) else np.ndim(self.recorded[name]) - lanes
+            held[f"{said}_error"] = Held(" ".join(f"{said}_{k}" for k in range(own)))
+        return held
+
+    @property
+    def _names(self):
+        """The names of the records in a file, where a run has names of its own too."""
+        taken = {*self._table, "opening", "stats", "solver", "choice"}
+        return {name: f"recorded_{name}" if {name, f"{name}_error"} & taken else name for name in self.recorded}
 
     @property
     def completed(self) -> Flags:
@@ -179,10 +194,10 @@ class Run(Result):
     def _fields(self) -> Iterator[tuple[str, object]]:
         own = ("ts", "us", "vs", "energy_error", "contact_opened", "completed", "opening", "stats", "solver", "choice")
         yield from ((name, getattr(self, name)) for name in own)
-        named = {name: f"recorded_{name}" if {name, f"{name}_error"} & {*own} else name for name in self.recorded}
-        yield from ((named[name], x) for name, x in self.recorded.items())
+        names = self._names
+        yield from ((names[name], x) for name, x in self.recorded.items())
         if self._confirmation is None or self._confirmation.tells:
-            yield from ((f"{named[name]}_error", error) for name, error in self.record_error.items())
+            yield from ((f"{names[name]}_error", error) for name, error in self.record_error.items())
 
     def _layout(self, fields: dict[str, object], space: tuple[int, int] | None) -> Layout:
         """Lanes are those of the energy's error: behind the sites, and of `jax.vmap` before them."""
