@@ -15,7 +15,8 @@ def parts(lattice: Lattice, y: StateLike, t: Number = 0.0) -> StateLike:
     template = lattice.template()
     for name, x in zip("uv", y):
         if jax.tree.structure(x) != jax.tree.structure(template):
-            refuse(f"y.{name}", _shapes(template), f"{jax.tree.structure(x)}", "Name the fields as the masses are.")
+            got = f"fields {sorted(x)}" if isinstance(x, dict) else "an array"
+            refuse(f"y.{name}", _shapes(template), got, "Name the fields as the masses are.")
         got = [getattr(leaf, "shape", ()) for leaf in jax.tree.leaves(x)]
         if got != [leaf.shape for leaf in jax.tree.leaves(template)]:
             remedy = "For the frames of a run use measures.along(measure, lattice, run)."
@@ -25,4 +26,4 @@ def parts(lattice: Lattice, y: StateLike, t: Number = 0.0) -> StateLike:
 
 def _shapes(template):
     shapes = jax.tree.map(lambda s: s.shape, template)
-    return f"{'fields' if isinstance(template, dict) else 'shape'} {shapes}"
+    return f"{'fields' if isinstance(template, dict) else 'shape'} {shapes}, as of the lattice"
