@@ -71,6 +71,17 @@ def test_what_was_found_stays_mended():
     check([Case(target, *found[target.key]) for target in targets() if target.key in found])
 
 
+# in the units of F
+ABSOLUTE = ("newton.newton", "continuation.trace.continuation")
+
+
+def test_relative_tolerances_are_below_one():
+    for target in targets():
+        for name in {"tolerance", "accuracy", "resolution"} & target.arguments().keys():
+            found = trial(Case(target, name, "2**62"))
+            assert target.key in (*ABSOLUTE, *BLANK) or found.kind == "sentence", (target.key, name, found)
+
+
 @pytest.mark.parametrize("name", PACKAGES)
 def test_bad_input_meets_a_sentence(name):
     check([case for case in chosen(ALL, FAST) if package(case) == name])

@@ -8,6 +8,7 @@ from diffrax import AbstractSolver
 from jaxtyping import Float
 
 from ..checks import one_of, positive, refuse, traced
+from ..checks import tolerance as checked_tolerance
 from ..entry import checked
 from ..flow import Flow
 from ..lattice import Lattice, State
@@ -67,7 +68,7 @@ def breather(
     **Raises** ValueError for a frequency that has no such breather, with the reason; RuntimeError where Newton's method
     does not converge, or leads to rest or to a wave, with the participation number.
     """
-    first = None
+    first, tolerance = None, checked_tolerance("tolerance", tolerance)
     if isinstance(guess, Orbit):
         guess, first = guess.state, even_steps(guess)
     unknown = traced((lattice, omega, guess, energy))

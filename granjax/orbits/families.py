@@ -10,6 +10,7 @@ import numpy as np
 from diffrax import AbstractSolver
 
 from ..checks import positive, refuse, whole
+from ..checks import tolerance as checked_tolerance
 from ..continuation import continuation
 from ..entry import checked
 from ..flow import Flow
@@ -74,6 +75,7 @@ def family(
     Source: Flach, Gorbach, Phys. Rep. 467, 1 (2008); Theocharis et al., Phys. Rev. E 82, 056604 (2010).
     """
     checked_lattice(lattice)
+    tolerance = checked_tolerance("tolerance", tolerance)
     if guess is not None and mode is not None:
         refuse("mode", "a mode or a guess", "both", "A guess says where the family begins.")
     for name, x in (("until", until), ("amplitude", amplitude), ("longest_arclength", longest_arclength)):

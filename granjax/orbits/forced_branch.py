@@ -12,6 +12,7 @@ from jax.flatten_util import ravel_pytree
 from scipy.optimize import brentq
 
 from ..checks import parameter, positive, refuse, whole
+from ..checks import tolerance as checked_tolerance
 from ..continuation import continuation
 from ..entry import checked
 from ..flow import Flow
@@ -88,6 +89,7 @@ def forced_branch(
     Bifurcation Theory.
     """
     start, until = (float(parameter(name, x)) for name, x in (("start", start), ("until", until)))
+    tolerance = checked_tolerance("tolerance", tolerance)
     if start == until:
         refuse("until", "another value than start", repr(until))
     period = period if callable(period) else positive("period", period)

@@ -71,10 +71,10 @@ def leading(
     does not return, as far as these steps and half of them tell; RuntimeError where Arnoldi's method does not
     converge. Source: Lehoucq, Sorensen, Yang, ARPACK Users' Guide (SIAM, 1998).
     """
+    tolerance = checked_tolerance("tolerance", tolerance)
     count, period, state = whole("count", count, 1), one_period(lattice, period), checked_state(lattice, state)
     checked_period(lattice, state, t0, period)
     steps = default_steps(lattice, period) if steps is None else whole("steps", steps, 1)
-    tolerance = checked_tolerance("tolerance", tolerance)
     flow = Flow(jnp.asarray(steps), fixed_step_solver(lattice, solver, KahanLi8()))
     times = jnp.asarray(float(t0)), jnp.asarray(period)
     scale = weights(structure(lattice).mass, period)

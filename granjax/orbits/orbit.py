@@ -12,6 +12,7 @@ from diffrax import AbstractSolver
 from jax.flatten_util import ravel_pytree
 
 from ..checks import positive, refuse, traced, whole
+from ..checks import tolerance as checked_tolerance
 from ..entry import checked
 from ..flow import Flow
 from ..flow.inputs import held_frames
@@ -227,7 +228,7 @@ def orbit(
     """
     _refuse_batch(lattice)
     period, segments = positive("period", period), whole("segments", segments, 1)
-    transient = whole("transient", transient, 0)
+    transient, tolerance = whole("transient", transient, 0), checked_tolerance("tolerance", tolerance)
     guess = checked_state(lattice, guess, "guess")
     flow = flow_over(lattice, period, steps, fixed_step_solver(lattice, solver, SRKN14a()), segments, guess)
     checked_symmetry(lattice, symmetry, guess, t0, period)

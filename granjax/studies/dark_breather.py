@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..checks import positive, refuse
+from ..checks import tolerance as checked_tolerance
 from ..driven import Attractor, driven_chain, settle
 from ..entry import checked
 from ..lattice import Lattice, State
@@ -96,6 +97,7 @@ def dark_by_interference(
     sites = places.chain_only(lattice, "a dark breather")
     if sites < 5:
         refuse("lattice", "a chain of at least five beads", f"one of {sites}")
+    tolerance = checked_tolerance("tolerance", tolerance)
     frequency, damping_time = float(positive("frequency", frequency)), positive("damping_time", damping_time)
     omega = 2 * math.pi * frequency
     driven = driven_chain(lattice, amplitude, omega, damping=1 / damping_time, phase=phase)

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..checks import held_in_memory, non_negative, positive, whole, within
+from ..checks import tolerance as checked_tolerance
 from ..driven import Sweep, driven_chain, sweep
 from ..entry import checked
 from ..lattice import Lattice
@@ -101,6 +102,7 @@ def rectifier(
     """
     sites = whole("sites", sites, 6)
     held_in_memory("sites", sites)
+    tolerance = checked_tolerance("tolerance", tolerance)
     detuning = float(within("detuning", detuning, -1, 1, open_low=True, open_high=True))
     amplitudes = np.asarray(non_negative("amplitudes", amplitudes), float)
     radii = np.full(sites, RADIUS)

@@ -9,12 +9,13 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from scipy.optimize import brentq
 
-from ...checks import one_of, positive, refuse
+from ...checks import positive, refuse
 from ...entry import checked
 from ...flow import Flow
 from ...lattice import Lattice, State, spread_mass
 from ...newton import newton
 from ...solvers import KahanLi8
+from ...states.places import field_of
 from ...types import Scalar, Site
 from ..families import checked_lattice
 from ..symmetry import shifts
@@ -123,10 +124,8 @@ def local_guesses(lattice: Lattice, omega: Scalar) -> Iterator[State]:
 def _places(lattice, sites, field):
     """Where the sites stand in the raveled displacements."""
     index = ravel_pytree(lattice.zeros())[1](np.arange(_mass(lattice).size))
-    if lattice.fields:
-        index = index[one_of("field", field, tuple(lattice.fields))]
-    elif field is not None:
-        refuse("field", "None where a cell holds one field", repr(field))
+    name = field_of(lattice, field)
+    index = index if name is None else index[name]
     axes = np.ndim(index)
     try:
         places = np.asarray(index)[tuple(np.reshape(sites, (-1, axes)).T)]
