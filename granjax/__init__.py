@@ -112,6 +112,8 @@ from . import interrupts as _interrupts
 if _interrupts.is_command():
     _interrupts.prepare_command()
 
+_interrupts.load("numpy", "jax", "equinox", "diffrax")
+
 from . import tuning as _tuning
 
 _tuning.prepare_import()

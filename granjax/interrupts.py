@@ -16,6 +16,7 @@ import _thread
 import atexit
 import contextlib
 import functools
+import importlib
 import os
 import signal
 import socket
@@ -91,6 +92,21 @@ def tell(text: str) -> None:
     with contextlib.suppress(OSError):
         bar = "\r\x1b[K" if os.isatty(number) else ""
         os.write(number, f"{bar}{text}\n".encode(errors="replace"))
+
+
+def load(*names: str) -> None:
+    """Import libraries, each to its end: some tell an interrupt that comes within as a failure of their own."""
+    if not _hears():
+        return
+    pressed = []
+    signal.signal(signal.SIGINT, lambda number, frame: pressed.append(number))
+    try:
+        for name in names:
+            importlib.import_module(name)
+            if pressed:
+                raise KeyboardInterrupt("granjax was interrupted as it was imported")
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def prepare_python() -> None:

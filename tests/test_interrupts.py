@@ -16,6 +16,7 @@ import pytest
 import xarray as xr
 
 from granjax import interrupts, programs
+from granjax.entry import checked
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
 
@@ -267,3 +268,29 @@ def test_a_process_ends_though_the_compiler_is_at_work(seconds, then, code, last
     _, said = process.communicate(timeout=60)
     assert process.returncode == code, said
     assert said.splitlines()[-1:] == [last] * bool(last)
+
+
+def test_a_library_is_imported_to_its_end(tmp_path, monkeypatch):
+    (tmp_path / "interrupted_library.py").write_text("import signal\nsignal.raise_signal(2)\nwhole = True\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    with default_interrupt():
+        with pytest.raises(KeyboardInterrupt, match="granjax was interrupted as it was imported"):
+            interrupts.load("interrupted_library", "this_is_not_there")
+    assert sys.modules.pop("interrupted_library").whole
+
+
+def test_an_interrupt_is_told_in_one_line_unless_it_came_in_a_function_of_the_users(monkeypatch):
+    def within():
+        raise KeyboardInterrupt
+
+    monkeypatch.setitem(within.__globals__, "__name__", "granjax.within")
+    outer, inner = checked(lambda function: function()), checked(lambda function: function())
+    outer.__wrapped__.__name__, inner.__wrapped__.__name__ = "outer", "inner"
+    for function in (outer, inner):
+        function.__wrapped__.__module__ = "granjax.within"
+    with pytest.raises(KeyboardInterrupt, match="^outer was interrupted; nothing of it is kept$") as told:
+        outer(lambda: inner(within))
+    assert told.traceback[-1].path.name == "checked.py" and told.value.__cause__ is None
+    monkeypatch.setitem(within.__globals__, "__name__", "somebody")
+    with pytest.raises(KeyboardInterrupt, match="^$"):
+        outer(lambda: inner(within))
