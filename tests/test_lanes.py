@@ -74,6 +74,13 @@ def test_each_lane_is_the_run_of_that_lane(monkeypatch):
         alone = dimer(RATIOS[k])
         agree(run, k, gx.simulate(alone, gx.states.impact(alone), END, save_at=TIMES, record=kinetic, **HOW))
 
+    def pressed(run):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(marching, "wait", pressed)
+    with pytest.raises(KeyboardInterrupt, match="interrupted at lane 0 of 5"):
+        gx.simulate(lattice, state, END, save_at=TIMES, record=kinetic, **HOW)
+
 
 def test_lanes_that_take_long_go_one_by_one(monkeypatch):
     lattice, state = batch(dimer, RATIOS)
