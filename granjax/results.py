@@ -18,7 +18,7 @@ from .printing import text
 from .types import Values
 from .units import SCALED, SI, Units
 from .units import names as by_name
-from .variables import STATE, Held, Layout, Table, lanes_named
+from .variables import STATE, Held, Layout, Table, lanes_named, lanes_of
 
 if TYPE_CHECKING:
     import xarray  # half a second
@@ -85,18 +85,24 @@ class Result(eqx.Module):
                 yield name, value
 
     def _layout(self, fields: dict[str, object], space: tuple[int, int] | None) -> Layout:
-        """How the arrays lie: what all of them have beyond the axes of the table are the lanes of a batch.
+        """How the arrays lie: lanes as its lattice's mark has them, else what all have beyond the axes of the table.
 
-        Of `jax.vmap` they come first; a result that keeps lanes behind what it counts says so here.
+        The latter come first, as `jax.vmap` has them; a result that keeps lanes behind what it counts says so here.
         """
-        shapes = [(np.shape(fields[name]), axes.split()) for name, (axes, *_) in self.held.items()
-                  if axes is not None and "site" not in axes and "..." not in axes and _is_array(fields.get(name))]
-        more = {len(shape) - len(own) for shape, own in shapes}
+        marked = lanes_of(self._known_mark, space)
+        if marked is not None:
+            return Layout(*space, *marked)
+        arrays = {name: (np.shape(fields[name]), axes) for name, (axes, *_) in self.held.items()
+                  if axes is not None and _is_array(fields.get(name))}
+        plain = [(shape, axes.split()) for shape, axes in arrays.values() if "site" not in axes and "..." not in axes]
+        more = {len(shape) - len(own) for shape, own in plain}
         count = max(more.pop(), 0) if len(more) == 1 else 0
-        first = {shape[:count] for shape, _ in shapes}
-        last = {shape[len(shape) - count :] for shape, _ in shapes}
+        first = {shape[:count] for shape, _ in plain}
+        last = {shape[len(shape) - count :] for shape, _ in plain}
+        over = [shape for shape, axes in arrays.values() if "site" in axes]
+        behind = first == last and over and all({x[len(x) - count :]} == last for x in over)
         space = space or (None, 0)
-        if len(first) == 1:
+        if len(first) == 1 and not (behind and any({x[:count]} != first for x in over)):
             return Layout(*space, first.pop(), count)
         return Layout(*space, last.pop()) if len(last) == 1 else Layout(*space)
 

@@ -66,6 +66,16 @@ class Layout(NamedTuple):
         return (*shape[: self.first], *shape[len(shape) - last :]) == self.lanes
 
 
+def lanes_of(mark: Any, space: tuple[int, int] | None) -> tuple[tuple[int, ...], int] | None:
+    """The lanes' shape and how many of their axes lead, from a lattice's mark, which has one entry for all sites."""
+    own = None if space is None else space[0] + (space[1] > 0)
+    shape = np.shape(mark)
+    if own is None or len(shape) < own:
+        return None
+    places = [first for first in range(len(shape) - own, -1, -1) if set(shape[first : first + own]) <= {1}]
+    return ((*shape[: places[0]], *shape[places[0] + own :]), places[0]) if places else None
+
+
 def axes_of(axes: str, name: str, shape: tuple[int, ...], layout: Layout, lanes: tuple[str, ...], site: str) -> list:
     """Names of an array's axes: those of the table of its result, lanes, and `NAME_k` where none is known."""
     words = layout.words(axes)

@@ -262,8 +262,16 @@ def test_what_is_no_batch_has_no_lanes():
 def test_batches_of_other_results_are_named_too():
     modes = jax.tree.map(lambda *x: np.stack(x), *[made("NormalModes")] * 3).to_xarray(lanes={"ratio": RATIOS})
     assert modes.omega.dims == ("ratio", "mode") and modes.modes.dims == ("ratio", "site", "mode")
+    chains = jax.vmap(lambda r: gx.scenes.dimer(6, ratio=r, precompression=1.0), out_axes=-1)(RATIOS)
+    for last, dims in ((0, ("ratio", "site", "mode")), (-1, ("site", "mode", "ratio"))):
+        modes = jax.vmap(linear.normal_modes, in_axes=-1, out_axes=last)(chains)
+        assert modes.to_xarray(lanes={"ratio": RATIOS}).modes.dims == dims
+    waves = jax.tree.map(lambda *x: np.stack(x), *[made("Dispersion")] * 3).to_xarray(lanes={"ratio": RATIOS})
+    assert waves.omega.dims == ("ratio", "wave", "band") and waves.k.dims == ("ratio", "wave")
     peaks = measures.Peaks(np.ones((N, 3)), np.ones((N, 3)))
     assert peaks.to_xarray(lanes={"ratio": RATIOS}).heights.dims == ("site", "ratio")
+    front = measures.Front(np.ones(3), np.ones(3), np.ones((N, 3))).to_xarray(lanes={"ratio": RATIOS})
+    assert front.arrivals.dims == ("site", "ratio") and front.speed.dims == ("ratio",)
     orbit = jax.tree.map(lambda *x: np.stack(x), *[made("Orbit")] * 2).to_xarray(lanes={"load": [1.0, 2.0]})
     assert orbit.state_u.dims == orbit.error_state_u.dims == ("load", "site") and orbit.omega.dims == ("load",)
 

@@ -10,6 +10,7 @@ from ..entry import checked
 from ..lattice import Lattice
 from ..results import Held, Result
 from ..types import ComplexNumbers, Count, Numbers, Parameter
+from ..variables import lanes_of
 from .cell import unit_cell
 from .modes import signed_root
 
@@ -45,7 +46,9 @@ class Dispersion(Result):
     @property
     def held(self) -> dict[str, Held]:
         """Axes and units, as many for the wave as `k` has: none where it is one number."""
-        wave = " ".join(["wave", *(f"wave_{i}" for i in range(1, self.omega.ndim))][: self.omega.ndim - 1])
+        lanes = lanes_of(self._mark, self._space)
+        count = self.omega.ndim - 1 - len(lanes[0] if lanes else ())
+        wave = " ".join(["wave", *(f"wave_{i}" for i in range(1, count))][:count])
         return {
             "k": Held(wave, "rad"), "omega": Held(f"{wave} band", "rad/s"),
             "omega_squared": Held(f"{wave} band", "rad^2/s^2"), "vectors": Held(f"{wave} site ... band"),
