@@ -100,6 +100,8 @@ def dark_by_interference(
     tolerance = checked_tolerance("tolerance", tolerance)
     frequency, damping_time = float(positive("frequency", frequency)), positive("damping_time", damping_time)
     omega = 2 * math.pi * frequency
+    if not omega < math.inf:
+        refuse("frequency", "one whose 2 pi fold is a number", f"{frequency:g}")
     driven = driven_chain(lattice, amplitude, omega, damping=1 / damping_time, phase=phase)
     highest = float(normal_modes(lattice).omega[-1]) / (2 * math.pi)
     rest = State(lattice.zeros(), lattice.zeros())
