@@ -66,6 +66,8 @@ def test_what_was_found_stays_mended():
         "orbits.driven_chain.driven_chain": ("damping", "nan"), "lattice.model.Lattice": ("mass", "[]"),
         "flow.stiffness.frequency_bound": ("neighbourhood", "0"), "measures.spectra.spectrogram": ("v", "()"),
         "identify.pinn.physics_informed": ("scene", "gives None"), "scenes.chains.monomer": ("stiffness", "range"),
+        "orbits.steps.history": ("frames", "2**62"),
+        "studies.dark_breather.dark_by_interference": ("frequency", "1e308"),
         "terms.waveforms.Breaks": ("times", "inf"), "work_precision.ladder.distance": ("state", "complex128"),
     }
     check([Case(target, *found[target.key]) for target in targets() if target.key in found])
