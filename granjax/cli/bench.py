@@ -20,8 +20,8 @@ ADVISED = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
 LIMIT, PLANNED = 120.0, 0.8
 # of a scene, most of them for compiling ten solvers; other processes, and programs that are kept, change all alike
 SECONDS = {
-    "softening": 35, "magnets": 35, "impact": 35, "impact_free": 35, "toda_soliton": 35, "light_dimer": 40,
-    "modulated": 40, "driven": 40, "smooth": 60, "monodromy": 90, "fput": 120, "dimer_sweep": 120,
+    "driven": 21, "monodromy": 25, "toda_soliton": 32, "impact": 33, "impact_free": 37, "softening": 38,
+    "modulated": 41, "light_dimer": 53, "magnets": 55, "smooth": 120, "fput": 150, "dimer_sweep": 150,
     "toda_shock_1e4": 180, "toda_shock_1e5": 400,
 }
 OTHER = 35.0
