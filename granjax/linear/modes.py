@@ -2,7 +2,6 @@
 
 from typing import ClassVar
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,6 +10,7 @@ from jaxtyping import Float
 
 from ..entry import checked
 from ..lattice import Lattice, spread_mass
+from ..programs import waited
 from ..results import Held, Result
 from ..types import AnyArray, Displacements, Number, Numbers
 from .stiffness import at_rest, refuse_one_way, stiffness_product
@@ -74,7 +74,7 @@ def normal_modes(lattice: Lattice) -> NormalModes:
     return result
 
 
-@eqx.filter_jit
+@waited
 def _solve(lattice):
     """The modes, and the largest difference between K and its transpose, relative to K."""
     flat, unravel = ravel_pytree(lattice.zeros())
