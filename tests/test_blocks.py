@@ -84,9 +84,55 @@ def test_derivatives_through_blocks_are_those_without(short):
         np.testing.assert_allclose(a, b, rtol=0, atol=1e-12 * np.abs(b).max())
 
 
+class Tabulated(gx.Law):
+    """A law of one's own with a table that all bonds share."""
+
+    table: jax.Array
+
+    def force(self, e):
+        return jnp.interp(e, jnp.linspace(-1, 1, len(self.table)), self.table)
+
+    def energy(self, e):
+        return jnp.full_like(e, jnp.nan)
+
+
+class Softened(gx.Law):
+    """A law of one's own with a number for each bond and one for all."""
+
+    stiffness: jax.Array
+    size: jax.Array
+
+    def force(self, e):
+        return self.stiffness * self.size * jnp.tanh(e / self.size)
+
+    def energy(self, e):
+        return self.stiffness * self.size**2 * jnp.log(jnp.cosh(e / self.size))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("law", [
+    gx.Linear(1.3), gx.Hertz(1.0, 1.0) + gx.Linear(0.2), Softened(jnp.linspace(0.5, 1.5, 131), jnp.ones(1)),
+], ids=["linear", "sum", "own"])
+def test_any_law_in_blocks_through_a_whole_run(monkeypatch, law):
+    """Frames, records, energy and openings of `simulate` are those without blocks."""
+    lattice, y = gx.Lattice(1.0, (gx.Bond(gx.Shift(1, "fixed"), law),), sites=130), state(130)
+    record = {"peak": gx.Peak(lambda t, y, lattice: y.u), "work": gx.Integral(gx.measures.energy)}
+    monkeypatch.setattr(blocks, "BLOCK", 48)
+    runs = []
+    for long in (1000, 100):
+        monkeypatch.setattr(blocks, "LONG", long)
+        assert (blocks.in_blocks(lattice, y) is None) == (long == 1000)
+        gx.clear()
+        runs.append(gx.simulate(lattice, y, 2.0, solver=gx.SRKN6b(), step=0.2, save_at=4, record=record))
+    for a, b in zip(*[jax.tree.leaves((r.us, r.vs, r.recorded, r.energy_error)) for r in runs]):
+        np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-14)
+    assert runs[0].opening == runs[1].opening
+
+
 def test_what_is_no_long_chain_goes_by_stages(short):
     y = state(130)
     for lattice in (
+        gx.Lattice(1.0, (gx.Bond(gx.Shift(1, "fixed"), Tabulated(jnp.linspace(-1, 1, 61))),), sites=130),
         gx.Lattice(1.0, (gx.Bond(gx.Shift(2, "fixed"), gx.Hertz()),), sites=130),
         gx.Lattice(1.0, (gx.Bond(gx.Shift(1, "fixed"), gx.Hertz()), gx.OnSite(gx.Linear(1.0))), sites=130),
         gx.Lattice(jnp.ones((130, 2)), (gx.Bond(gx.Shift(1, "fixed"), gx.Hertz()),)),

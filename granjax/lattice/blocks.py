@@ -10,6 +10,7 @@ from functools import partial
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.lax import dynamic_slice, dynamic_update_slice
 
 from ..entry import checked
@@ -175,7 +176,7 @@ def _entered(chain, near, u, v, first):
 def _prepared(system, u, around, sites, margin, behind):
     """The `_Chain` of a system."""
     lattice, first = system.stages.lattice, 0 if system.boundary == "fixed" else 1
-    bonds = u.shape[0] + {"fixed": 1, "free": -1, "periodic": 0}[system.boundary]
+    bonds = _bonds(u.shape[0], system.boundary)
 
     def along(x):
         if jnp.ndim(x) == 0 or x.shape[0] != bonds:
@@ -196,7 +197,15 @@ def in_blocks(lattice: Lattice, y: StateLike) -> BlockSplit | None:
     found = next_neighbours(lattice)
     if found is None or lattice.lanes or jnp.ndim(y[0]) != 1 or jnp.size(y[0]) < LONG:
         return None
-    return BlockSplit(split_system(lattice), *found)
+    law, boundary = found
+    # a window takes what a law holds for its bonds; a table of a law's own belongs to all of them
+    shapes = {np.shape(x) for x in jax.tree.leaves(law) if eqx.is_array(x)}
+    own = shapes - {(), (1,), (_bonds(jnp.size(y[0]), boundary),)}
+    return None if own else BlockSplit(split_system(lattice), law, boundary)
+
+
+def _bonds(sites, boundary):
+    return sites + {"fixed": 1, "free": -1, "periodic": 0}[boundary]
 
 
 vector_field.in_blocks = in_blocks
