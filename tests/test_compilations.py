@@ -115,7 +115,9 @@ def oscillator(t, y, args):
 
 @also("Flow of a field")
 def _(seed):
-    gx.Flow(8, diffrax.Dopri8(), oscillator)(jnp.ones(3) * (seed + 1), 0.0, 1.0 + seed, 0.5 + seed)
+    flow = gx.Flow(8, diffrax.Dopri8(), oscillator)
+    flow(jnp.ones(3) * (seed + 1), 0.0, 1.0 + seed, 0.5 + seed)
+    flow(1.0 + seed, 0, 1 + seed, 2 + seed)
 
 
 @also("simulate at every step")

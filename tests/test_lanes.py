@@ -93,6 +93,19 @@ def test_lanes_that_take_long_go_one_by_one(monkeypatch):
     assert run.code.shape == (5,) and np.all(run.stats["steps"] >= expected.stats["steps"])
 
 
+@pytest.mark.parametrize("dtype", [float, jnp.float32])
+def test_a_batch_of_one_and_what_it_refuses(dtype):
+    """One lane goes by itself, and so does nothing else than lanes among others."""
+    lattice, state = jax.tree.map(lambda x: x.astype(dtype), batch(dimer, RATIOS[:1]))
+    alone, start = jax.tree.map(lambda x: x.astype(dtype), (dimer(RATIOS[0]), gx.states.impact(dimer(RATIOS[0]))))
+    run, one = gx.simulate(lattice, state, 1.0, tolerance=1e-4), gx.simulate(alone, start, 1.0, tolerance=1e-4)
+    assert run.final.u.shape == (SITES, 1) and run.final.u.dtype == lattice.dtype == dtype
+    np.testing.assert_allclose(run.final.u[:, 0], one.final.u, rtol=0, atol=10 * np.finfo(dtype).eps)
+    for within in (lambda t, y, lattice: y.u[:, 0], lambda t, y, lattice: y.u.sum(-1)):
+        with pytest.raises(ValueError, match=r"record\['x'\]: expected a quantity of each lane"):
+            gx.simulate(lattice, state, 1.0, record={"x": gx.Peak(within)}, tolerance=1e-4)
+
+
 @pytest.mark.parametrize("mode", [jax.jacfwd, pytest.param(jax.jacrev, marks=pytest.mark.slow)])
 def test_derivatives_are_those_of_each_lane(mode):
     ratios, weights = jnp.asarray(RATIOS[:3]), jnp.linspace(1.0, 2.0, SITES)

@@ -1,3 +1,5 @@
+from types import SimpleNamespace
+
 import diffrax
 import jax
 import jax.numpy as jnp
@@ -78,3 +80,38 @@ def test_batches_of_lattices_have_their_own_tangents():
     many = jax.vmap(lambda c: flow.derivative(STATE, 0.0, 1.0, c)[1], in_axes=-1)(lattices)
     one = flow.derivative(STATE, 0.0, 1.0, gx.scenes.dimer(N, ratio=0.7, precompression=1.0))[1]
     np.testing.assert_allclose(many[1], one, rtol=0, atol=1e-13)
+
+
+class Rate:
+    """An object that JAX knows nothing of."""
+
+    def __init__(self, k):
+        self.k = k
+
+
+@pytest.mark.parametrize("kind", [Rate, lambda k: SimpleNamespace(k=k)])
+def test_arguments_that_may_change_are_read_at_each_call(kind):
+    flow, args = gx.Flow(8, diffrax.Dopri8(), lambda t, y, args: -args["of"].k * y), {"of": kind(1.0)}
+    for k in (1.0, 2.0):
+        args["of"].k = k
+        assert float(flow(1.0, 0, 1, args)) == pytest.approx(np.exp(-k), rel=1e-8)
+
+
+def test_a_field_may_ask_what_a_number_is():
+    """A plain number is an input of the compiled flow where the field lets it."""
+    def field(t, y, args):
+        return sum(-y for _ in range(args["times"])) if args["falls"] > 0.5 else y
+
+    flow = gx.Flow(8, diffrax.Dopri8(), field)
+    end, slope = flow.derivative(jnp.ones(2, int), 0, 1, {"times": 1, "falls": 1.0})
+    np.testing.assert_allclose([np.diag(end), slope], [np.exp(-1) * np.eye(2)] * 2, rtol=1e-8, atol=1e-15)
+    for times, falls, power in ((1, 1.0, -1), (2, 1.0, -2), (2, 0.0, 1)):
+        assert float(flow(1, 0.0, 1.0, {"times": times, "falls": falls})) == pytest.approx(np.exp(power), rel=1e-8)
+
+
+@pytest.mark.parametrize("steps", [0, -3, np.array(0), jnp.array(0)])
+def test_a_number_of_steps_is_one(steps):
+    with pytest.raises(ValueError, match="steps: expected a whole number"):
+        gx.Flow(steps)
+    with pytest.raises(ValueError, match="steps: expected a whole number"):
+        gx.flow.return_error(PLAIN, STATE, 0.0, 1.0, steps, gx.SRKN6b())

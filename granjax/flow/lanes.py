@@ -9,7 +9,7 @@ import numpy as np
 
 from ..checks import refuse
 from ..lattice import Lattice
-from ..types import AnyArray, Number, Pytree, StateLike
+from ..types import AnyArray, Number, Pytree, Scalar, StateLike
 from .run import Run
 
 
@@ -19,7 +19,7 @@ def each_lane(function: Callable, lattice: Lattice, state: StateLike, records: d
 
     def one(parts):
         member = build(parts)
-        _refuse_lanes_within(t0, member, (lattice, state, records))
+        refuse_lanes_within(t0, member, (lattice, state, records))
         return function(*member)
 
     found, lanes = jax.lax.map(one, [jnp.moveaxis(x, -1, 0) for x in parts]), lattice.lanes
@@ -81,8 +81,11 @@ def together(run: Run) -> Run:
     return eqx.tree_at(lambda r: (r.ts, r.us, r.vs), run, (ts, us, vs))
 
 
-def _refuse_lanes_within(t0, one, every):
-    """Refuse functions of the user's that hold lanes themselves, or look from one lane at another."""
+def refuse_lanes_within(t0: Scalar, one: tuple, every: tuple) -> None:
+    """Refuse functions of the user's that hold lanes themselves, or look from one lane at another.
+
+    `one`, `every`: (lattice, state, records) of one lane, and of all.
+    """
     remedy = "What differs from lane to lane belongs into a field of a Module; or give step=, where lanes share theirs."
     try:
         one[0].check_terms()

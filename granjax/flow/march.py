@@ -19,7 +19,7 @@ from ..programs import compiled, wait, waited
 from ..types import Number, Scalar, StateLike, Times
 from .dispatch import facts
 from .integrate import Part, integrate, own_records, part_of, reduced
-from .lanes import apart, together
+from .lanes import apart, refuse_lanes_within, together
 from .record import Record
 from .run import COMPLETED, NOT_FINITE, TOO_MANY_STEPS, Run
 
@@ -140,6 +140,7 @@ def _lane_by_lane(
 ):
     """The lanes of an adaptive run: some in each program as long as none of them takes long, then one by one."""
     parts, build = apart(lattice, state, records)
+    refuse_lanes_within(t0, build([jnp.asarray(x[..., 0]) for x in parts]), (lattice, state, records))
     count, forward = parts[0].shape[-1], in_pieces(adjoint, every)
     takes = seconds_a_step(lattice, solver, TAKES) / count
     width, limit = min(count, TOGETHER), max_steps

@@ -16,7 +16,7 @@ from ..solvers import AbstractSplitting
 from ..types import Count, Counts, Number, Scalar, StateLike, Times
 from .integrate import integrate
 from .run import Run
-from .stepping import Flow, check_moved
+from .stepping import Flow, check_moved, check_steps
 
 _FORWARD = diffrax.ForwardMode()
 
@@ -85,6 +85,7 @@ def return_error(
 
     **Arguments:** `steps`: how many each way, a whole number or an array; `solver`: any with symmetric steps.
     """
+    check_steps(steps)
     # arrays, whose values compile nothing anew
     t0, t1 = (jnp.asarray(t, lattice.dtype) for t in (t0, t1))
     return _return_error(lattice, state, t0, t1, jnp.asarray(steps), solver)

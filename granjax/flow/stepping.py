@@ -1,5 +1,6 @@
 """The map of a state over a time by a fixed number of steps, with tangents: what orbits and Floquet theory stand on."""
 
+from numbers import Number
 from typing import Any
 
 import diffrax
@@ -15,7 +16,7 @@ from ..lattice import Lattice, vector_field
 from ..lattice.model import check_shape
 from ..outside import Outside
 from ..printing import told
-from ..programs import compiled
+from ..programs import compiled, parted
 from ..solvers import SRKN14a
 from ..types import Count, Counts, Numbers, Pytree, Scalar, VectorField
 from .breaks import OneSided, breaks_of, shared_out
@@ -43,8 +44,8 @@ class Flow(eqx.Module):
     __repr__ = told
 
     def __check_init__(self):
-        if isinstance(self.steps, (int, np.integer)):
-            whole("steps", self.steps, 1)
+        if np.ndim(self.steps) == 0:
+            check_steps(self.steps)
 
     @checked
     def __call__(self, y: Pytree, t0: Scalar, t1: Scalar, args: Any) -> Pytree:
@@ -68,10 +69,16 @@ class Flow(eqx.Module):
     @checked
     def derivative(self, y: Pytree, t0: Scalar, t1: Scalar, args: Any) -> tuple:
         """(phi(y), D phi(y)), the derivative as a matrix over the raveled state."""
-        flat, unravel = ravel_pytree(y)
+        flat, unravel = ravel_pytree(_floating(y))
         unit = jax.vmap(unravel, out_axes=-1)(jnp.eye(flat.size, dtype=flat.dtype))
         end, tangents = self.tangents(y, unit, t0, t1, args)
         return end, matrix(tangents)
+
+
+def check_steps(steps: Count | Counts) -> None:
+    """Refuse what is no number of steps, where it is known."""
+    if not traced(steps):
+        whole("steps", np.asarray(steps)[()], 1)
 
 
 def check_moved(argument: str, y: Any, flow: Flow, args: Any, whose: str = "the lattice args") -> None:
@@ -99,12 +106,33 @@ def columns(like: Pytree, vectors: Numbers) -> Pytree:
 
 def _run(solver, field, steps, y, t0, t1, args, tangents=None):
     """`_marched` as a part of the program that is traced; elsewhere as one of its own, which is compiled once."""
+    y = _floating(y)
     arguments = solver, field, steps, y, t0, t1, args, tangents
-    if traced((steps, y, t0, t1, args, tangents)):
-        return _marched(*arguments)
-    # plain numbers are inputs of what is compiled, not a part of it
-    t0, t1, args = jax.tree.map(lambda x: jnp.asarray(x) if isinstance(x, float) else x, (t0, t1, args))
-    return _by_itself(solver, field, steps, y, t0, t1, args, tangents, Outside((field, args)))
+    fixed = solver, field, args
+    if not traced((steps, y, t0, t1, args, tangents)) and all(map(_stays, jax.tree.leaves(fixed))):
+        # plain numbers are inputs of what is compiled, not a part of it
+        t0, t1, numbers = jax.tree.map(lambda x: jnp.asarray(x) if _is_number(x) else x, (t0, t1, args))
+        try:
+            hash(parted(fixed)[0])
+            return _by_itself(solver, field, steps, y, t0, t1, numbers, tangents, Outside(fixed))
+        except TypeError:  # of what has no hash, or of a field that asks what a number is: `range(args)`
+            pass
+    return _marched(*arguments)
+
+
+def _floating(y):
+    """A state as arrays, whole numbers as floating ones: a step is no whole number."""
+    return jax.tree.map(lambda x: jnp.asarray(x, jnp.result_type(x, float)), y)
+
+
+def _stays(leaf):
+    """Whether a program may keep it, or take it as an input: any other object may change and be the same to JAX."""
+    # what functions read is seen to by `Outside`
+    return leaf is None or isinstance(leaf, (jax.Array, np.ndarray, np.generic, Number, str)) or callable(leaf)
+
+
+def _is_number(x):
+    return isinstance(x, Number) and not isinstance(x, bool)
 
 
 def _marched(solver, field, steps, y, t0, t1, args, tangents):
