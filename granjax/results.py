@@ -172,10 +172,14 @@ class Result(eqx.Module):
         `run.in_units("us", "mm/s")`: words, each for all that has its dimension; "kHz" turns an angular frequency into
         one of cycles. All else stays in SI. Scaled numbers come to SI by the `gx.Units` that leads there,
         `run.in_units(units)`, or to words, `run.in_units(units, "us")`; those in SI become scaled by a `gx.Units`
-        alone. What has no unit of its own, such as a record of yours, stays as it is.
+        alone. What has no unit of its own, such as a record of yours, stays as it is. Of a result that does not say
+        what it is counted in "SI" or "scaled" says it, `peaks.in_units("SI", "us")`.
 
-        **Raises** ValueError for a word that nothing here takes or that is not known, and for words of scaled numbers.
+        **Raises** ValueError for a word that nothing here takes or that is not known, for words of scaled numbers, and
+        for units of what nobody has said.
         """
+        if units and self.units is None:
+            return self._said(units).in_units(*units, lanes=lanes)
         counted = by_name.settled(units, self.units)
         data, taken = self.to_xarray(lanes=lanes), set()
 
@@ -198,6 +202,15 @@ class Result(eqx.Module):
             refuse("units", f"units of {', '.join(there)}", ", ".join(map(repr, left)), "Nothing here has such.")
         said = SCALED if counted.sizes is not None and counted.said == SI else SI
         return data.assign_attrs(units=said) if counted.sizes is not None or counted.words else data
+
+    def _said(self, units):
+        """The same, counted in what somebody says by "SI" or "scaled" who asks for units."""
+        kind = by_name.asked_for(units)[0]
+        if kind is None:
+            refuse("units", "units of a result that says what it is in", f"a {type(self).__name__}, which does not",
+                   "Say it where it is made, as in spectrum(..., units=run.units), or here, in_units('SI', 'us').")
+        mark = self._known_mark
+        return dataclasses.replace(self, _mark=np.full(np.shape(0.0 if mark is None else mark), by_name.mark_of(kind)))
 
     @checked
     def save(self, path: str | Path, *, lanes: Lanes = None) -> Path:

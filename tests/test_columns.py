@@ -29,6 +29,12 @@ def written(folder, header, columns=1):
     ("Time (s) [rel],Velocity [mm/s] (filtered)", {}, 1.0, 1e-3), ("t (ms),Speed [m/sec]", {}, 1e-3, 1.0),
     ("t,Bead (left)", {}, 1.0, 1.0), ("Frame,v", {"units": "ms"}, 1e-3, 1.0), ("t,v (counts)", {"gain": 0.5}, 1.0, 0.5),
     ("t,velocity_m_per_s", {}, 1.0, 1.0),
+    ("Time.ms,v (millimeters per second)", {}, 1e-3, 1e-3), ("Time-ms,v {mm/s}", {}, 1e-3, 1e-3),
+    ("Time <ms>,v mm s^-1", {}, 1e-3, 1e-3), ("ms since start,v [mm s^-1]", {}, 1e-3, 1e-3),
+    ("ms,mm/s", {}, 1e-3, 1e-3), ("us,v (mm s^{-1})", {}, 1e-6, 1e-3), ("µs,v (m.s-1)", {}, 1e-6, 1.0),
+    ("milliseconds since trigger,v (metres / second)", {}, 1e-3, 1.0), ("Time (ms,velocity_mm_per_s", {}, 1e-3, 1e-3),
+    ("t,Sensor (1)", {}, 1.0, 1.0), ("t,Sensor (2)", {}, 1.0, 1.0), ("t,Vib 1 (OFV-505)", {}, 1.0, 1.0),
+    ("t,Dev1/ai0", {}, 1.0, 1.0), ("t,vel (cm/sec)", {}, 1.0, 1e-2), ("t,Vib [top]", {}, 1.0, 1.0),
 ])
 def test_columns_are_turned_into_si(tmp_path, header, options, size, value):
     traces = gx.Traces.from_csv(written(tmp_path, header), velocity=1, sites=3, **options)
@@ -47,11 +53,31 @@ def test_columns_are_turned_into_si(tmp_path, header, options, size, value):
     ("t,v [mV]", {"gain": 0.1}, "gain: .*for 1 V or for 1 mV.*units='mV'"), ("T (MS),v", {}, "time: .*'T .MS.'"),
     ("t,v [mm/s]", {"gain": 0.1}, "gain: expected 0.001, for velocity is in mm/s.*units='mm/s'"),
     ("t,v", {"units": "kHz"}, "units: .*'kHz', which none of them takes"), ("t,v", {"units": "usec"}, "units: .*'us'"),
+    ("TIME MS,v", {}, "time: .*'TIME MS'"), ("t,VELOCITY MM/S", {}, "velocity: .*'VELOCITY MM/S'"),
+    ("t,v (mph)", {}, "velocity: .*'v .mph.'"), ("t,velocity mph", {}, "velocity: .*'velocity mph'"),
+    ("t,v (furlongs)", {}, "velocity: .*'v .furlongs.'"), ("t,v (in)", {}, "velocity: .*'v .in.'"),
+    ("t,mV", {}, "gain: expected what leads from mV"), ("t,mm", {}, "velocity: .*got 'mm'"),
     ("t,v", {"units": "scaled"}, "units: .*traces are in SI"), ("t,v", {"units": ("s", "ms")}, "units: one|one word"),
 ])
 def test_what_may_be_meant_in_two_ways_is_refused(tmp_path, header, options, message):
     with pytest.raises(ValueError, match=message):
         gx.Traces.from_csv(written(tmp_path, header), velocity=1, sites=3, **options)
+
+
+@pytest.mark.parametrize("kind, header, size", [
+    ("displacement", "u (millimeters)", 1e-3), ("displacement", "u (microns)", 1e-6), ("displacement", "um", 1e-6),
+    ("force", "F (kilonewtons)", 1e3), ("force", "kN", 1e3), ("force", "F (lbs)", None), ("force", "F (pounds)", None),
+    ("force", "F (dyn)", None), ("force", "force lbf", None), ("displacement", "u (inches)", None),
+    ("displacement", "us", 1.0),
+])
+def test_lengths_and_forces_by_their_names(tmp_path, kind, header, size):
+    where, path = {"contacts" if kind == "force" else "sites": 3}, written(tmp_path, f"t,{header}")
+    if size is None:
+        with pytest.raises(ValueError, match=f"{kind}: expected a column in a unit of {kind}"):
+            gx.Traces.from_csv(path, **{kind: 1}, **where)
+    else:
+        data = gx.Traces.from_csv(path, **{kind: 1}, **where).data[:, 0]
+        np.testing.assert_allclose(data, size * (TIMES + 0.5), rtol=1e-14)
 
 
 def test_it_says_what_it_read(tmp_path):

@@ -40,7 +40,8 @@ def test_a_unit_is_read_by_its_name(word, size, dimension):
     assert unit.size == pytest.approx(size, rel=1e-15) and tuple(map(float, unit.dimension)) == dimension
 
 
-@pytest.mark.parametrize("word", ["", "sec", "furlong", "m//s", "/s", "m^x", "site", "m^{1/0}", "5 m", "a.u."])
+@pytest.mark.parametrize("word", ["", "sec", "furlong", "m//s", "/s", "m^x", "site", "m^{1/0}", "5 m", "a.u.",
+                                  "km^9999", "mm^9999"])
 def test_what_is_no_unit_is_none(word):
     assert known_unit(word) is None
 
@@ -102,6 +103,31 @@ def test_a_run_counted_in_other_units(runs):
     assert back.attrs["units"] == back.v.attrs["units"] == "scaled" and back.v.attrs["si_units"] == "m/s"
 
 
+def test_si_beside_the_units_of_a_scaled_run_is_where_it_goes(runs):
+    si, scaled, units = runs
+    for asked in ((units, "SI"), ("SI", units), ("SI", units, "us")):
+        data = scaled.in_units(*asked)
+        np.testing.assert_allclose(data.time, (1e6 if "us" in asked else 1) * si.ts, rtol=1e-12)
+        assert data.attrs["units"] == "SI" and data.time.attrs["units"] == ("us" if "us" in asked else "s")
+    waves = gx.linear.dispersion(gx.scenes.scaled(steel())[0], np.linspace(0, np.pi, 5))
+    drawn = [plots.dispersion(waves, units=x) for x in (units, ("SI", units))]
+    assert drawn[0].get_ylabel() == drawn[1].get_ylabel() == "frequency (kHz)"
+    np.testing.assert_array_equal(drawn[0].lines[0].get_ydata(), drawn[1].lines[0].get_ydata())
+
+
+def test_units_of_what_nobody_has_said_are_refused_or_said():
+    spectrum = gx.measures.spectrum(np.eye(8), 0.1)
+    for asked in (("kHz",), (gx.Units(time=1e-3),), (gx.Units(time=1e-3), "kHz")):
+        with pytest.raises(ValueError, match=r"units: expected units of a result that says .*units=run.units"):
+            spectrum.in_units(*asked)
+    data = spectrum.in_units("SI", "kHz")
+    np.testing.assert_allclose(data.omega, np.asarray(spectrum.omega) / 2e3 / np.pi, rtol=1e-15)
+    assert (data.attrs["units"], data.omega.attrs["units"]) == ("SI", "kHz")
+    data = spectrum.in_units("scaled", gx.Units(time=1e-3))
+    np.testing.assert_allclose(data.omega, 1e3 * np.asarray(spectrum.omega), rtol=1e-15)
+    assert (data.attrs["units"], data.omega.attrs["units"]) == ("SI", "rad/s")
+
+
 def test_what_a_transformation_returns_knows_it_too():
     chain = steel()
     run = lambda v: gx.simulate(chain, gx.states.impact(chain, velocity=v), 1e-5, solver=gx.VelocityVerlet(), step=2e-6)
@@ -117,7 +143,7 @@ def test_what_a_transformation_returns_knows_it_too():
 def test_units_that_a_run_has_not_are_refused(runs, units, message):
     with pytest.raises(ValueError, match=f"units.*: expected .*({message})"):
         runs[0].in_units(*units)
-    with pytest.raises(ValueError, match=r"scaled numbers, got .*Give the Units .*units='SI'"):
+    with pytest.raises(ValueError, match=r"scaled numbers, got .*Give the Units .*gx.Units\(\).*counted_in\('SI'\)"):
         runs[1].in_units("us")
 
 

@@ -9,20 +9,35 @@ from ..checks import refuse
 from ..units import SCALED, SI, UnitsOrWords
 from ..units.names import Named, asked_for, family, known_unit
 
-# as instruments write them, small
-_WORDS = {
-    "sec": "s", "secs": "s", "second": "s", "seconds": "s", "msec": "ms", "millisecond": "ms", "milliseconds": "ms",
-    "usec": "us", "µsec": "us", "microsecond": "us", "microseconds": "us", "nanoseconds": "ns", "nsec": "ns",
-    "volt": "V", "volts": "V", "millivolt": "mV", "millivolts": "mV", "metre": "m", "metres": "m", "meter": "m",
-    "meters": "m", "newton": "N", "newtons": "N", "hertz": "Hz",
+# names that are spelled out, each with a prefix of its kind, and words between them
+_SPELLED = {
+    "second": "s", "sec": "s", "metre": "m", "meter": "m", "newton": "N", "volt": "V", "hertz": "Hz", "joule": "J",
+    "watt": "W", "pascal": "Pa", "gram": "g", "gramme": "g", "radian": "rad",
 }
+_BEFORE = {"nano": "n", "micro": "u", "milli": "m", "centi": "c", "kilo": "k", "mega": "M", "giga": "G",
+           "n": "n", "u": "u", "µ": "u", "μ": "u", "m": "m", "": ""}
+_NAME = re.compile(rf"(nano|micro|milli|centi|kilo|mega|giga|[nuµμm]?)({'|'.join(_SPELLED)})e?s?")
+_WORDS = {"micron": "um", "microns": "um", "per": "/", "squared": "^2", "cubed": "^3"}
 _MINUTES = {"min": 60.0, "minute": 60.0, "minutes": 60.0, "h": 3600.0, "hour": 3600.0, "hours": 3600.0}
 # units that are none of SI, and columns that count rows
-_OTHERS = {"in", "inch", "inches", "ft", "mil", "mils", "ips", "lb", "lbf", "kgf", "gf", "a.u.", "au", "arb", "arb.",
-           "raw", "counts", "count", "adc", "lsb", "bits", "%", "db"}
+_OTHERS = set("inch inches ft foot feet mil mils ips mph kph fps knots lb lbs lbf pound pounds kgf gf dyn dyne dynes "
+              "psi a.u. au arb arb. counts adc lsb db".split())
 _COUNTED = {"frame", "frames", "sample", "samples", "index", "no", "no.", "#", "row", "point", "points"}
 QUANTITIES = {"time": "s", "velocity": "m/s", "displacement": "m", "force": "N"}
-_VOLT = known_unit("V").dimension
+_VOLT, _TIME = known_unit("V").dimension, known_unit("s").dimension
+# what stands in brackets, of any kind, which are no power
+_BRACKETS = re.compile(r"(?<!\^)(?:\[([^\]]*)\]|\(((?:[^()]|\([^()]*\))*)\)|\{([^}]*)\}|<([^>]*)>)")
+# between the words of a name; a minus, or a point, before a letter is none of a number
+_BETWEEN = re.compile(r"[_\s,;:|]+|(?<!\^)[\[({<]|[-.](?=[^\W\d])")
+# words in brackets that are no unit, beside numbers and what is numbered: "(filtered)", "(2)", "(ch 3)", "(OFV-505)"
+_REMARKS = set(
+    "filtered unfiltered smoothed raw left right top bottom front back rear upper lower middle centre center central "
+    "side inner outer x y z horizontal vertical radial axial normal tangential rel relative abs absolute measured "
+    "measurement calculated computed simulated fit fitted exp experiment experimental theory calibrated uncalibrated "
+    "corrected uncorrected mean average averaged avg rms peak signal channel ch bead site sensor probe contact point "
+    "position trace laser vibrometer ldv piezo wall first last out input output reference ref from since start "
+    "trigger time velocity displacement force and of the total dynamic static new old test run".split())
+_NUMBERED = re.compile(r"([^\W\d_]*)[\s#.-]*\d+")
 
 
 class Read(NamedTuple):
@@ -33,30 +48,62 @@ class Read(NamedTuple):
 
 
 def unit_in(name: str, wanted: tuple) -> tuple[Named | None, str]:
-    """(the unit in a column's name, the words that may be one): brackets, "t/ms", "time in us", "velocity_mm_s".
+    """(the unit in a column's name, the words that may be one, "" for none): "mm/s", brackets, "t/ms", "velocity_mm_s".
 
-    Words behind a blank or an underscore are a unit where they have the dimension that is `wanted`: "Bead V" is a name.
+    Words beside others are a unit where they have the dimension that is `wanted`: "Bead V" is a name.
     """
-    found = re.findall(r"[\[(]([^\])]*)[\])]", name) or re.findall(r"\bin\s+(\S+)\s*$", name)
-    if found:
-        # of several the one that is a unit, of what is wanted if there is such: "Velocity [mm/s] (filtered)"
-        units = [(_known(text), text.strip()) for text in found]
-        return min(reversed(units), key=lambda x: 2 if x[0] is None else int(x[0].dimension != wanted))
-    parts = [x for x in re.split(r"[_\s,;:]+", name.strip()) if x != "per"]
-    for text in ("/".join(parts[-2:]) if parts[2:] else "", parts[-1] if parts[1:] else ""):
-        unit = _known(text) if text else None
+    whole = _known(name)
+    if whole is not None and (whole.dimension == wanted or len(name.strip()) > 1 and whole.dimension != _TIME):
+        return whole, name.strip()
+    found = ["".join(groups).strip() for groups in _BRACKETS.findall(name)]
+    # of several the one that is a unit, of what is wanted if there is such: "Velocity [mm/s] (filtered)"
+    units = [(_known(text), text) for text in reversed(found) if not _is_remark(text)]
+    if units:
+        return min(units, key=lambda x: 2 if x[0] is None else int(x[0].dimension != wanted))
+    name = _BRACKETS.sub(" ", name)
+    words = [x for x in _BETWEEN.split(name) if x]
+    parts = [words[-n:] for n in (4, 3, 2, 1) if n < len(words)] + [words[:n] for n in (4, 3, 2, 1) if n < len(words)]
+    for text in (mark.join(part) for part in parts for mark in (" ", "/") if mark == " " or len(part) > 1):
+        unit = _known(text)
         if unit is not None and unit.dimension == wanted:
             return unit, text
     _, slash, text = name.partition("/")
-    return (_known(text), text.strip()) if slash else (None, "")
+    if slash and not _is_remark(text):
+        return _known(text), text.strip()
+    last = words[-1] if words else ""
+    unit = _known(last) if len(last) > 1 else None
+    if unit is not None and unit.dimension == _VOLT or last.lower() in _OTHERS:
+        return unit, last
+    # "TIME MS"
+    return None, last if last.isupper() and getattr(known_unit(last.lower()), "dimension", ()) == wanted else ""
+
+
+def _is_remark(text):
+    """Whether words in brackets are known to be no unit."""
+    words = re.findall(r"[^\W\d_]+|\d+(?:\.\d+)?", text.lower())
+    if any(word in _OTHERS for word in words) or _known(text) is not None:
+        return False
+    if _NUMBERED.fullmatch(text.strip()) or not text:
+        return True
+    return bool(words) and all(word in _REMARKS or word[0].isdigit() for word in words)
 
 
 def _known(word):
+    """The unit that words are, a dimension at least: symbols, or names spelled out."""
     word = word.strip()
-    small = _WORDS.get(word.lower()) if len(word) > 1 else {"S": "s", "v": "V"}.get(word)
     if word.lower() in _MINUTES:
-        return Named(word, _MINUTES[word.lower()], known_unit("s").dimension)
-    return known_unit(word) or known_unit(small or "") or known_unit(word.replace("sec", "s"))
+        return Named(word, _MINUTES[word.lower()], _TIME)
+    small = re.sub(r"[^\W\d_]+", lambda x: _symbol(x[0]), re.sub(r"\s*(\*\*|\^)\s*", "^", word))
+    small = re.sub(r"\s+\^", "^", re.sub(r"\s*/\s*", "/", re.sub(r"(?<=\w)\.(?=[^\W\d])", " ", small)))
+    small = {"S": "s", "v": "V"}.get(small, small)
+    found = known_unit(word) or known_unit(small)
+    return found if found is not None and any(found.dimension) else None
+
+
+def _symbol(word):
+    """The symbol of a unit whose name is spelled out; other words as they are."""
+    spelled = _NAME.fullmatch(word.lower())
+    return _BEFORE[spelled[1]] + _SPELLED[spelled[2]] if spelled else _WORDS.get(word.lower(), word)
 
 
 def unit_of(
@@ -83,10 +130,8 @@ def unit_of(
             return Read(unit, "header")
         if unit is not None and (unit.dimension == _VOLT and kind != "time" or given):
             return Read(unit, "header")
-        # a word in round brackets need be no unit: "Velocity (filtered)"
-        strange = "[" in name or "/" in text or text.lower() in _OTHERS
         counted = kind == "time" and name.strip().lower() in _COUNTED
-        if counted or text and (unit is not None or kind == "time" or strange and not given):
+        if counted or text and (unit is not None or kind == "time" or not given):
             such = ", ".join(repr(x.name) for x in family(si.dimension)[:3])
             refuse(argument, f"a column in a unit of {kind} ({si.name})", repr(name),
                    f"Say units= of it, such as {such}{', or sampling=' if kind == 'time' else ''}.")

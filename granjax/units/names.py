@@ -69,8 +69,11 @@ def known_unit(word: str) -> Named | None:
         except (ValueError, ZeroDivisionError):
             return None
         power, at = -power if found[1] == "/" else power, found.end()
-        size, powers = size * one[0] ** float(power), [x + power * y for x, y in zip(powers, one[1])]
-    return Named(word.strip(), size, tuple(powers)) if text else None
+        try:
+            size, powers = size * one[0] ** float(power), [x + power * y for x, y in zip(powers, one[1])]
+        except OverflowError:
+            return None
+    return Named(word.strip(), size, tuple(powers)) if text and 0 < size < math.inf else None
 
 
 def _symbol(symbol):
@@ -170,12 +173,15 @@ def settled(units: UnitsOrWords, said: str | None, argument: str = "units") -> C
     turns them into scaled ones. **Raises** ValueError for units that the numbers cannot have.
     """
     kind, sizes, words = asked_for(units, argument)
-    remedy = "Give the Units that leads back to SI beside it, or say gx.Lattice(..., units='SI')."
+    remedy = ("Give the Units that leads back to SI beside it, gx.Units() where the numbers are those of SI, or say so "
+              "of the lattice: lattice.counted_in('SI'), gx.Lattice(..., units='SI').")
     if said == SCALED and sizes is None and (kind == SI or words):
         refuse(argument, "None or 'scaled' for scaled numbers", repr(units), remedy)
     if said == SI and kind == SCALED:
         refuse(argument, "units of numbers in SI", repr(units), "A Units counts them in scaled numbers.")
-    said = kind or said or (SCALED if sizes is not None else SI if words else None)
+    # of scaled numbers and a Units "SI" is where they go
+    if said != SCALED or sizes is None:
+        said = kind or said or (SCALED if sizes is not None else SI if words else None)
     if words and said == SI and sizes is not None:
         refuse(argument, "words, or a Units, which turns numbers in SI into scaled ones", repr(units))
     if words and said == SCALED and sizes is None:
