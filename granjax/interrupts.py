@@ -23,6 +23,7 @@ import socket
 import sys
 import threading
 import time
+import weakref
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -110,7 +111,12 @@ def load(*names: str) -> None:
 
 
 def prepare_python() -> None:
-    """Ctrl-C is heard in Python while JAX compiles, is not lost in a callback, and ends a process that it leaves."""
+    """Ctrl-C is heard in Python while JAX compiles, is not lost in a callback, and ends a process that it leaves.
+
+    Unless the environment holds `GRANJAX_INTERRUPT=0`: JAX's compiler and Python's hooks then stay as they are.
+    """
+    if os.environ.get("GRANJAX_INTERRUPT", "1") == "0":
+        return
     from jax._src import compiler
 
     backend = getattr(compiler, "backend_compile_and_load", None)
@@ -185,6 +191,7 @@ def _end_with_what_is_left():
             time.sleep(LOOK)
         if not interrupted:
             return
+    _run_exits_of_before()
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(AttributeError, OSError, ValueError):
             stream.flush()
@@ -194,13 +201,34 @@ def _end_with_what_is_left():
     os._exit(INTERRUPTED)
 
 
+def _run_exits_of_before():
+    """What the standard library does at exit and may have registered before granjax: temporary folders, logs."""
+    exits = getattr(weakref.finalize, "_exitfunc", None), getattr(sys.modules.get("logging"), "shutdown", None)
+    for own in filter(None, exits):
+        try:
+            own()
+        except BaseException as error:
+            sys.excepthook(type(error), error, error.__traceback__)
+
+
 # arrays of programs that Ctrl-C has left at work
 _left: list[Any] = []
 
 
 def leave(arrays: list[Any]) -> None:
     """Remember arrays that are not there yet, of a program whose end nobody waits for any more."""
-    _left[:] = [x for x in [*_left, *arrays] if _unfinished(x)]
+    _left.extend(arrays)
+    let_go()
+
+
+def let_go() -> None:
+    """Forget the arrays that are there by now."""
+    if _left:
+        _left[:] = filter(_unfinished, _left)
+
+
+# what `gx.clear` calls
+leave.cache_clear = let_go
 
 
 def _unfinished(x):

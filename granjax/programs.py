@@ -119,4 +119,5 @@ def wait(tree: Any) -> Any:
     except KeyboardInterrupt:
         interrupts.leave(arrays)
         raise
+    interrupts.let_go()
     return tree

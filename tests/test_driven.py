@@ -6,6 +6,7 @@ from cases import MASS_IN_MASS
 
 import granjax as gx
 from granjax import driven
+from granjax.orbits import attractors
 
 RNG = np.random.default_rng(5)
 
@@ -322,3 +323,16 @@ def test_the_double_well_is_chaotic_where_it_does_not_repeat():
     found = driven.lyapunov(duffing(0.5, **DOUBLE_WELL), WELL, 2 * np.pi / 1.2, steps=48, number=4)
     assert found.chaotic and found.exponents[0] > 0.1
     assert found.exponents.sum() == pytest.approx(-0.6, abs=1e-12)
+
+
+def test_the_top_of_samples_is_traced_and_differentiated():
+    """Of a + b cos(t - c) it is a + b."""
+    ts = 2 * np.pi * np.arange(64) / 64
+    wave = lambda x: x[0] + x[1] * jnp.cos(ts[:, None] - x[2] * jnp.array([0.3, 1.7]))
+    x = jnp.array([0.2, 1.5, 1.0])
+    own = attractors.largest(np.asarray(wave(x)))
+    assert isinstance(own, np.ndarray)
+    np.testing.assert_allclose(own, x[0] + x[1], rtol=1e-5)
+    np.testing.assert_allclose(jax.jit(attractors.largest)(wave(x)), own, rtol=1e-15)
+    slope = jax.jacrev(lambda x: attractors.largest(wave(x)))(x)
+    np.testing.assert_allclose(slope, [[1, 1, 0]] * 2, atol=1e-4)

@@ -8,8 +8,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import granjax as gx
+from granjax.fit import prepared
 from granjax.identify.families import Series, law_scene, starting_law
-from granjax.identify.law import law
+from granjax.identify.law import _acting, _visited, law
 from granjax.laws import Network, Spline
 
 N, DAMPING, SPEED, SENSORS = 20, 0.02, 1.5, [1, 4, 7, 10, 13, 16]
@@ -93,6 +94,22 @@ def test_damping_is_found_beside_the_law_and_a_known_precompression_held(measure
 
 def _moved(found, name, change):
     return found.scene.law({**found.fit.parameters, name: found.fit.parameters[name] + change})
+
+
+def push(t):
+    return jnp.where(t < 1.3, 0.2, 0.0)
+
+
+def test_strains_are_visited_across_a_jump_of_the_force():
+    """u = F (1 - cos t) until the force ends at T, of amplitude 2 F sin(T/2) from then on."""
+    def scene(law):
+        return gx.Lattice(1.0, (gx.OnSite(law), gx.Drive(push, 0, breaks=[1.3])), sites=2)
+
+    of_law, start, _ = law_scene(scene, gx.Linear(1.0), {}, ())
+    seen = gx.Traces(np.linspace(0.5, 9, 9), velocity=np.zeros((9, 1)), sites=[0], sigma=0.1)
+    problem = prepared(of_law, start, seen, state=gx.State(np.zeros(2), np.zeros(2)), step=0.4)
+    most = 0.4 * np.sin(0.65)
+    np.testing.assert_allclose(_visited(_acting(of_law, start), problem, start), (-most, most), rtol=1e-6)
 
 
 def test_a_series_is_the_polynomial():

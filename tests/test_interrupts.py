@@ -14,7 +14,9 @@ import matplotlib.image
 import numpy as np
 import pytest
 import xarray as xr
+from jax._src import compiler
 
+import granjax as gx
 from granjax import interrupts, programs
 from granjax.entry import checked
 
@@ -222,6 +224,28 @@ def test_compiling_is_in_place_where_nothing_would_be_raised(monkeypatch):
     thread.join()
 
 
+def test_what_was_left_at_work_is_let_go_when_it_is_done():
+    class Array:
+        ready = False
+        is_deleted, is_ready = lambda self: False, lambda self: self.ready
+
+    for done in (lambda: programs.wait(jnp.ones(3)), gx.clear):
+        array = Array()
+        interrupts.leave([array])
+        programs.wait(jnp.ones(3))
+        assert interrupts._at_work() and interrupts._left == [array]
+        array.ready = True
+        done()
+        assert not interrupts._left
+
+
+def test_the_compiler_is_left_as_it_is_where_the_environment_says_so(monkeypatch):
+    monkeypatch.setenv("GRANJAX_INTERRUPT", "0")
+    before = compiler.backend_compile_and_load, sys.unraisablehook
+    interrupts.prepare_python()
+    assert before == (compiler.backend_compile_and_load, sys.unraisablehook)
+
+
 def test_what_a_compiler_raises_is_raised():
     with pytest.raises(ZeroDivisionError):
         interrupts._aside(lambda: 1 / 0)
@@ -250,7 +274,11 @@ def test_an_interrupt_in_a_callback_comes_again():
 
 
 LEFT = """
-import sys, threading, time, _thread
+import logging.handlers, sys, tempfile, threading, time, _thread
+folder = tempfile.TemporaryDirectory(dir=".")
+held = logging.handlers.MemoryHandler(9, target=logging.FileHandler("log"))
+logging.getLogger().addHandler(held)
+logging.warning("held")
 import granjax as gx
 threading.Timer(0.1, _thread.interrupt_main).start()
 try:
@@ -267,6 +295,8 @@ def test_a_process_ends_though_the_compiler_is_at_work(seconds, then, code, last
     process = started(LEFT.format(seconds=seconds, then=then), tmp_path / "x")
     _, said = process.communicate(timeout=60)
     assert process.returncode == code, said
+    # what the standard library does at exit is done
+    assert [x.name for x in (tmp_path / "x").iterdir()] == ["log"] and (tmp_path / "x" / "log").read_text() == "held\n"
     assert said.splitlines()[-1:] == [last] * bool(last)
 
 

@@ -15,19 +15,16 @@ from ..entry import checked, takes
 from ..fit import Fit, Traces, fit, prepared
 from ..fit.problem import Start
 from ..fit.traces import checked_traces
-from ..flow import Flow
-from ..lattice import Lattice, State
+from ..flow import Lowest, Peak, simulate
+from ..lattice import Lattice
 from ..laws import Law, Linear
 from ..parameters import Bounds
-from ..programs import waited
 from ..results import Held, Result
 from ..types import Count, Parameter, Scalar
 from .families import LawScene, law_scene, starting_law
 
 # room around the strains of the linear run that a family is made for
 WIDER = 1.2
-# frames a time step, by which strains between steps are not missed
-FRAMES = 4
 # part of the way back to the start before it from which a stage begins
 BACK = 1e-3
 
@@ -184,28 +181,22 @@ def _acting(of_law, parameters):
 
 def _visited(acting, problem, parameters):
     """Least and largest strain of what the law acts on, up to the last sample."""
-    last = jnp.asarray(problem.times(parameters).max(), problem.dtype)
-    frames = FRAMES * np.ceil((last - problem.t0) / problem.step).astype(int)
-    return tuple(map(float, _extremes(problem, parameters, last, jnp.asarray(frames), acting)))
+    lattice = problem.lattice(parameters)
+    state, last = problem.state(parameters, lattice), problem.times(parameters).max()
+    strains = _Strains(acting)
+    run = simulate(lattice, state, last, t0=problem.t0, solver=problem.solver, step=problem.step, throw=False,
+                   record={"least": Lowest(strains), "most": Peak(strains)})
+    return float(run.recorded["least"].min()), float(run.recorded["most"].max())
 
 
-@waited
-def _extremes(problem, parameters, last, frames, acting):
-    lattice, one, h = problem.lattice(parameters), Flow(1, problem.solver), (last - problem.t0) / frames
+class _Strains(eqx.Module):
+    """The compressions of some terms of a lattice, one array."""
 
-    def strains(t, y):
-        return jnp.concatenate([c.compression.ravel() for i in acting for c in lattice.terms[i].compressions(t, y.u)])
+    acting: tuple[int, ...] = eqx.field(static=True)
 
-    def onward(i, carry):
-        y, least, most = carry
-        t = problem.t0 + (i + 1) * h
-        y = one(y, t - h, t, lattice)
-        e = strains(t, y)
-        return y, jnp.minimum(least, jnp.min(e)), jnp.maximum(most, jnp.max(e))
-
-    begin = State(*problem.state(parameters, lattice))
-    e = strains(problem.t0, begin)
-    return jax.lax.fori_loop(0, frames, onward, (begin, jnp.min(e), jnp.max(e)))[1:]
+    def __call__(self, t, y, lattice):
+        found = [c.compression.ravel() for i in self.acting for c in lattice.terms[i].compressions(t, y.u)]
+        return jnp.concatenate(found)
 
 
 def _holds(term, law):

@@ -10,7 +10,7 @@ from diffrax import AbstractSolver
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
-from ..checks import held_in_memory, positive, refuse, whole
+from ..checks import held_in_memory, positive, refuse, traced, whole
 from ..checks import tolerance as checked_tolerance
 from ..entry import checked
 from ..flow import Flow
@@ -217,13 +217,15 @@ def forces(lattice: Lattice, y: StateLike, t: Scalar) -> Numbers:
 @checked
 def largest(x: Numbers) -> Numbers:
     """Largest value over the first axis, equal steps of whole periods: top of the parabola through its neighbours."""
-    x = np.asarray(x)
+    # NumPy compiles nothing for another number of steps
+    xp = jnp if traced(x) else np
+    x = xp.asarray(x)
     if not x.ndim or not len(x):
         refuse("x", "values over time on the first axis", "none" if x.ndim else "one number")
-    i = np.argmax(x, 0)[None]
-    a, b, c = (np.take_along_axis(x, (i + k) % len(x), 0)[0] for k in (-1, 0, 1))
+    i = xp.argmax(x, 0)[None]
+    a, b, c = (xp.take_along_axis(x, (i + k) % len(x), 0)[0] for k in (-1, 0, 1))
     curve = 2 * b - a - c
-    return b + (a - c) ** 2 / (8 * np.where(curve > 0, curve, 1))
+    return b + (a - c) ** 2 / (8 * xp.where(curve > 0, curve, 1))
 
 
 _follow = waited(follow)

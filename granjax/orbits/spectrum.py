@@ -54,7 +54,7 @@ def size_of(matrix: np.ndarray) -> float:
     if not 0 < largest < np.inf:
         return float(largest)
     matrix, last = matrix / largest, len(matrix) - 1
-    squared = eigh(matrix.T @ matrix, eigvals_only=True, subset_by_index=[last, last], check_finite=False)
+    squared = eigh(matrix.conj().T @ matrix, eigvals_only=True, subset_by_index=[last, last], check_finite=False)
     return float(largest * np.sqrt(squared[0]))
 
 
@@ -98,7 +98,7 @@ def change(fine: np.ndarray, coarse: np.ndarray, coarser: np.ndarray) -> np.ndar
     """
     near, far = fine - coarse, fine - coarser
     sizes = np.linalg.norm(near), np.linalg.norm(far)
-    if sizes[1] >= REGULAR * sizes[0] and np.vdot(near, far) >= ALIGNED * sizes[0] * sizes[1]:
+    if sizes[1] >= REGULAR * sizes[0] and np.vdot(near, far).real >= ALIGNED * sizes[0] * sizes[1]:
         return near
     return max(near, far, coarse - coarser, key=np.linalg.norm)
 
