@@ -335,4 +335,4 @@ def test_the_top_of_samples_is_traced_and_differentiated():
     np.testing.assert_allclose(own, x[0] + x[1], rtol=1e-5)
     np.testing.assert_allclose(jax.jit(attractors.largest)(wave(x)), own, rtol=1e-15)
     slope = jax.jacrev(lambda x: attractors.largest(wave(x)))(x)
-    np.testing.assert_allclose(slope, [[1, 1, 0]] * 2, atol=1e-4)
+    np.testing.assert_allclose(slope, [[1, 1, 0]] * 2, atol=5e-4)
