@@ -220,6 +220,8 @@ def bench(monkeypatch, tmp_path, capsys):
         by_name = {scene.name: scene for scene in scenes}
         monkeypatch.setattr(gx, "canonical", SimpleNamespace(names=lambda: tuple(by_name), scene=by_name.get), False)
         monkeypatch.setattr(gx, "work_precision", work_precision)
+        # what it says of flags and cores depends on what this process has computed before
+        monkeypatch.setattr("granjax.cli.commands._prepare", lambda cache: None)
         code = main(["bench", "--out", str(tmp_path), *arguments])
         return code, capsys.readouterr(), sorted(path.name for path in tmp_path.iterdir()), asked
 
