@@ -48,7 +48,7 @@ def brief(value: Any) -> str:
 def numbers(x: np.ndarray) -> str:
     """Numbers, words or flags of an array for reading, by shape and range where there are many."""
     if x.ndim == 0:
-        return text(bool(x)) if x.dtype == bool else f"{x:.6g}" if x.dtype.kind in "fc" else f"{x}"
+        return text(bool(x)) if x.dtype == bool else _one(x[()])
     if x.size == 0:
         return "none"
     shape = f"shape ({', '.join(map(str, x.shape))})"
@@ -57,12 +57,17 @@ def numbers(x: np.ndarray) -> str:
     if x.dtype.kind not in "iufc":
         return f"{shape}: {', '.join(dict.fromkeys(map(str, x.reshape(-1)[:100])))}"
     if x.ndim == 1 and x.size <= FEW:
-        return ", ".join(f"{y:.6g}" for y in x)
+        return ", ".join(map(_one, x))
     size = np.abs(x) if x.dtype.kind == "c" else x
     known = size[np.isfinite(size)]
-    span = f"{known.min():.6g} ... {known.max():.6g}" if known.size else "not finite"
+    span = f"{_one(known.min())} ... {_one(known.max())}" if known.size else "not finite"
     lost = f", {size.size - known.size} not finite" if 0 < known.size < size.size else ""
     return f"{shape}, {'modulus ' if x.dtype.kind == 'c' else ''}{span}{lost}"
+
+
+def _one(x):
+    """A number: a whole one with all of its digits."""
+    return f"{x:.6g}" if x.dtype.kind in "fc" else f"{x}"
 
 
 def told(x: Any) -> str:

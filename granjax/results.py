@@ -36,13 +36,14 @@ class Result(eqx.Module):
 
     To add one: fields with their types, `outcome` as a field or a property, and for arrays with names of their own
     a line each in the table `held`, with their units in SI. What comes from a lattice has its `_mark`, or it as a field
-    `lattice`: where that is not in SI, files say "scaled" in place of a unit.
+    `lattice`: where that is not in SI, files say "scaled" in place of a unit. What has neither is counted in what
+    nobody knows, and files give no units; a class that is always in SI says so by `_else = SI`.
     """
 
     outcome: eqx.AbstractVar[str]
     held: ClassVar[dict[str, Held]] = {}
-    # what a result without a mark is counted in: in what `held` says, or nobody knows
-    _else: ClassVar[str | None] = SI
+    # what a result without a mark is counted in, "SI" for what `held` says; `None` where nobody knows
+    _else: ClassVar[str | None] = None
     # of the lattice that it comes from: its units; axes that count sites, and components of a vector at each
     _mark: Any = eqx.field(default=None, kw_only=True, repr=False)
     _space: tuple[int, int] | None = eqx.field(static=True, kw_only=True, default=None)
@@ -142,7 +143,7 @@ class Result(eqx.Module):
             elif records is not None:
                 table.add(name, records, held._replace(axes=held.axes or name))
             else:
-                table.add(name, value, held)
+                table.add(name, value, held, self.held)
         origin = {"result": type(self).__name__, "outcome": self.outcome}
         origin |= {"units": self.units} if self.units else {}
         versions = {"granjax": sys.modules["granjax"].__version__, "jax": jax.__version__}
@@ -172,7 +173,8 @@ class Result(eqx.Module):
         `run.in_units("us", "mm/s")`: words, each for all that has its dimension; "kHz" turns an angular frequency into
         one of cycles. All else stays in SI. Scaled numbers come to SI by the `gx.Units` that leads there,
         `run.in_units(units)`, or to words, `run.in_units(units, "us")`; those in SI become scaled by a `gx.Units`
-        alone. What has no unit of its own, such as a record of yours, stays as it is. Of a result that does not say
+        alone. What has no unit of its own, such as a record of yours, stays as it is, and says so by `units` where that
+        is not what all else is counted in. Of a result that does not say
         what it is counted in "SI" or "scaled" says it, `peaks.in_units("SI", "us")`.
 
         **Raises** ValueError for a word that nothing here takes or that is not known, for words of scaled numbers, and
@@ -182,12 +184,13 @@ class Result(eqx.Module):
             return self._said(units).in_units(*units, lanes=lanes)
         counted = by_name.settled(units, self.units)
         data, taken = self.to_xarray(lanes=lanes), set()
+        stays = {} if counted.sizes is None else {"units": counted.said}
 
         def converted(x, told):
             unit = told.get("si_units", told.get("units", ""))
             factor, name = counted.conversion(unit)
             taken.update(word.name for word in counted.words if word.name == name)
-            return x * factor if factor != 1 else x, _attributes(counted, unit) if unit else {}
+            return x * factor if factor != 1 else x, _attributes(counted, unit) if unit else stays
 
         for name, x in data.variables.items():
             values, told = converted(x.values, x.attrs) if x.dtype.kind in "fc" else (x.values, x.attrs)

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterator, Mapping
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import jax
@@ -141,11 +142,11 @@ class Table:
         self.variables, self.attributes = {}, {}
         self.axes, self.own = dict(zip(lanes, layout.lanes)), set()
 
-    def add(self, name: str, value: Any, held: Held) -> None:
-        """What a field of a result holds: an array, or a dict or named tuple of such."""
+    def add(self, name: str, value: Any, held: Held, more: Mapping[str, Held] = MappingProxyType({})) -> None:
+        """What a field of a result holds: an array, or a dict or named tuple of such, `more` of whose parts."""
         for key, x in _arrays(name, value, "site" in (held.axes or "").split()):
             self.own |= {word for word in (held.axes or "").split() if word != "..."}
-            unit = MOTION.get(key[len(name) + 1 :][:1], "") if held.unit == STATE else held.unit
+            unit = MOTION.get(key[len(name) + 1 :][:1], "") if held.unit == STATE else more.get(key, held).unit
             if isinstance(x, dict):
                 self._over_fields(key, x, held.axes, unit)
             elif held.axes is not None and x.ndim or self.lanes and x.shape == self.layout.lanes:

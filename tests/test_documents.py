@@ -61,9 +61,9 @@ def elsewhere(tmp_path, monkeypatch):
     plt.close("all")
 
 
-def run(blocks):
-    """What the blocks leave and print, one after the other."""
-    space, printed = {"gx": gx}, io.StringIO()
+def run(blocks, **names):
+    """What the blocks leave and print, one after the other, where nothing is known but `names`."""
+    space, printed = {**names}, io.StringIO()
     with contextlib.redirect_stdout(printed):
         for block in blocks:
             exec(compile(block, "<a document>", "exec"), space)
@@ -95,5 +95,5 @@ def test_the_readme_runs_from_top_to_bottom(elsewhere):
 
 @pytest.mark.parametrize("where, block", list(docstrings()), ids=lambda x: x if ": " in x and "\n" not in x else "")
 def test_a_docstring_s_block_runs(where, block, elsewhere):
-    space, printed = run([block])
+    space, printed = run([block], gx=gx)
     assert len(space) > 2 or printed

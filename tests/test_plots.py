@@ -164,14 +164,15 @@ def test_traces_are_stacked_by_their_span(ax, record):
 
 def test_the_scale_bar_has_the_height_that_it_names(ax):
     ts = np.linspace(0, 1, 5)
-    plots.traces(ts, np.outer(np.sin(np.pi * ts), [0.0, 3.7]), None, ax, units="m/s")
+    plots.traces(ts, np.outer(np.sin(np.pi * ts), [0.0, 3.7]), None, ax, units="m/s", label="velocity")
     bottom, top = ax.lines[-1].get_ydata()
     assert top - bottom == pytest.approx(2.0)
     assert ax.texts[0].get_text() == "velocity 2 m/s"
 
 
 def test_traces_laid_over_each_other_have_a_legend(ax, record):
-    plots.traces(record.ts, record.vs, [0, 2], ax, offset=0, labels=["first", "third"], units="m/s")
+    plots.traces(record.ts, record.vs, [0, 2], ax, offset=0, labels=["first", "third"], units="m/s",
+                 label="velocity")
     np.testing.assert_array_equal(ax.lines[1].get_ydata(), record.vs[:, 2])
     assert [text.get_text() for text in ax.get_legend().get_texts()] == ["site first", "site third"]
     assert ax.get_ylabel() == "velocity (m/s)"

@@ -14,7 +14,7 @@ from test_exports import legible
 from test_vocabulary import NAMES, public
 
 import granjax as gx
-from granjax.printing import told
+from granjax.printing import numbers, told
 from granjax.results import Result
 from granjax.units import Units
 
@@ -51,6 +51,11 @@ def test_numbers_have_their_units():
     assert "kg" not in repr(CHAIN) and "shape (400), 0.5 ... 1" in repr(CHAIN)
     assert repr(gx.Hertz(2.0, 0.5)) == "Hertz(stiffness=2, precompression=0.5)"
     assert repr(gx.PowerLaw(LONG, 2.0)) == "PowerLaw(stiffness=[shape (400), 0.5 ... 1], exponent=2)"
+
+
+def test_whole_numbers_keep_their_digits():
+    assert [numbers(np.array(x)) for x in ([1234567, 3], 1234567, [[1234567], [3]], [0.1234567])] == [
+        "1234567, 3", "1234567", "shape (2, 1), 3 ... 1234567", "0.123457"]
 
 
 def test_what_is_traced_prints_too():

@@ -11,6 +11,7 @@ from granjax.results import Held, Result
 
 
 class Sample(Result):
+    _else: ClassVar = "SI"
     held: ClassVar = {"ts": Held("time", "s", "time"), "us": Held("time site", "m", "u"), "roots": Held("root")}
     ts: object
     us: object

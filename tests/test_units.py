@@ -160,6 +160,34 @@ def test_files_and_prints_say_what_numbers_are_counted_in(tmp_path):
     assert [x.units for x in spectrum] == [None, "SI"] and not spectrum[0].to_xarray().omega.attrs
 
 
+def test_numbers_of_scaled_lattices_are_called_so():
+    family = gx.breathers.family(gx.scenes.fput(4, beta=1.0), points=3, stability=False)
+    orbit = family.orbit(1)
+    assert [x.units for x in (family, orbit, orbit.error)] == ["scaled"] * 3
+    assert orbit.error.to_xarray().attrs["period_units"] == "scaled"
+    event = gx.orbits.Bifurcation("fold", 1.0, 0, orbit.state, **orbit.lattice.origin).to_xarray()
+    assert (event.state_u.attrs["si_units"], event.state_v.attrs["si_units"]) == ("m", "m/s")
+    modes, waves = gx.linear.normal_modes(gx.scenes.fput(4)), gx.linear.dispersion(gx.scenes.fput(4), np.ones(3))
+    spectra = [gx.measures.spectrum(np.eye(8), 0.1, units=x) for x in (None, "scaled", "SI")]
+    assert not any("rad/s" in x.outcome for x in (modes, waves, *spectra[:2])) and "rad/s" in spectra[2].outcome
+    assert all("rad/s" in x.outcome for x in (gx.linear.normal_modes(steel()), gx.linear.dispersion(steel(), 1.0)))
+    assert " s\n" not in repr(gx.Traces([0.0, 1.0], velocity=[0.0, 1.0], sites=0))
+    root = gx.newton.newton(lambda x, _: x**2 - 2, jnp.ones(1))
+    assert root.units is None and "units" not in root.to_xarray().attrs
+
+
+def test_what_has_no_unit_says_that_it_stays(runs):
+    units = runs[2]
+    chain = gx.scenes.scaled(steel(boundary="free"))[0]
+    parts = gx.Peak(lambda t, y, lattice: y.v), gx.Peak(lambda t, y, lattice: (y.u, y.v[:2]))
+    run = gx.simulate(chain, gx.states.impact(chain, velocity=1e-3), 1.0, step=0.1,
+                      record=dict(zip(("both", "pair"), parts)))
+    data = run.in_units(units, "us")
+    assert data.attrs["units"] == "SI" and data.both.attrs["units"] == "scaled"
+    assert data.attrs["stats_step"] == pytest.approx(0.1e6 * float(units.time))
+    assert data.attrs["stats_step_units"] == "us"
+
+
 # ------------------------------------------------------------------------------------------------------------- pictures
 
 
@@ -228,7 +256,8 @@ def test_curves_and_laws_in_units():
 
 
 @pytest.mark.parametrize("draw, message", [
-    (lambda: plots.transmission([0.3, 0.6], [1.0, 2.0], units="us"), "None: the axes are pure numbers, got 'us'"),
+    (lambda: plots.transmission([0.3, 0.6], [1.0, 2.0], units="us"),
+     "None: no label here names a quantity with units, got 'us'"),
     (lambda: plots.profile(np.arange(3), np.arange(3.0), units="kHz"), r"units of strain \(m\), got 'kHz'"),
     (lambda: plots.space_time(np.ones((3, 3)), units="uss"), "the name of a unit, got 'uss'. Nearest: 'us'"),
 ])
@@ -240,6 +269,55 @@ def test_words_that_no_axis_takes_are_refused(draw, message):
 def test_an_axis_that_nobody_knows_takes_the_word_that_is_left():
     ax = plots.space_time(np.ones((3, 3)), ts=1e-3 * np.arange(3.0), units=("ms", "mV"), label="signal")
     assert labels(ax) == ["site", "time (ms)", "signal (mV)"] and ax.images[0].get_array()[0, 0] == 1e3
+
+
+def test_cycles_and_radians_are_not_guessed():
+    ways = [7e3, 8e3], [1.0, 2.0], None
+    for asked in ("kHz", "rad/s"):
+        with pytest.raises(ValueError, match=r"units: expected a label that says what 'parameter' counts, got .*Hz"):
+            plots.hysteresis(ways, units=asked, y_label="rms velocity")
+    for name, size in (("frequency", 1e3), ("angular frequency", 2e3 * np.pi)):
+        ax = plots.hysteresis(ways, units="kHz", x_label=name, y_label="rms velocity")
+        np.testing.assert_allclose(ax.lines[0].get_xdata(), np.array(ways[0]) / size)
+    family = SimpleNamespace(p=np.array([7e3, 8e3]), response=np.ones(2), verdict=np.array([""] * 2), units="scaled")
+    way = SimpleNamespace(response=np.ones(2))
+    sweep = SimpleNamespace(values=np.array([7e3, 8e3]), up=way, down=None, hysteresis=[], units="SI")
+    with pytest.raises(ValueError, match="orbits: expected one in SI numbers, as the sweep, got scaled"):
+        plots.hysteresis(sweep, orbits=family)
+
+
+def test_labels_of_arrays_and_of_speeds_and_periods(runs):
+    si = runs[0]
+    assert labels(plots.space_time(si.us, ts=si.ts, units="SI")) == ["site", "time (µs)", "quantity"]
+    assert labels(plots.space_time(si, quantity="u"))[2].startswith("displacement (")
+    assert labels(plots.traces(si.ts, si.us, offset=0, units=("us", "nm"))) == ["time (µs)", "quantity (nm)"]
+    ax = plots.profile([1e-3, 2e-3], [2e3, 3e3], x_label="period", y_label="group velocity", units="SI")
+    assert labels(ax) == ["period (ms)", "group velocity (1/ms)"]
+
+
+def test_an_orbit_takes_the_same_words_whether_it_is_stable():
+    vectors = np.array([[0.5], [1.0], [2e3], [4e3]])
+    fl = SimpleNamespace(multipliers=np.array([1.5]), vectors=vectors, krein=np.zeros(1), error=np.zeros(1),
+                         expected=0, rate=0.0, period=1e-3)
+    orbit = SimpleNamespace(state=(np.array([1e-6, 2e-6]), np.zeros(2)), units="SI")
+    axes = plots.breather(orbit, fl, units=("um", "us", "mm/s")).ravel()
+    assert [ax.get_ylabel() for ax in axes[2:]] == ["displacement of the mode", "velocity of the mode (1/ms)"]
+    np.testing.assert_allclose(axes[3].lines[-1].get_ydata(), [2.0, 4.0])
+    orbit.units = "scaled"
+    assert plots.breather(orbit, fl).ravel()[3].get_ylabel() == "velocity of the mode (scaled)"
+
+
+def test_data_beside_a_fitted_gain_have_no_unit():
+    raw = gx.Traces([0.0, 1e-3], velocity=np.array([0.5, 1.0]), sites=0, gain="sensitivity")
+    known = gx.Traces([0.0, 1e-3], velocity=np.array([0.5, 1.0]), sites=0)
+    other = gx.Traces([0.0, 1.0], force=[0.0, 1.0], contacts=0, gain=8.0)
+    assert [x.unit for x in (raw, known, other)] == ["", "m/s", ""]
+    both = raw.data, known.data
+    fit = SimpleNamespace(traces=(raw, known), signals=both, residuals=both, units="SI")
+    axes = plots.fit(fit)
+    assert [ax.get_ylabel() for ax in axes[0]] == ["velocity signal", "velocity (m/s)"]
+    assert axes[0, 0].lines[0].get_ydata().tolist() == [0.5, 1.0]
+    assert plots.fit(fit, units=("us", "mV", "mm/s"))[0, 0].get_ylabel() == "velocity signal (mV)"
 
 
 def test_what_is_a_pure_number_takes_no_words_and_parameters_those_that_are_asked_for():

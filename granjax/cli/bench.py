@@ -142,7 +142,8 @@ class _Clock:
             over.set()
             if thread:
                 thread.join()
-                complain("")
+                with contextlib.suppress(OSError, ValueError):
+                    print(file=sys.stderr, flush=True)
             self.ended.append(name)
 
 

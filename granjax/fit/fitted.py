@@ -17,8 +17,6 @@ from .problem import Problem
 from .solve import BLIND, CONVERGED, NOT_FINITE, SPENT, STALLED
 from .traces import Traces
 
-UNITS = {"velocity": "m/s", "displacement": "m", "force": "N"}
-
 
 class Fit(Result):
     r"""Parameters that bring a scene closest to its traces. It prints itself.
@@ -138,7 +136,7 @@ class Fit(Result):
             both = f"time_{k} sensor_{k}"
             held |= {f"time_{k}": Held(f"time_{k}", "s"), f"sensor_{k}": Held(f"sensor_{k}"),
                      f"residual_{k}": Held(both, "1")}
-            held |= {f"{name}_{k}": Held(both, UNITS[trace.kind]) for name in ("data", "signal")}
+            held |= {f"{name}_{k}": Held(both, trace.unit) for name in ("data", "signal")}
         return held
 
     def _fields(self) -> Iterator[tuple[str, object]]:

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from ..checks import concrete, described, parameter, positive, real, refuse, show, whole
 from ..entry import checked, shape_of
 from ..types import AnyArray, Count, Numbers, Parameter, Scalar, Values
+from .columns import QUANTITIES
 
 KINDS = ("velocity", "displacement", "force")
 
@@ -107,8 +108,9 @@ class Traces(eqx.Module):
             return "Traces(traced)"
         t, known = np.asarray(self.times), int(np.isfinite(np.asarray(self.data)).sum())
         sigma = "unknown" if self.sigma is None else show(self.sigma)
+        second = "" if self.origin is None else " s"
         rows = [("sensors", ", ".join(self.sensors[:6]) + ", ..." * (len(self.sensors) > 6)),
-                ("times", f"{t.size}, {t[0]:.6g} ... {t[-1]:.6g} s"), ("samples", f"{known} of {self.data.size}"),
+                ("times", f"{t.size}, {t[0]:.6g} ... {t[-1]:.6g}{second}"), ("samples", f"{known} of {self.data.size}"),
                 ("sigma", sigma), ("gain", show(self.gain)), ("offset", show(self.offset))]
         if self.origin is not None:
             said = "; ".join(x for x in (self.origin.units, self.origin.remark) if x)
@@ -120,6 +122,12 @@ class Traces(eqx.Module):
         """A name for every column: "velocity of site 2", "force of contact 0"."""
         what = "contact" if self.kind == "force" else "site"
         return [f"{self.kind} of {what} {p[0] if len(p) == 1 else p}" for p in self.places]
+
+    @property
+    def unit(self) -> str:
+        """The unit of the data in SI, "" of a recorder's numbers, from which a gain leads that is fitted or not 1."""
+        gain = None if isinstance(self.gain, str) else concrete(self.gain)
+        return "" if gain is None or (gain != 1).any() else QUANTITIES[self.kind]
 
     @property
     def weights(self) -> Float[AnyArray, "T S"]:

@@ -40,6 +40,7 @@ class Run(Result):
     _table: ClassVar[dict[str, Held]] = {
         "ts": Held("time", "s", "time"), "us": Held("time site", "m", "u"), "vs": Held("time site", "m/s", "v"),
         "energy_error": Held(None), "contact_opened": Held(None), "completed": Held(None),
+        "stats_step": Held(unit="s"), "stats_omega": Held(unit="rad/s"),
     }
     ts: Times
     us: Displacements
@@ -64,7 +65,7 @@ class Run(Result):
         """Axes and units; the error of a record has the axes of the record."""
         lanes, held = np.ndim(self.energy_error), dict(self._table)
         for name, said in self._names.items():
-            own = 0 if isinstance(self.recorded[name], dict) else np.ndim(self.recorded[name]) - lanes
+            own = 0 if isinstance(self.recorded[name], dict) else _axes(self.recorded[name]) - lanes
             held[f"{said}_error"] = Held(" ".join(f"{said}_{k}" for k in range(own)))
         return held
 
@@ -204,6 +205,11 @@ class Run(Result):
         lanes, mapped = np.shape(self.energy_error), np.ndim(self.ts) - 1
         first = mapped if lanes[:mapped] == np.shape(self.ts)[:mapped] else 0
         return Layout(*(space or (None, 0)), lanes, first)
+
+
+def _axes(x):
+    """Axes of an array; none of what is no array, such as a tuple of unequal parts."""
+    return np.ndim(x) if hasattr(x, "shape") else 0
 
 
 def named(run: Run, solver: str, choice: str, remark: str, zone: float = 0.0, mark: Any = None) -> Run:

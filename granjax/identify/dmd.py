@@ -25,7 +25,6 @@ class DynamicModes(Result):
       snapshots. `outcome`: a sentence.
     """
 
-    _else: ClassVar[str | None] = None
     held: ClassVar[dict[str, Held]] = {
         "omega": Held("mode", "1/s"), "eigenvalues": Held("mode", "1"), "modes": Held("sensor mode", "", "shapes"),
         "amplitudes": Held("mode"), "singular_values": Held("singular"), "real": Held(None),

@@ -43,7 +43,6 @@ class Regression(Result):
       a coefficient has a sign that its term refuses, which `outcome`, a sentence, names.
     """
 
-    _else: ClassVar[str | None] = None
     held: ClassVar[dict[str, Held]] = {
         "covariance": Held("term term_"), "dropped": Held("dropped"), "noise": Held(unit="m/s^2"),
     }

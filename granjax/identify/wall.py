@@ -16,7 +16,7 @@ from ..fit.problem import Start
 from ..lattice import Lattice
 from ..laws import Hertz
 from ..materials import Material, hertz_coefficient
-from ..results import Held, Result
+from ..results import SI, Held, Result
 from ..terms import Wall
 from ..types import Count, Numbers, Parameter, Scalar
 
@@ -34,6 +34,7 @@ class WallModulus(Result):
     - `fit`: the `Fit`, with other parameters that were fitted; `outcome`.
     """
 
+    _else: ClassVar[str | None] = SI
     held: ClassVar[dict[str, Held]] = {
         "modulus": Held(unit="Pa"), "deviation": Held(unit="Pa"), "plane_modulus": Held(unit="Pa"),
         "reduced_modulus": Held(unit="Pa"), "stiffness": Held(unit="N/m^{3/2}"), "relative": Held("quantity", "1"),

@@ -61,7 +61,7 @@ class Dispersion(Result):
         omega = np.asarray(self.omega)
         bands = omega.shape[-1]
         return f"{bands} band{'s' * (bands > 1)} at {omega.size // bands} wave numbers, " \
-               f"omega = {omega.min():.6g} ... {omega.max():.6g} rad/s."
+               f"omega = {omega.min():.6g} ... {self._told('omega', omega.max())}."
 
 
 @checked

@@ -48,7 +48,7 @@ class NormalModes(Result):
         """How many modes, up to which frequency, and how many of them grow."""
         omega = np.asarray(self.omega)
         unstable = f"{np.sum(omega < 0)} of them unstable" if np.any(omega < 0) else "none of them unstable"
-        return f"{omega.shape[-1]} modes up to {omega.max():.6g} rad/s, {unstable}."
+        return f"{omega.shape[-1]} modes up to {self._told('omega', omega.max())}, {unstable}."
 
 
 @checked

@@ -17,7 +17,6 @@ ROOT_STEPS = 12
 class Peaks(Result):
     """Time and height of the highest maximum of every site, shape of one frame; NaN where it lies at an end."""
 
-    _else: ClassVar[str | None] = None
     held: ClassVar[dict[str, Held]] = {"times": Held("site", "s"), "heights": Held("site")}
     times: Numbers
     heights: Numbers
@@ -32,7 +31,6 @@ class Peaks(Result):
 class Front(Result):
     """Speed of a front [sites/time], its standard error, and the arrival times that it was fitted to."""
 
-    _else: ClassVar[str | None] = None
     held: ClassVar[dict[str, Held]] = {
         "speed": Held(unit="1/s"), "error": Held(unit="1/s"), "arrivals": Held("site", "s"),
     }

@@ -9,12 +9,13 @@ from ..checks import MOST, held_in_memory, non_negative, parameter, positive, re
 from ..entry import checked
 from ..results import Held, Result
 from ..types import Count, Numbers, Parameter, Scalar
-from ..units import Units
+from ..units import SI, Units
 
 
 class Trace(Result):
     """A sampled signal: time (S,) [s] and velocity (S,) + trailing axes [m/s]."""
 
+    _else: ClassVar[str | None] = SI
     held: ClassVar[dict[str, Held]] = {"time": Held("time", "s"), "velocity": Held("time", "m/s")}
     time: Numbers
     velocity: Numbers

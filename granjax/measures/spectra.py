@@ -19,7 +19,6 @@ WINDOWS = ("hann", "none")
 class Spectrum(Result):
     """Power over wave number k (K,) [rad/site], rising in [-pi, pi], and angular frequency omega (W,) >= 0."""
 
-    _else: ClassVar[str | None] = None
     held: ClassVar[dict[str, Held]] = {
         "k": Held("k", "rad"), "omega": Held("omega", "rad/s"), "power": Held("k omega"),
     }
@@ -30,13 +29,12 @@ class Spectrum(Result):
     @property
     def outcome(self) -> str:
         """How fine the spectrum is."""
-        return f"{self.k.size} wave numbers, {self.omega.size} frequencies up to {float(self.omega[-1]):.6g} rad/s."
+        return f"{self.k.size} wave numbers, {self.omega.size} frequencies up to {self._told('omega', self.omega[-1])}."
 
 
 class Spectrogram(Result):
     """Power density over time (S,) and angular frequency omega (W,) [rad/time]; power (S, W) + trailing axes."""
 
-    _else: ClassVar[str | None] = None
     held: ClassVar[dict[str, Held]] = {
         "time": Held("time", "s"), "omega": Held("omega", "rad/s"), "power": Held("time omega"),
     }
@@ -47,7 +45,7 @@ class Spectrogram(Result):
     @property
     def outcome(self) -> str:
         """How fine the spectrogram is."""
-        return f"{self.time.size} windows, {self.omega.size} frequencies up to {self.omega[-1]:.6g} rad/s."
+        return f"{self.time.size} windows, {self.omega.size} frequencies up to {self._told('omega', self.omega[-1])}."
 
 
 @checked

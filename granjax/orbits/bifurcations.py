@@ -50,7 +50,8 @@ def bifurcations(branch: Branch, kinds: Sequence[str] = KINDS, *, accuracy: Scal
                 continue
             point = _locate(branch, i, kind, ends, accuracy)
             state = branch._family.shooting.state(jnp.asarray(point.z[:-1]))
-            found.append(Bifurcation(kind, float(branch._family.value(point.z[-1])), i, State(*state), None, *counts))
+            found.append(Bifurcation(kind, float(branch._family.value(point.z[-1])), i, State(*state), None, *counts,
+                                     _mark=branch._mark, _space=branch._space))
     return found
 
 

@@ -38,7 +38,7 @@ class Bifurcation(Result):
       quadruples; of a sweep the periods after which the motion repeats, 0 where it does not.
     """
 
-    held: ClassVar[dict[str, Held]] = {"state": Held("site")}
+    held: ClassVar[dict[str, Held]] = {"state": Held("site", STATE)}
     kind: str = eqx.field(static=True)
     p: float
     after: int
@@ -162,7 +162,7 @@ class Branch(Result):
         state = jax.tree.map(lambda y: jnp.asarray(y[i]), self.states)
         apart, exact = jax.tree.map(lambda e: jnp.asarray(e[i]), (self.state_error, self.energy_error)), jnp.zeros(())
         return Orbit(state, jnp.asarray(self.periods[i]), lattice, root, self._flow, jnp.asarray(self.t0),
-                     self._family.shooting.symmetry, OrbitError(*apart, exact, exact))
+                     self._family.shooting.symmetry, OrbitError(*apart, exact, exact, **lattice.origin))
 
 
 @waited
@@ -179,5 +179,5 @@ def verdicts_of(spectra: list, expected: int, conserves: bool) -> tuple:
 def special_of(family: Family, curve: Curve) -> list[Bifurcation]:
     """The folds and branch points that continuation has met, as `Bifurcation`s."""
     return [
-        Bifurcation(s.kind, float(family.value(s.p)), s.after,
-                    State(*family.shooting.state(jnp.asarray(s.x)))) for s in curve.special]
+        Bifurcation(s.kind, float(family.value(s.p)), s.after, State(*family.shooting.state(jnp.asarray(s.x))),
+                    **family.scene(jnp.asarray(s.p))[0].origin) for s in curve.special]

@@ -148,7 +148,7 @@ def error_of(lattice: Lattice, t0: Scalar, state: State, apart: State, omega: Sc
     apart = jax.tree.map(jnp.abs, apart)
     slope = jax.grad(lambda y: jnp.sum(lattice.energy(t0, y.u, y.v)))(state)
     energy = sum(jnp.sum(jnp.abs(g) * e) for g, e in zip(jax.tree.leaves(slope), jax.tree.leaves(apart)))
-    return OrbitError(apart, energy, in_omega, 2 * jnp.pi / omega**2 * in_omega)
+    return OrbitError(apart, energy, in_omega, 2 * jnp.pi / omega**2 * in_omega, **lattice.origin)
 
 
 def neighbours(x: np.ndarray) -> np.ndarray:

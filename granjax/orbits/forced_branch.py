@@ -231,7 +231,8 @@ def _bifurcations(family, look, z, folds, multipliers, settings):
 
     def add(kind, i, point, rho):
         p, state = float(family.value(point[-1])), State(*family.shooting.state(point[:-1]))
-        event = Bifurcation(kind, p, int(i), state, critical(rho))
+        event = Bifurcation(kind, p, int(i), state, critical(rho),
+                            **family.scene(jnp.asarray(point[-1]))[0].origin)
         found.append((i, np.linalg.norm(point - z[i]), event))
 
     for fold in folds:

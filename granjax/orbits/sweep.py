@@ -193,11 +193,11 @@ def sweep(
         rest = flow, watch, jnp.asarray(value), found, jnp.asarray(periods), jnp.asarray(tolerance), outside
         return {name: x for name, x in found.items() if name != "rate"} | _errors(make, period, response, *rest)
 
-    up = _way(attractor, with_errors, values, state, jump, accuracy, 1)
+    up = _way(attractor, with_errors, values, state, jump, accuracy, 1, first.origin)
     if not down:
         return Sweep(values, up, None, [], **first.origin)
     last = jax.tree.map(lambda x: x[-1], up.states)
-    back = _way(attractor, with_errors, values, last, jump, accuracy, -1)
+    back = _way(attractor, with_errors, values, last, jump, accuracy, -1, first.origin)
     return Sweep(values, up, back, _hysteresis(values, up, back, jump), **first.origin)
 
 
@@ -231,7 +231,7 @@ def _response(flow, lattice, y, period, response, watch, multiple, used):
             "multiple": multiple, "periods": used, "states": end}
 
 
-def _way(attractor, with_errors, values, state, jump, accuracy, direction):
+def _way(attractor, with_errors, values, state, jump, accuracy, direction, origin):
     found = []
     for value in values[::direction]:
         found.append(attractor(value, state))
@@ -239,10 +239,11 @@ def _way(attractor, with_errors, values, state, jump, accuracy, direction):
     floor = SMALLEST * max(abs(_number(x)) for x in found)
     steps = list(zip(values[::direction][:-1], found[:-1], values[::direction][1:], found[1:]))
     jumps = [_jump(attractor, step, accuracy, jump, floor) for step in steps]
-    changes = [_bifurcation(attractor, step, accuracy, i) for i, step in enumerate(steps)]
+    changes = [_bifurcation(attractor, step, accuracy, i, origin) for i, step in enumerate(steps)]
     found = [with_errors(value, x) for value, x in zip(values[::direction], found)]
     stacked = jax.tree.map(lambda *x: np.stack(x), *found[::direction])
-    return Way(**stacked, jumps=tuple(filter(None, jumps)), bifurcations=tuple(filter(None, changes)))
+    return Way(**stacked, jumps=tuple(filter(None, jumps)), bifurcations=tuple(filter(None, changes)),
+               **origin)
 
 
 def _number(result):
@@ -301,12 +302,13 @@ def _jump(attractor, step, accuracy, share, floor):
     return Jump(float((low + high) / 2), _number(a), _number(b)) if left(step) else None
 
 
-def _bifurcation(attractor, step, accuracy, i):
+def _bifurcation(attractor, step, accuracy, i, origin):
     _, a, _, b = step
     if a["multiple"] == b["multiple"]:
         return None
     low, _, high, _ = _halved(attractor, step, accuracy, lambda a, c, b: a["multiple"] == c["multiple"])
-    return Bifurcation("repetition", float((low + high) / 2), i, None, None, int(a["multiple"]), int(b["multiple"]))
+    counts = int(a["multiple"]), int(b["multiple"])
+    return Bifurcation("repetition", float((low + high) / 2), i, None, None, *counts, **origin)
 
 
 def _hysteresis(values, up, down, share):

@@ -82,10 +82,12 @@ def _counted(units, said, x_label, y_label, columns):
     plain = []
     for trace, sensor, name, signal, _ in columns:
         data, fitted = (numbers("data", x, 2, finite=False)[:, sensor] for x in (trace.data, signal))
-        plain.append((numbers("times", trace.times, 1), data, fitted, name.split()[0] if y_label is None else y_label))
+        raw = getattr(trace, "unit", None) == ""
+        kind = f"{name.split()[0]}{' signal' * raw}" if y_label is None else y_label
+        plain.append((numbers("times", trace.times, 1), data, fitted, (kind, raw)))
     kinds = {kind: np.concatenate([x for *_, x, other in plain if other == kind]) for *_, kind in plain}
-    by_time, *by_kind = drawn_in(units, said, Axis(x_label, np.concatenate([times for times, *_ in plain])),
-                              *(Axis(kind, x) for kind, x in kinds.items()))
+    shown = (Axis(kind, x, "" if raw and quantity(kind) else None) for (kind, raw), x in kinds.items())
+    by_time, *by_kind = drawn_in(units, said, Axis(x_label, np.concatenate([times for times, *_ in plain])), *shown)
     by_kind = dict(zip(kinds, by_kind))
     return [(scaled_by(times, by_time.factor), *(scaled_by(x, by_kind[kind].factor) for x in (data, fitted)), by_time,
              by_kind[kind]) for times, data, fitted, kind in plain]

@@ -41,8 +41,8 @@ def space_time(
     - `scale`: `"linear"`, with zero in white where the data have both signs; `"log"`, the absolute value, cut at
       `floor` in (0, 1) times the limit.
     - `limit`: value of the full colour > 0, in units of the data; the largest absolute value by default.
-    - `label`: of the quantity; one that ends with a known word, such as "contact force", also says its dimension.
-      `site_label`: of the axis.
+    - `label`: of the quantity, of an array none by default; one that ends with a known word, such as "contact force",
+      also says its dimension. `site_label`: of the axis.
     - `units`: `("ms", "mm/s")`, as in `granjax.plots`.
 
     **Returns:** the Axes; the image is `ax.images[0]` (`ax.collections[0]` where times or places are uneven).
@@ -56,8 +56,7 @@ def space_time(
     y = np.arange(data.shape[0], dtype=float) if ts is None else rising("ts", ts, data.shape[0])
     x = np.arange(data.shape[1], dtype=float) if sites is None else rising("sites", sites, data.shape[1])
     if label is None:
-        known = ts is not None and given is not None
-        label = (LABELS.get(given) if known else None) or "quantity"
+        label = LABELS.get(given if is_run(run_or_array) else None, "quantity")
     top = _limit(data, limit)
     frames = ts is None
     by_time, by_quantity = drawn_in(units, said, Axis("frame" if frames else "time", y), Axis(label, top))
@@ -142,13 +141,13 @@ def traces(
       `space_time`. `sites`: indices of the sites to show, negative from the end; `None` for all.
     - `offset`: distance between traces [units of q]; `None` takes the largest span of one; 0 lays them over each
       other, with a legend. `labels`: one per trace, by default the site's index.
-    - `label`: of the quantity, on the scale bar or the axis, as in `space_time`; velocity by default. `site_label`: of
-      the axis. `units`: `("ms", "mm/s")`, as in `granjax.plots`.
+    - `label`: of the quantity, on the scale bar or the axis, as in `space_time`. `site_label`: of the axis.
+      `units`: `("ms", "mm/s")`, as in `granjax.plots`.
 
     **Returns:** the Axes; `ax.lines` holds the traces first, in order.
     **Raises** ValueError for shapes that do not fit, sites that are not there, an offset below zero.
     """
-    said, given = units_of(ts), qs if isinstance(qs, str) else None if is_run(ts) else "v"
+    said, given = units_of(ts), qs if isinstance(qs, str) else None
     if is_run(ts) or isinstance(qs, str):
         having("ts", ts, "a run, where qs is one of its quantities", "ts", "us", "vs")
         ts, qs = history(ts, qs, None)

@@ -13,7 +13,7 @@ from ..types import Count
 from ..units import UnitsOrWords
 from .arrays import having, history, numbers, rising
 from .histories import space_time
-from .quantities import Axis, drawn_in, scaled_by, units_of
+from .quantities import Axis, drawn_in, scaled_by, units_of, units_of_both
 from .style import COLOURS, FAINT, AxesOrNone, add_colour_bar, axes_or_new, style
 
 # Krein signature -> colour, mark, what it is called
@@ -111,9 +111,13 @@ def breather(
     site = np.arange(len(u))
     mode = _mode(fl, mode)
     history = breather.run() if mode is None and hasattr(breather, "run") else None
-    still = [Axis("displacement $u_n(0)$", u), Axis("strain $u_n - u_{n+1}$", u[:-1] - u[1:])][: 1 + (mode is None)]
-    moving = [] if history is None else [Axis("time", history.ts), Axis("velocity", history.vs)]
-    by = drawn_in(units, units_of(breather), *still, *moving)
+    still = [Axis("displacement $u_n(0)$", u), Axis("strain $u_n - u_{n+1}$", u[:-1] - u[1:])]
+    # what a stable orbit shows takes its words of another one too
+    ts, vs = (0.0, 0.0) if history is None else (history.ts, history.vs)
+    moving = [Axis("time", ts), Axis("velocity", vs)]
+    u_part, v_part = (None, None) if mode is None else _parts(fl, mode, len(u))
+    growing = [] if mode is None else [Axis("velocity of the mode", np.abs(v_part), "1/s")]
+    by = drawn_in(units, units_of(breather), *still, *moving, *growing)
     _bars(a, site, scaled_by(u, by[0].factor), COLOURS[0])
     a.set_ylabel(by[0].label)
     floquet_circle(fl, b)
@@ -121,18 +125,16 @@ def breather(
         _bars(c, site[:-1] + 0.5, scaled_by(u[:-1] - u[1:], by[1].factor), COLOURS[0])
         c.set_ylabel(by[1].label)
         c.set_title("no mode grows", loc="left")
-        _period(d, history, by[2:])
+        _period(d, history, by[2:4])
     else:
-        words = (("displacement", c), ("velocity", d))
-        vector = np.asarray(fl.vectors)[:, mode]
-        vector = vector / vector[np.argmax(np.abs(vector[: len(u)]))]
+        shown = (("displacement of the mode", c, u_part), (by[4].label, d, scaled_by(v_part, by[4].factor)))
         complex_pair = abs(fl.multipliers[mode].imag) > fl.error[mode]
-        for (word, ax), part in zip(words, np.split(vector, 2)):
+        for name, ax, part in shown:
             _bars(ax, site, part.real, COLOURS[0])
             if complex_pair:
                 ax.plot(site, part.imag, "--", color=COLOURS[1], lw=1.0, label="imaginary part")
                 ax.legend(loc="upper right", frameon=False)
-            ax.set_ylabel(f"{word} of the mode")
+            ax.set_ylabel(name)
         c.set_title(rf"$\rho$ = {_written(fl.multipliers[mode], complex_pair)}", loc="left")
     for letter, ax in zip("abcd", (a, b, c, d)):
         if ax is not b:
@@ -140,6 +142,12 @@ def breather(
             ax.set_xlim(-0.5, len(u) - 0.5)
         ax.annotate(f"({letter})", (0.02, 0.98), xycoords="axes fraction", va="top", zorder=5)
     return axes
+
+
+def _parts(fl, mode, sites):
+    """Displacements and velocities of an eigenvector whose largest displacement is 1."""
+    vector = np.asarray(fl.vectors)[:, mode]
+    return np.split(vector / vector[np.argmax(np.abs(vector[:sites]))], 2)
 
 
 def _period(ax, run, by):
@@ -300,7 +308,7 @@ def hysteresis(
     **Returns:** the Axes. **Raises** ValueError for shapes that do not fit, or values that do not ascend.
     """
     values, up, down, intervals = _ways(sweep)
-    said = next((x for x in map(units_of, (sweep, orbits)) if x), None)
+    said = units_of_both(sweep, orbits, "orbits", "sweep")
     by_x, by_y = drawn_in(units, said, Axis(x_label, values), Axis(y_label, up))
     values, up, down = scaled_by(values, by_x.factor), by_y.factor * up, None if down is None else by_y.factor * down
     ax = axes_or_new(ax, 5.6, 3.6)

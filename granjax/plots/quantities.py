@@ -13,10 +13,10 @@ CYCLES = known_unit("Hz")
 # what a label ends with, and the unit in which numbers in SI are given; "" is a pure number
 _QUANTITIES = {
     "time": "s", "displacement": "m", "strain": "m", "compression": "m", "overlap": "m", "length": "m",
-    "amplitude": "m", "velocity": "m/s", "speed": "m/s", "acceleration": "m/s^2", "force": "N", "load": "N",
-    "energy": "J", "power": "W", "frequency": "Hz", "angular frequency": "rad/s", "damping": "1/s", "rate": "1/s",
-    "stress": "Pa", "pressure": "Pa", "modulus": "Pa", "mass": "kg", "voltage": "V", "site": "", "contact": "",
-    "frame": "", "period": "", "bead": "", "wave number": "",
+    "amplitude": "m", "velocity": "m/s", "speed": "m/s", "group velocity": "1/s", "acceleration": "m/s^2",
+    "force": "N", "load": "N", "energy": "J", "power": "W", "frequency": "Hz", "angular frequency": "rad/s",
+    "damping": "1/s", "rate": "1/s", "stress": "Pa", "pressure": "Pa", "modulus": "Pa", "mass": "kg", "voltage": "V",
+    "site": "", "contact": "", "frame": "", "period": "s", "bead": "", "wave number": "",
 }
 OMEGA = r"angular frequency $\omega$"
 SAID = re.compile(r".*[([][^)\]]+[)\]]\s*$")
@@ -47,6 +47,17 @@ def units_of(x: Any) -> str | None:
     return found if found in (SI, SCALED) else None
 
 
+def units_of_both(first: Any, second: Any, argument: str, what: str) -> str | None:
+    """What both are counted in that go into one picture; the second may be `None`.
+
+    **Raises** ValueError, which names the second's `argument`, where they are counted in different numbers.
+    """
+    said = [x for x in map(units_of, (first, second)) if x]
+    if len(set(said)) > 1:
+        refuse(argument, f"one in {said[0]} numbers, as the {what}", said[1])
+    return next(iter(said), None)
+
+
 def quantity(label: str) -> str | None:
     """The unit in SI of what a label names by its last words; "" for a pure number, `None` where nobody knows."""
     plain = re.sub(r"\$[^$]*\$", "", label).strip(" |").lower()
@@ -73,11 +84,15 @@ def drawn_in(units: UnitsOrWords, said: str | None, *axes: Axis, argument: str =
     left = [word for word in counted.words if not any(unit and unit.dimension == word.dimension for unit in known)]
     unknown = [i for i, (a, unit) in enumerate(zip(axes, known)) if unit is None and not SAID.match(a.label)]
     if left and len(left) == len(unknown) == 1:
-        # what nobody knows is what somebody says
+        # what nobody knows is what somebody says, but for a factor of 2 pi
+        if left[0].dimension == CYCLES.dimension:
+            refuse(argument, f"a label that says what {axes[unknown[0]].label!r} counts", repr(left[0].name),
+                   "Call the axis 'frequency', of numbers in Hz, or 'angular frequency', of numbers in rad/s.")
         known[unknown[0]] = family(left.pop().dimension)[0]
     if left:
         there = dict.fromkeys(f"{a.label} ({unit.name})" for a, unit in zip(axes, known) if unit)
-        refuse(argument, f"units of {', '.join(there)}" if there else "None: the axes are pure numbers",
+        none = "None: no label here names a quantity with units" if axes else "None: the axes are pure numbers"
+        refuse(argument, f"units of {', '.join(there)}" if there else none,
                ", ".join(repr(word.name) for word in left),
                f"Such as {', '.join(repr(family(u.dimension, u.size)[1].name) for u in known if u and _many(u))}."
                if any(u and _many(u) for u in known) else "")

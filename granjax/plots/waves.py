@@ -11,7 +11,7 @@ from ..entry import checked
 from ..types import Scalar
 from ..units import UnitsOrWords
 from .arrays import numbers
-from .quantities import OMEGA, Axis, drawn_in, scaled_by, units_of
+from .quantities import OMEGA, Axis, drawn_in, scaled_by, units_of_both
 from .style import COLOURS, AxesOrNone, add_colour_bar, axes_or_new
 
 CLOSED = 1e-6
@@ -38,10 +38,8 @@ def dispersion(
     **Raises** ValueError for a record without these arrays, or of a lattice with more than one axis.
     """
     k, omega, cell = _bands(dispersion_record)
-    said = {units_of(x) for x in (dispersion_record, spectrum)} - {None}
-    if len(said) > 1:
-        refuse("spectrum", f"one in {units_of(dispersion_record)} numbers, as the dispersion", units_of(spectrum))
-    (by,) = drawn_in(units, next(iter(said), None), Axis(OMEGA, omega, "rad/s"))
+    said = units_of_both(dispersion_record, spectrum, "spectrum", "dispersion")
+    (by,) = drawn_in(units, said, Axis(OMEGA, omega, "rad/s"))
     omega = scaled_by(omega, by.factor)
     ax = axes_or_new(ax, 5.4, 4.0)
     if spectrum is None:

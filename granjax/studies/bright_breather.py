@@ -18,7 +18,7 @@ from ..linear import bands
 from ..measures import site_energy
 from ..orbits.attractors import steps_per_period
 from ..programs import waited
-from ..results import Held, Result
+from ..results import SI, Held, Result
 from ..scenes import beads
 from ..solvers import SRKN11b
 from ..types import Count, Scalar
@@ -38,6 +38,7 @@ class BrightBreather(Result):
     - `outcome`: a sentence.
     """
 
+    _else: ClassVar[str | None] = SI
     held: ClassVar[dict[str, Held]] = {
         "fraction": Held("period", "1"), "place": Held("period"), "energy": Held("period", "J"),
         "frequency": Held(unit="Hz"), "gap": Held(None, "Hz"), "velocity": Held("sample", "m/s"),

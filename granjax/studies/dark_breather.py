@@ -14,7 +14,7 @@ from ..lattice import Lattice, State
 from ..linear import normal_modes
 from ..materials import Material, hertz_coefficient
 from ..orbits.attractors import largest
-from ..results import Held, Result
+from ..results import SI, Held, Result
 from ..scenes import monomer
 from ..states import places
 from ..types import Count, Parameter, Scalar
@@ -49,6 +49,7 @@ class DarkBreather(Result):
     - `harmonics` (6, N): amplitudes of the velocities at 1 ... 6 times the frequency [m/s].
     """
 
+    _else: ClassVar[str | None] = SI
     held: ClassVar[dict[str, Held]] = {
         "velocity": Held("site", "m/s"), "strain": Held("contact", "m"), "harmonics": Held("harmonic site", "m/s"),
         "frequency": Held(unit="Hz"), "highest_mode": Held(unit="Hz"), "background": Held(unit="m/s"),

@@ -14,7 +14,7 @@ from ..driven import Sweep, driven_chain, sweep
 from ..entry import checked
 from ..lattice import Lattice
 from ..linear import normal_modes
-from ..results import Held, Result
+from ..results import SI, Held, Result
 from ..scenes import beads
 from ..types import AnyArray, Count, Parameter, Scalar
 
@@ -31,6 +31,7 @@ class Rectifier(Result):
     - `frequency` of the drive, `defect` mode, `cutoff` of the band [Hz].
     """
 
+    _else: ClassVar[str | None] = SI
     held: ClassVar[dict[str, Held]] = {
         "amplitudes": Held("amplitudes", "m"), "asymmetry": Held("amplitudes", "1"),
         "threshold_near": Held(unit="m"), "threshold_far": Held(unit="m"), "frequency": Held(unit="Hz"),

@@ -106,7 +106,6 @@ class Profile(Result):
     - `omega`: frequency of the breather; `kappa`: that less the linear one.
     """
 
-    _else: ClassVar[str | None] = None
     held: ClassVar[dict[str, Held]] = {
         "strain": Held("site"), "mean_strain": Held("site"), "displacement": Held("site"),
         "inverse_width": Held(unit="1/cell"), "omega": Held(unit="rad/s"), "kappa": Held(unit="rad/s"),

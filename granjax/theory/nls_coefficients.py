@@ -31,7 +31,6 @@ class Coefficients(Result):
     - `bond`: where s_j is real and positive; the bond that is strained most, the first of equals.
     """
 
-    _else: ClassVar[str | None] = None
     held: ClassVar[dict[str, Held]] = {
         **{name: Held("lane ... site") for name in ("mode", "harmonic_mode")},
         **{name: Held("lane ... bond") for name in (

@@ -8,7 +8,7 @@ import equinox as eqx
 import numpy as np
 
 from ..checks import positive, refuse
-from ..results import Held, Result
+from ..results import SI, Held, Result
 from ..types import Scalar
 from .ladder import DEFAULT, distance, in_turns, number, once, seconds_in_words
 
@@ -28,6 +28,7 @@ class Advice(Result):
     - `solver`: the solver, where it is one of `gx.simulate`'s.
     """
 
+    _else: ClassVar[str | None] = SI
     held: ClassVar[dict[str, Held]] = {"seconds": Held(unit="s"), "default_seconds": Held(unit="s")}
     asked: float
     method: str = eqx.field(static=True)

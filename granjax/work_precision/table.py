@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 
 from ..checks import refuse, whole
 from ..entry import checked
-from ..results import Held, Result
+from ..results import SI, Held, Result
 from ..types import Pytree, Scalar
 from .advice import Advice, advise
 from .ladder import Ladder, number, observed_order, seconds_in_words
@@ -50,6 +50,7 @@ class WorkPrecision(Result):
     - `ladders`: what was measured, for `advice` to run more of it; empty after `from_json`.
     """
 
+    _else: ClassVar[str | None] = SI
     held: ClassVar[dict[str, Held]] = {name: Held("point") for name in (*_COLUMNS, *_WORDS, "drawn")} | {
         "seconds": Held("point", "s"), "fastest": Held("point", "s"), "methods": Held("method_name", "", "method_name"),
         "compile_seconds": Held("method_name", "s"), "limit": Held("method_name"), "order": Held("method_name"),

@@ -140,7 +140,7 @@ def _draw_beads(plots, figure, data, first, kind):
     until = data["time"].values * data.attrs["rate"] <= _HORIZON
     shown = np.arange(first, int(0.84 * _HORIZON) + 1, 8)
     plots.traces(data["time"].values[until], data["velocity"].values[until], shown, ax, units=("ms", "m/s"),
-                 site_label="bead")
+                 label="velocity", site_label="bead")
     ax.set_title(rf"{kind} beads, every fourth of them, $\varepsilon = {RATIO}$")
 
 

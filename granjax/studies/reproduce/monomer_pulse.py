@@ -69,7 +69,7 @@ def _draw_traces(plots, figure, data):
     shown = np.arange(middle - 2, middle + 3)
     ts = data["time"].values
     velocity = data["velocity"].values
-    options = {"units": ("us", "m/s"), "site_label": "bead"}
+    options = {"units": ("us", "m/s"), "label": "velocity", "site_label": "bead"}
     plots.traces(ts, velocity, shown, overlaid, offset=0, **options)
     at = 1e6 * ts[velocity[:, shown].argmax(0)]
     around = 3 * (at[-1] - at[0]) / (len(shown) - 1)
