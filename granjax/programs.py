@@ -104,6 +104,12 @@ def joined(static: tuple, arrays: list) -> Pytree:
     return jax.tree.unflatten(treedef, [next(arrays) if leaf is _ARRAYS else leaf for leaf in rest])
 
 
+def shared_size(n: int) -> int:
+    """A size rounded up to one of 8, 9, ..., 15, 16, 18, ..., 30, 32, ...: arrays of near-by sizes are one program."""
+    unit = 1 << max(n.bit_length() - 4, 0)
+    return -(-n // unit) * unit
+
+
 def wait(tree: Any) -> Any:
     """What a compiled program returns, when all of it is there. Nothing happens to what is traced.
 

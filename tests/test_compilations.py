@@ -7,6 +7,7 @@ be it a single operation of a new shape. What is compiled does not depend on wha
 
 from collections.abc import Callable
 from contextlib import contextmanager
+from types import CodeType
 from typing import NamedTuple
 
 import diffrax
@@ -122,8 +123,8 @@ def _(seed):
 
 @also("simulate at every step")
 def _(seed):
-    run = gx.simulate(chain(seed), moving(seed), 4.0 + 0.01 * seed, step=0.05 - 0.001 * seed, save_at="steps")
-    assert len(run.ts) > 80
+    run = gx.simulate(chain(seed), moving(seed), 3.9 + 0.01 * seed, step=0.05 - 0.001 * seed, save_at="steps")
+    assert len(run.ts) == 79 + 2 * seed
 
 
 @also("simulate at a step")
@@ -268,8 +269,48 @@ def _(seed):
     gx.theory.nls.dark_profile(found, 0.99 * float(found.omega), 12)
 
 
-def test_what_is_called_is_public():
-    assert {call.name for call in CALLS} >= {r.name for r in TABLE} and len(ALL) > 350
+# public functions that no row calls by name, by their modules, and why
+WITHIN = {
+    **dict.fromkeys(("checks", "entry.checked", "entry.kinds", "printing", "programs", "variables", "cli.commands",
+                     "interrupts", "tuning", "materials", "canonical.scenes", "scenes.chains",
+                     "work_precision.measuring", "orbits.symmetry", "laws.power"),
+                    "numbers, words and Python: no program of their own"),
+    **dict.fromkeys(("files", "fit.files", "reading.reader", "reading.tables"), "files, read and written by NumPy"),
+    **dict.fromkeys(("plots.style", "plots.curves", "plots.fits", "plots.orbits"), "drawn by NumPy; `plots`"),
+    **dict.fromkeys(("lattice.split", "lattice.tangents", "lattice.blocks", "split_system"), "`simulate`"),
+    **dict.fromkeys(("studies.bright_breather", "studies.dark_breather", "studies.reproduce.registry",
+                     "studies.reproduce.making", "studies.resonance.decay", "studies.resonance.finite"),
+                    "studies of minutes, made of what is called here"),
+}
+UNCALLED = {
+    "cell_of": "`bright_guess`", "edge_of": "`breather`", "edges_beside": "`bright_guess`",
+    "supports_bright": "`bright_guess`", "checked_optimiser": "`fit`", "descend": "`fit`", "design": "`design_bounds`",
+    "prepared": "`fit`", "decide": "`floquet`", "product_multipliers": "`floquet`, NumPy",
+    "reversible_multipliers": "NumPy", "hard_threshold": "NumPy", "front_speed": "sums over `arrival_times`",
+    "velocity_trace": "a filter of SciPy's", "spectrogram": "`spectrum`, NumPy", "evaluated": "`newton`",
+    "nearby": "`newton`", "history": "its own row, compiled by the caller", "B": "`coefficients`",
+    "band_edges": "`coefficients`", "bright": "`coefficients`", "dark": "`coefficients`",
+    "growth_rate": "`coefficients`", "bright_profile": "`dark_profile`", "hertz_wave": "NumPy",
+    "distance": "`compare`", "steps_per_period": "`settle`",
+    "largest": "`settle`, NumPy", "linearised": "`fit`; of lattices `linear_frequency`",
+}
+
+
+def names_in(code):
+    """The names that a function reads, and what is defined in it."""
+    yield from code.co_names
+    for inner in code.co_consts:
+        if isinstance(inner, CodeType):
+            yield from names_in(inner)
+
+
+def test_what_is_public_is_called():
+    """Every public function, by a row or for a reason."""
+    called = {name for each in (*TABLE, *CALLS) for name in names_in(each.call.__code__)}
+    own = [s for s in ALL if s.result is not None and "." not in s.name and s.name not in called]
+    modules = {s.module.removeprefix("granjax.") for s in own}
+    assert WITHIN.keys() <= modules, "a reason that is no more needed"
+    assert {s.name for s in own if s.module.removeprefix("granjax.") not in WITHIN} == UNCALLED.keys()
 
 
 @pytest.mark.parametrize("call", [pytest.param(call, id=call.name, marks=call.marks) for call in CALLS])

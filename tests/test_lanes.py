@@ -61,7 +61,7 @@ def test_records_and_their_errors_are_those_of_each_lane():
 
 def test_each_lane_is_the_run_of_that_lane(monkeypatch):
     """Contacts open and close in every dimer; five lanes in programs of two, which overlap."""
-    monkeypatch.setattr(marching, "TOGETHER", 2)
+    monkeypatch.setattr(marching, "ABREAST", 2)
     lattice, state = batch(dimer, RATIOS)
     kinetic = {"kinetic": record(0.0)["kinetic"]}
     run = gx.simulate(lattice, state, END, save_at=TIMES, record=kinetic, **HOW)

@@ -8,12 +8,6 @@ from ..lattice import Lattice
 from ..terms.tracing import reads
 
 
-def shared_size(n: int) -> int:
-    """A size rounded up to one of 8, 9, ..., 15, 16, 18, ..., 30, 32, ...: arrays of near-by sizes are one program."""
-    unit = 1 << max(n.bit_length() - 4, 0)
-    return -(-n // unit) * unit
-
-
 class Facts(NamedTuple):
     """What every call asks of a lattice, and what only its terms and shapes decide.
 

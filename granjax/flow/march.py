@@ -30,7 +30,7 @@ EVALUATIONS = 10
 # seconds of a piece; and from which on a run has pieces, and from which on it is waited for in a way that hears Ctrl-C
 PIECE, LONG, SHORT = 0.5, 2.0, 0.05
 # lanes of an adaptive run in one program, at most; and steps that one of them may well take
-TOGETHER, EXPECTED = 16, 4096
+ABREAST, EXPECTED = 16, 4096
 # what one loop counts; and steps that no lattice takes a day for
 COUNTED, FEW = 2**31 - 1, 1e6
 DAY = 86400.0
@@ -143,7 +143,7 @@ def _lane_by_lane(
     refuse_lanes_within(t0, build([jnp.asarray(x[..., 0]) for x in parts]), (lattice, state, records))
     count, forward = parts[0].shape[-1], in_pieces(adjoint, every)
     takes = seconds_a_step(lattice, solver, TAKES) / count
-    width, limit = min(count, TOGETHER), max_steps
+    width, limit = min(count, ABREAST), max_steps
     if forward:
         width = min(width, max(int(LONG / (EXPECTED * takes)), 1))
         limit = min(int(LONG / takes) // width, max_steps or COUNTED)

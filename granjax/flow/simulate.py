@@ -15,7 +15,7 @@ from ..checks import one_of, refuse, show, traced, whole
 from ..entry import checked
 from ..lattice import Lattice
 from ..outside import Outside
-from ..programs import wait
+from ..programs import shared_size, wait
 from ..types import Count, Parameter, Scalar, StateLike
 from .confirmation import Confirmation
 from .dispatch import facts
@@ -187,9 +187,9 @@ def _adjoint(adjoint, unknown, every, steps, max_steps):
     if max_steps is not None:
         limit = whole("max_steps", max_steps, 1)
     elif steps is not None:
-        # a power of two, so that a gradient, or a run saved at every step, compiles once for many scenes; what is
-        # saved under a transformation keeps its length
-        limit = steps if every and unknown else 1 << (steps - 1).bit_length()
+        # rounded up, so that many scenes compile once: room to save by little, a bound on a loop by more; what is saved
+        # under a transformation keeps its length
+        limit = steps if every and unknown else shared_size(steps) if every else 1 << (steps - 1).bit_length()
     else:
         limit = SAVED_STEPS if every else TRACED_STEPS
     if adjoint is None:
@@ -207,7 +207,8 @@ def _cut(run):
     used = np.isfinite(np.asarray(run.ts))
     count = int(np.count_nonzero(used))
     # by NumPy, since for JAX a slice of another length is another program
-    kept = jax.tree.map(lambda x: jax.device_put(np.asarray(x)[:count]), (run.ts, run.us, run.vs))
+    where = lambda x: x.sharding if x.committed else None
+    kept = jax.tree.map(lambda x: jax.device_put(np.asarray(x)[:count], where(x)), (run.ts, run.us, run.vs))
     return eqx.tree_at(lambda r: (r.ts, r.us, r.vs), run, kept)
 
 

@@ -20,12 +20,11 @@ from jaxtyping import Float
 from ..checks import non_negative, parameter, positive, refuse, whole
 from ..entry import checked
 from ..fit.problem import checked_scene
-from ..flow.dispatch import shared_size
 from ..flow.stiffness import linear_frequency
 from ..outside import Outside
 from ..parameters import Bounds, Coordinates
 from ..printing import told
-from ..programs import waited
+from ..programs import shared_size, waited
 from ..results import Held, Result
 from ..types import AnyArray, Count, Numbers, Parameter, Scalar, Scene, Times
 
@@ -96,8 +95,9 @@ def physics_informed(
       that dict; `bounds`: dict from names to (low, high), `None` for no bound.
     - `times` (T,), `velocity` (T, sensors) [m/s]: even or not, from t >= 0 on; `sites`: of the sensors, `None` all.
     - `state`: the `State` at t = 0 where it is known, of the chain's shape; with few sensors it is needed.
-    - `weight`: of the physics; `points`: number of collocation points, `None` for 16 a shortest period; `width`,
-      `depth`: of the network; `max_steps`, `rate`: of Adam; `refine`: steps of L-BFGS; `seed`: of the first weights.
+    - `weight`: of the physics; `points`: number of collocation points, `None` for 16 a shortest period, or up to an
+      eighth more; `width`, `depth`: of the network; `max_steps`, `rate`: of Adam; `refine`: steps of L-BFGS; `seed`: of
+      the first weights.
 
     **Returns:** `PhysicsInformed`. **Raises** ValueError for shapes that do not fit, no velocity at all, bounds that
     do not hold the start, or a lattice without linear frequency (a sonic vacuum).
@@ -195,7 +195,7 @@ class _Training(eqx.Module):
 _parts = waited(_Training.parts)
 
 
-def _parted(training, model):
+def _moving(training, model):
     """The cost of what moves in a model, that, and the model of it: the network and the coordinates."""
     moves = jax.tree.map(lambda _: False, model)
     moves = eqx.tree_at(lambda m: (m[0].net, m[1]), moves, jax.tree.map(eqx.is_inexact_array, (model[0].net, model[1])))
@@ -205,7 +205,7 @@ def _parted(training, model):
 
 @waited
 def _by_adam(training, model, max_steps, rate):
-    cost, free, whole = _parted(training, model)
+    cost, free, whole = _moving(training, model)
     optimiser = optax.adam(optax.cosine_decay_schedule(rate, max_steps))
 
     def step(carry, _):
@@ -220,7 +220,7 @@ def _by_adam(training, model, max_steps, rate):
 
 @waited
 def _by_search(training, model, max_steps):
-    cost, free, whole = _parted(training, model)
+    cost, free, whole = _moving(training, model)
     optimiser = optax.lbfgs()
 
     def step(carry, _):

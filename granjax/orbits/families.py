@@ -36,7 +36,7 @@ ARCLENGTH, LONGEST, FIRST = 0.05, 7.5, 0.1
 PROBE = 4
 EQUAL = 1e-6
 # orbits whose energies and errors are computed at once
-TOGETHER = 16
+MEMBERS = 16
 # a doubling that lowers the change of the tangent map by less has met a contact that opens
 SLOW = 20
 
@@ -268,10 +268,10 @@ def energy_slope(problem: Family, z: Numbers, tangent: Numbers) -> Numbers:
 
 def _members(problem, xs, aparts):
     """States, energies and the errors of both, from unknowns and theirs (P, ...), some at a time, whatever P."""
-    idle = -len(xs) % TOGETHER
+    idle = -len(xs) % MEMBERS
     xs, aparts = (np.pad(x, ((0, idle), (0, 0)), mode="edge") for x in (xs, aparts))
-    parts = [_some(problem, *(jnp.asarray(x[i : i + TOGETHER]) for x in (xs, aparts)))
-             for i in range(0, len(xs), TOGETHER)]
+    parts = [_some(problem, *(jnp.asarray(x[i : i + MEMBERS]) for x in (xs, aparts)))
+             for i in range(0, len(xs), MEMBERS)]
     return jax.tree.map(lambda *x: np.concatenate(x)[: len(xs) - idle], *parts)
 
 

@@ -13,13 +13,12 @@ from ..checks import concrete, held_in_memory, parameter, refuse, whole
 from ..checks import tolerance as checked_tolerance
 from ..entry import checked
 from ..flow import Flow
-from ..flow.dispatch import shared_size
 from ..flow.inputs import held_frames
 from ..lattice import State
 from ..measures import rms_velocity
 from ..outside import Outside
 from ..printing import told
-from ..programs import waited
+from ..programs import shared_size, waited
 from ..results import STATE, Held, Result
 from ..solvers import SRKN11b
 from ..types import Count, Displacements, Parameter, Scalar, StateLike

@@ -125,12 +125,11 @@ def _call(lattice, state, t0, t1, solver, parameter, tangents):
     def final(value):
         chosen = {} if parameter is None else {parameter: value}
         run = simulate(lattice, state, t1, t0=t0, solver=solver, **chosen)
-        stats = jax.tree.map(np.mean, run.stats)  # over lanes, each by steps of its own
-        return run.final, _evaluations(run.solver, stats), stats["steps"]
+        return run.final, *_counts(run.solver, run.stats)
 
     def counted(value):
         matrix, stats = mapped(value)
-        return matrix, _evaluations(type(solver).__name__, stats), stats["steps"]
+        return matrix, *_counts(type(solver).__name__, stats)
 
     mapped = _tangent_call(lattice, state, t0, t1, solver, parameter) if tangents else None
     return counted if tangents else final
@@ -158,8 +157,13 @@ def _tangent_call(lattice, state, t0, t1, solver, parameter):
     return call
 
 
+def _counts(name, stats):
+    """(forces, steps) of a run, the mean over lanes; diffrax's explicit methods do not count their forces."""
+    stats = jax.tree.map(np.mean, stats)
+    return _evaluations(name, stats), stats["steps"]
+
+
 def _evaluations(name, stats):
-    """Forces of a run; diffrax's explicit methods do not count theirs."""
     kind = getattr(diffrax, name, None)
     if not isinstance(kind, type) or not issubclass(kind, diffrax.AbstractERK):
         return stats["force_evaluations"]
