@@ -81,6 +81,13 @@ def test_frames_of_an_adaptive_run_are_as_good_as_its_end(closed):
         assert np.max(np.abs(run.vs - fine.vs)) < 2e-9, run.solver
 
 
+def test_what_is_saved_at_every_step_stays_where_the_lattice_was_put(closed):
+    chain, state = closed
+    for scene, stays in ((jax.device_put((chain, state), jax.devices()[0]), True), ((chain, state), False)):
+        run = gx.simulate(*scene, 1.0, step=0.1, save_at="steps")
+        assert len(run.ts) == 11 and all(x.committed == stays for x in (run.ts, run.us, run.vs))
+
+
 def test_peak_between_steps_and_arrival_and_integral(struck):
     chain, state = struck
     record = {"peak": PEAK, "arrival": gx.Arrival(force_of, 0.3), "impulse": gx.Integral(force_of)}
