@@ -64,6 +64,7 @@ def test_a_chain_in_blocks_is_the_chain(short, sites, boundary, even, damping, s
         np.testing.assert_allclose(a, b, rtol=0, atol=2e-15)
 
 
+@pytest.mark.slow
 def test_derivatives_through_blocks_are_those_without(short):
     lattice, y = chain(130, "periodic", False, True), state(130)
     weights = state(130)

@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from test_covariance import LONG, LONGER, PLAIN, TABLE, Scene, Shaken, closed, hertz, masses, over_period, velocities
+from test_covariance import LONGER, PLAIN, TABLE, Scene, Shaken, closed, hertz, masses, over_period, velocities
 from test_vocabulary import ALL
 
 import granjax as gx
@@ -73,9 +73,14 @@ ANOTHER = {
 }
 
 
+# of the table, the rows that every run of the tests looks at
+ALWAYS = {"impact", "energy", "contact_force", "normal_modes", "dispersion", "regression", "design", "floquet", "plots",
+          "default_steps", "linear_frequency", "single_site"}
+
+
 def of_row(r):
     """A row of the table, on its first scene."""
-    marks = (STUDY,) if r.name in LONGER else (SLOW,) if r.name in LONG or not r.scenes else ()
+    marks = (STUDY,) if r.name in LONGER else () if r.name in ALWAYS else (SLOW,)
     return Call(r.name, lambda seed: r.call(Scene((*r.scenes, *r.slow)[0], seed)), marks, r.name not in ANOTHER)
 
 

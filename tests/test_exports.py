@@ -165,7 +165,11 @@ def test_every_result_of_the_face_is_here():
     assert classes().keys() <= MAKERS.keys()
 
 
-@pytest.mark.parametrize("name", MAKERS)
+# those that take a solved problem to make
+LONG = {"Run", "Fit", "Branch", "Rectifier"}
+
+
+@pytest.mark.parametrize("name", [pytest.param(x, marks=[pytest.mark.slow] * (x in LONG)) for x in MAKERS])
 def test_a_result_goes_out_and_comes_back(name, tmp_path):
     result = made(name)
     assert isinstance(result, Result) and type(result).__name__ == name

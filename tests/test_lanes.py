@@ -82,6 +82,7 @@ def test_each_lane_is_the_run_of_that_lane(monkeypatch):
         gx.simulate(lattice, state, END, save_at=TIMES, record=kinetic, **HOW)
 
 
+@pytest.mark.slow
 def test_lanes_that_take_long_go_one_by_one(monkeypatch):
     lattice, state = batch(dimer, RATIOS)
     expected = gx.simulate(lattice, state, END, **HOW)
@@ -106,7 +107,8 @@ def test_a_batch_of_one_and_what_it_refuses(dtype):
             gx.simulate(lattice, state, 1.0, record={"x": gx.Peak(within)}, tolerance=1e-4)
 
 
-@pytest.mark.parametrize("mode", [jax.jacfwd, pytest.param(jax.jacrev, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("mode", [jax.jacfwd, jax.jacrev])
 def test_derivatives_are_those_of_each_lane(mode):
     ratios, weights = jnp.asarray(RATIOS[:3]), jnp.linspace(1.0, 2.0, SITES)
 
@@ -148,6 +150,7 @@ def test_lanes_in_some_of_the_leaves_two_axes_of_them_and_solvers_that_are_not_o
         agree(run, (i, j), gx.simulate(one, gx.states.impact(one), 3.0, solver=solver, tolerance=1e-7))
 
 
+@pytest.mark.slow
 def test_a_cell_of_two_fields():
     def cell(k):
         bond = gx.Bond(Shift(1, "fixed", "bead"), gx.Hertz(1.0, 0.4))
@@ -161,6 +164,7 @@ def test_a_cell_of_two_fields():
         agree(run, k, gx.simulate(cell(value), gx.State(*lane(tuple(state), k)), 3.0, **HOW))
 
 
+@pytest.mark.slow
 def test_a_lane_that_fails_leaves_the_others():
     """The middle one runs out of its well to infinity; and lanes that may take no more steps."""
     def make(speed):
