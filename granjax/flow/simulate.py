@@ -109,8 +109,7 @@ def simulate(
     if tolerance is None:
         dt, steps, choice, remark, watch = fixed_step(lattice, state, t0, t1, step, solver, frames)
     else:
-        dt, steps, choice, remark, watch = step, None, f"adaptive steps, tolerance {_shown(tolerance)}", "", False
-        choice += "" if step is None else f", none longer than {_shown(step)}"
+        dt, steps, choice, remark, watch = step, None, _adaptive(tolerance, step), "", False
     one_loop = unknown or not in_pieces(_FORWARD if adjoint is None else adjoint, every)
     refuse_endless(lattice, solver, steps, max_steps, one_loop)
     backwards = adjoint if isinstance(adjoint, Reversible) else None
@@ -146,30 +145,22 @@ def simulate(
         dt, limit = number(dt, dtype), None if limit is None else max(limit, steps)
         rest = records, solver, adjoint, limit, every, progress, watch, outside
         run = march(lattice, state, *span, dt, tolerance, save_ts, *rest)
-    zone = FAR if tolerance is not None or step is not None else DIPPED if dips else NEAR
-    if tolerance is None and step is not None and not unknown:
-        omega = linear_bound(lattice)
-        zone = math.inf if omega is not None and dt * omega > COARSE else zone
+    zone = _zone(lattice, dt, step, tolerance, unknown, dips)
     run = named(run, type(solver).__name__, choice, remark, zone, lattice._mark)
     if records:
         confirmation = Confirmation.of(lattice, state, *span, dt, tolerance, records, solver)
         object.__setattr__(run, "_confirmation", confirmation)
-    code = run.code
-    if isinstance(code, jax.core.Tracer):
+    if isinstance(run.code, jax.core.Tracer):
         return run
-    code = np.asarray(code)
     if every:
         run = _cut(run)
     remark = "" if unknown else doubts(lattice, state, t0, t1, step, tolerance, solver, run)
     if remark:
         run = named(run, run.solver, choice, f"{run.remark} {remark}".strip(), mark=run._mark)
+    code = np.asarray(run.code)
     if not (code == COMPLETED).all():
         if code.max() == NOT_FINITE:
-            begin, *last = run.__dict__.get("_last", (state, *span))
-            if code.ndim:
-                parts, build = apart(lattice, begin)
-                lattice, begin = build([x[..., code.argmax()] for x in parts])
-            run = _located(run, lattice, begin, last, dt, tolerance, solver)
+            run = _located(run, lattice, (state, *span), dt, tolerance, solver)
         if throw is None or throw:
             raise RuntimeError(run.outcome)
     elif not unknown:
@@ -178,8 +169,20 @@ def simulate(
     return run
 
 
-def _shown(x):
-    return "traced" if isinstance(x, jax.core.Tracer) else show(x)
+def _adaptive(tolerance, longest):
+    """The choice of adaptive steps in words."""
+    shown = lambda x: "traced" if isinstance(x, jax.core.Tracer) else show(x)
+    bound = "" if longest is None else f", none longer than {shown(longest)}"
+    return f"adaptive steps, tolerance {shown(tolerance)}{bound}"
+
+
+def _zone(lattice, dt, step, tolerance, unknown, dips):
+    """From which margin on a contact is known to have stayed closed between the ends of steps."""
+    if tolerance is None and step is not None and not unknown:
+        omega = linear_bound(lattice)
+        if omega is not None and dt * omega > COARSE:
+            return math.inf
+    return FAR if tolerance is not None or step is not None else DIPPED if dips else NEAR
 
 
 def _adjoint(adjoint, unknown, every, steps, max_steps):
@@ -212,8 +215,14 @@ def _cut(run):
     return eqx.tree_at(lambda r: (r.ts, r.us, r.vs), run, kept)
 
 
-def _located(run, lattice, state, span, dt, tolerance, solver):
+def _located(run, lattice, begin, dt, tolerance, solver):
     """The run with where and when the state ceased to be finite: again with frames, twice closer."""
+    # of its last piece; of a batch the first lane of which that is so
+    state, *span = run.__dict__.get("_last", begin)
+    code = np.asarray(run.code)
+    if code.ndim:
+        parts, build = apart(lattice, state)
+        lattice, state = build([x[..., code.argmax()] for x in parts])
     low, high = map(float, span)
     for _ in range(2):
         ts = jnp.linspace(low, high, 65, dtype=lattice.dtype)[1:]
