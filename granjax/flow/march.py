@@ -140,13 +140,14 @@ def _lane_by_lane(
 ):
     """The lanes of an adaptive run: some in each program as long as none of them takes long, then one by one."""
     parts, build = apart(lattice, state, records)
-    refuse_lanes_within(t0, build([jnp.asarray(x[..., 0]) for x in parts]), (lattice, state, records))
     count, forward = parts[0].shape[-1], in_pieces(adjoint, every)
     takes = seconds_a_step(lattice, solver, TAKES) / count
     width, limit = min(count, ABREAST), max_steps
     if forward:
         width = min(width, max(int(LONG / (EXPECTED * takes)), 1))
         limit = min(int(LONG / takes) // width, max_steps or COUNTED)
+    if width == 1:  # a program of several does so itself, as it is traced
+        refuse_lanes_within(t0, build([jnp.asarray(x[..., 0]) for x in parts]), (lattice, state, records))
 
     def run(go, some, limit):
         one, y, own = build(some)
