@@ -34,7 +34,8 @@ def written(folder, header, columns=1):
     ("ms,mm/s", {}, 1e-3, 1e-3), ("us,v (mm s^{-1})", {}, 1e-6, 1e-3), ("µs,v (m.s-1)", {}, 1e-6, 1.0),
     ("milliseconds since trigger,v (metres / second)", {}, 1e-3, 1.0), ("Time (ms,velocity_mm_per_s", {}, 1e-3, 1e-3),
     ("t,Sensor (1)", {}, 1.0, 1.0), ("t,Sensor (2)", {}, 1.0, 1.0), ("t,Vib 1 (OFV-505)", {}, 1.0, 1.0),
-    ("t,Dev1/ai0", {}, 1.0, 1.0), ("t,vel (cm/sec)", {}, 1.0, 1e-2), ("t,Vib [top]", {}, 1.0, 1.0),
+    ("t,Dev1/ai0", {}, 1.0, 1.0),
+    ("time min,v", {}, 60.0, 1.0), ("t,vel (cm/sec)", {}, 1.0, 1e-2), ("t,Vib [top]", {}, 1.0, 1.0),
 ])
 def test_columns_are_turned_into_si(tmp_path, header, options, size, value):
     traces = gx.Traces.from_csv(written(tmp_path, header), velocity=1, sites=3, **options)
@@ -53,7 +54,8 @@ def test_columns_are_turned_into_si(tmp_path, header, options, size, value):
     ("t,v [mV]", {"gain": 0.1}, "gain: .*for 1 V or for 1 mV.*units='mV'"), ("T (MS),v", {}, "time: .*'T .MS.'"),
     ("t,v [mm/s]", {"gain": 0.1}, "gain: expected 0.001, for velocity is in mm/s.*units='mm/s'"),
     ("t,v", {"units": "kHz"}, "units: .*'kHz', which none of them takes"), ("t,v", {"units": "usec"}, "units: .*'us'"),
-    ("TIME MS,v", {}, "time: .*'TIME MS'"), ("t,VELOCITY MM/S", {}, "velocity: .*'VELOCITY MM/S'"),
+    ("TIME MS,v", {}, "time: .*'TIME MS'"),
+    ("Min time,v", {}, "time: .*'Min time'"), ("t,VELOCITY MM/S", {}, "velocity: .*'VELOCITY MM/S'"),
     ("t,v (mph)", {}, "velocity: .*'v .mph.'"), ("t,velocity mph", {}, "velocity: .*'velocity mph'"),
     ("t,v (furlongs)", {}, "velocity: .*'v .furlongs.'"), ("t,v (in)", {}, "velocity: .*'v .in.'"),
     ("t,mV", {}, "gain: expected what leads from mV"), ("t,mm", {}, "velocity: .*got 'mm'"),

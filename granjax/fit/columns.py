@@ -66,7 +66,8 @@ def unit_in(name: str, wanted: tuple) -> tuple[Named | None, str]:
     for text in (mark.join(part) for part in parts for mark in (" ", "/") if mark == " " or len(part) > 1):
         unit = _known(text)
         if unit is not None and unit.dimension == wanted:
-            return unit, text
+            # "min time" may be the least one
+            return (None if words[0] == text and text.lower() in ("min", "h") else unit), text
     _, slash, text = name.partition("/")
     if slash and not _is_remark(text):
         return _known(text), text.strip()

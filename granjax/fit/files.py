@@ -52,7 +52,8 @@ def read_csv(
       written with so few digits that times do not rise.
     - `units`: what columns are in, words such as `"us"` or `("us", "mm/s")`, each for the columns of its dimension.
       `None` reads them from the header, "Time (us)", "Bead 3 [mm/s]", "t/ms", "velocity_mm_s" or a line of units, and
-      takes SI where that says nothing; what it may mean in two ways is refused. All is turned into SI; `origin` says
+      takes SI where that says nothing; what it may mean in two ways is refused, and words in brackets that are neither
+      a unit nor a known remark such as "(filtered)". All is turned into SI; `origin` says
       what was read.
     - `gain`: from the file to SI, a number or one per sensor: 0.125 (m/s)/V makes 0.125. Of a column in V it has to be
       given. A name of a parameter keeps the data as they are, and the gain is fitted.
