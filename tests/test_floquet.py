@@ -243,6 +243,7 @@ def test_any_vector_field_has_multipliers():
 # units --------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_errors_defects_and_vectors_do_not_depend_on_units():
     chain = gx.scenes.monomer(3, 28.2e-3, 1.0114e10, precompression=10.0)
     lattice = gx.driven.driven_chain(chain, 0.05e-6, 2 * np.pi * 7100.0, damping=200.0)
@@ -310,9 +311,9 @@ def test_errors_cover_multipliers_of_dop853(name):
     assert np.median(floquet(known.lattice, gx.State(known.u, known.v), period).error) < 1e-4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name, steps", [
-    ("forced_opening", 24), *(pytest.param(*given, marks=pytest.mark.slow) for given in (
-        ("defect", 40), ("light_centred", 48), ("light_centred", None)))])
+    ("forced_opening", 24), ("defect", 40), ("light_centred", 48), ("light_centred", None)])
 def test_multipliers_of_an_orbit_from_few_steps_know_that_it_is_off(name, steps):
     known = reference(name)
     guess, period = gx.State(jnp.asarray(known.u), jnp.asarray(known.v)), 2 * np.pi / known.omega

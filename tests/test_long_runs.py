@@ -45,7 +45,8 @@ def assert_same(a, b, tolerance=1e-10):
     assert {k: np.shape(x) for k, x in a.stats.items()} == {k: np.shape(x) for k, x in b.stats.items()}
 
 
-@pytest.mark.parametrize("save_at", [7, [0.0, 0.35, 2.0, 2.01, 2.02, 5.0]], ids=["frames", "times"])
+@pytest.mark.parametrize("save_at", [
+    pytest.param(7, marks=pytest.mark.slow), [0.0, 0.35, 2.0, 2.01, 2.02, 5.0]], ids=["frames", "times"])
 def test_pieces_of_equal_steps_are_one_run(save_at, request, monkeypatch):
     lattice = chain()
     state = gx.states.impact(lattice, velocity=0.3)
@@ -74,6 +75,7 @@ def test_pieces_of_a_batch_with_jumps_in_time(request):
     assert_same(whole, gx.simulate(lattice, state, 3.0, step=0.02, save_at=4), 1e-7)
 
 
+@pytest.mark.slow
 def test_pieces_of_an_adaptive_run(request, monkeypatch):
     lattice = gx.scenes.fput(4, alpha=0.25)
     state = gx.states.impact(lattice, velocity=0.3)
@@ -106,6 +108,7 @@ def test_pieces_keep_the_floating_type_and_their_number_of_steps(soon):
     assert run.ts.dtype == run.us.dtype == np.float32 and run.stats["steps"] == 2000
 
 
+@pytest.mark.slow
 def test_a_run_that_a_program_closes_over_is_a_part_of_it(soon):
     lattice = chain()
     state = gx.states.impact(lattice, velocity=0.3)

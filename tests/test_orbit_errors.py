@@ -61,6 +61,7 @@ def test_the_light_centred_breather_from_its_family():
     covers(gx.breathers.breather(known.lattice, known.omega, at_the_end, check=False), known)
 
 
+@pytest.mark.slow
 def test_a_branch_of_forced_orbits_states_its_error():
     known, chain = reference("forced_branch_upper"), gx.scenes.monomer(3, precompression=1.0)
     branch = forced_branch(

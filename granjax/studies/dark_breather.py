@@ -94,11 +94,11 @@ def dark_by_interference(
     orbit is unstable by a Neimark-Sacker bifurcation; at 0.3 um the motion is chaotic, its exponent 0.065 a period.
     Source: as `steel_chain`.
     """
+    tolerance = checked_tolerance("tolerance", tolerance)
     lattice = steel_chain() if lattice is None else lattice
     sites = places.chain_only(lattice, "a dark breather")
     if sites < 5:
         refuse("lattice", "a chain of at least five beads", f"one of {sites}")
-    tolerance = checked_tolerance("tolerance", tolerance)
     frequency, damping_time = float(positive("frequency", frequency)), positive("damping_time", damping_time)
     omega = 2 * math.pi * frequency
     if not omega < math.inf:
