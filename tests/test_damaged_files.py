@@ -317,11 +317,15 @@ def test_a_reader_that_breaks_down_hangs_or_is_interrupted_is_replaced(valid, tm
     monkeypatch.setattr(reader, "_exchanged", lambda request: running.process.kill() or asked(request))
     with pytest.raises(ValueError, match="scan.mat', at which reading broke down .exit code"):
         read()
-    # an interrupt while an answer is waited for
+    # an interrupt while an answer is waited for, also where the tests were started with Ctrl-C ignored
     monkeypatch.setattr(reader, "_bytes", lambda count: signal.raise_signal(signal.SIGINT))
     monkeypatch.setattr(reader, "_exchanged", asked)
-    with pytest.raises(KeyboardInterrupt):
-        read()
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            read()
+    finally:
+        signal.signal(signal.SIGINT, before)
     monkeypatch.undo()
     assert running.process is None and first.poll() is not None
     np.testing.assert_array_equal(read().data, damaged.VOLTS)
