@@ -168,7 +168,7 @@ BAD = (
       for name in ("accuracy", "tolerance", "jump") for x in (2**62, 2.0, 0.0)),
     *((f"resolution {x}", lambda x=x: gx.floquet.decide(np.ones(2), np.zeros(2), 0, True, x), "resolution")
       for x in (-1e-3, 1.0, 2**62)),
-    *((f"adjoint of tolerance {x}", lambda x=x: gx.Reversible(x), "tolerance") for x in (0.0, 1.0, 2**62)),
+    *((f"adjoint of tolerance {x}", lambda x=x: gx.Reversible(x), "tolerance") for x in (0.0, -1.0)),
     ("a run of tolerance 1", lambda: gx.simulate(LINEAR, gx.states.impact(LINEAR), 1.0, tolerance=1.0), "tolerance"),
     ("threshold of a regression", lambda: gx.identify.regression(
         np.ones(2), {"a": gx.Damping}, np.arange(3.0), np.ones((3, 2)), np.ones((3, 2)), threshold=1.0), "threshold"),

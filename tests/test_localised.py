@@ -137,8 +137,10 @@ def test_a_site_of_a_field_and_of_a_grid():
     found = single_site(cells, 1.6, 4, field="bead")
     assert np.argmax(found.u["bead"]) == 4 and float(localisation(cells, found).participation) < 1.5
     assert localisation(cells, found).cells == 8
+    # as for states, the field of the beads where none is named
+    np.testing.assert_array_equal(single_site(cells, 1.6, 4).u["bead"], found.u["bead"])
     with pytest.raises(ValueError, match="field: expected one of 'bead', 'resonator'"):
-        single_site(cells, 1.6, 4)
+        single_site(cells, 1.6, 4, field="beads")
     grid = gx.Lattice(np.ones((4, 4)), (gx.Bond(gx.Shift((1, 0), "periodic"), gx.Linear(0.02)),
                                         gx.Bond(gx.Shift((0, 1), "periodic"), gx.Linear(0.02)),
                                         gx.OnSite(gx.Polynomial(1.0, 0.0, 1.0))))

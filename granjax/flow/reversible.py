@@ -6,8 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import refuse
-from ..checks import tolerance as checked_tolerance
+from ..checks import positive, refuse
 from ..entry import checked
 from ..lattice import Lattice, split_system, vector_field
 from ..printing import told
@@ -39,7 +38,7 @@ class Reversible(eqx.Module):
     Wants a splitting solver at a fixed step and no records, and refuses forward mode; gives derivatives of what is
     saved and of the end (NaN for those of `energy_error`) with respect to lattice and state, not with respect to times.
     Takes 3 to 6 times the run.
-    **Raises** ValueError for a tolerance that is not above zero and below one.
+    From 1 on it trusts a way back that leads elsewhere. **Raises** ValueError for a tolerance that is not above zero.
     """
 
     return_error: jax.Array
@@ -49,7 +48,7 @@ class Reversible(eqx.Module):
     @checked
     def __init__(self, tolerance: Scalar = 1e-6):
         self.return_error = jnp.zeros(())
-        self.tolerance = float(checked_tolerance("tolerance", tolerance, 1, 1e-6))
+        self.tolerance = float(positive("tolerance", tolerance))
 
 
 def checked_reversible(lattice: Lattice, solver: diffrax.AbstractSolver, records: dict, every: bool) -> None:
