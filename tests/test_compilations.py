@@ -74,8 +74,7 @@ ANOTHER = {
 
 
 # of the table, the rows that every run of the tests looks at
-ALWAYS = {"impact", "energy", "contact_force", "normal_modes", "dispersion", "regression", "design", "floquet", "plots",
-          "default_steps", "linear_frequency", "single_site"}
+ALWAYS = {"normal_modes", "contact_force", "regression", "floquet", "plots"}
 
 
 def of_row(r):
@@ -108,7 +107,7 @@ def moving(seed):
     return Scene(closed, seed).state
 
 
-@also("Flow")
+@also("Flow", SLOW)
 def _(seed):
     flow, end = gx.Flow(16), 1.0 + 0.1 * seed
     flow(moving(seed), 0.0, end, chain(seed))
@@ -119,14 +118,14 @@ def oscillator(t, y, args):
     return -args * y
 
 
-@also("Flow of a field")
+@also("Flow of a field", SLOW)
 def _(seed):
     flow = gx.Flow(8, diffrax.Dopri8(), oscillator)
     flow(jnp.ones(3) * (seed + 1), 0.0, 1.0 + seed, 0.5 + seed)
     flow(1.0 + seed, 0, 1 + seed, 2 + seed)
 
 
-@also("simulate at every step")
+@also("simulate at every step", SLOW)
 def _(seed):
     run = gx.simulate(chain(seed), moving(seed), 3.9 + 0.01 * seed, step=0.05 - 0.001 * seed, save_at="steps")
     assert len(run.ts) == 79 + 2 * seed
@@ -156,7 +155,7 @@ def final(x, step):
     return gx.simulate(lattice, (0 * x["v"], x["v"]), 1.0, step=step, throw=False).final.u
 
 
-@also("return_error")
+@also("return_error", SLOW)
 def _(seed):
     gx.flow.return_error(chain(seed), moving(seed), 0.0, 1.0 + 0.1 * seed, 40 + seed, gx.SRKN6b())
 
@@ -185,12 +184,12 @@ def _(seed):
     gx.derivative(final, {"mass": masses(rng_of(seed), PLAIN), "v": moving(seed).v}, 0.05 + 0.01 * seed)
 
 
-@also("taylor")
+@also("taylor", SLOW)
 def _(seed):
     gx.laws.taylor(hertz(rng_of(seed), PLAIN))
 
 
-@also("Spline.fitted")
+@also("Spline.fitted", SLOW)
 def _(seed):
     rng = rng_of(seed)
     e = np.sort(rng.uniform(-1, 1, 20))
@@ -210,12 +209,12 @@ def circle(x, p, args):
     return x**2 + p**2 - args
 
 
-@also("continuation")
+@also("continuation", SLOW)
 def _(seed):
     gx.continuation.continuation(circle, [1.0 + 0.1 * seed], 0.0, args=(1.0 + 0.1 * seed) ** 2, points=6)
 
 
-@also("multipliers")
+@also("multipliers", SLOW)
 def _(seed):
     gx.floquet.multipliers(gx.Flow(16), moving(seed), 0.0, 1.0 + 0.1 * seed, chain(seed))
 
@@ -253,7 +252,7 @@ def _(seed):
     gx.studies.rectifier(np.array([1e-8, 2e-8]) * (1 + 0.1 * seed), sites=6, periods=60, damping_time=2e-4)
 
 
-@also("spectra")
+@also("spectra", SLOW)
 def _(seed):
     rng = rng_of(seed)
     gx.measures.spectrum(rng.normal(size=(32, 6)), 0.1 + 0.01 * seed)
@@ -262,12 +261,12 @@ def _(seed):
     gx.measures.peak_times(np.arange(32.0), rng.normal(size=(32, 6)))
 
 
-@also("smooth_peak")
+@also("smooth_peak", SLOW)
 def _(seed):
     gx.smooth_peak(rng_of(seed).uniform(size=(4, 5)), power=20 + seed)
 
 
-@also("envelopes")
+@also("envelopes", SLOW)
 def _(seed):
     f = 1 + 0.1 * seed
     found = gx.theory.nls.coefficients(1.0, 1.5 * f, 0.375 * f, -0.0625 * f, np.pi, 0)

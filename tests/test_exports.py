@@ -166,7 +166,7 @@ def test_every_result_of_the_face_is_here():
 
 
 # those that take a solved problem to make
-LONG = {"Run", "Fit", "Branch", "Rectifier", "ForceLaw"}
+LONG = {"Run", "Fit", "Branch", "Rectifier", "ForceLaw", "Comparison"}
 
 
 @pytest.mark.parametrize("name", [pytest.param(x, marks=[pytest.mark.slow] * (x in LONG)) for x in MAKERS])

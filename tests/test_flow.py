@@ -497,8 +497,8 @@ def deepest(chain, state, t1):
     return (1 + u[:, :-1] - u[:, 1:]).min()
 
 
-@pytest.mark.parametrize("seeds", [1, pytest.param(5, marks=pytest.mark.slow)])
-def test_a_contact_that_opens_between_steps_is_seen(seeds):
+@pytest.mark.slow
+def test_a_contact_that_opens_between_steps_is_seen(seeds=5):
     """Random starts, scaled until the closest approach is a little off zero; default step and a loose tolerance."""
     chain = gx.scenes.monomer(4, precompression=1.0)
     traced = jax.jit(lambda state: gx.simulate(chain, state, 4.0).contact_opened)

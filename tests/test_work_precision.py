@@ -286,6 +286,7 @@ def solved(factor, pause=0.0):
     return call
 
 
+@pytest.mark.slow
 def test_advice_is_never_worse_than_the_default():
     """Where no choice at all is better and faster, that is the advice."""
     steps = [0.5, 0.1, 0.02, 0.004]
