@@ -194,13 +194,16 @@ def _prepared(system, u, around, sites, margin, behind):
 @checked
 def in_blocks(lattice: Lattice, y: StateLike) -> BlockSplit | None:
     """The split system of a long chain; `None` for what is no long chain of one bond to the next site."""
+    shape = () if lattice.fields else np.shape(y[0])
+    if lattice.lanes or len(shape) != 1 or shape[0] < LONG:
+        return None
     found = next_neighbours(lattice)
-    if found is None or lattice.lanes or jnp.ndim(y[0]) != 1 or jnp.size(y[0]) < LONG:
+    if found is None:
         return None
     law, boundary = found
     # a window takes what a law holds for its bonds; a table of a law's own belongs to all of them
     shapes = {np.shape(x) for x in jax.tree.leaves(law) if eqx.is_array(x)}
-    own = shapes - {(), (1,), (_bonds(jnp.size(y[0]), boundary),)}
+    own = shapes - {(), (1,), (_bonds(shape[0], boundary),)}
     return None if own else BlockSplit(split_system(lattice), law, boundary)
 
 
