@@ -59,14 +59,28 @@ def root_by_products() -> bool:
     `GRANJAX_ROOT=products` or `GRANJAX_ROOT=instruction` chooses by hand, before the first run: the two differ by a
     unit in the last place. **Raises** ValueError for another word.
     """
-    import jax
-
     from .checks import one_of
 
     chosen = os.environ.get("GRANJAX_ROOT")
     if chosen is not None:
         one_of("GRANJAX_ROOT", chosen, ("products", "instruction"))
         return chosen == "products"
+    return _is_intel_avx512()
+
+
+@cache
+def lanes_abreast() -> int:
+    """So many lanes of a batch with a fixed step are run at a time; 0 for all of them together.
+
+    On Intel's processors with AVX-512 eight numbers are one vector, and the arrays of eight lanes stay in the nearest
+    cache: 0.8 to 0.9 of the time of all lanes together for chains of 20 to 1000 sites. Others were not measured.
+    """
+    return 8 if _is_intel_avx512() else 0
+
+
+def _is_intel_avx512():
+    import jax
+
     return jax.default_backend() == "cpu" and "GenuineIntel" in _processor() and _has_avx512()
 
 

@@ -15,7 +15,7 @@ from ..solvers import AbstractNystrom
 from ..types import Displacements, Number, Numbers, Scalar, StateLike, Times
 from .breaks import Landing, one_sided
 from .control import Scales, StepControl
-from .lanes import each_lane
+from .lanes import by_groups, each_lane
 from .record import CLOSEST, EXTREMES, AtEnds, Recorded, leaf_by_leaf
 from .record.dips import Dips
 from .run import COMPLETED, FAILED, NOT_FINITE, NOTHING, STEP_TOO_SMALL, TOO_MANY_STEPS, Run, finite
@@ -80,6 +80,20 @@ def part_of(
     progress: bool = False,
 ) -> Part:
     """The part from t0 to t1 of the run that `begin` = (state, t0, t1) says; `carried`: by its records, until t0."""
+    own = {CLOSEST, EXTREMES}.issuperset(records)
+    rest = t0, t1, dt, tolerance, save_ts, records, solver, adjoint, max_steps, every, progress
+    some = lambda lattice, state, carried: _parted(lattice, begin, state, carried, *rest)
+    found = by_groups(some, lattice, state, carried) if tolerance is None and own and not (every or progress) else None
+    if found is None:
+        found = some(lattice, state, carried)
+    (ys, final, carried), (ts, t, *counts, code) = found
+    return Part(ts, ys, t, final, carried, *counts, code)
+
+
+def _parted(
+    lattice, begin, state, carried, t0, t1, dt, tolerance, save_ts, records, solver, adjoint, max_steps, every, progress,
+):
+    """What a part has of each lane, and what lanes share."""
     stepper = one_sided(_ready(solver, adjoint), lattice)
     stepper = Recorded(stepper, records, carried) if records else stepper
     if tolerance is None:
@@ -101,7 +115,7 @@ def part_of(
     ts, ys = (solution.ts[-1], solution.ys[-1])
     carried = solution.solver_state[1] if records else {}
     counts = (solution.stats[f"num_{kind}steps"] for kind in ("", "accepted_", "rejected_"))
-    return Part(ts, ys, solution.ts[0][0], final, carried, *counts, _code(solution.result, final))
+    return (ys, final, carried), (ts, solution.ts[0][0], *counts, _code(solution.result, final))
 
 
 def reduced(

@@ -1,5 +1,7 @@
-"""Lanes apart: an adaptive run of a batch is a run of each lane, by steps of its own."""
+"""Lanes apart: an adaptive run of a batch is a run of each lane, by steps of its own; a fixed step is shared, and some
+lanes at a time stay in the processor's nearest cache."""
 
+import math
 from collections.abc import Callable
 
 import equinox as eqx
@@ -9,8 +11,12 @@ import numpy as np
 
 from ..checks import refuse
 from ..lattice import Lattice
+from ..tuning import lanes_abreast
 from ..types import AnyArray, Number, Pytree, Scalar, StateLike
 from .run import Run
+
+# what lanes that fill up the last group may cost, over all lanes
+FILLING = 0.1
 
 
 def each_lane(function: Callable, lattice: Lattice, state: StateLike, records: dict, t0: Number) -> Run:
@@ -24,6 +30,32 @@ def each_lane(function: Callable, lattice: Lattice, state: StateLike, records: d
 
     found, lanes = jax.lax.map(one, [jnp.moveaxis(x, -1, 0) for x in parts]), lattice.lanes
     return together(jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1).reshape(x.shape[1:] + lanes), found))
+
+
+def by_groups(function: Callable, lattice: Lattice, *others: Pytree) -> tuple | None:
+    """What `function(lattice, *others)` returns of all lanes, from some of them at a time.
+
+    That is two trees: of arrays with lanes last, and of what lanes share (of codes, the largest). `None` where that is
+    no gain: few lanes, or a processor with which it was not measured; or where code of the user's might look from one
+    lane at another.
+    """
+    width, count = lanes_abreast(), math.prod(lattice.lanes)
+    groups = -(-count // width) if width else 0
+    if groups < 2 or groups * width > (1 + FILLING) * count or lattice._outside.readers:
+        return None
+    parts, build = apart(lattice, *others)
+
+    def folded(x):
+        fill = jnp.broadcast_to(x[..., -1:], (*x.shape[:-1], groups * width - count))
+        x = jnp.concatenate([x, fill], -1) if fill.size else x
+        return jnp.moveaxis(x.reshape(*x.shape[:-1], groups, width), -2, 0)
+
+    def unfolded(x):
+        x = jnp.moveaxis(x, 0, -2)
+        return x.reshape(*x.shape[:-2], -1)[..., :count].reshape(*x.shape[:-2], *lattice.lanes)
+
+    own, shared = jax.lax.map(lambda some: function(*build(some)), [folded(jnp.asarray(x)) for x in parts])
+    return jax.tree.map(unfolded, own), jax.tree.map(lambda x: jnp.max(x, 0), shared)
 
 
 def apart(lattice: Lattice, *others: Pytree) -> tuple[list[AnyArray], Callable]:
