@@ -443,7 +443,8 @@ OWN = {
     "theory.nls.bright_profile.omega": lambda: 1.1, "theory.nls.dark_profile.omega": lambda: 1.1,
     "orbits.guesses.envelope.supports_bright.edge": lambda: Edge(0.0, 0, 1.0, True, envelope()),
     "orbits.symmetry.Symmetry.matrix.like": y, "results.Result.save.path": lambda: "file.nc",
-    "theory.nls.dark.nu2": lambda: -1.0, "newton.newton.guess": lambda: np.ones(1),
+    "theory.nls.dark.nu2": lambda: -1.0, "theory.elliptic.jacobi.u": lambda: 0.7,
+    "newton.newton.guess": lambda: np.ones(1),
     "terms.base.Term.force.mass": lambda: 1.0,
     "lattice.model.Lattice.total.parts": lambda: [np.zeros(5)],
     "fit.files.read_csv.path": lambda: file("file.csv"), "fit.files.read_mat.path": lambda: file("file.mat"),
@@ -462,6 +463,8 @@ ALSO = {
     "fit.traces.Traces": {"": {"velocity": np.zeros((FRAMES, 2)), "sites": [1, 2]}, "displacement": {"sites": [1, 2]},
                           "force": {"contacts": [1, 2]}, "contacts": {"force": np.zeros((FRAMES, 2))}},
     "identify.law.law": {"": {"stiffness": 1.0}},
+    **{f"theory.elliptic.{name}": {"": {"m": 0.5}, "m": {}, "m1": {}}
+       for name in ("jacobi", "zeta", "K", "E", "Pi", "F", "incomplete_E", "incomplete_Pi")},
 }
 
 

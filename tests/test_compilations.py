@@ -273,6 +273,13 @@ def _(seed):
     gx.theory.nls.dark_profile(found, 0.99 * float(found.omega), 12)
 
 
+@also("elliptic", SLOW)
+def _(seed):
+    el, x = gx.theory.elliptic, 0.3 + 0.1 * seed
+    el.jacobi(x, 0.5 + x), el.zeta(x, m1=x), el.K(x), el.E(m1=x), el.Pi(-x, x), el.F(x, x)
+    el.incomplete_E(x, x), el.incomplete_Pi(x, x, x)
+
+
 # public functions that no row calls by name, by their modules, and why
 WITHIN = {
     **dict.fromkeys(("checks", "entry.checked", "entry.kinds", "printing", "programs", "variables", "cli.commands",
