@@ -2,6 +2,7 @@
 
 import inspect
 import time
+import weakref
 from collections.abc import Callable
 from functools import partial, wraps
 from typing import Any
@@ -90,17 +91,48 @@ jax.tree_util.register_pytree_node(_Static, lambda x: ((), x.value), lambda valu
 
 
 def parted(tree: Pytree) -> tuple:
-    """What is static in a pytree, hashable, and a list of its arrays."""
+    """What is static in a pytree, hashable, and a list of its arrays.
+
+    Of the first of several arguments that is `settled`, as most lattices are, they are kept while it lives.
+    """
+    if type(tree) is tuple and tree and getattr(tree[0], "settled", False):
+        (first, own), (rest, more) = _settled(tree[0]), _parted(tree[1:])
+        return (first, rest), own + more
+    static, arrays = _parted(tree)
+    return (None, static), arrays
+
+
+def _parted(tree):
     leaves, treedef = jax.tree.flatten(tree)
     is_array = [isinstance(leaf, _ARRAYS) for leaf in leaves]
     rest = tuple([_ARRAYS if own else leaf for own, leaf in zip(is_array, leaves)])
     return (treedef, rest), [leaf for own, leaf in zip(is_array, leaves) if own]
 
 
+_SETTLED = {}
+_NOBODY = (lambda: None), None
+
+
+def _settled(x):
+    owner, found = _SETTLED.get(id(x), _NOBODY)
+    if owner() is not x:
+        key, found = id(x), _parted(x)
+        _SETTLED[key] = weakref.ref(x, lambda _: _SETTLED.pop(key, None)), found
+    return found
+
+
+_settled.cache_clear = _SETTLED.clear
+
+
 def joined(static: tuple, arrays: list) -> Pytree:
     """The pytree that `parted` took apart."""
-    treedef, rest = static
+    first, rest = static
     arrays = iter(arrays)
+    return _joined(rest, arrays) if first is None else (_joined(first, arrays), *_joined(rest, arrays))
+
+
+def _joined(static, arrays):
+    treedef, rest = static
     return jax.tree.unflatten(treedef, [next(arrays) if leaf is _ARRAYS else leaf for leaf in rest])
 
 

@@ -70,7 +70,8 @@ def test_derivatives_in_both_modes(by, mode):
     at, found = (state.u, 0.3), []
     for width in BOUNDS:
         function = lambda *x, width=width: end(width, *x)
-        found.append(jax.jvp(function, at, (state.v, 1.0))[1] if mode is jax.jvp else jax.vjp(function, *at)[1](state.v))
+        along = jax.jvp(function, at, (state.v, 1.0))[1] if mode is jax.jvp else jax.vjp(function, *at)[1](state.v)
+        found.append(along)
     for a, b in zip(*map(jax.tree.leaves, found), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12 * np.abs(a).max())
 

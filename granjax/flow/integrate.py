@@ -91,7 +91,8 @@ def part_of(
 
 
 def _parted(
-    lattice, begin, state, carried, t0, t1, dt, tolerance, save_ts, records, solver, adjoint, max_steps, every, progress,
+    lattice, begin, state, carried, t0, t1, dt, tolerance, save_ts, records, solver, adjoint, max_steps, every,
+    progress,
 ):
     """What a part has of each lane, and what lanes share."""
     stepper = one_sided(_ready(solver, adjoint), lattice)

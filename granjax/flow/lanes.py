@@ -1,5 +1,7 @@
-"""Lanes apart: an adaptive run of a batch is a run of each lane, by steps of its own; a fixed step is shared, and some
-lanes at a time stay in the processor's nearest cache."""
+"""Lanes apart: an adaptive run of a batch is a run of each lane, by steps of its own.
+
+A fixed step is shared, and some lanes at a time stay in the processor's nearest cache.
+"""
 
 import math
 from collections.abc import Callable
@@ -41,7 +43,7 @@ def by_groups(function: Callable, lattice: Lattice, *others: Pytree) -> tuple | 
     """
     width, count = lanes_abreast(), math.prod(lattice.lanes)
     groups = -(-count // width) if width else 0
-    if groups < 2 or groups * width > (1 + FILLING) * count or lattice._outside.readers:
+    if groups < 2 or groups * width > (1 + FILLING) * count or not lattice.settled:
         return None
     parts, build = apart(lattice, *others)
 

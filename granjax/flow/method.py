@@ -56,6 +56,21 @@ def checked_method(lattice: Lattice, solver: Any, step: Any, tolerance: Any) -> 
         else:
             solver = _GENERAL
             tolerance = None if step is not None else _default_tolerance(dtype)
+    else:
+        tolerance = _refuse_unfit(lattice, solver, step, tolerance, found)
+    value = None if tolerance is None else concrete(tolerance)
+    least = 0 if value is None else least_tolerance(dtype)
+    if value is not None and value < least:
+        refuse("tolerance", f"at least {least:.1e}, what {dtype} holds", show(value), "Use a larger one.")
+    if value is not None and value >= 1:
+        refuse("tolerance", "below 1, the size of the motion itself", show(value), "1e-6 to 1e-9 are usual.")
+    # an array, so that another tolerance compiles nothing
+    return solver, step, None if tolerance is None else number(tolerance, dtype)
+
+
+def _refuse_unfit(lattice, solver, step, tolerance, found):
+    """The tolerance, where a solver that is asked for by name has one; a lattice or sizes that it cannot serve."""
+    dtype, velocity, splits = found.dtype, found.reads_velocity, found.splits
     if isinstance(solver, AbstractSplitting):
         if not splits:
             split_system(lattice)  # refuses, naming the term
@@ -73,14 +88,7 @@ def checked_method(lattice: Lattice, solver: Any, step: Any, tolerance: Any) -> 
         refuse("solver", wanted, type(solver).__name__, "Use gx.RKN86(), or step=.")
     if tolerance is None and step is None and not isinstance(solver, AbstractSplitting):
         tolerance = _default_tolerance(dtype) if isinstance(solver, diffrax.AbstractAdaptiveSolver) else None
-    value = None if tolerance is None else concrete(tolerance)
-    least = 0 if value is None else least_tolerance(dtype)
-    if value is not None and value < least:
-        refuse("tolerance", f"at least {least:.1e}, what {dtype} holds", show(value), "Use a larger one.")
-    if value is not None and value >= 1:
-        refuse("tolerance", "below 1, the size of the motion itself", show(value), "1e-6 to 1e-9 are usual.")
-    # an array, so that another tolerance compiles nothing
-    return solver, step, None if tolerance is None else number(tolerance, dtype)
+    return tolerance
 
 
 def _refuse_unsaid(lattice):

@@ -151,6 +151,11 @@ class Lattice(eqx.Module):
         return self.axes, self.dimension or 0
 
     @property
+    def settled(self):
+        """Whether it is the same as long as it lives: no function of the user's in it reads what may change."""
+        return not self._outside.readers
+
+    @property
     def origin(self):
         """What results keep of their lattice: its units and its axes."""
         return {"_mark": self._mark, "_space": self.space}
