@@ -280,6 +280,13 @@ def _(seed):
     el.incomplete_E(x, x), el.incomplete_Pi(x, x, x)
 
 
+@also("solitary_wave")
+def _(seed):
+    for law in (gx.Hertz(1.0 + 0.1 * seed), gx.Toda(1.0 + 0.1 * seed)):
+        wave = gx.travelling.solitary_wave(law, speed=1.3 + 0.01 * seed)
+        wave.strain(0.3 + seed), wave.velocity(0.2), wave.displacement(0.2), wave.state(9, 4.0 + seed), repr(wave)
+
+
 # public functions that no row calls by name, by their modules, and why
 WITHIN = {
     **dict.fromkeys(("checks", "entry.checked", "entry.kinds", "printing", "programs", "variables", "cli.commands",
@@ -301,8 +308,9 @@ UNCALLED = {
     "velocity_trace": "a filter of SciPy's", "spectrogram": "`spectrum`, NumPy", "evaluated": "`newton`",
     "nearby": "`newton`", "history": "its own row, compiled by the caller", "B": "`coefficients`",
     "band_edges": "`coefficients`", "bright": "`coefficients`", "dark": "`coefficients`",
-    "growth_rate": "`coefficients`", "bright_profile": "`dark_profile`", "hertz_wave": "NumPy",
-    "distance": "`compare`", "steps_per_period": "`settle`",
+    "growth_rate": "`coefficients`", "bright_profile": "`dark_profile`",
+    "distance": "`compare`", "medium_of": "`solitary_wave`", "wave_of": "`solitary_wave`",
+    "steps_per_period": "`settle`",
     "largest": "`settle`, NumPy", "linearised": "`fit`; of lattices `linear_frequency`",
 }
 

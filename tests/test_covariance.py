@@ -357,7 +357,7 @@ def compare(a, b, agree, where=""):
 DECLARED = {
     "": None, "1": (0, 0, 0), "s": (0, 0, 1), "m": (0, 1, 0), "m/s": (0, 1, -1), "N": (1, 0, 0), "J": (1, 1, 0),
     "rad": (0, 0, 0), "rad/s": (0, 0, -1), "1/s": (0, 0, -1), "Hz": (0, 0, -1), "rad^2/s^2": (0, 0, -2),
-    "m/s^2": (0, 1, -2), "1/cell": (0, 0, 0),
+    "N s": (1, 0, 1), "kg": (1, -1, 2), "m/s^2": (0, 1, -2), "1/cell": (0, 0, 0),
 }
 
 
@@ -547,6 +547,17 @@ def _(s):
 @row("simulate_tolerance", closed, vacuum, slow=(pairs, mixed))
 def _(s):
     return run_of(gx.simulate(s.lattice, s.state, s.s(4.3), tolerance=1e-8, save_at=7))
+
+
+def even(rng, w):
+    """A uniform chain, precompressed."""
+    return gx.Lattice(w.kg(near(rng, 1.0)), gx.Bond(gx.Shift(1, "free"), hertz(rng, w)), sites=SITES)
+
+
+@row("solitary_wave", even, slow=(uniform,))
+def _(s):
+    found = gx.travelling.solitary_wave(s.lattice, speed=1.15 * gx.linear.sound_speed(s.lattice))
+    return fields_of(found, law=None, residual=About), state(found.state(9))
 
 
 # fits

@@ -143,6 +143,7 @@ MAKERS = {
     "Rectifier": lambda: studies.Rectifier(np.ones(3), sweep(), sweep(), 1.0, np.inf, np.ones(3), 1.0, 2.0, 3.0),
     "Transmission": lambda: Transmission(np.ones(3), np.ones(3), np.ones(3), 1.0, 9, 20.0),
     "Extrema": lambda: Extrema(np.ones(2), np.ones(2), np.ones(0), np.ones(0)),
+    "Wave": lambda: gx.travelling.solitary_wave(gx.Hertz(), speed=1.0),
     "Made": lambda: gx.reproduce.Made("fig", 1.0, 1.0, 0.1, None, 2.0, {"eps": 0.5}, None, None, "", "", "Agrees."),
 }
 made = functools.cache(lambda name: MAKERS[name]())

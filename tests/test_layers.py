@@ -17,7 +17,7 @@ FLOORS = (
     {"laws", "strains", "materials", "solvers", "newton", "parameters", "descent", "theory", "plots"},
     {"terms", "continuation"},
     {"lattice"},
-    {"flow", "scenes"},
+    {"flow", "profiles", "scenes"},
     {"linear", "measures", "states"},
     {"orbits"},
     {"breathers", "canonical", "driven", "floquet", "forced", "travelling", "shocks"},

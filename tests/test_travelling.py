@@ -1,20 +1,120 @@
 """Travelling waves against known values."""
 
+import pickle
+
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import granjax as gx
+from granjax.travelling import solitary_wave
+
+# tent integral by Newton's method with quadruple quadrature, and by Fourier series; both agree to all digits
+HERTZ = {0: 1.48735937434940207, 0.5: 1.18075956495107221, 1: 0.583929165288747316, 1.5: 0.173535703605945646,
+         2: 0.0290981220754717273, 3: 9.79950180919572e-5}
+FAR = {4: 6.98188008742393e-9, 5: 1.66653015582526e-15}
 
 
-def test_the_wave_is_the_known_fixed_point():
-    x, phi, velocity = gx.travelling.hertz_wave()
-    at = {place: int(np.flatnonzero(x == place)[0]) for place in (0, 0.5, 1, 1.5, 2, 3, 4)}
-    # tent integral by Newton's method with quadruple quadrature, and by Fourier series; both agree to all digits
-    known = {0: 1.48735937434940207, 0.5: 1.18075956495107221, 1: 0.583929165288747316, 1.5: 0.173535703605945646,
-             2: 0.0290981220754717273, 3: 9.79950180919572e-5, 4: 6.98188008742393e-9}
-    for place, value in known.items():
-        assert phi[at[place]] == pytest.approx(value, abs=1e-14, rel=0)
+@pytest.fixture(scope="module")
+def hertz():
+    return solitary_wave(gx.Hertz(), speed=1.0)
+
+
+def test_the_hertz_wave_is_the_known_fixed_point(hertz):
+    for place, value in HERTZ.items():
+        assert float(hertz.strain(place)) == float(hertz.strain(-place)) == pytest.approx(value, abs=1e-14, rel=0)
+    for place, value in FAR.items():
+        assert float(hertz.strain(place)) == pytest.approx(value, rel=1e-12)
     # a bead is fastest midway between the contacts' peaks
-    assert velocity[at[0.5]] == velocity.max() == pytest.approx(1.62494411458652483, abs=1e-14)
-    # total compression
-    assert phi.sum() / 32 == pytest.approx(2.71360995307778758, abs=1e-13)
+    assert float(hertz.velocity(0.5)) == pytest.approx(1.62494411458652483, abs=1e-14)
+    assert float(hertz.energy) == pytest.approx(2.82348668842275840, abs=1e-13)
+    assert float(hertz.compression) == pytest.approx(2.71360995307778758, abs=1e-13)
+    assert float(hertz.width) == pytest.approx(1.72571266900516663, abs=1e-9)
+    assert float(hertz.error) < 1e-14 and float(hertz.residual) < 1e-12
+
+
+def test_the_tail_falls_as_the_inequality_says(hertz):
+    x = np.linspace(2, 5, 31)
+    for n in range(1, 6):
+        assert np.all(np.log(hertz.strain(x + n)) <= 1.5**n * np.log(hertz.strain(x)))
+    assert 0 < float(hertz.strain(10.0)) < 1e-140
+
+
+@pytest.mark.parametrize(("ratio", "peak"), [(1.05, 0.653311577638), (1.2, 3.346111173809), (2, 49.4301641677)])
+def test_precompressed_peaks(ratio, peak):
+    wave = solitary_wave(gx.Hertz(1.0, 1.0), speed=ratio * 1.5**0.5)
+    assert float(wave.amplitude) == pytest.approx(peak, abs=1e-10)
+    # kappa from sinh(kappa/2) = (c/c0) kappa/2, seen far out
+    far = np.log(wave.strain([100.0, 101.0]))
+    assert far[0] - far[1] == pytest.approx(float(wave.decay), rel=1e-12)
+    assert np.sinh(wave.decay / 2) / (wave.decay / 2) == pytest.approx(ratio, rel=1e-13)
+
+
+def test_magnets():
+    wave = solitary_wave(gx.PowerLaw(1.0, -3.0, 1.0), speed=1.05 * 3**0.5)
+    assert float(wave.amplitude) == pytest.approx(0.069221794600, abs=1e-10)
+
+
+@pytest.mark.parametrize("k", [0.1, 3.0])
+def test_the_toda_soliton_everywhere(k):
+    wave = solitary_wave(gx.Toda(), speed=np.sinh(k) / k)
+    x = np.linspace(-60 / k, 60 / k, 201)
+    exact = np.log1p(np.sinh(k) ** 2 / np.cosh(k * x) ** 2)
+    np.testing.assert_allclose(wave.strain(x), exact, rtol=1e-11)
+    assert float(wave.energy) == pytest.approx(np.sinh(2 * k) - 2 * k, rel=1e-11)
+    assert float(wave.compression) == pytest.approx(2 * k, rel=1e-12)
+
+
+def test_one_wave_by_speed_amplitude_or_energy_in_any_units():
+    scene = gx.Lattice(0.03, gx.Bond(gx.Shift(1, "free"), gx.Hertz(9.8e9, 5.0)), sites=20, units="SI")
+    wave = solitary_wave(scene, speed=-60e3)
+    assert wave.units == "SI" and "J" in repr(wave) and float(wave.momentum) < 0
+    for one in (solitary_wave(scene, amplitude=wave.amplitude), solitary_wave(scene, energy=wave.energy)):
+        assert float(one.speed) == pytest.approx(60e3, rel=1e-12)
+        np.testing.assert_allclose(one.strains, wave.strains, rtol=1e-11)
+    u, v = wave.state(20, 9.25)
+    np.testing.assert_allclose(u[:-1] - u[1:], wave.strain(np.arange(19) - 9.25), atol=1e-13 * float(wave.compression))
+    assert np.all(np.asarray(v) < 0)
+    again = pickle.loads(pickle.dumps(wave))
+    assert float(again.strain(0.3)) == float(wave.strain(0.3))
+
+
+@pytest.mark.parametrize("name", ["energy", *(pytest.param(x, marks=pytest.mark.slow) for x in ("speed", "amplitude"))])
+def test_derivatives_by_the_implicit_function_theorem(name):
+    def found(x):
+        wave = solitary_wave(gx.Hertz(x[0], x[1]), **{name: x[2]}, mass=x[3])
+        return jnp.stack([wave.speed, wave.amplitude, wave.energy, wave.width, wave.strain(2.3), wave.velocity(-0.4)])
+
+    x, w = np.array([1.1, 0.9, 2.1, 1.3]), np.array([0.3, -0.2, 0.5, 0.4])
+    slope = jax.jvp(found, (x,), (w,))[1]
+    difference = (found(x + 1e-5 * w) - found(x - 1e-5 * w)) / 2e-5
+    np.testing.assert_allclose(slope, difference, rtol=1e-6)
+
+
+def test_a_search_is_not_traced():
+    with pytest.raises(ValueError, match="jax.jit or jax.vmap"):
+        jax.jit(lambda c: solitary_wave(gx.Hertz(), speed=c).energy)(1.0)
+
+
+BOND = gx.Bond(gx.Shift(1, "free"), gx.Toda())
+REFUSED = [
+    (lambda: solitary_wave(gx.Hertz(1.0, 1.0), speed=1.2), "above that of sound, 1.22474"),
+    (lambda: solitary_wave(gx.Hertz(), speed=0.0), "not zero"),
+    (lambda: solitary_wave(gx.Linear(), speed=2.0), "does not stiffen"),
+    (lambda: solitary_wave(gx.PowerLaw(1.0, 0.5), speed=2.0), "infinitely stiff at rest"),
+    (lambda: solitary_wave(gx.PowerLaw(1.0, 0.5, 1.0), speed=0.9), "one below 0.816"),
+    (lambda: solitary_wave(gx.Hertz(), amplitude=-1.0), "does not stiffen in tension"),
+    (lambda: solitary_wave(gx.Hertz(), energy=0.0), "above zero"),
+    (lambda: solitary_wave(gx.Hertz()), "exactly one of them"),
+    (lambda: solitary_wave(gx.scenes.dimer(9, ratio=0.5), speed=1.0), "a uniform chain, all masses alike"),
+    (lambda: solitary_wave(gx.Lattice(1.0, (BOND, gx.OnSite(gx.Linear(0.1))), sites=9), speed=2.0), "OnSite"),
+    (lambda: solitary_wave(jax.vmap(lambda m: gx.scenes.monomer(9, mass=m), out_axes=-1)(jnp.ones(2)), speed=1.0),
+     "a batch"),
+]
+
+
+@pytest.mark.parametrize(("call", "why"), REFUSED, ids=[why for _, why in REFUSED])
+def test_refused_with_the_reason(call, why):
+    with pytest.raises(ValueError, match=why.replace("(", r"\(")):
+        call()

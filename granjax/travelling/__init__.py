@@ -1,5 +1,6 @@
 """Waves that travel along a lattice without changing their shape."""
 
-from .hertz import hertz_wave
+from .solitary import solitary_wave
+from .wave import Wave
 
-__all__ = ["hertz_wave"]
+__all__ = ["Wave", "solitary_wave"]

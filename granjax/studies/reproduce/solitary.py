@@ -1,15 +1,14 @@
 """Figure 1.3: the exact solitary wave of the Hertz chain runs."""
 
-import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
 from ...checks import whole
 from ...flow import Arrival, simulate
-from ...lattice import State
+from ...laws import Hertz
 from ...measures import along, strain
 from ...scenes import monomer
-from ...travelling import hertz_wave
+from ...travelling import solitary_wave
 from ...types import Count
 from .figure import Choice, Figure
 
@@ -25,28 +24,21 @@ def compute(sites: Count, travel: Count) -> xr.Dataset:
     """The wave at contact 12 of a chain at rest, and `travel` contacts later."""
     travel = whole("travel", travel, 2, "It is how many contacts the wave runs.")
     sites = whole("sites", sites, travel + 2 * AHEAD, f"The wave needs {AHEAD} contacts before it and behind.")
-    x, phi, velocity = hertz_wave(POINTS)
-    origin = len(x) // 2
-    offsets = np.arange(-AHEAD, AHEAD + 1)
-    e, v = np.zeros(sites), np.zeros(sites)
-    e[AHEAD + offsets] = phi[origin + POINTS * offsets]
-    v[AHEAD + offsets] = velocity[origin + POINTS * offsets]
-    e[-1] = 0.0
+    wave = solitary_wave(Hertz(), speed=1.0)
     lattice = monomer(sites, boundary="free")
-    # u_n - u_{n+1} = e_n, the beads ahead at rest
-    state = State(jnp.asarray(np.cumsum(e[::-1])[::-1]), jnp.asarray(v))
-    half = float(phi[origin + POINTS // 2])
+    state = wave.state(sites, centre=AHEAD)
+    half = float(wave.strain(0.5))
+    place = np.linspace(-6, 6, 12 * POINTS + 1)
     run = simulate(lattice, state, float(travel), tolerance=TOLERANCE, save_at=4 * travel + 1,
                    record={"arrival": Arrival(_strain, half)})
     strains = np.asarray(along(strain, lattice, run))
-    near = np.abs(x) <= 6
     return xr.Dataset(
         {
             "strain": (("time", "contact"), strains),
             "arrival": ("contact", np.asarray(run.recorded["arrival"])),
-            "exact": ("place", phi[near]),
+            "exact": ("place", np.asarray(wave.strain(place))),
         },
-        {"time": np.asarray(run.ts), "contact": np.arange(sites - 1), "place": x[near]},
+        {"time": np.asarray(run.ts), "contact": np.arange(sites - 1), "place": place},
         {"start": AHEAD, "travel": travel, "units": "scaled: A = m = 1", "solver": run.solver, "method": run.choice},
     )
 

@@ -1,0 +1,88 @@
+"""Which waves a law has: faster than sound, on the side where it stiffens, up to a limit where it saturates."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ..checks import refuse
+from ..laws import Law
+from .medium import values
+
+# binary orders of magnitude of the strain that are looked through, nodes of a mean, rounding of 2 W/e^2
+ORDERS, MEAN, ROUNDING = 200, 24, 1e-10
+HALVINGS = 60
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(MEAN)
+SIDES = {"compression": 1, "tension": -1}
+
+
+class Bounds(NamedTuple):
+    """Of the waves on one side: strains, 2 W/e^2 there, and the stiffness at rest (0 in a sonic vacuum)."""
+
+    side: int
+    strains: np.ndarray
+    secant: np.ndarray
+    linear: float
+
+    @property
+    def exist(self) -> bool:
+        """Whether the law stiffens somewhere on this side, and is not infinitely stiff at rest."""
+        return bool(np.isfinite(self.linear) and np.any(self.secant > self.linear * (1 + ROUNDING)))
+
+
+def bounds(law: Law, side: int) -> Bounds:
+    """What the energy W of a law says of waves on one side.
+
+    A wave of speed c has K2 < m c^2 < max of 2 W(e)/e^2 (Friesecke and Wattis): its mean kinetic energy is to be met.
+    """
+    strains = side * 2.0 ** np.arange(-ORDERS, ORDERS + 1.0)
+    secant = twice_energy(law, strains)
+    linear = float(values(law, np.zeros(1))[1][0])
+    # a law that is infinitely stiff at rest may give any number there
+    if np.isfinite(secant[0]) and secant[0] > 2 * max(linear, 0.0) and secant[0] > secant[ORDERS] * 1e3:
+        linear = np.inf
+    return Bounds(side, strains, secant, linear)
+
+
+def twice_energy(law: Law, e: np.ndarray) -> np.ndarray:
+    """2 W(e)/e^2, the mean of the force over the way there; infinite where the law ends."""
+    with np.errstate(all="ignore"):
+        force = values(law, e[:, None] * (1 + _NODES) / 2)[0]
+        secant = force @ _WEIGHTS / e
+    first = np.argmax(~np.isfinite(secant)) if not np.isfinite(secant).all() else len(secant)
+    return np.where(np.arange(len(secant)) < first, secant, np.inf)
+
+
+def reached(law: Law, found: Bounds, level: float) -> float | None:
+    """The least strain at which 2 W/e^2 comes to a level above the stiffness at rest; `None` where it never does."""
+    above = found.secant >= level
+    if not above.any() or above[0]:
+        return None
+    i = int(np.argmax(above))
+    low, high = found.strains[i - 1], found.strains[i]
+    for _ in range(HALVINGS):
+        middle = (low + high) / 2
+        if twice_energy(law, np.array([middle]))[0] >= level:
+            high = middle
+        else:
+            low = middle
+    return high if np.isfinite(twice_energy(law, np.array([high]))[0]) else low
+
+
+def side_of(law: Law, side: str | None, amplitude: float | None) -> Bounds:
+    """The side on which waves are looked for: the one asked for, that of the amplitude, or the first that has some."""
+    asked = [1, -1] if side is None else [SIDES[side]]
+    if amplitude is not None:
+        own = 1 if amplitude > 0 else -1
+        if own not in asked:
+            refuse("amplitude", f"a strain in {side}", f"{amplitude:g}", "Compression is positive.")
+        asked = [own]
+    found = [bounds(law, one) for one in asked]
+    there = [one for one in found if one.exist]
+    if not there:
+        where = {1: "in compression", -1: "in tension"}
+        stiff = not np.isfinite(found[0].linear)
+        why = "is infinitely stiff at rest, so that no wave is faster than sound" if stiff else (
+            f"does not stiffen {' or '.join(where[one] for one in asked)}")
+        refuse("law", "one that has solitary waves", f"one that {why}",
+               "They need a force that grows faster than the strain: Hertz, FPUT with K3 != 0, Toda, p < 1 in tension.")
+    return there[0]

@@ -1,0 +1,288 @@
+"""The solitary wave of a law: a first shape by the Fourier form, then the tent integral at two resolutions."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from ..checks import refuse, traced
+from ..entry import checked
+from .existence import Bounds, reached, side_of, twice_energy
+from .medium import Medium, fine_force, one_number, values
+from .shape import TentShape
+from .start import DECAYS, decay_rate, normalised, petviashvili
+from .tent import Found, Places, Tent, solve, swept
+
+# numbers of places; what two of them may differ by, relative to the peak; what a residual may be
+PLACES, AGREE, CONVERGED = (160, 320, 640, 1280), 1e-13, 1e-9
+# ln of the strain over its peak where places end: of an exponential tail, and of one that falls faster
+DEEP, DEEPEST = -42.0, -560.0
+SECANTS = 8
+# a strain over its unit at which a force grows as it does from zero
+SMALL = 1e-6
+
+
+class Solved(NamedTuple):
+    """A wave as it was solved for: its shape, residual and error, the tail's decay rate and exponent, places."""
+
+    shape: TentShape
+    residual: float
+    error: float
+    decay: float
+    exponent: float
+    energy: Any
+    momentum: Any
+    compression: Any
+    places: int
+
+
+class _Problem(NamedTuple):
+    """A wave that is looked for: strains in `unit`, m c^2 in `level`."""
+
+    medium: Medium
+    unit: float
+    level: float
+    linear: float
+    held: str | None
+    target: float
+
+    def force(self, e):
+        """F and its slope at e in units of the strain and the level."""
+        F, slope, _ = values(self.medium.law, self.unit * e)
+        return F / (self.unit * self.level), slope / self.level
+
+    def exponent(self, e):
+        """The power with which the force grows at e."""
+        f, slope = self.force(np.array([e]))
+        return float(e * slope[0] / f[0])
+
+    def condition(self, tent: Tent) -> Callable | None:
+        """What is zero besides the equations where the level is unknown."""
+        if self.held is None:
+            return None
+        if self.held == "amplitude":
+            top = tent.top.toarray()[0]
+            return lambda q, level: (top @ q, top, 0.0)
+        return self._energy(tent.places)
+
+    def _energy(self, places):
+        def energy(q, level):
+            e = self.unit * np.exp(q)
+            F, slope, W = values(self.medium.law, e)
+            whole = 2 * places.weights @ (e * F / 2 + W)
+            return np.log(whole / self.target), 2 * places.weights * (3 * e * F + e * e * slope) / 2 / whole, 0.0
+
+        return energy
+
+
+@checked
+def wave_of(
+    medium: Medium, speed: Any = None, amplitude: Any = None, energy: Any = None, side: str | None = None,
+) -> Solved:
+    """The solitary wave of one speed, peak strain or energy; of a speed below zero the one that runs to the left.
+
+    **Raises** ValueError where there is none, saying why.
+    """
+    known = medium.known
+    numbers = {"speed": speed, "amplitude": amplitude, "energy": energy}
+    c, a, E = (one_number(name, x) for name, x in numbers.items())
+    problem = _problem(known, side_of(known.law, side, a), c, a, E)
+    tent, found, error = _finished(problem, *_first(problem))
+    return _assembled(medium, problem, tent, found, error, numbers)
+
+
+def _problem(medium, found: Bounds, c, a, E):
+    """The wave in units of a strain and a level that are near."""
+    mass = float(medium.mass)
+    sound = np.sqrt(max(found.linear, 0.0) / mass)
+    if c is not None:
+        level = mass * c * c
+        if not abs(c) > sound:
+            wanted = f"one above that of sound, {sound:g} contacts per time" if sound else "one that is not zero"
+            refuse("speed", wanted, f"{c:g}", "Slower waves are periodic." if sound else "")
+        if found.linear and level / found.linear < 1 + 1e-9:
+            refuse("speed", f"one above that of sound, {sound:g}, by a part in 1e9 or more", f"{c!r}",
+                   "Closer the wave is a soliton of Korteweg and de Vries to all digits.")
+        unit = reached(medium.law, found, level)
+        if unit is None:
+            _refuse_fast(medium, found, mass, c)
+        return _Problem(medium, unit, level, found.linear / level, None, 0.0)
+    if a is not None:
+        if a == 0:
+            refuse("amplitude", "a peak strain that is not zero", "0", "That is the chain at rest.")
+        level = float(twice_energy(medium.law, np.array([a]))[0])
+        if not np.isfinite(level) or not level > found.linear:
+            refuse("amplitude", "a strain at which the law has stiffened", f"{a:g}",
+                   "There it has ended, or is softer than at rest.")
+        return _Problem(medium, a, level, found.linear / level, "amplitude", 0.0)
+    if not E > 0:
+        refuse("energy", "a number above zero", f"{E:g}", "That is the chain at rest.")
+    return _by_energy(medium, found, E)
+
+
+def _refuse_fast(medium, found, mass, c):
+    fastest = np.sqrt(found.secant[np.isfinite(found.secant)].max() / mass)
+    refuse("speed", f"one below {fastest:.6g}", f"{c:g}",
+           "Beyond, the energy that the law stores, at most m c^2 e^2/2, does not balance the motion.")
+
+
+def _by_energy(medium, found, E):
+    """By secants on the energy of first shapes over their peaks."""
+    usable = np.isfinite(found.secant) & (found.secant > found.linear * (1 + 1e-9))
+    strains, secant = found.strains[usable], found.secant[usable]
+    rate = [decay_rate(s / found.linear) if found.linear else 3.0 for s in secant]
+    with np.errstate(over="ignore"):
+        crude = 2 * secant * strains**2 * (0.5 + 1 / np.array(rate))
+    logs = np.log(np.abs(strains))
+    at = float(np.interp(np.log(E), np.log(crude), logs))
+    points = []
+    for _ in range(SECANTS):
+        a = found.side * np.exp(at)
+        level = float(twice_energy(medium.law, np.array([a]))[0])
+        problem = _Problem(medium, a, level, found.linear / level, "energy", E)
+        x, psi, _, settled = _shape(problem)
+        F, _, W = values(medium.law, a * psi)
+        points.append((at, np.log((a * psi * F / 2 + W).sum() * (x[1] - x[0]) / E), problem))
+        if abs(points[-1][1]) < 1e-3:
+            break
+        slope = 2.5
+        if len(points) > 1 and points[-1][0] != points[-2][0]:
+            slope = (points[-1][1] - points[-2][1]) / (points[-1][0] - points[-2][0])
+        at -= np.clip(points[-1][1] / (slope if slope > 0.1 else 2.5), -2, 2)
+    return min(points, key=lambda x: abs(x[1]))[2]
+
+
+def _guess(rate):
+    def bell(x):
+        return 1 / np.cosh(np.clip(rate * x / 2, -300, 300)) ** 2
+
+    def compact(x):
+        return np.where(np.abs(x) < 2.5 / rate, np.cos(np.clip(np.pi * rate * x / 5, -np.pi / 2, np.pi / 2)) ** 4, 0.0)
+
+    return bell, compact
+
+
+def _shape(problem):
+    """A first shape on the Fourier form's grid: places, strain over its unit, its change, the level."""
+    if problem.linear > 0:
+        rate = decay_rate(1 / problem.linear)
+        half, guess = DECAYS / rate + 4, _guess(rate)[0]
+    else:
+        over = np.sqrt(max(problem.exponent(SMALL) - 1, 1e-6))
+        half, guess = 3 + 5 / over, _guess(1 / max(1.0, 0.45 / over))[1]
+    if problem.held is None:
+        return *petviashvili(problem.force, problem.linear, half, guess), 1.0
+    if problem.linear > 0.95:
+        x = np.linspace(-half, half, 1024, endpoint=False)
+        return x, guess(x), 0.0, 1.0
+    return normalised(problem.force, half, guess)
+
+
+def _first(problem):
+    """ln of the strain over its unit as a function of place, the level, decay rate, end of the places, exponent."""
+    x, psi, change, level = _shape(problem)
+    half = len(x) // 2
+    x, psi = x[half:], psi[half:]
+    if not np.isfinite(psi).all() or not psi[0] > 0:
+        refuse("law", "one whose first shape settles", "one whose shape does not", "Try another speed or amplitude.")
+    q = np.log(np.maximum(psi, 1e-300))
+    below = q - q[0]
+    smooth = CubicSpline(x, q)
+    if problem.linear > 0:
+        rate = decay_rate(max(level / problem.linear, 1 + 1e-9))
+        k = int(np.argmax(below < -18)) or len(x) - 1
+        end = x[k] + (below[k] - DEEP) / rate
+
+        def first(y):
+            return np.where(y < x[k], smooth(y), q[k] - rate * (y - x[k]))
+
+        return first, np.log(level), rate, end, np.nan
+    p = problem.exponent(SMALL)
+    i, k = (int(np.argmax(below < depth)) or len(x) - 1 for depth in (-14, -25))
+    steep = (q[i] - q[k]) / (p ** x[k] - p ** x[i])
+    base = q[i] + steep * p ** x[i]
+    end = np.log((base - q[0] - DEEPEST) / steep) / np.log(p)
+
+    def first(y):
+        return np.where(y < x[k], smooth(y), base - steep * p ** np.minimum(y, end + 3))
+
+    return first, np.log(level), 0.0, end, p
+
+
+def _finished(problem, first, level, rate, end, exponent) -> tuple[Tent, Found, float]:
+    """Newton's method on the tent integral, with more places until two agree."""
+    before, apart = None, np.inf
+    steep = max(rate, problem.exponent(1.0)) if problem.linear > 0 else None
+    for count in PLACES:
+        tent = Tent.of(Places(count, end / (count - 1), rate), steep)
+        q = first(tent.places.nodes)
+        if before is None and not problem.linear > 0:
+            q = swept(tent, problem.force, q, level)
+        found = solve(tent, problem.force, q, level, problem.condition(tent))
+        if not found.residual < CONVERGED:
+            if count == PLACES[-1]:
+                refuse("law", "one whose wave is found", f"a residual of {found.residual:.1e} after Newton's method",
+                       "Near the fastest wave, or where contacts open within it, there may be none.")
+            continue
+        places, level = tent.places, found.level
+        if problem.held and problem.linear > 0:
+            rate = decay_rate(np.exp(level) / problem.linear)
+
+        def first(y, places=places, q=found.q):
+            matrix, shift = places.interpolation(y)
+            return matrix @ q + shift
+
+        if before is not None:
+            coarse, q = before
+            apart = np.abs(np.exp(first(coarse.nodes)) - np.exp(q)).max() * abs(problem.unit)
+        peak = abs(problem.unit) * np.exp(found.q.max())
+        if apart <= AGREE * peak:
+            break
+        before = places, found.q
+    return tent, found, float(max(apart, 4 * np.finfo(float).eps * peak))
+
+
+def _assembled(medium, problem, tent, found, error, numbers):
+    """Everything of the wave from the solution, to be differentiated by the implicit function theorem."""
+    law, mass = medium.law, medium.mass
+    q, level, unit = jnp.asarray(found.q), jnp.asarray(found.level), problem.unit
+    if traced((law, mass, numbers)):
+        q, level = _implicit(medium, problem, tent, found, numbers)
+    square = jnp.exp(level) * problem.level / mass
+    sign = -1.0 if problem.held is None and float(jax.lax.stop_gradient(numbers["speed"])) < 0 else 1.0
+    speed = sign * jnp.sqrt(square) if problem.held else jnp.asarray(numbers["speed"], float)
+    places = tent.places
+    rate = decay_rate(np.exp(found.level) / problem.linear) if problem.linear > 0 else 0.0
+    steep = rate or float(found.q[-2] - found.q[-1]) / places.apart
+    shape = TentShape.of(law, mass, speed, jnp.asarray(unit), places.coefficients(q), jnp.asarray(places.apart),
+                         jnp.asarray(steep))
+    e, weights = unit * jnp.exp(q), jnp.asarray(places.weights)
+    F = fine_force(law, e)
+    energy, compression = 2 * weights @ (e * F / 2 + law.energy(e)), 2 * weights @ e
+    exponent = np.nan if problem.linear > 0 else problem.exponent(SMALL)
+    return Solved(shape, found.residual, error, rate or np.nan, exponent, energy, mass * speed * compression,
+                  compression, places.count)
+
+
+def _implicit(medium, problem, tent, found, numbers):
+    """q and the level, whose derivatives are those of the equations at fixed q over -Jacobian."""
+    strain = problem.unit * tent.strain(found.q)
+    f = fine_force(medium.law, jnp.asarray(strain))
+    level = jnp.asarray(found.level) + np.log(problem.level)
+    if problem.held is None:
+        level = jnp.log(medium.mass * jnp.asarray(numbers["speed"], float) ** 2)
+    integral = (jnp.asarray(tent.weights) * f).sum(1) / problem.unit
+    gap = jnp.log(integral) - level - found.q
+    if problem.held == "amplitude":
+        gap = jnp.append(gap, jnp.log(problem.unit / jnp.asarray(numbers["amplitude"], float)))
+    elif problem.held == "energy":
+        e = problem.unit * jnp.exp(jnp.asarray(found.q))
+        whole = 2 * jnp.asarray(tent.places.weights) @ (e * fine_force(medium.law, e) / 2 + medium.law.energy(e))
+        gap = jnp.append(gap, jnp.log(whole / jnp.asarray(numbers["energy"], float)))
+    # what is left of the equations stays as it was found
+    change = jnp.asarray(np.linalg.inv(found.jacobian)) @ (gap - jax.lax.stop_gradient(gap))
+    moved = jnp.asarray(found.q) - change[: len(found.q)]
+    return moved, jnp.asarray(found.level) - change[len(found.q) :].sum()

@@ -1,0 +1,72 @@
+"""A first shape of a wave: Petviashvili's iteration on the Fourier form."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+# points of the grid, decays in half of the box, most iterations, change at which one ends
+POINTS, DECAYS, ITERATIONS, SETTLED = 1024, 40.0, 400, 1e-5
+# the least exponent that a factor is computed for
+LEAST = 1.02
+
+
+def decay_rate(ratio: float) -> float:
+    """kappa > 0 of a tail exp(-kappa |xi|): sinh^2(kappa/2) = ratio (kappa/2)^2, ratio = m c^2/K2 > 1."""
+    root = np.sqrt(ratio)
+    x = np.sqrt(6 * (ratio - 1)) if ratio < 3 else min(np.log(4 * ratio), 600.0)
+    for _ in range(100):
+        with np.errstate(over="ignore"):
+            # ln sinh(x)/x = ln root, by Newton in ln x
+            value = np.log(np.sinh(x) / x) - np.log(root) if x > 1e-3 else x * x / 6 - np.log1p(ratio - 1) / 2
+            slope = 1 / np.tanh(x) - 1 / x if x > 1e-3 else x / 3
+        step = value / slope
+        x = max(x - step, x / 4)
+        if abs(step) <= 1e-15 * x:
+            break
+    return 2 * x
+
+
+def petviashvili(
+    force: Callable, linear: float, half: float, guess: Callable, points: int = POINTS,
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """The shape of a wave whose level is 1: psi = tent * f(psi), by the Fourier form.
+
+    (1 - linear sinc^2) psi = sinc^2 N(psi), N = f - linear psi, iterated with the factor S^gamma, gamma = p/(p - 1), p
+    the exponent by which N grows at present. `force(psi)`: f and its slope. `half`: half the length of the box.
+    """
+    x = (np.arange(points) - points // 2) * (2 * half / points)
+    box = np.sinc(np.fft.rfftfreq(points, 2 * half / points)) ** 2
+    psi, change = guess(x), np.inf
+    for _ in range(ITERATIONS):
+        f, slope = force(psi)
+        N, grows = f - linear * psi, (slope - linear) * psi
+        hat = np.fft.rfft(np.stack([psi, N, grows]), axis=1)
+        pull = np.fft.irfft(box * hat[1], points)
+        exponent = max((psi @ np.fft.irfft(box * hat[2], points)) / (psi @ pull), LEAST)
+        size = psi @ np.fft.irfft((1 - linear * box) * hat[0], points) / (psi @ pull)
+        new = size ** (exponent / (exponent - 1)) * np.fft.irfft(box * hat[1] / (1 - linear * box), points)
+        new = np.maximum(new, 0.0)
+        if not np.isfinite(new).all() or not new.any():
+            return x, psi, np.inf
+        change, psi = np.abs(new - psi).max() / np.abs(new).max(), new
+        if change < SETTLED:
+            break
+    return x, psi, change
+
+
+def normalised(
+    force: Callable, half: float, guess: Callable, points: int = POINTS,
+) -> tuple[np.ndarray, np.ndarray, float, float]:
+    """The shape of peak 1 and its level: psi <- tent * f(psi) over its peak."""
+    x = (np.arange(points) - points // 2) * (2 * half / points)
+    box = np.sinc(np.fft.rfftfreq(points, 2 * half / points)) ** 2
+    psi, change, peak = guess(x), np.inf, 1.0
+    for _ in range(ITERATIONS):
+        new = np.maximum(np.fft.irfft(box * np.fft.rfft(force(psi)[0]), points), 0.0)
+        peak = new.max()
+        if not np.isfinite(peak) or not peak > 0:
+            return x, psi, np.inf, peak
+        change, psi = np.abs(new / peak - psi).max(), new / peak
+        if change < SETTLED:
+            break
+    return x, psi, change, peak

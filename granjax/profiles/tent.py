@@ -1,0 +1,193 @@
+"""The tent integral: a wave of one sign by the logarithm of its strain, right to its last digit everywhere.
+
+phi(x) = int (1 - |z|) F(phi(x - z)) dz/(m c^2) has positive terms alone, so that what it gives is as right as what goes
+in. In q = ln(phi/peak) on places alike far apart, tails that fall as exp(-exp(x)) have digits like the top.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+import scipy.sparse as sparse
+
+# places that one value is interpolated from; nodes of a piece of the tent, pieces of either of its sides, finer towards
+# where the wave comes from
+STENCIL, PIECE = 12, 12
+PIECES = (0.0, 1 / 32, 1 / 16, 1 / 8, 1 / 4, 3 / 8, 1 / 2, 5 / 8, 3 / 4, 7 / 8, 1.0)
+# ln of the strain over its peak where a far tail begins
+TAIL = -12.0
+# slope of ln F times the length of a piece
+STEEP = 4.0
+STEPS, HALVINGS, SETTLED = 40, 6, 1e-15
+_BARY = np.array([1 / np.prod(np.delete(k - np.arange(STENCIL), k), dtype=float) for k in range(STENCIL)])
+
+
+def rule(pieces: Any = PIECES) -> tuple[np.ndarray, np.ndarray]:
+    """Nodes and weights on (0, 1), that many on each piece between some ends."""
+    t, w = np.polynomial.legendre.leggauss(PIECE)
+    ends = list(zip(pieces[:-1], pieces[1:]))
+    return (np.concatenate([a + (b - a) * (1 + t) / 2 for a, b in ends]),
+            np.concatenate([(b - a) * w / 2 for a, b in ends]))
+
+
+RULE = rule()
+
+
+class Places(NamedTuple):
+    """Places from 0 on, so far apart, of a function that is even; beyond the last one its slope is -decay.
+
+    Between them it is the polynomial through the nearest ones, which those at the end take from one side.
+    """
+
+    count: int
+    apart: float
+    decay: float
+
+    @property
+    def end(self) -> float:
+        """The last place."""
+        return (self.count - 1) * self.apart
+
+    @property
+    def nodes(self) -> np.ndarray:
+        """The places (I,)."""
+        return self.apart * np.arange(self.count)
+
+    @property
+    def weights(self) -> np.ndarray:
+        """Of an integral from 0 on over something even that is gone at the end (I,)."""
+        weights = np.full(self.count, self.apart)
+        weights[0] /= 2
+        return weights
+
+    def _stencils(self, cells):
+        """The nodes (cells, STENCIL) that stand for each cell, as numbers that may be below zero."""
+        first = np.minimum(cells - (STENCIL // 2 - 1), self.count - STENCIL)
+        return first[:, None] + np.arange(STENCIL)
+
+    def interpolation(self, y: np.ndarray) -> tuple[sparse.csr_matrix, np.ndarray]:
+        """q at places y >= 0 from q at the nodes: a matrix, and what the slope beyond the end adds."""
+        inside = np.minimum(y, self.end) / self.apart
+        columns = self._stencils(np.minimum(inside.astype(int), self.count - 2))
+        gaps = inside[:, None] - columns
+        exact = gaps == 0
+        rows = _BARY / np.where(exact, 1.0, gaps)
+        rows = np.where(exact.any(1)[:, None], exact, rows)
+        rows = rows / rows.sum(1, keepdims=True)
+        starts = np.arange(len(y) + 1) * STENCIL
+        matrix = sparse.csr_matrix((rows.ravel(), np.abs(columns).ravel(), starts), (len(y), self.count))
+        return matrix, -self.decay * np.maximum(y - self.end, 0.0)
+
+    def coefficients(self, q: Any) -> Any:
+        """Those of Chebyshev's polynomials on every cell (I - 1, STENCIL)."""
+        columns = self._stencils(np.arange(self.count - 1))
+        at = np.cos(np.pi * (np.arange(STENCIL) + 0.5) / STENCIL)
+        # of cells within, and of those at either end: one matrix for each distance from the stencil's first node
+        found = jnp.zeros((self.count - 1, STENCIL))
+        for offset in np.unique(np.arange(self.count - 1) - columns[:, 0]):
+            own = np.flatnonzero(np.arange(self.count - 1) - columns[:, 0] == offset)
+            gaps = (offset + (1 + at) / 2)[:, None] - np.arange(STENCIL)
+            rows = _BARY / gaps
+            rows = np.linalg.solve(np.polynomial.chebyshev.chebvander(at, STENCIL - 1), rows / rows.sum(1)[:, None])
+            found = found.at[own].set(jnp.asarray(q)[np.abs(columns[own])] @ jnp.asarray(rows.T))
+        return found
+
+
+class Tent(NamedTuple):
+    """The tent integral at the nodes of some places: places, weights (I, Q), and q there from q at the nodes."""
+
+    places: Places
+    weights: np.ndarray
+    matrix: sparse.csr_matrix
+    shift: np.ndarray
+    top: sparse.csr_matrix
+
+    @classmethod
+    def of(cls, places: Places, steep: float | None = None) -> "Tent":
+        """That of some places, by even pieces where it is known how steep (per contact) the force may be at most."""
+        s, w = RULE if steep is None else rule(np.linspace(0, 1, 1 + int(np.ceil(max(steep / STEEP, 1)))))
+        x = places.nodes[:, None]
+        y = np.concatenate([x - 1 + s, x + s], 1)
+        matrix, shift = places.interpolation(np.abs(y).ravel())
+        weights = np.broadcast_to(np.concatenate([w * s, w * (1 - s)]), y.shape)
+        return cls(places, weights, matrix, shift, places.interpolation(np.zeros(1))[0])
+
+    def strain(self, q: np.ndarray) -> np.ndarray:
+        """The strain over its peak where the tent reads it, (I, Q)."""
+        return np.exp(self.matrix @ q + self.shift).reshape(self.weights.shape)
+
+    def integral(self, force: np.ndarray) -> np.ndarray:
+        """The integral at the nodes of a force (I, Q)."""
+        return (self.weights * force).sum(1)
+
+    def slopes(self, grows: np.ndarray) -> np.ndarray:
+        """Its derivative in q at the nodes (I, I), from e F'(e)."""
+        count, size = grows.shape
+        starts = np.arange(count + 1) * size
+        rows = sparse.csr_matrix(((self.weights * grows).ravel(), np.arange(count * size), starts))
+        return (rows @ self.matrix).toarray()
+
+
+class Found(NamedTuple):
+    """q at the nodes, ln of the level, the residual per node that was left, and the Jacobian with its border."""
+
+    q: np.ndarray
+    level: float
+    residual: float
+    jacobian: np.ndarray
+
+
+def swept(tent: Tent, force: Callable, q: np.ndarray, level: float) -> np.ndarray:
+    """q with its far tail, of which each contact follows from the one before, by as many iterations as are needed."""
+    far = q < q[0] + TAIL
+    for _ in range(int(np.ceil(tent.places.end)) + 2):
+        with np.errstate(all="ignore"):
+            new = np.log(tent.integral(force(tent.strain(q))[0])) - level
+        q = np.where(far & np.isfinite(new), new, q)
+    return q
+
+
+def solve(tent: Tent, force: Callable, q: np.ndarray, level: float = 0.0, held: Callable | None = None) -> Found:
+    """Newton's method for q = ln(tent * f(e^q)) - level.
+
+    `force(e)`: f and its slope at strains over the peak's unit. `held(q, level)`: what is zero besides, and its
+    derivatives, where the level is unknown. It ends where the residual falls no more.
+    """
+    best = _state(tent, force, q, level, held)
+    for _ in range(STEPS):
+        size, q, level, gap, jacobian = best
+        if not np.isfinite(size):
+            break
+        try:
+            step = np.linalg.solve(jacobian, -gap)
+        except np.linalg.LinAlgError:
+            break
+        for k in range(HALVINGS):
+            new = _state(tent, force, q + step[: len(q)] / 2**k, level + (step[len(q) :].sum() / 2**k), held)
+            if new[0] < size:
+                break
+        else:
+            break
+        best = new
+        if new[0] > 0.5 * size and new[0] < 1e-12 or new[0] < SETTLED:
+            break
+    size, q, level, gap, jacobian = best
+    return Found(q, level, float(np.abs(gap).max()), jacobian)
+
+
+def _state(tent, force, q, level, held):
+    """(size of the gap, q, level, gap, Jacobian)."""
+    with np.errstate(all="ignore"):
+        e = tent.strain(q)
+        f, slope = force(e)
+        integral = tent.integral(f)
+        gap = np.log(integral) - level - q
+        if not np.isfinite(gap).all():
+            return np.inf, q, level, gap, None
+        jacobian = tent.slopes(e * slope) / integral[:, None] - np.eye(len(q))
+    if held is not None:
+        value, in_q, in_level = held(q, level)
+        gap = np.append(gap, value)
+        jacobian = np.block([[jacobian, -np.ones((len(q), 1))], [in_q[None], np.array([[in_level]])]])
+    return float(np.sqrt(np.mean(gap**2))), q, level, gap, jacobian
