@@ -93,7 +93,7 @@ Measurements and design
     Design              what it returns
     smooth_peak         a maximum that differentiates
 Theory and studies
-    theory              closed forms: the envelope equation (nls), elliptic functions
+    theory              closed forms: envelopes (nls), Toda, KdV, compactons, elliptic functions
     travelling          solitary waves
     studies             a rectifier, dark and bright breathers, as they were made
     resonance           transmission of dimers over their mass ratio

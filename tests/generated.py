@@ -444,6 +444,15 @@ OWN = {
     "orbits.guesses.envelope.supports_bright.edge": lambda: Edge(0.0, 0, 1.0, True, envelope()),
     "orbits.symmetry.Symmetry.matrix.like": y, "results.Result.save.path": lambda: "file.nc",
     "theory.nls.dark.nu2": lambda: -1.0, "theory.elliptic.jacobi.u": lambda: 0.7,
+    **{f"theory.{name}": (lambda x=x: x) for name, x in {
+        "toda.two_solitons.k2": 0.5, "toda.phase_shifts.k2": 0.5, "toda.periodic_wave.E1": -1.0,
+        "toda.periodic_wave.E2": 0.2, "toda.periodic_wave.E3": 0.6, "toda.periodic_wave.E4": 1.0,
+        "toda.periodic_numbers.E1": -1.0, "toda.periodic_numbers.E2": 0.2, "toda.periodic_numbers.E3": 0.6,
+        "toda.periodic_numbers.E4": 1.0, "toda.lax_eigenvalues.strain": np.zeros(2),
+        "toda.lax_eigenvalues.velocity": np.zeros(3), "kdv.amplitude.speed": 1.5, "kdv.cnoidal.r1": 0.0,
+        "kdv.cnoidal.r2": 0.01, "kdv.cnoidal.r3": 0.02,
+        **{f"compacton.{kind}.p": 1.5 for kind in ("nesterenko", "ahnert_pikovsky")},
+    }.items()},
     "newton.newton.guess": lambda: np.ones(1),
     "terms.base.Term.force.mass": lambda: 1.0,
     "lattice.model.Lattice.total.parts": lambda: [np.zeros(5)],
@@ -463,6 +472,8 @@ ALSO = {
     "fit.traces.Traces": {"": {"velocity": np.zeros((FRAMES, 2)), "sites": [1, 2]}, "displacement": {"sites": [1, 2]},
                           "force": {"contacts": [1, 2]}, "contacts": {"force": np.zeros((FRAMES, 2))}},
     "identify.law.law": {"": {"stiffness": 1.0}},
+    "theory.kdv.soliton": {"": {"amplitude": 0.1}, "amplitude": {}, "speed": {}},
+    "theory.toda.wavenumber": {"": {"speed": 1.5}, "speed": {}, "amplitude": {}, "energy": {}},
     **{f"theory.elliptic.{name}": {"": {"m": 0.5}, "m": {}, "m1": {}}
        for name in ("jacobi", "zeta", "K", "E", "Pi", "F", "incomplete_E", "incomplete_Pi")},
 }

@@ -287,6 +287,19 @@ def _(seed):
         wave.strain(0.3 + seed), wave.velocity(0.2), wave.displacement(0.2), wave.state(9, 4.0 + seed), repr(wave)
 
 
+@also("Toda's and KdV's waves, compactons", SLOW)
+def _(seed):
+    f, n, t = 1 + 0.1 * seed, np.arange(5.0), 0.3 + seed
+    toda, kdv, compacton = gx.theory.toda, gx.theory.kdv, gx.theory.compacton
+    toda.soliton(n, t, f), toda.two_solitons(n, t, f, 0.5, centre1=0.0, centre2=f), toda.matched(f, 0.4)
+    toda.phase_shifts(f, 0.5), toda.wavenumber(speed=1 + f), toda.wavenumber(amplitude=f), toda.wavenumber(energy=f)
+    toda.speed(f), toda.amplitude(f), toda.energy(f), toda.lax_eigenvalues(n[:-1] * f, n)
+    toda.periodic_wave(n, t, -f, 0.1, 0.4, f), toda.periodic_numbers(-f, 0.1, 0.4, f)
+    kdv.soliton(n, t, f, 0.5, amplitude=0.1 * f), kdv.cnoidal(n, t, 0.0, 0.01, 0.02, f, 0.5), kdv.scales(f, 0.5)
+    kdv.speed(0.1 * f, f, 0.5), kdv.amplitude(2 * f, f, 0.5)
+    compacton.nesterenko(n, 1.5 * f), compacton.ahnert_pikovsky(n, 1.5 * f), compacton.rosenau_hyman(n, 2 * f)
+
+
 # public functions that no row calls by name, by their modules, and why
 WITHIN = {
     **dict.fromkeys(("checks", "entry.checked", "entry.kinds", "printing", "programs", "variables", "cli.commands",

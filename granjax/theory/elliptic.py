@@ -359,6 +359,25 @@ def _zeta(u, m1):
     return second - r * share
 
 
+def _log_theta(u, m1):
+    """ln Theta(u)/Theta(0), whose derivative in u is zeta; at m = 1 ln cosh u."""
+    r, _ = _period_left(u, m1)
+    K, other = _K(jnp.where(m1 > 0, m1, 1.0)), _K(1 - m1)
+    r, round_ = jnp.abs(r), m1 > 0.5
+    q, z = jnp.exp(-jnp.pi * jnp.where(round_, other / K, 1.0)), jnp.pi * r / jnp.where(round_, K, 1.0)
+    by_cosines = jnp.log1p(
+        sum(2 * (-1) ** n * q ** (n * n) * (jnp.cos(n * z) - 1) for n in range(1, TERMS))
+        / (1 + sum(2 * (-1) ** n * q ** (n * n) for n in range(1, TERMS))))
+    other = jnp.where(round_, 1.0, other)
+    x, log_q = jnp.pi * r / (2 * other), jnp.where(m1 > 0, -jnp.pi * K / other, -jnp.inf)
+    log_q = jnp.where(round_, -1.0, log_q)
+    series = (1 + jnp.exp(-2 * x)) / 2 + sum(
+        jnp.exp((n * n + n) * log_q + 2 * n * x) * (1 + jnp.exp(-(4 * n + 2) * x)) / 2 for n in range(1, TERMS))
+    at_0 = 1 + sum(jnp.exp((n * n + n) * log_q) for n in range(1, TERMS))
+    square = jnp.where(m1 > 0, jnp.pi * r * r / (4 * K * other), 0.0)
+    return jnp.where(round_, by_cosines, x - square + jnp.log(series / at_0))
+
+
 @jax.custom_jvp
 def _in_period(r, m1):
     """sn, cn, dn of |r| <= K: of |r| or K - |r|, whichever is less, by the series in the smaller nome."""

@@ -1,0 +1,76 @@
+"""What a closed form says of the sites of a chain, and what all such forms ask of their arguments."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..checks import broadcast, concrete, one_of, parameter, positive, refuse, show
+from ..printing import told
+
+
+class ChainWave(NamedTuple):
+    """A wave at sites n and times t, of their shapes broadcast.
+
+    - `strain`: y_n = u_n - u_{n+1} of the bond between n and n + 1, compression positive.
+    - `velocity`: v_n = du_n/dt of site n. `displacement`: u_n, but for a constant.
+    """
+
+    strain: jax.Array
+    velocity: jax.Array
+    displacement: jax.Array
+    __repr__ = told
+
+
+def _numbers(**given):
+    """Finite arrays whose shapes broadcast."""
+    arrays = {name: parameter(name, x) for name, x in given.items()}
+    broadcast(**arrays)
+    return list(arrays.values())
+
+
+def _one_given(given, above, sound):
+    """The only one of several numbers that is not None, and its name; above a floor. `sound`: what sets its speed."""
+    names = [name for name, x in given.items() if x is not None]
+    if len(names) != 1:
+        refuse(", ".join(given), "one of these", ", ".join(names) or "none", "Each says how large the wave is.")
+    name = names[0]
+    array, floor = parameter(name, given[name]), concrete(above[name])
+    value = concrete(array)
+    if value is not None and floor is not None and not np.all(value > floor):
+        slow = name == "speed"
+        refuse(name, f"numbers above {show(floor)}" + ", the speed of sound" * slow, show(value),
+               f"A solitary wave is faster than sound, whose speed {sound} set." if slow else "")
+    return name, array
+
+
+def _direction_of(direction):
+    """1 of a wave to the right, -1 of one to the left."""
+    return 1.0 if one_of("direction", direction, ("right", "left")) == "right" else -1.0
+
+
+def _stiffnesses(K2, K3, mass, remedy):
+    """K2 > 0, K3 other than zero, mass > 0, as arrays that broadcast."""
+    K2, K3, mass = positive("K2", K2, "A chain without linear stiffness has no sound."), parameter("K3", K3), positive(
+        "mass", mass)
+    value = concrete(K3)
+    if value is not None and np.any(value == 0):
+        refuse("K3", "numbers other than zero", show(value), remedy)
+    broadcast(K2=K2, K3=K3, mass=mass)
+    return K2, K3, mass
+
+
+def _sech(x):
+    """1/cosh x, which neither overflows nor has a kink."""
+    return 2 * jnp.exp(-(jax.nn.softplus(2 * x) + jax.nn.softplus(-2 * x)) / 2)
+
+
+def _sinh_less(x):
+    """sinh x - x, with its digits where x is small."""
+    square = x * x
+    series = 1.0
+    for k in range(8, 0, -1):
+        series = 1 + square / ((2 * k + 2) * (2 * k + 3)) * series
+    near = jnp.abs(x) < 1
+    return jnp.where(near, x * square / 6 * series, jnp.sinh(jnp.where(near, 1.0, x)) - x)
