@@ -285,6 +285,7 @@ def _(seed):
     for law in (gx.Hertz(1.0 + 0.1 * seed), gx.Toda(1.0 + 0.1 * seed)):
         wave = gx.travelling.solitary_wave(law, speed=1.3 + 0.01 * seed)
         wave.strain(0.3 + seed), wave.velocity(0.2), wave.displacement(0.2), wave.state(9, 4.0 + seed), repr(wave)
+    gx.states.solitary_wave(gx.scenes.monomer(9, stiffness=1.0 + seed), 4.0 + seed, speed=1.3)
 
 
 @also("Toda's and KdV's waves, compactons", SLOW)

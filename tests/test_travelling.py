@@ -97,6 +97,67 @@ def test_a_search_is_not_traced():
         jax.jit(lambda c: solitary_wave(gx.Hertz(), speed=c).energy)(1.0)
 
 
+def by_constraint(law, norm, half=16.0, points=1024, steps=600):
+    """(c, x, strain): the potential energy at its largest, sum W(A v), among velocities v of one norm (unit mass).
+
+    v <- A F(A v) over its norm, A the mean over a contact, raises it at every step: Friesecke and Wattis, Commun. Math.
+    Phys. 161, 391 (1994); Herrmann, Proc. R. Soc. Edinb. A 140, 753 (2010).
+    """
+    x = (np.arange(points) - points // 2) * 2 * half / points
+    box = np.sinc(np.fft.rfftfreq(points, 2 * half / points))
+    mean = lambda f: np.fft.irfft(box * np.fft.rfft(f), points)
+    v = norm * (w := np.exp(-(x**2))) / np.linalg.norm(w)
+    stored = []
+    for _ in range(steps):
+        strain = mean(v)
+        new = mean(np.asarray(law.force(strain)))
+        stored.append(float(law.energy(strain).sum()))
+        v, c = norm * new / np.linalg.norm(new), np.sqrt(np.linalg.norm(new) / norm)
+    assert np.all(np.diff(stored) > -1e-13 * stored[-1])
+    return c, x, mean(v)
+
+
+def test_a_second_method_gives_the_same():
+    for law in (gx.Hertz(), gx.Hertz(1.0, 1.0)):
+        c, x, strain = by_constraint(law, 20.0)
+        wave = solitary_wave(law, speed=c)
+        # the constraint's way of convergence: its own error in c is doubled in the peak
+        np.testing.assert_allclose(wave.strain(x), strain, atol=1e-10 * float(wave.amplitude), rtol=0)
+
+
+def test_launched_on_a_lattice_it_stays_as_it_is():
+    lattice = gx.scenes.monomer(1040, boundary="free")
+    state = gx.states.solitary_wave(lattice, 15.0, speed=1.0)
+    run = gx.simulate(lattice, state, 1000.0, step=0.08, solver=gx.SRKN14a())
+    strain = gx.measures.strain(lattice, run.final)
+    exact = solitary_wave(gx.Hertz(), speed=1.0).strain(np.arange(1039) - 1015.0)
+    np.testing.assert_allclose(strain, exact, atol=1e-9, rtol=0)
+
+
+def test_towards_the_speed_of_sound_it_is_the_soliton_of_korteweg_and_de_vries():
+    law, sigma, excess = gx.Hertz(1.0, 1.0), 1.5**0.5, np.array([1e-3, 1e-2])
+    K2, K3, _ = gx.laws.taylor(law)
+    errors = []
+    for e in excess:
+        wave = solitary_wave(law, speed=sigma * (1 + e))
+        x = np.linspace(0, 6, 200) / np.sqrt(6 * e)
+        soliton = 3 * K2 / K3 * e / np.cosh(np.sqrt(6 * e) * x) ** 2
+        errors.append(float(np.abs(wave.strain(x) - soliton).max() / wave.amplitude))
+    assert np.diff(np.log(errors)) / np.diff(np.log(excess)) == pytest.approx(1.0, abs=0.1)
+
+
+@pytest.mark.parametrize("p", [1.2, 3.0, 10.0])
+def test_powers_scale_and_sum(p):
+    wave, faster = (solitary_wave(gx.PowerLaw(1.0, p), speed=c) for c in (1.0, 1.3))
+    scale = 1.3 ** (2 / (p - 1))
+    np.testing.assert_allclose(faster.strain([0.0, 1.1, 2.3]), scale * wave.strain([0.0, 1.1, 2.3]), rtol=1e-9)
+    # the tent integral itself, by another rule
+    z, w = np.polynomial.legendre.leggauss(200)
+    for x in (0.0, 1.7, 3.3):
+        parts = [wave.strain(x + side * (1 + z) / 2) ** p * (1 - z) / 2 @ w / 2 for side in (1, -1)]
+        assert float(sum(parts)) == pytest.approx(float(wave.strain(x)), rel=1e-9)
+
+
 BOND = gx.Bond(gx.Shift(1, "free"), gx.Toda())
 REFUSED = [
     (lambda: solitary_wave(gx.Hertz(1.0, 1.0), speed=1.2), "above that of sound, 1.22474"),

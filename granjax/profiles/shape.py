@@ -7,11 +7,16 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from ..checks import traced
 from ..laws import Law
+from ..outside import Outside
+from ..programs import shared_size
 from ..types import Number, Numbers
 from .medium import fine_force
 from .tent import RULE
 
+# places evaluated in one program
+PLACES = 4096
 _T, _W = np.polynomial.legendre.leggauss(12)
 
 
@@ -33,6 +38,24 @@ class Shape(eqx.Module):
     @abc.abstractmethod
     def displacement(self, xi: Number) -> Numbers:
         """Displacement of the bead at xi [m]."""
+
+    def at(self, name: str, xi: Any) -> Numbers:
+        """One of them at many places: by a program of few sizes, or within the one that traces it."""
+        if traced((self, xi)):
+            return _evaluated(self, name, jnp.asarray(xi, float), Outside(self))
+        xi = np.asarray(xi, float)
+        flat, outside, parts = xi.ravel(), Outside(self), []
+        for begin in range(0, max(flat.size, 1), PLACES):
+            part = flat[begin : begin + PLACES]
+            padded = np.zeros(shared_size(max(part.size, 1)))
+            padded[: part.size] = part
+            parts.append(np.asarray(_evaluated(self, name, jnp.asarray(padded), outside))[: part.size])
+        return jnp.asarray(np.concatenate(parts).reshape(xi.shape))
+
+
+@eqx.filter_jit
+def _evaluated(shape, name, xi, outside):
+    return getattr(shape, name)(xi)
 
 
 class TentShape(Shape):

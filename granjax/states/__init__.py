@@ -6,4 +6,4 @@ Displacements are measured from static equilibrium, so a precompressed chain at 
 from .modes import normal_mode, sine_mode
 from .simple import impact, random, rest, thermal
 from .steps import strain_step, velocity_step
-from .waves import wave_packet
+from .waves import solitary_wave, wave_packet

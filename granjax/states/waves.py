@@ -1,4 +1,4 @@
-"""Wave packets of the linear chain."""
+"""Waves: packets of the linear chain, solitary waves."""
 
 from collections.abc import Callable
 from functools import partial
@@ -9,10 +9,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import concrete, described, one_of, per_lane, positive, refuse, show, within
+from ..checks import concrete, described, one_of, parameter, per_lane, positive, refuse, show, within
 from ..entry import checked, shape_of
 from ..lattice import Lattice, State
-from ..types import Parameter
+from ..profiles import medium_of, wave_of
+from ..types import Parameter, Scalar
 from .places import chain_only
 
 UNIFORM = 1e-6
@@ -64,6 +65,34 @@ def wave_packet(
         frequency = _local_frequency(lattice, q, k) if omega is None else _given_frequency(omega, q, u.shape[1:])
         v = jnp.fft.irfft(-1j * frequency * jnp.fft.rfft(u, axis=0), size, axis=0)
     return State((zeros + u).astype(zeros.dtype), (zeros + sign * v).astype(zeros.dtype))
+
+
+@checked
+def solitary_wave(
+    lattice: Lattice, centre: Parameter | None = None, *, speed: Scalar | None = None, amplitude: Scalar | None = None,
+    energy: Scalar | None = None, side: str | None = None,
+) -> State:
+    """A chain in which its own solitary wave runs, exact on the lattice: `gx.travelling.solitary_wave` says which.
+
+    The beads ahead are at rest in place, those behind have moved by the wave's compression, as far as the chain's other
+    end: meant for free ends, or a wall ahead.
+
+    **Arguments:** `lattice`: a uniform chain of bonds to the next site. `centre`: contact of the peak, a real number;
+    `None` is the middle, (N - 2)/2; several waves are sums of states that are far apart. Exactly one of `speed`
+    (contacts per time, below zero to the left), `amplitude`, `energy`.
+    **Raises** ValueError for a centre outside the chain, and where `gx.travelling.solitary_wave` does.
+    """
+    sites = chain_only(lattice, "solitary_wave")
+    given = [name for name, x in (("speed", speed), ("amplitude", amplitude), ("energy", energy)) if x is not None]
+    if len(given) != 1:
+        refuse("speed, amplitude, energy", "exactly one of them", ", ".join(given) or "none")
+    centre = parameter("centre", (sites - 2) / 2 if centre is None else centre)
+    value = concrete(centre)
+    if value is not None and (value.shape or not 0 <= value <= sites - 2):
+        refuse("centre", f"a number within 0 ... {sites - 2}", show(value), "Contacts are counted from 0.")
+    shape = wave_of(medium_of(lattice), speed, amplitude, energy, side).shape
+    xi, dtype = jnp.arange(sites) - centre, lattice.zeros().dtype
+    return State(*(shape.at(name, xi).astype(dtype) for name in ("displacement", "velocity")))
 
 
 def _column(x, lattice):

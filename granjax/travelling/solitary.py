@@ -12,7 +12,7 @@ from ..lattice import Lattice
 from ..laws import Law
 from ..profiles import Solved, medium_of, wave_of
 from ..types import Scalar
-from .wave import Wave, at_places, half_width, implicit_width
+from .wave import Wave, half_width, implicit_width
 
 # places of the table, and decays or contacts that it reaches
 TABLE, REACH = 257, 20.0
@@ -66,13 +66,13 @@ def _recorded(medium, found: Solved) -> Wave:
     end = float(known.end)
     reach = min(end, REACH / found.decay) if np.isfinite(found.decay) else min(end, 8.0 * max(1.0, end / 12))
     xi = np.linspace(-reach, reach, TABLE)
-    amplitude = at_places(shape, "strain", 0.0)
+    amplitude = shape.at("strain", 0.0)
     return Wave(
         speed=shape.speed, amplitude=amplitude, energy=found.energy, momentum=found.momentum,
         compression=found.compression, width=implicit_width(shape, half_width(known, end)),
         decay=jnp.asarray(found.decay), exponent=jnp.asarray(found.exponent), residual=jnp.asarray(found.residual),
         error=jnp.asarray(found.error), law=medium.law, mass=medium.mass, xi=xi,
-        strains=at_places(shape, "strain", xi), velocities=at_places(shape, "velocity", xi),
+        strains=shape.at("strain", xi), velocities=shape.at("velocity", xi),
         outcome=_told(found, amplitude), _shape=shape, **medium.origin,
     )
 

@@ -1,6 +1,6 @@
 """`Wave`: a solitary wave as a result."""
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import equinox as eqx
 import jax
@@ -11,14 +11,9 @@ from ..checks import traced, whole
 from ..entry import checked
 from ..lattice import State
 from ..laws import Law
-from ..outside import Outside
 from ..profiles import Shape
-from ..programs import shared_size
 from ..results import Held, Result
 from ..types import Count, Number, Numbers, Parameter, Scalar
-
-# places evaluated in one program
-PLACES = 4096
 
 
 class Wave(Result):
@@ -71,17 +66,17 @@ class Wave(Result):
     @checked
     def strain(self, xi: Parameter) -> Numbers:
         """Compression of the contacts at places xi = n - c t, of any shape [m]."""
-        return at_places(self._shape, "strain", xi)
+        return self._shape.at("strain", xi)
 
     @checked
     def velocity(self, xi: Parameter) -> Numbers:
         """Velocity of the beads at places xi [m/s]: largest at xi = 1/2, midway between two contacts."""
-        return at_places(self._shape, "velocity", xi)
+        return self._shape.at("velocity", xi)
 
     @checked
     def displacement(self, xi: Parameter) -> Numbers:
         """Displacement of the beads at places xi [m]: zero ahead of the wave, `compression` behind it."""
-        return at_places(self._shape, "displacement", xi)
+        return self._shape.at("displacement", xi)
 
     @checked
     def state(self, sites: Count, centre: Scalar | None = None) -> State:
@@ -96,32 +91,12 @@ class Wave(Result):
         return State(self.displacement(xi), self.velocity(xi))
 
 
-@eqx.filter_jit
-def _evaluated(shape, name, xi, outside):
-    return getattr(shape, name)(xi)
-
-
-def at_places(shape: Shape, name: str, xi: Any) -> Numbers:
-    """A function of a shape at many places: a program of few sizes, or within the one that traces it."""
-    if traced((shape, xi)):
-        return _evaluated(shape, name, jnp.asarray(xi, float), Outside(shape))
-    xi = np.asarray(xi, float)
-    flat, outside = xi.ravel(), Outside(shape)
-    parts = []
-    for begin in range(0, max(flat.size, 1), PLACES):
-        part = flat[begin : begin + PLACES]
-        padded = np.zeros(shared_size(max(part.size, 1)))
-        padded[: part.size] = part
-        parts.append(np.asarray(_evaluated(shape, name, jnp.asarray(padded), outside))[: part.size])
-    return jnp.asarray(np.concatenate(parts).reshape(xi.shape))
-
-
 def half_width(shape: Shape, reach: float) -> float:
     """Where the strain is half of its largest, for a shape that falls from xi = 0 on, known to lie before `reach`."""
     low, high = 0.0, float(reach)
     for _ in range(5):
         grid = np.linspace(low, high, 64)
-        values = np.abs(np.asarray(at_places(shape, "strain", np.append(grid, 0.0))))
+        values = np.abs(np.asarray(shape.at("strain", np.append(grid, 0.0))))
         above = values[:-1] > values[-1] / 2
         k = min(int(np.argmin(above)), 63) or 63
         low, high = grid[k - 1], grid[k]
