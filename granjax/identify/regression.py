@@ -7,7 +7,6 @@ import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Float
-from scipy.interpolate import UnivariateSpline
 
 from ..checks import non_negative, parameter, positive, refuse, whole, within
 from ..entry import checked
@@ -205,6 +204,8 @@ def _differentiated(ts, vs, noise):
 
     def derivative(v):
         sites = np.asarray(v).reshape(len(t), -1).T
+        from scipy.interpolate import UnivariateSpline
+
         return np.stack([UnivariateSpline(t, x, k=5, s=left).derivative()(t) for x in sites], -1).reshape(v.shape)
 
     return jax.tree.map(lambda v: derivative(v)[inner], vs), inner

@@ -3,7 +3,6 @@
 from typing import ClassVar
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from ..checks import MOST, held_in_memory, non_negative, parameter, positive, refuse, show, whole
 from ..entry import checked
@@ -66,6 +65,8 @@ def velocity_trace(
         refuse("sampling", f"at least {1 / (time[-1] - time[0]):g} Hz, two samples in the record", f"{sampling}")
     held_in_memory("sampling", samples, what="samples")
     at = np.minimum(time[0] + interval * np.arange(samples), time[-1])
+    from scipy.interpolate import CubicSpline
+
     velocity = CubicSpline(time, vs[:, bead] * (metre / second), axis=0)(at)
     sigma, seed = float(non_negative("noise", noise)), whole("seed", seed)
     if sigma:
