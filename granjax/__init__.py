@@ -94,7 +94,8 @@ Measurements and design
     smooth_peak         a maximum that differentiates
 Theory and studies
     theory              closed forms: envelopes (nls), Toda, KdV, compactons, elliptic functions
-    travelling          solitary waves
+    travelling          solitary waves, and waves of dimers and of beads with resonators
+    Resonator           a mass on a spring in every bead
     studies             a rectifier, dark and bright breathers, as they were made
     resonance           transmission of dimers over their mass ratio
     reproduce           figures of a review, each with a number
@@ -177,12 +178,12 @@ _LAZY = {
 
 __all__ = [
     "Arrival", "Bond", "Breaks", "Damping", "Dashpot", "Derivative", "Design", "Drag", "Drive", "Fit", "Flow",
-    "Harmonic", "Hertz", "Integral", "KahanLi8", "Lattice", "Law", "Linear", "Lowest", "Modulated", "Network",
-    "OnSite", "Pairs", "Peak", "Polynomial", "PowerLaw", "RKN1210", "RKN86", "Record", "Result", "Reversible",
-    "Run", "SRKN11b", "SRKN14a", "SRKN6b", "Shift", "Sine", "SofroniouSpaletta10", "Spline", "State", "StrainMap",
-    "Stretch", "Term", "Toda", "Traces", "Units", "VelocityVerlet", "ViscousContact", "Wall", "WorkPrecision",
-    "Yielding", "clear", "derivative", "design", "fit", "laws", "simulate", "smooth_peak", "solvers", "strains",
-    "terms", "tune", "vector_field", "work_precision", *_LAZY,
+    "Harmonic", "Hertz", "Integral", "KahanLi8", "Lattice", "Law", "Linear", "Lowest", "Modulated", "Network", "OnSite",
+    "Pairs", "Peak", "Polynomial", "PowerLaw", "RKN1210", "RKN86", "Record", "Resonator", "Result", "Reversible", "Run",
+    "SRKN11b", "SRKN14a", "SRKN6b", "Shift", "Sine", "SofroniouSpaletta10", "Spline", "State", "StrainMap", "Stretch",
+    "Term", "Toda", "Traces", "Units", "VelocityVerlet", "ViscousContact", "Wall", "WorkPrecision", "Yielding", "clear",
+    "derivative", "design", "fit", "laws", "simulate", "smooth_peak", "solvers", "strains", "terms", "tune",
+    "vector_field", "work_precision", *_LAZY,
 ]
 
 
@@ -192,6 +193,10 @@ def __getattr__(name):
         import importlib
 
         return importlib.import_module(_LAZY[name], __name__)
+    if name == "Resonator":
+        from .travelling import Resonator
+
+        return Resonator
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

@@ -474,6 +474,7 @@ ALSO = {
     "identify.law.law": {"": {"stiffness": 1.0}},
     "theory.kdv.soliton": {"": {"amplitude": 0.1}, "amplitude": {}, "speed": {}},
     "theory.toda.wavenumber": {"": {"speed": 1.5}, "speed": {}, "amplitude": {}, "energy": {}},
+    "travelling.solitary.solitary_wave": {"": {"speed": 1.2}, "speed": {}, "amplitude": {}, "energy": {}},
     **{f"theory.elliptic.{name}": {"": {"m": 0.5}, "m": {}, "m1": {}}
        for name in ("jacobi", "zeta", "K", "E", "Pi", "F", "incomplete_E", "incomplete_Pi")},
 }

@@ -301,6 +301,15 @@ def _(seed):
     compacton.nesterenko(n, 1.5 * f), compacton.ahnert_pikovsky(n, 1.5 * f), compacton.rosenau_hyman(n, 2 * f)
 
 
+@also("cell_wave")
+def _(seed):
+    travelling, f = gx.travelling, 1 + 0.01 * seed
+    stiffness = travelling.tail_free_stiffness(f, 0.1)
+    wave = travelling.cell_wave(gx.Hertz(f), [f], speed=f, resonator=gx.Resonator(0.1, 1.1 * stiffness))
+    wave.strain(0.3 + seed), wave.velocity(9.0), wave.state(9, 4.0 + seed), repr(wave), wave.resonator.tail_free(f)
+    travelling.tail_free(lambda ratio: (gx.Hertz(f), [1.0, ratio]), 0.33, 0.36, speed=1.0).state(9)
+
+
 # public functions that no row calls by name, by their modules, and why
 WITHIN = {
     **dict.fromkeys(("checks", "entry.checked", "entry.kinds", "printing", "programs", "variables", "cli.commands",

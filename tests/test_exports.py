@@ -141,6 +141,7 @@ MAKERS = {
     "DarkBreather": lambda: studies.DarkBreather(
         settled(), chain(), 1.0, 2.0, np.ones(N), np.ones(N + 1), 1.0, 0.5, 3.0, -0.9, np.ones((6, N))),
     "Rectifier": lambda: studies.Rectifier(np.ones(3), sweep(), sweep(), 1.0, np.inf, np.ones(3), 1.0, 2.0, 3.0),
+    "CellWave": lambda: gx.travelling.cell_wave(gx.Hertz(), [1.0], speed=1.0),
     "Transmission": lambda: Transmission(np.ones(3), np.ones(3), np.ones(3), 1.0, 9, 20.0),
     "Extrema": lambda: Extrema(np.ones(2), np.ones(2), np.ones(0), np.ones(0)),
     "Wave": lambda: gx.travelling.solitary_wave(gx.Hertz(), speed=1.0),

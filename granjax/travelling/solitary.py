@@ -1,7 +1,5 @@
 """`solitary_wave`: the wave of a law, or of a uniform chain."""
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,6 +10,7 @@ from ..lattice import Lattice
 from ..laws import Law
 from ..profiles import Solved, medium_of, wave_of
 from ..types import Scalar
+from .cells import CellWave, Resonator, alone_with_resonators
 from .wave import Wave, half_width, implicit_width
 
 # places of the table, and decays or contacts that it reaches
@@ -21,8 +20,8 @@ TABLE, REACH = 257, 20.0
 @checked
 def solitary_wave(
     law: Law | Lattice, *, speed: Scalar | None = None, amplitude: Scalar | None = None, energy: Scalar | None = None,
-    mass: Scalar = 1.0, side: str | None = None, resonator: Any = None,
-) -> Wave:
+    mass: Scalar = 1.0, side: str | None = None, resonator: Resonator | None = None,
+) -> Wave | CellWave:
     r"""The solitary wave of a chain of equal masses with one law between neighbours, exact on the lattice.
 
     m c^2 phi(x) = int (1 - |z|)_+ F(phi(x - z)) dz. A first shape comes from Petviashvili's iteration on the Fourier
@@ -37,7 +36,8 @@ def solitary_wave(
       zero in tension) and `energy`.
     - `side`: `"compression"` or `"tension"`, where a law has waves on both; `None` is the first that has some. Hertz,
       p > 1, magnets: compression; 0 < p < 1: tension (rarefaction).
-    - `resonator`: `None`.
+    - `resonator`: a `gx.Resonator` in every bead. Such a wave is alone at single stiffnesses, `tail_free_stiffness`; at
+      others the nearest is named, and `cell_wave` gives the wave with its ripple. With it the result is a `CellWave`.
 
     **Returns:** `Wave`. Hertz (A = m = c = 1): peak 1.48735937434940, energy 2.82348668842276; they scale as c^4, c^10.
 
@@ -53,9 +53,11 @@ def solitary_wave(
                "One number says which wave of the family.")
     if side is not None:
         one_of("side", side, ("compression", "tension"))
-    if resonator is not None:
-        refuse("resonator", "None", repr(resonator), "Waves with a local resonator are not there yet.")
     medium = medium_of(law, mass)
+    if resonator is not None:
+        if given != ["speed"]:
+            refuse(given[0], "a speed, for beads with a resonator", given[0], "Its stiffness goes with the speed.")
+        return alone_with_resonators(medium.law, medium.mass, speed, resonator)
     found = wave_of(medium, speed, amplitude, energy, side)
     return _recorded(medium, found)
 

@@ -1,0 +1,6 @@
+"""Waves of chains whose cell holds several sites or a resonator: exact at anti-resonances, with a ripple between."""
+
+from .public import CellWave, alone_with_resonators, cell_wave, tail_free
+from .resonator import Resonator, tail_free_stiffness
+
+__all__ = ["CellWave", "Resonator", "alone_with_resonators", "cell_wave", "tail_free", "tail_free_stiffness"]

@@ -1,0 +1,340 @@
+"""`cell_wave`, `tail_free`, and the wave that they return."""
+
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from ...checks import held_in_memory, parameter, positive, refuse, whole
+from ...entry import checked
+from ...lattice import State
+from ...laws import Law
+from ...results import Held, Result
+from ...types import Count, Parameter, Scalar
+from .resonator import Resonator
+from .system import fourier
+from .tail import margin
+from .wave import Found, Given, chain_of, error_of, of_one_site, on_a_box, velocities, without_tail
+
+# the speed over the sound speed from which on a box holds the wave; of the peak, what counts as no ripple
+LEAST_MARGIN, SILENT = 1.004, 1e-11
+# relative distance of a mass from an anti-resonance within which the wave of that is returned
+NEAR = 1e-5
+
+
+class CellWave(Result):
+    """A wave of a chain whose cell holds P sites: the strain of contact n is phi_j(n - c t), j = n mod P.
+
+    Contact n lies between the sites n and n + 1; xi = n - c t counts sites, of a contact and of a bead alike, as in
+    `Wave`. A wave that a bead or a contact mirrors does so at xi = 0 of the contacts.
+
+    **Fields:**
+
+    - `speed`: c, sites (not cells) per time [1/s]; `masses` (P,) [kg], of the smallest cell.
+    - `amplitude`: the largest strain in size [m].
+    - `ripple`: amplitude of the linear wave that runs along [m], the largest strain of a contact; zero in a wave that
+      travels alone; NaN where several run along. `wavenumber`: of the ripple as measured in the tail [rad/site];
+      `linear_wavenumber`: of the linear wave, omega(k) = c k; they differ by the ripple's square.
+    - `parameter`: that of `tail_free`.
+    - `energy` [J], a mean over the places of the wave in a cell; NaN with a ripple, whose energy has no bound.
+    - `residual`: what the equations leave, over the amplitude; `error`: estimated distance of the strains from the
+      truth [m].
+    - `xi` (X,), `strains`, `velocities` (P, X): a table, on the box where it was solved; `strain` and `velocity` give
+      any place, beyond the box that of the linear ripple.
+    """
+
+    held: ClassVar[dict[str, Held]] = {
+        "speed": Held(None, "1/s"), "masses": Held("place", "kg"), "amplitude": Held(None, "m"),
+        "ripple": Held(None, "m"), "wavenumber": Held(None, "rad"), "linear_wavenumber": Held(None, "rad"),
+        "energy": Held(None, "J"), "error": Held(None, "m"), "xi": Held("xi", "1"),
+        "strains": Held("place xi", "m"), "velocities": Held("place xi", "m/s"),
+    }
+    speed: float
+    masses: Float[np.ndarray, " P"]
+    amplitude: float
+    ripple: float
+    wavenumber: float | None
+    linear_wavenumber: float | None
+    parameter: float | None
+    energy: float
+    residual: float
+    error: float
+    xi: Float[np.ndarray, " X"]
+    strains: Float[np.ndarray, "P X"]
+    velocities: Float[np.ndarray, "P X"]
+    outcome: str = eqx.field(static=True)
+    converged: bool = eqx.field(static=True)
+    resonator: Resonator | None = None
+    # how far the core reaches, beyond which there is the ripple alone
+    _core: float = eqx.field(static=True, default=0.0)
+
+    @checked
+    def strain(self, xi: Parameter, bond: Count = 0) -> Float[np.ndarray, "..."]:
+        """Compression [m] at places xi = n - c t, of any shape, as contact `bond` of the cell sees it."""
+        return self._at(self.strains, xi, whole("bond", bond))
+
+    @checked
+    def velocity(self, xi: Parameter, site: Count = 0) -> Float[np.ndarray, "..."]:
+        """Velocity [m/s] at places xi = n - c t, of any shape, as bead `site` of the cell sees it."""
+        return self._at(self.velocities, xi, whole("site", site))
+
+    @checked
+    def state(self, sites: Count, centre: Scalar | None = None) -> State:
+        """Displacements and velocities of a chain of so many sites, the wave's xi = 0 at contact `centre`.
+
+        Site 0 is the first of the cell. `None` is the middle of the chain, (sites - 2)/2. The last bead is at its
+        place. Meant for free ends: those behind have moved. Contacts beyond the box see the linear ripple. With
+        resonators dicts of `"bead"` and `"resonator"`.
+        """
+        sites = whole("sites", sites, 2)
+        held_in_memory("sites", sites)
+        centre = (sites - 2) / 2 if centre is None else float(parameter("centre", centre))
+        u, v = np.zeros(sites), self._along(self.velocities, sites, centre)
+        u[:-1] = np.cumsum(self._along(self.strains, sites - 1, centre)[::-1])[::-1]
+        if self.resonator is None:
+            return State(u, v)
+        velocity, stretch = swinging(self.velocities, self.xi, self.speed, self.resonator)
+        inner = {"u": u - self._along(stretch, sites, centre), "v": self._along(velocity, sites, centre)}
+        return State({"bead": u, "resonator": inner["u"]}, {"bead": v, "resonator": inner["v"]})
+
+    def _along(self, table, count, centre):
+        """Values along a chain."""
+        out = np.empty(count)
+        for j in range(len(self.masses)):
+            own = np.arange(j, count, len(self.masses))
+            out[own] = self._at(table, own - centre, j)
+        return out
+
+    def _at(self, table, xi, j):
+        x, j = np.asarray(parameter("xi", xi), float), j % len(self.masses)
+        half = -self.xi[0]
+        inside = np.abs(x) <= half
+        own = fourier(table[j : j + 1], half, np.where(inside, x, 0.0).ravel()).reshape(x.shape)
+        if self.wavenumber is None or inside.all():
+            return np.where(inside, own, 0.0)
+        wave = self._ripple_of(table[j]) * np.exp(1j * self.wavenumber * (x - np.sign(x) * half))
+        return np.where(inside, own, wave.real)
+
+    def _ripple_of(self, row):
+        """Complex amplitude of the ripple in a row of a table, about the box's end."""
+        half = -self.xi[0]
+        y = np.where(self.xi > 0, self.xi - half, self.xi + half)
+        near = np.abs(y) <= half - self._core
+        wave = np.exp(1j * self.wavenumber * y[near])
+        found = np.linalg.lstsq(np.stack([wave.real, -wave.imag, np.ones(near.sum())], 1), row[near], rcond=None)[0]
+        return found[0] + 1j * found[1]
+
+
+def swinging(velocities, xi, speed, resonator):
+    """Velocities of the resonators, and how far the beads are ahead of them: tables like those of the beads."""
+    k = 2 * np.pi * np.fft.fftfreq(len(xi), xi[1] - xi[0])
+    square = float(resonator.mass / resonator.stiffness)
+    inner = np.fft.fft(velocities, axis=1) / (1 - square * speed**2 * k**2)
+    stretch = -square * speed * 1j * k * inner
+    return np.fft.ifft(inner, axis=1).real, np.fft.ifft(stretch, axis=1).real
+
+
+@checked
+def cell_wave(
+    law: Law, masses: Parameter, *, speed: Scalar, resonator: Resonator | None = None, throw: bool = True,
+) -> CellWave:
+    r"""The wave of a given speed in a chain whose masses and laws repeat with a cell of P sites.
+
+    Bond n, between the sites n and n + 1, has the law of place n mod P: parameters of `law` are numbers or arrays (P,).
+
+    *With a stiffness at rest* (precompressed contacts, FPUT, Toda) a supersonic wave keeps pace with a linear wave of
+    the optical band, omega(k) = c k, and is a nanopteron: a core on a ripple that reaches to infinity on both sides.
+    Of these that with the smallest ripple is returned, `ripple` its amplitude: half of what a wave without ripple ahead
+    sheds behind, so zero means a wave that travels without loss. The equations are solved on a periodic box by
+    Newton's method in Fourier form; the box's length is the one at which the ripple is smallest.
+
+    *Without one* (granular chain, F0 = 0) light beads behind a pulse rattle freely, and there is no such ripple: waves
+    travel at single values of the mass ratio alone (dimers: 1, 0.342845781150, 0.154751513885, 0.090127769139,
+    0.061502072781, ...), and between them every pulse decays (`gx.resonance.decay_rate`). Away from those the call is
+    refused; `tail_free` finds them.
+
+    *With a resonator* in every bead the linear wave is the one in which bead and resonator swing against each other,
+    k = (kappa (1 + nu)/nu)^{1/2}/c without a stiffness at rest (in a chain without precompression its contacts open and
+    close). Where k is a multiple of 2 pi no contact feels it and the wave travels alone.
+
+    **Arguments:** `law`; `masses` (P,) [kg]; `speed`: c, in sites (not cells) per time. `resonator`: a
+    `gx.Resonator` in every bead. `throw`: raise where it does not converge.
+
+    **Returns:** `CellWave`, not differentiable. **Raises** ValueError for a speed that is not supersonic, a law without
+    a wave of that speed, several sites without a stiffness at rest off the anti-resonances; RuntimeError where `throw`
+    and no wave was found, which happens where the ripple is as strong as the wave.
+    Typical: Toda, masses (1, 0.9), 1.2 times the speed of sound: ripple 2.6 % of the peak.
+    Source: Jayaprakash, Starosvetsky, Vakakis, Phys. Rev. E 83, 036606 (2011); Faver, Wright, SIAM J. Math. Anal. 50,
+    473 (2018); Vainchtein, Starosvetsky, Wright, Perline, Phys. Rev. E 93, 042210 (2016).
+    """
+    speed = float(positive("speed", speed))
+    given = chain_of(law, masses, speed, resonator)
+    if not given.chain.K2.any():
+        return _in_vacuum(law, given, speed, resonator, throw)
+    over = margin(given.chain)
+    if over < LEAST_MARGIN:
+        sound = speed / over
+        refuse("speed", f"supersonic, at least {LEAST_MARGIN} times the speed of sound, {LEAST_MARGIN * sound:.6g}",
+               f"{speed:.6g}", f"The speed of sound is {sound:.6g} sites per time; slower waves of this kind radiate.")
+    return _result(on_a_box(given.chain), given, speed, resonator, None, throw)
+
+
+def alone_with_resonators(law: Law, mass: Scalar, speed: Scalar, resonator: Resonator) -> CellWave:
+    """The wave that leaves none of the resonators in every bead swinging.
+
+    **Raises** ValueError where their stiffness is not one of those at which there is such a wave, naming the nearest.
+    """
+    wave = cell_wave(law, [mass], speed=speed, resonator=resonator)
+    if wave.ripple:
+        nearest = float(resonator.tail_free(float(speed), float(mass)))
+        refuse("resonator", f"a stiffness of {nearest:.12g} or another `tail_free_stiffness`",
+               f"{float(resonator.stiffness):.12g}",
+               f"Here the wave has a ripple, of {wave.ripple / wave.amplitude:.2g} of its peak: travelling.cell_wave.")
+    return wave
+
+
+def _in_vacuum(law, given, speed, resonator, throw):
+    P = len(given.masses)
+    if P == 1:
+        return _result(of_one_site(given.chain), given, speed, resonator, None, throw)
+    if resonator is not None:
+        refuse("resonator", "None for a cell of several sites without a stiffness at rest", repr(resonator),
+               "Give equal masses or a precompression.")
+    if P > 2 or given.chain.mirror is None:
+        refuse("masses", "one or two sites in the smallest cell, mirrored by a bead or a contact",
+               f"{P} that have {'no such mirror' if given.chain.mirror is None else 'one'}",
+               "Without a stiffness at rest a wave then needs two parameters to be right; give a precompression.")
+    ratio = given.masses.min() / given.masses.max()
+    if ratio == 1:
+        refuse("law", "one law, or a stiffness ratio at which a wave exists", "two laws between equal beads",
+               "`tail_free(lambda r: (law of ratio r, masses), low, high, speed=...)` finds such ratios.")
+    heavy, light = given.masses.max(), np.argmin(given.masses)
+
+    def masses(p):
+        at = np.full(2, heavy)
+        at[light] = p * heavy
+        return at
+
+    found = without_tail(lambda p: chain_of(law, masses(p), speed).chain, 0.9 * ratio, min(1.1 * ratio, 1.0), (0.5,))
+    near = None if isinstance(found, str) else found.solved.parameter
+    if near is None or abs(near / ratio - 1) > NEAR:
+        nearest = "none is within 10 % of it" if near is None else f"the nearest is {near:.12g}"
+        refuse("masses", "a ratio at which a wave travels without loss in a chain without precompression",
+               f"{ratio:.12g}", f"Here a pulse decays (gx.resonance.decay_rate), since light beads rattle behind it; "
+               f"{nearest}. tail_free finds such ratios, a precompression gives a ripple.")
+    own = Given(found.box.chain, masses(near).mean(), masses(near))
+    return _result(found, own, speed, None, None, throw, abs(near / ratio - 1),
+                   f" The masses are those of the anti-resonance, {near:.12g}, {near / ratio - 1:+.1e} from what was "
+                   "given.")
+
+
+@checked
+def tail_free(
+    cell: Callable[[Any], Any], low: Scalar, high: Scalar, *, speed: Scalar, throw: bool = True,
+) -> CellWave:
+    r"""The wave that travels without loss, and the parameter between `low` and `high` at which it does.
+
+    A cell that is mirrored by one of its beads or contacts leaves one condition: that the ripple's amplitude vanishes,
+    or, without a stiffness at rest, that neighbours far from the pulse do not drift apart (beads) or keep a gap
+    (contacts). Newton's method solves for the wave and the parameter together.
+
+    **Arguments:** `cell`: parameter -> (law, masses), as `cell_wave` takes them; for dimers
+    `lambda ratio: (gx.Hertz(), [1.0, ratio])`. `low` < `high`: around one such place. `speed`: c [sites per time].
+
+    **Returns:** `CellWave` with `parameter` (dimers of the sonic vacuum: 0.342845781150, any speed).
+    **Raises** ValueError for an empty interval, a cell that does not fit; RuntimeError where `throw` and nothing was
+    found between `low` and `high`.
+    """
+    speed = float(positive("speed", speed))
+    low, high = float(parameter("low", low)), float(parameter("high", high))
+    if not low < high:
+        refuse("high", f"a number above low = {low:g}", f"{high:g}")
+
+    def given(p):
+        made = cell(p)
+        if not (isinstance(made, tuple) and len(made) == 2 and isinstance(made[0], Law)):
+            refuse("cell", "a function of a number that gives (law, masses)", f"one that gives {_kind(made)}")
+        return chain_of(made[0], made[1], speed)
+
+    ends = [given(p).chain for p in (low, (low + high) / 2, high)]
+    if ends[1].mirror is None or len(ends[1].masses) == 1:
+        refuse("cell", "a cell of several sites, mirrored by a bead or a contact", "one that is not",
+               "Where masses and stiffnesses both alternate, two parameters have to be right.")
+    if not ends[1].K2.any() and len(ends[1].masses) > 2:
+        refuse("cell", "two sites in a cell without a stiffness at rest", f"{len(ends[1].masses)}",
+               "A wave then needs two parameters to be right; give a precompression.")
+    found = without_tail(lambda p: given(p).chain, low, high)
+    near = None if isinstance(found, str) else found.solved.parameter
+    return _result(found, given((low + high) / 2 if near is None else near), speed, None, near, throw)
+
+
+def _kind(x):
+    return f"a {type(x).__name__}"
+
+
+def _result(found: Found | str, given: Given, speed, resonator, p, throw, off=0.0, remark=""):
+    if isinstance(found, str):
+        if throw:
+            raise RuntimeError(f"No wave of speed {speed:.6g} was found: {found}.")
+        return _none(found, given, speed, resonator)
+    box, phi = found.box, found.solved.phi
+    top = _top(box, phi)
+    silent = found.waves == 0 or found.tail is not None and abs(found.tail.amplitude) < SILENT * top
+    ripple = 0.0 if silent else abs(found.tail.amplitude) if found.tail is not None else np.nan
+    carried = None if found.tail is None or silent else found.tail
+    v = speed * velocities(found)
+    error = (error_of(found) + off) * top
+    outcome = _outcome(found, ripple, top, p, given) + remark
+    if not found.solved.converged and throw:
+        raise RuntimeError(outcome)
+    energy = np.nan if ripple or np.isnan(ripple) else _energy(found, given, speed, v, resonator)
+    return CellWave(
+        speed, given.masses, top, ripple, None if carried is None else carried.wavenumber,
+        None if found.ripple is None else found.ripple.wavenumber, p, energy, found.solved.residual, error, box.x,
+        phi, v, outcome, bool(found.solved.converged), resonator, found.core)
+
+
+def _top(box, phi):
+    """The largest strain in size, between the places of the box as well."""
+    bond, at = np.unravel_index(np.argmax(np.abs(phi)), phi.shape)
+    near, width = box.x[at], box.x[1] - box.x[0]
+    for _ in range(8):
+        x = near + width * np.linspace(-1, 1, 9)
+        values = np.abs(fourier(phi[bond : bond + 1], box.half, x)[0])
+        near, width = x[np.argmax(values)], width / 3
+    return float(values.max())
+
+
+def _none(why, given, speed, resonator):
+    nothing = np.full((len(given.masses), 1), np.nan)
+    return CellWave(speed, given.masses, np.nan, np.nan, None, None, None, np.nan, np.nan, np.nan, np.zeros(1), nothing,
+                    nothing, f"No wave was found: {why}.", False, resonator)
+
+
+def _energy(found, given, speed, v, resonator):
+    """Mean over the phases of a cell of the sum over its sites; the potential by quadrature of the force."""
+    box, phi = found.box, found.solved.phi
+    nodes, weights = np.polynomial.legendre.leggauss(24)
+    # s^3 takes the root of an opening contact to a smooth function
+    s = (nodes + 1) / 2
+    work = sum(w / 2 * 3 * q**2 * found.box.chain.force(q**3 * phi) * phi for q, w in zip(s, weights))
+    density = given.masses[:, None] * v**2 / 2 + given.mass * speed**2 * work
+    if resonator is not None:
+        velocity, stretch = swinging(v, box.x, speed, resonator)
+        density = density + float(resonator.mass) * velocity**2 / 2 + float(resonator.stiffness) * stretch**2 / 2
+    return float(density.sum() * 2 * box.half / box.points / len(given.masses))
+
+
+def _outcome(found, ripple, top, p, given):
+    at = "" if p is None else f" at the parameter {p:.12g}"
+    if not found.solved.converged:
+        return f"Newton's method stopped at a residual of {found.solved.residual:.1e}."
+    if np.isnan(ripple):
+        return (f"A wave with {found.waves} linear waves that keep pace with it; its ripple is of its box, and not the "
+                "smallest there is.")
+    if ripple == 0:
+        return f"A wave that travels without loss{at}: no ripple."
+    return (f"A wave with a ripple of {ripple / top:.2g} of its peak, wave number {found.tail.wavenumber:.7g} (linear "
+            f"{found.ripple.wavenumber:.7g}): alone it would lose energy.")

@@ -1,0 +1,51 @@
+"""A mass on a spring in every bead, and the stiffness at which a wave leaves none of them swinging."""
+
+import equinox as eqx
+import jax
+import numpy as np
+
+from ...checks import positive, whole
+from ...entry import checked
+from ...printing import told
+from ...types import Count, Number, Parameter
+
+
+class Resonator(eqx.Module):
+    """A mass mu [kg] that a linear spring kappa [N/m] ties to its bead: mu w'' = kappa (u - w).
+
+    **Raises** ValueError for a mass or a stiffness that is not above zero.
+    """
+
+    mass: jax.Array
+    stiffness: jax.Array
+    __repr__ = told
+
+    @checked
+    def __init__(self, mass: Parameter, stiffness: Parameter):
+        self.mass, self.stiffness = positive("mass", mass), positive("stiffness", stiffness)
+
+    @checked
+    def swing(self, mass: Number = 1.0) -> Number:
+        """Angular frequency [rad/s] at which a free bead of mass m and its resonator swing against each other."""
+        return (self.stiffness * (1 / self.mass + 1 / mass)) ** 0.5
+
+    @checked
+    def tail_free(self, speed: Number, mass: Number = 1.0) -> Number:
+        """The stiffness [N/m] nearest to its own at which a wave of this speed leaves no resonator swinging."""
+        n = np.maximum(np.round(self.swing(mass) / (2 * np.pi * speed)), 1)
+        return tail_free_stiffness(speed, self.mass, mass, int(n))
+
+
+@checked
+def tail_free_stiffness(speed: Number, resonator_mass: Number, mass: Number = 1.0, count: Count = 1) -> Number:
+    r"""Stiffness of resonators that swing `count` times, exactly, while a wave of speed c runs on by one bead.
+
+    kappa = (2 pi n c)^2 mu m/(mu + m) [N/m]: then a bead's two contacts cancel in what they leave in it, at any law:
+    phi = Lambda * F(phi), Lambda(x) = [(1 - |x|) m - mu sin(2 pi n |x|)/(2 pi n)]_{|x| < 1}/(m (m + mu) c^2).
+
+    **Returns:** an array of the shape of the arguments. mu = 0.1, m = c = n = 1: 3.5889470549.
+    **Raises** ValueError for a speed or a mass that is not above zero.
+    """
+    speed, heavy = positive("speed", speed), positive("mass", mass)
+    inner, count = positive("resonator_mass", resonator_mass), whole("count", count, 1)
+    return (2 * np.pi * count * speed) ** 2 * inner * heavy / (inner + heavy)

@@ -1,0 +1,160 @@
+"""What runs with a wave far from its core: ripples, linear waves of its own phase speed, and how the core decays."""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import brentq
+
+from .system import Box, Chain, response
+
+# no ripple is sought beyond this wave number [rad/site], nor nearer to zero than the first
+HIGHEST, STEP = 60.0, 0.01
+
+
+class Ripple(NamedTuple):
+    """A linear wave Re(a q_j e^{ikx}) of speed c: `wavenumber` k [rad/site], `shape` q (P,), max |q| = 1."""
+
+    wavenumber: float
+    shape: np.ndarray
+
+
+def _excess(chain: Chain, k):
+    """omega_b(k)^2/c^2 - k^2 of every band, ascending, (P, K), and the vectors of the strain (P, P, K)."""
+    root = np.sqrt(chain.K2)
+    B = root[:, None, None] * response(chain, k) * root[None, :, None]
+    squares, vectors = np.linalg.eigh(np.moveaxis(B, -1, 0))
+    return squares.T - k**2, np.moveaxis(vectors, 0, -1) / root[:, None, None]
+
+
+def ripples(chain: Chain) -> list[Ripple]:
+    """All linear waves that keep pace with a wave of speed 1: omega_b(k) = k, by root search band by band."""
+    if not np.all(chain.K2 > 0):
+        return []
+    k = np.arange(1, int(HIGHEST / STEP)) * STEP
+    if chain.resonator is not None:
+        nu, kappa = chain.resonator
+        k = k[np.abs(kappa - nu * k**2) > 1e-9 * kappa]
+    found = []
+    excess = _excess(chain, k)[0]
+    for band, i in zip(*np.nonzero(excess[:, :-1] * excess[:, 1:] < 0)):
+        at = lambda q, band=band: _excess(chain, np.array([q]))[0][band, 0]
+        root = brentq(at, k[i], k[i + 1], xtol=1e-15, rtol=1e-14)
+        # where the resonators' mass passes through infinity or a band through another the sign changes without a root
+        if abs(at(root)) < 1e-6 * root**2:
+            shape = _excess(chain, np.array([root]))[1][:, band, 0]
+            found.append(Ripple(root, _normal(chain, shape)))
+    return sorted(found, key=lambda ripple: ripple.wavenumber)
+
+
+def _normal(chain, shape):
+    """The shape with largest entry 1 in size, and a phase such that the mirrored ripple is itself."""
+    if chain.mirror is not None:
+        partner = shape[(chain.mirror - 1 - np.arange(len(shape))) % len(shape)]
+        largest = np.argmax(np.abs(shape))
+        shape = shape * np.sqrt(np.conj(partner[largest]) / shape[largest] + 0j)
+    return shape / np.abs(shape).max()
+
+
+def stiffness(chain: Chain) -> float:
+    """Of the cell as a whole, over M c^2: K2 of the springs in series."""
+    return 1 / np.mean(1 / chain.K2) if np.all(chain.K2 > 0) else 0.0
+
+
+def margin(chain: Chain) -> float:
+    """Speed over the sound speed; infinite in a sonic vacuum."""
+    total, K = 1 + (chain.resonator[0] if chain.resonator else 0.0), stiffness(chain)
+    return np.sqrt(total / K) if K > 0 else np.inf
+
+
+def decay(chain: Chain) -> float:
+    """Rate [1/site] at which the core falls: K (2 sinh(q/2))^2 = m(iq) q^2 of the chain that the cell is on average."""
+    K = stiffness(chain)
+    at = lambda q: 4 * K * np.sinh(q / 2) ** 2 - _inertia(chain, q) * q**2
+    return brentq(at, 1e-4, 40.0) if at(1e-4) < 0 else 0.0
+
+
+def _inertia(chain, q):
+    if chain.resonator is None:
+        return 1.0
+    nu, kappa = chain.resonator
+    return 1 + nu * kappa / (kappa + nu * q**2)
+
+
+class Fit(NamedTuple):
+    """A ripple in the tail of a wave: complex amplitude a, measured from x = half; `wavenumber` as measured; `rest`."""
+
+    amplitude: complex
+    wavenumber: float
+    rest: float
+
+
+def tail(box: Box, phi, core: float):
+    """Places y = x - half of the tail, which the box joins at its ends, (X,) and strains there (P, X)."""
+    y = np.where(box.x > 0, box.x - box.half, box.x + box.half)
+    order = np.argsort(y)
+    order = order[np.abs(y[order]) <= box.half - core]
+    return y[order], phi[:, order]
+
+
+def _columns(y, shape, k):
+    wave = shape[:, None] * np.exp(1j * k * y)
+    return np.stack([wave.real.ravel(), -wave.imag.ravel()], axis=1)
+
+
+def fit(box: Box, phi, ripple: Ripple, core: float, harmonics=3) -> Fit:
+    """The ripple beyond |x| = core, with its harmonics and a constant fitted beside it, which it makes itself."""
+    y, strain = tail(box, phi, core)
+    P = len(strain)
+
+    def columns(k):
+        beside = [np.kron(np.eye(P), np.ones((len(y), 1)))]
+        for m in range(2, harmonics + 1):
+            beside += [np.kron(np.eye(P), f(m * k * y)[:, None]) for f in (np.cos, np.sin)]
+        return np.concatenate([_columns(y, ripple.shape, k), *beside], axis=1)
+
+    def left(k):
+        made = columns(k)
+        found = np.linalg.lstsq(made, strain.ravel(), rcond=None)[0]
+        return found, strain.ravel() - made @ found
+
+    found, rest = left(ripple.wavenumber)
+    amplitude, k = found[0] + 1j * found[1], ripple.wavenumber
+    if np.abs(amplitude) > 1e-9 * np.abs(phi).max():
+        k = _best(lambda q: np.sum(left(q)[1] ** 2), k, 0.25 / (box.half - core))
+        found, rest = left(k)
+        amplitude = found[0] + 1j * found[1]
+    return Fit(complex(amplitude), float(k), float(np.abs(rest).max()))
+
+
+def _best(f, centre, width):
+    """The minimum of what is nearly a parabola about a place, by parabolas of falling width."""
+    for _ in range(6):
+        low, middle, high = f(centre - width), f(centre), f(centre + width)
+        bend = low - 2 * middle + high
+        if not bend > 0:
+            break
+        centre += np.clip(width * (low - high) / (2 * bend), -width, width)
+        width /= 4
+    return centre
+
+
+def ripple_row(ripple: Ripple, core: float):
+    """box -> the row that takes strains (P N,) to the real amplitude of a ripple that its mirror makes itself."""
+    def row(box):
+        y, at = tail(box, np.arange(box.shape[0] * box.points).reshape(box.shape), core)
+        out = np.zeros(box.shape[0] * box.points)
+        out[at.ravel()] = np.linalg.pinv(_columns(y, ripple.shape, ripple.wavenumber))[0]
+        return out
+
+    return row
+
+
+def drift_row(box):
+    """The row that takes strains (P N,) to the slope of the first bond's at the box's end: beads that drift apart."""
+    hat = np.fft.ifft(1j * box.k * np.fft.fft(np.eye(1, box.points)[0])).real
+    # derivative at x = -half: circulant, so its first row
+    out = np.zeros(box.shape[0] * box.points)
+    out[: box.points] = hat[-np.arange(box.points) % box.points]
+    return out
+
+

@@ -1,0 +1,241 @@
+"""Waves of dimers and of beads with resonators, against published values, closed forms and simulations."""
+
+import re
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+import granjax as gx
+from granjax import travelling
+
+TODA = gx.Toda(1.0, 1.0)
+# zeros of the decay rate of a struck chain's pulse, contacts 200 -> 600: good to 3e-6
+ANTI_RESONANCES = (0.342846, 0.154751, 0.090128)
+
+
+class Stiffening(gx.Law):
+    """F(e) = k (e + e^3 + [e]_+ e), a law of one's own, whose second derivative jumps."""
+
+    stiffness: jax.Array
+
+    def force(self, e):
+        return self.stiffness * (e + e**3 + jnp.maximum(e, 0) * e)
+
+    def energy(self, e):
+        return self.stiffness * (e**2 / 2 + e**4 / 4 + jnp.maximum(e, 0) ** 3 / 3)
+
+
+def dimer(ratio):
+    return gx.Hertz(), [1.0, ratio]
+
+
+def moved(wave, lattice, distance=30.0, sites=140, reach=20):
+    """Largest change of the velocities about a wave's peak that a run over a distance [sites] makes, over the peak."""
+    start, sites = 40.0, sites
+    run = gx.simulate(lattice, wave.state(sites, start), distance / wave.speed, tolerance=1e-12)
+    there = slice(int(start + distance) - reach, int(start + distance) + reach)
+    v, known = (jax.tree.leaves(y.v)[0] for y in (run.final, wave.state(sites, start + distance)))
+    return np.abs(v - known)[there].max() / np.abs(known).max()
+
+
+def chain(law, masses, sites=140):
+    return gx.Lattice(np.resize(masses, sites), gx.Bond(gx.Shift(1, "free"), law))
+
+
+@pytest.mark.parametrize("known", ANTI_RESONANCES)
+def test_dimers_at_anti_resonances(known):
+    wave = travelling.tail_free(dimer, 0.96 * known, 1.05 * known, speed=1.0)
+    assert wave.parameter == pytest.approx(known, abs=1.5e-6)
+    assert wave.ripple == 0 and wave.converged and wave.error < 1e-12
+    # mirrored by the bead between the contacts, and both beads at rest on both sides
+    assert np.allclose(wave.strains[0, 1:], wave.strains[1, :0:-1], atol=1e-12)
+    assert np.abs(wave.velocities[:, [0, -1]]).max() < 1e-11
+    if known == ANTI_RESONANCES[0]:
+        lattice = chain(gx.Hertz(), wave.masses)
+        assert moved(wave, lattice) < 1e-10
+        assert wave.energy == pytest.approx(float(gx.measures.energy(lattice, wave.state(140, 60.3))), rel=1e-12)
+
+
+def test_the_ratio_does_not_depend_on_speed_or_units():
+    # steel beads of 9.53 mm
+    law, heavy = gx.Hertz(9.8e9), 0.0283
+    wave = travelling.tail_free(lambda r: (law, [heavy, r * heavy]), 0.33, 0.36, speed=3.1e4)
+    scaled = travelling.tail_free(dimer, 0.33, 0.36, speed=2.7)
+    assert wave.parameter == pytest.approx(scaled.parameter, rel=1e-11)
+    # F = A e^(3/2): strains as (m c^2/A)^2
+    length = (heavy * 3.1e4**2 / 9.8e9) ** 2
+    assert wave.amplitude / length == pytest.approx(scaled.amplitude / 2.7**4, rel=1e-9)
+    assert wave.energy / (heavy * 3.1e4**2 * length**2) == pytest.approx(scaled.energy / 2.7**10, rel=1e-10)
+
+
+def test_equal_beads_have_the_solitary_wave():
+    wave = travelling.cell_wave(gx.Hertz(), [1.0, 1.0], speed=1.0)
+    assert wave.masses.shape == (1,) and wave.energy == pytest.approx(2.82348668842275840, abs=1e-12)
+    np.testing.assert_allclose(wave.strain([0.0, 1.0, 2.0]),
+                               [1.48735937434940207, 0.583929165288747316, 0.0290981220754717273], atol=1e-13)
+
+
+@pytest.mark.parametrize("k", [0.8, 1.6])
+def test_the_toda_dimer_of_ratio_one_is_the_soliton_without_ripple(k):
+    wave = travelling.cell_wave(TODA, [1.0, 1.0], speed=np.sinh(k) / k)
+    xi = np.linspace(-9, 9, 61)
+    np.testing.assert_allclose(wave.strain(xi), np.log1p(np.sinh(k) ** 2 / np.cosh(k * xi) ** 2), atol=1e-11)
+    assert wave.ripple == 0 and wave.energy == pytest.approx(np.sinh(2 * k) - 2 * k, rel=1e-11)
+
+
+def optical(masses, speed, stiffness=1.0):
+    """k of the wave with omega(k) = c k in the optical band of a dimer, from its closed form."""
+    total, product = sum(masses), np.prod(masses)
+
+    def excess(k):
+        root = np.sqrt(total**2 - 4 * product * np.sin(k) ** 2)
+        return np.sqrt(stiffness * (total + root) / product) - speed * k
+
+    return brentq(excess, 1e-3, 20.0, xtol=1e-14)
+
+
+@pytest.mark.parametrize("law, masses, over", [
+    (TODA, [1.0, 0.5], 1.02), (gx.Polynomial(1.0, 0.25, 0.0), [1.0, 0.5], 1.02), (gx.Hertz(1.0, 1.0), [1.0, 0.5], 1.02),
+    (Stiffening(jnp.asarray(2.0)), [1.0, 0.8], 1.03),
+], ids=["toda", "fput", "hertz", "own"])
+def test_nanoptera_ride_on_the_optical_wave_of_their_speed(law, masses, over):
+    K2 = float(gx.laws.taylor(law).K2)
+    speed = over * np.sqrt(K2 / np.mean(masses))
+    wave = travelling.cell_wave(law, masses, speed=speed)
+    assert wave.linear_wavenumber == pytest.approx(optical(masses, speed, K2), abs=1e-10)
+    assert wave.wavenumber == pytest.approx(wave.linear_wavenumber, abs=1e-6 if over < 1.03 else 5e-4)
+    assert 1e-6 < wave.ripple / wave.amplitude < 0.02 and wave.error / wave.amplitude < (1e-11 if over < 1.03 else 1e-8)
+    assert "ripple" in wave.outcome and np.isnan(wave.energy)
+
+
+def test_a_nanopteron_runs_on_unchanged_and_its_ripple_grows_with_contrast():
+    ripples = []
+    for ratio in (0.98, 0.9):
+        wave = travelling.cell_wave(TODA, [1.0, ratio], speed=1.1 / np.sqrt((1 + ratio) / 2))
+        ripples.append(wave.ripple)
+    # to first order in what differs
+    assert ripples[1] / ripples[0] == pytest.approx(5, rel=0.2)
+    # beyond its box the ripple is the linear one
+    assert moved(wave, chain(TODA, wave.masses)) < (wave.ripple / wave.amplitude) ** 2
+    # it has harmonics as well
+    far = np.abs(wave.xi) > wave._core
+    assert np.abs(wave.strains[:, far]).max() == pytest.approx(wave.ripple, rel=0.02)
+
+
+@pytest.mark.slow
+def test_a_ripple_that_is_cut_off_ahead_grows_twice_as_high_behind():
+    wave = travelling.cell_wave(TODA, [1.0, 0.9], speed=1.1)
+    start, sites = wave.state(400, 60.0), 400
+    sharp = 0.5 * (1 - np.tanh((np.abs(np.arange(sites) - 60.0) - 14.0) / 3))
+    strain = -np.diff(start.u) * sharp[:-1]
+    u = np.append(np.cumsum(strain[::-1])[::-1], 0.0)
+    run = gx.simulate(chain(TODA, wave.masses, sites), gx.State(u, start.v * sharp), 200 / wave.speed, tolerance=1e-10)
+    behind = -np.diff(run.final.u)[215:245]
+    assert np.abs(behind).max() == pytest.approx(2 * wave.ripple, rel=0.1)
+
+
+def test_alternating_stiffness():
+    law = gx.Polynomial([1.0, 1.5], 0.25, 0.0)
+    speed = 1.03 * np.sqrt(1 / np.mean([1.0, 1 / 1.5]))
+    wave = travelling.cell_wave(law, [1.0, 1.0], speed=speed)
+    # mirrored by a contact
+    assert np.allclose(wave.strains[:, 1:], wave.strains[:, :0:-1], atol=1e-11) and 0 < wave.ripple < 0.02
+    found = travelling.tail_free(lambda r: (gx.Hertz(jnp.stack([jnp.asarray(1.0), jnp.asarray(r)])), [1.0, 1.0]), 0.1,
+                                 0.4, speed=1.0)
+    lattice = chain(gx.Hertz(np.resize([1.0, found.parameter], 139)), [1.0])
+    assert found.ripple == 0 and moved(found, lattice) < 1e-9
+
+
+@pytest.mark.slow
+def test_masses_and_stiffnesses_that_both_alternate():
+    wave = travelling.cell_wave(gx.Polynomial([1.0, 1.2], 0.25, 0.0), [1.0, 0.8], speed=1.16)
+    assert wave.converged and 1e-4 < wave.ripple / wave.amplitude < 0.1
+
+
+def test_a_trimer_keeps_pace_with_two_waves_and_says_so():
+    wave = travelling.cell_wave(TODA, [1.0, 0.9, 0.9], speed=1.12)
+    assert wave.converged and np.isnan(wave.ripple) and "2 linear waves" in wave.outcome
+
+
+# ---------------------------------------------------------------------------------------------------------- resonators
+
+
+def with_resonators(law, resonator, sites=140):
+    inner = gx.Bond(gx.Shift(0, "free", ("bead", "resonator")), gx.Linear(resonator.stiffness))
+    mass = {"bead": np.ones(sites), "resonator": float(resonator.mass) * np.ones(sites)}
+    return gx.Lattice(mass, (gx.Bond(gx.Shift(1, "free", "bead"), law), inner))
+
+
+def test_the_resonators_wave_without_tail():
+    kappa = float(travelling.tail_free_stiffness(1.0, 0.1))
+    assert kappa == pytest.approx(3.5889470549, abs=1e-10)
+    wave = travelling.cell_wave(gx.Hertz(), [1.0], speed=1.0, resonator=gx.Resonator(0.1, kappa))
+    np.testing.assert_allclose(wave.strain([0.0, 1.0]), [1.799176764595, 0.727976214335], atol=1e-9)
+    np.testing.assert_allclose(wave.strain([0.0, 1.0]), [1.799176764595, 0.727976214335], atol=1e-12)
+    assert np.abs(wave.strain(np.linspace(5, 11, 50))).max() < 1e-14 and wave.ripple == 0
+    alone = travelling.solitary_wave(gx.Hertz(), speed=1.0, resonator=wave.resonator)
+    assert alone.amplitude == wave.amplitude and alone.outcome == "A wave that travels without loss: no ripple."
+    lattice = with_resonators(gx.Hertz(), wave.resonator)
+    assert moved(wave, lattice) < 1e-11
+    assert wave.energy == pytest.approx(float(gx.measures.energy(lattice, wave.state(140, 60.3))), rel=1e-12)
+
+
+def test_other_resonators_leave_a_ripple():
+    ripples = []
+    for factor in (0.9, 0.99, 1.0, 1.01):
+        resonator = gx.Resonator(0.1, factor * travelling.tail_free_stiffness(1.0, 0.1))
+        wave = travelling.cell_wave(gx.Hertz(), [1.0], speed=1.0, resonator=resonator)
+        ripples.append(wave.ripple / wave.amplitude)
+        assert float(resonator.tail_free(1.0)) == pytest.approx(3.5889470549, abs=1e-9)
+        assert wave.linear_wavenumber == pytest.approx(2 * np.pi * np.sqrt(factor), abs=1e-12)
+    assert ripples[0] > 10 * ripples[1] > 100 * ripples[2] == 0 and ripples[3] > 1e-9
+
+
+def test_with_precompression_the_same_stiffness_leaves_no_tail():
+    law, speed = gx.Hertz(1.0, 1.0), 1.5
+    kappa = float(travelling.tail_free_stiffness(speed, 0.2, 1.0, 2))
+    free = travelling.cell_wave(law, [1.0], speed=speed, resonator=gx.Resonator(0.2, kappa))
+    assert free.ripple == 0 and np.abs(free.strain(free.xi[:3])).max() < 1e-11
+    off = travelling.cell_wave(law, [1.0], speed=speed, resonator=gx.Resonator(0.2, kappa / 5))
+    assert 1e-7 < off.ripple / off.amplitude < 0.1
+    assert moved(off, with_resonators(law, off.resonator)) < 1e-4
+
+
+# ------------------------------------------------------------------------------------------------------------ refusals
+
+
+@pytest.mark.parametrize("call, said", [
+    (lambda: travelling.cell_wave(gx.Hertz(), [1.0, 0.5], speed=1.0), "masses: expected a ratio at which a wave"),
+    (lambda: travelling.cell_wave(gx.Hertz(), [1.0, 0.35], speed=1.0), "the nearest is 0.34284578"),
+    (lambda: travelling.cell_wave(TODA, [1.0, 0.5], speed=1.0), "speed: expected supersonic"),
+    (lambda: travelling.cell_wave(TODA, [1.0, 0.5], speed=-1.0), "speed: expected numbers above zero"),
+    (lambda: travelling.cell_wave(TODA, [1.0, -0.5], speed=2.0), "masses: expected numbers above zero"),
+    (lambda: travelling.cell_wave(TODA, [[1.0, 0.5]], speed=2.0), "masses: expected one row"),
+    (lambda: travelling.cell_wave(gx.Hertz([1.0, 2.0, 3.0]), [1.0, 0.5], speed=2.0), "law: expected parameters"),
+    (lambda: travelling.cell_wave(gx.Hertz(), [1.0, 0.5, 0.5], speed=1.0), "masses: expected one or two sites"),
+    (lambda: travelling.cell_wave(gx.Hertz([1.0, 2.0], [0.0, 1.0]), [1.0, 1.0], speed=2.0), "law: expected a stiff"),
+    (lambda: travelling.tail_free(dimer, 0.4, 0.3, speed=1.0), "high: expected a number above low"),
+    (lambda: travelling.tail_free(lambda r: gx.Hertz(), 0.3, 0.4, speed=1.0), "cell: expected a function"),
+    (lambda: travelling.tail_free(lambda r: (TODA, [r, r]), 0.3, 0.4, speed=4.0), "cell: expected a cell of several"),
+    (lambda: travelling.solitary_wave(gx.Hertz(), speed=1.0, resonator=gx.Resonator(0.1, 3.0)),
+     "resonator: expected a stiffness of 3.588947054"),
+    (lambda: travelling.solitary_wave(gx.Hertz(), energy=1.0, resonator=gx.Resonator(0.1, 3.0)), "energy: expected a"),
+    (lambda: gx.Resonator(0.0, 1.0), "mass: expected numbers above zero"),
+    (lambda: travelling.tail_free_stiffness(0.0, 0.1), "speed: expected numbers above zero"),
+    (lambda: jax.jit(lambda c: travelling.cell_wave(TODA, [1.0, 0.5], speed=c).amplitude)(2.0), "known before tracing"),
+])
+def test_bad_input_is_refused(call, said):
+    with pytest.raises(ValueError, match=re.escape(said)):
+        call()
+
+
+def test_where_nothing_is_found():
+    with pytest.raises(RuntimeError, match="No wave of speed 1 was found"):
+        travelling.tail_free(dimer, 0.5, 0.55, speed=1.0)
+    with pytest.raises(RuntimeError, match="No wave of speed"):
+        travelling.cell_wave(gx.Linear(1.0), [1.0, 0.5], speed=2.0)
+    nothing = travelling.cell_wave(gx.Linear(1.0), [1.0, 0.5], speed=2.0, throw=False)
+    assert not nothing.converged and np.isnan(nothing.amplitude)
