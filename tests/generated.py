@@ -444,6 +444,8 @@ OWN = {
     "orbits.guesses.envelope.supports_bright.edge": lambda: Edge(0.0, 0, 1.0, True, envelope()),
     "orbits.symmetry.Symmetry.matrix.like": y, "results.Result.save.path": lambda: "file.nc",
     "theory.nls.dark.nu2": lambda: -1.0, "theory.elliptic.jacobi.u": lambda: 0.7,
+    **{f"states.solitons.{name}_soliton.lattice": lambda: gx.scenes.monomer(40, precompression=0.3, boundary="free")
+       for name in ("toda", "kdv")},
     **{f"theory.{name}": (lambda x=x: x) for name, x in {
         "toda.two_solitons.k2": 0.5, "toda.phase_shifts.k2": 0.5, "toda.periodic_wave.E1": -1.0,
         "toda.periodic_wave.E2": 0.2, "toda.periodic_wave.E3": 0.6, "toda.periodic_wave.E4": 1.0,
@@ -472,6 +474,8 @@ ALSO = {
     "fit.traces.Traces": {"": {"velocity": np.zeros((FRAMES, 2)), "sites": [1, 2]}, "displacement": {"sites": [1, 2]},
                           "force": {"contacts": [1, 2]}, "contacts": {"force": np.zeros((FRAMES, 2))}},
     "identify.law.law": {"": {"stiffness": 1.0}},
+    "states.solitons.toda_soliton": {"": {"k": 1.0}, "k": {}, "speed": {}, "amplitude": {}},
+    "states.solitons.kdv_soliton": {"": {"amplitude": 0.3}, "speed": {}, "amplitude": {}},
     "theory.kdv.soliton": {"": {"amplitude": 0.1}, "amplitude": {}, "speed": {}},
     "theory.toda.wavenumber": {"": {"speed": 1.5}, "speed": {}, "amplitude": {}, "energy": {}},
     "travelling.solitary.solitary_wave": {"": {"speed": 1.2}, "speed": {}, "amplitude": {}, "energy": {}},

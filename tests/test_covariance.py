@@ -421,6 +421,8 @@ row("sine_mode", *CHAINS)(lambda s: state(gx.states.sine_mode(s.lattice, 2, s.m(
 row("normal_mode", closed, lanes, slow=(dimer, uniform, pairs, foreign, fields))(
     lambda s: state(gx.states.normal_mode(s.lattice, -1, s.m(0.1), 0.3)))
 row("wave_packet", uniform)(lambda s: state(gx.states.wave_packet(s.lattice, 1.1, 6.0, 2.0, s.m(0.01))))
+row("toda_soliton", uniform)(lambda s: state(gx.states.toda_soliton(s.lattice, 0.7, centre=8)))
+row("kdv_soliton", uniform)(lambda s: state(gx.states.kdv_soliton(s.lattice, amplitude=s.m(0.5), centre=8)))
 
 # measures
 row("energy", *EVERY)(lambda s: energy(gx.measures.energy(s.lattice, s.state, s.s(0.7))))

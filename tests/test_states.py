@@ -208,6 +208,59 @@ def test_wave_packet_counts_site_springs_and_far_neighbours():
     np.testing.assert_allclose(own.v, told.v, atol=1e-15)
 
 
+def pressed(sites=120, boundary="free", **numbers):
+    return gx.scenes.monomer(sites, precompression=1.0, boundary=boundary, **numbers)
+
+
+def test_toda_soliton_of_a_toda_chain_is_exact():
+    lattice, t = gx.scenes.toda(120, boundary="free"), 40.0
+    state = states.toda_soliton(lattice, speed=np.sinh(0.8) / 0.8)
+    wave = gx.theory.toda.soliton(np.arange(119), 0.0, 0.8, centre=30.0)
+    np.testing.assert_allclose(measures.strain(lattice, state), wave.strain, atol=1e-14)
+    final = gx.simulate(lattice, state, t, step=0.05, solver=gx.SRKN14a()).final
+    later = gx.theory.toda.soliton(np.arange(120), t, 0.8, centre=30.0)
+    np.testing.assert_allclose(final.u, later.displacement, atol=1e-10)
+    np.testing.assert_allclose(final.v, later.velocity, atol=1e-10)
+    back = states.toda_soliton(lattice, 0.8, direction="left")
+    np.testing.assert_allclose(back.v, -states.toda_soliton(lattice, 0.8, centre=119 - 91.0).v[::-1], atol=1e-14)
+
+
+@pytest.mark.parametrize("numbers", [{}, dict(mass=2e-3, stiffness=5e3)])
+def test_kdv_soliton_of_any_law_in_any_units(numbers):
+    lattice = pressed(**numbers)
+    sound = gx.linear.sound_speed(lattice)
+    state = states.kdv_soliton(lattice, speed=1.05 * sound, centre=60.25)
+    y = measures.strain(lattice, state)
+    taylor = gx.laws.taylor(lattice.terms[0].law)
+    wave = lambda t: gx.theory.kdv.soliton(np.arange(119), t, taylor.K2, taylor.K3, speed=1.05 * sound, centre=60.25,
+                                           mass=numbers.get("mass", 1.0)).strain
+    want, rate = jax.jvp(wave, (0.0,), (1.0,))
+    np.testing.assert_allclose(y, want, atol=1e-13 * y.max())
+    # v_n - v_{n+1} = dy_n/dt: the strain travels
+    np.testing.assert_allclose(-np.diff(state.v), rate, atol=1e-13 * np.abs(rate).max())
+    assert states.toda_soliton(lattice, amplitude=y.max()).v.max() == pytest.approx(float(state.v.max()), rel=0.1)
+
+
+@pytest.mark.parametrize("boundary, bonds", [("fixed", 121), ("periodic", 120)])
+def test_a_soliton_where_the_length_is_fixed_stretches_all_bonds_alike(boundary, bonds):
+    free, held = pressed(), pressed(boundary=boundary)
+    state = states.toda_soliton(held, 0.8)
+    y, alone = measures.strain(held, state), measures.strain(free, states.toda_soliton(free, 0.8))
+    assert y.sum() == pytest.approx(0, abs=1e-13)
+    start = 1 if boundary == "fixed" else 0
+    np.testing.assert_allclose(y[start : start + 119], alone - alone.sum() / bonds, atol=1e-13)
+
+
+def test_solitons_of_a_batch():
+    chains = jax.vmap(lambda k: gx.scenes.monomer(60, stiffness=k, precompression=1.0, boundary="free"), out_axes=-1)(
+        jnp.array([1.0, 2.0]))
+    for make in (lambda x, k: states.toda_soliton(x, k), lambda x, a: states.kdv_soliton(x, amplitude=a)):
+        both = make(chains, jnp.array([0.5, 0.9]))
+        for lane, (stiffness, k) in enumerate(((1.0, 0.5), (2.0, 0.9))):
+            one = make(gx.scenes.monomer(60, stiffness=stiffness, precompression=1.0, boundary="free"), k)
+            np.testing.assert_allclose(both.v[:, lane], one.v, atol=1e-14)
+
+
 @pytest.mark.slow
 def test_states_work_inside_jit_and_derivatives():
     def energy(a):
@@ -245,6 +298,13 @@ BAD = {
     "centre": (lambda: states.wave_packet(chain(50), 1.0, 50), "centre: expected a place"),
     "direction": (lambda: states.wave_packet(chain(50), 1.0, direction="up"), "direction: expected one of"),
     "packet in a sonic vacuum": (lambda: states.wave_packet(chain(50, gx.Hertz()), 1.0), "sonic vacuum"),
+    "soliton in a sonic vacuum": (lambda: states.toda_soliton(chain(50, gx.Hertz()), 1.0), "expected a linear stiff"),
+    "soliton in a dimer": (lambda: states.toda_soliton(dimer(), 1.0), "lattice: expected a uniform chain"),
+    "soliton of a beta chain": (lambda: states.kdv_soliton(chain(50, gx.Polynomial(1.0, 0.0, 1.0)), amplitude=0.1),
+                                "K3 other than zero"),
+    "soliton slower than sound": (lambda: states.kdv_soliton(pressed(), speed=1.0), "speed: expected numbers above"),
+    "soliton that does not fit": (lambda: states.kdv_soliton(pressed(), amplitude=1e-3), "longer than the wave"),
+    "soliton by two numbers": (lambda: states.toda_soliton(pressed(), 1.0, speed=2.0), "k, speed, amplitude: expected"),
     "packet in a dimer": (lambda: states.wave_packet(dimer(), 1.0), "omega: expected the wave's frequency"),
 }
 

@@ -5,5 +5,6 @@ Displacements are measured from static equilibrium, so a precompressed chain at 
 
 from .modes import normal_mode, sine_mode
 from .simple import impact, random, rest, thermal
+from .solitons import kdv_soliton, toda_soliton
 from .steps import strain_step, velocity_step
 from .waves import solitary_wave, wave_packet

@@ -1,0 +1,162 @@
+"""Solitons of the integrable neighbours of a chain: Toda's and that of Korteweg and de Vries."""
+
+from functools import partial
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..checks import concrete, per_lane, positive, refuse, show, within
+from ..entry import checked
+from ..lattice import Lattice, State, spread_mass
+from ..theory import kdv, toda
+from ..types import Parameter
+from .places import chain_only
+
+# how far a chain may differ from a uniform one, in units of its stiffness; how large a wave may be at its ends;
+# least sites
+UNIFORM, OUTSIDE, LEAST = 1e-6, 0.01, 8
+
+
+class Chain(NamedTuple):
+    """A uniform chain of next neighbours: K2, K3 of its bonds, mass of a site, and what holds its ends."""
+
+    K2: jax.Array
+    K3: jax.Array
+    mass: jax.Array
+    left: jax.Array
+    right: jax.Array
+    ring: jax.Array
+    differs: jax.Array
+
+
+@checked
+def toda_soliton(
+    lattice: Lattice, k: Parameter | None = None, *, speed: Parameter | None = None,
+    amplitude: Parameter | None = None, centre: Parameter | None = None, direction: str = "right",
+) -> State:
+    """The soliton of the Toda chain that has the same K2, K3 and mass: exact in a Toda chain, near in any other.
+
+    For waves of any law, exactly: `states.solitary_wave`. **Arguments:**
+
+    - `lattice`: a uniform chain of next neighbours, of any law with K2 > 0 and K3 other than zero, in any units.
+    - One of `k` [1/site], `speed` [sites/s], `amplitude`, the largest strain [m], of the sign of K3; as in
+      `theory.toda`. A number or one per lane.
+    - `centre`: bond of the crest (bond n joins n and n + 1), `None` for a quarter of the chain from where it starts;
+      `direction`: "right" or "left".
+
+    Meant for free ends. Between walls or on a ring the length is fixed, and all bonds are stretched alike by the
+    wave's total strain over their number, so that none is torn: it is then right to that share.
+    **Raises** ValueError for a lattice that is no such chain, or has no K2 (a sonic vacuum) or K3, a wave that is not
+    faster than sound, and one that does not fit into the chain.
+    """
+    chain, n, centre = _places("toda_soliton", lattice, centre, direction)
+    strength, rate = toda.matched(chain.K2, chain.K3)
+    constants = dict(strength=strength, rate=rate, mass=chain.mass)
+    if k is None or speed is not None or amplitude is not None:
+        if k is not None or (speed is None) == (amplitude is None):
+            several = k is not None or speed is not None
+            refuse("k, speed, amplitude", "one of the three", "several" if several else "none")
+        k = toda.wavenumber(speed=_one(lattice, "speed", speed), amplitude=_one(lattice, "amplitude", amplitude),
+                            **constants)
+    k = per_lane("k", k, lattice.lanes, positive)
+    wave = partial(toda.soliton, k=k, centre=centre, direction=direction, **constants)
+    y, v, u = wave(n, 0.0)
+    return _held(lattice, chain, y, u, v)
+
+
+@checked
+def kdv_soliton(
+    lattice: Lattice, *, speed: Parameter | None = None, amplitude: Parameter | None = None,
+    centre: Parameter | None = None, direction: str = "right",
+) -> State:
+    """The soliton of the Korteweg-de Vries equation of the chain: right for waves just above the speed of sound.
+
+    The strain of each bond is that of `theory.kdv.soliton` and the velocities are those with which it travels.
+    **Arguments**, ends, **Raises**: as `toda_soliton`, with `speed` or `amplitude`.
+    """
+    chain, n, centre = _places("kdv_soliton", lattice, centre, direction)
+    given = dict(speed=_one(lattice, "speed", speed), amplitude=_one(lattice, "amplitude", amplitude))
+    # strains and their rates, summed from the last site on
+    (y, v, u), (rate, *_) = jax.jvp(
+        lambda t: tuple(kdv.soliton(n, t, chain.K2, chain.K3, mass=chain.mass, centre=centre, direction=direction,
+                                    **given)), (jnp.zeros(()),), (jnp.ones(()),))
+    u, v = (x[-1:] + jnp.concatenate([jnp.cumsum(part[-2::-1], 0)[::-1], jnp.zeros_like(x[-1:])])
+            for x, part in ((u, y), (v, rate)))
+    return _held(lattice, chain, y, u, v)
+
+
+def _one(lattice, name, x):
+    return None if x is None else per_lane(name, x, lattice.lanes)
+
+
+def _places(what, lattice, centre, direction):
+    """The chain, its sites as a column beside the lanes, and the centre."""
+    size = chain_only(lattice, what)
+    if size < LEAST:
+        refuse("lattice", f"a chain of {LEAST} sites or more, for {what}", f"{size}")
+    chain = _uniform(lattice)
+    differs, K2, K3 = (concrete(x) for x in (chain.differs, chain.K2, chain.K3))
+    if differs is not None:
+        if np.any(K2 <= 0):
+            refuse("lattice", "a linear stiffness", "none" if np.all(K2 == 0) else "one below zero",
+                   "Give its contacts a precompression; in a sonic vacuum there is no speed of sound.")
+        # a ramp is as high as the chain is long
+        if np.any(differs > (UNIFORM + 8 * size * np.finfo(lattice.dtype).eps) * K2):
+            refuse("lattice", f"a uniform chain of next neighbours alone, for {what}", "another",
+                   "Springs on the sites, bonds of longer reach, patterns and disorder have other waves.")
+        if np.any(K3 == 0):
+            refuse("lattice", "a force with a quadratic part, K3 other than zero", "K3 = 0",
+                   "Neither equation is near such a chain; see states.solitary_wave.")
+    centre = per_lane("centre", (size if direction == "right" else 3 * size) / 4 if centre is None else centre,
+                      lattice.lanes, partial(within, low=0, high=size - 1))
+    return chain, jnp.arange(size, dtype=float).reshape((-1,) + (1,) * len(lattice.lanes)), centre
+
+
+@eqx.filter_jit
+def _uniform(lattice):
+    """What the force says of the chain: of a step in the displacement at its middle, a ramp, and a translation."""
+    zeros = lattice.zeros()
+    size = zeros.shape[0]
+    mid = size // 2
+    n = jnp.arange(size, dtype=zeros.dtype).reshape((-1,) + (1,) * len(lattice.lanes)) + 0 * zeros
+    force = lambda u: lattice.force(jnp.zeros((), zeros.dtype), u, zeros)
+
+    def derivatives(shape):
+        along = lambda e: jax.jvp(lambda e: force(e * shape), (e,), (jnp.ones_like(e),))[1]
+        return jax.jvp(along, (jnp.zeros((), zeros.dtype),), (jnp.ones((), zeros.dtype),))
+
+    first, second = derivatives(jnp.where(n < mid, 1.0, 0.0))
+    K2, K3 = first[mid], second[mid] / 2
+    inner = slice(size // 4, size - size // 4)
+    # of a step the two sites beside it feel anything, of a ramp or a translation nobody
+    expected = jnp.where(n == mid, 1.0, jnp.where(n == mid - 1, -1.0, 0.0))
+    ramp, bent = derivatives(-n)
+    moved, _ = derivatives(jnp.ones_like(n))
+    mass = spread_mass(lattice)
+    wrong = [first - expected * K2, ramp, moved, (mass / mass[mid] - 1) * K2]
+    # K3 times a strain that is as large as K2/K3
+    size_2 = jnp.where(K3 == 0, 1.0, K2 / jnp.where(K3 == 0, 1.0, K3))
+    wrong += [(second / 2 - expected * K3) * size_2, bent * size_2]
+    differs = jnp.stack([jnp.abs(x[inner]).max(0) for x in wrong]).max(0)
+    basis = jnp.where(n == 0, 1.0, 0.0)
+    around = jnp.abs(jax.jvp(force, (zeros,), (basis,))[1][-1])
+    floor = UNIFORM * K2
+    return Chain(K2, K3, mass[mid], jnp.abs(moved[0]) > floor, jnp.abs(moved[-1]) > floor, around > floor, differs)
+
+
+def _held(lattice, chain, y, u, v):
+    """The state whose ends stay where walls or the ring hold them."""
+    crest, edge = concrete(jnp.abs(y).max(0)), concrete(jnp.maximum(jnp.abs(y[0]), jnp.abs(y[-1])))
+    if crest is not None and np.any(edge > OUTSIDE * crest):
+        refuse("lattice", "a chain that is longer than the wave", f"one with {show(np.max(edge / crest))} of its crest "
+               "at an end", "Take a longer chain, another centre, or a larger wave, which is shorter.")
+    size, total = len(u), u[0] - u[-1]
+    n = jnp.arange(size, dtype=u.dtype).reshape((-1,) + (1,) * (u.ndim - 1))
+    both = chain.left & chain.right
+    u = u - jnp.where(chain.left, u[0], 0.0)
+    u = u + jnp.where(both, total * (n + 1) / (size + 1), 0.0) + jnp.where(chain.ring, total * n / size, 0.0)
+    zeros = lattice.zeros()
+    return State((zeros + u).astype(zeros.dtype), (zeros + v).astype(zeros.dtype))
