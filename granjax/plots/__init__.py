@@ -20,9 +20,11 @@ from .histories import space_time, traces
 from .orbits import branch, breather, floquet_circle, hysteresis, strain_map
 from .precision import work_precision
 from .style import COLOURS, drawn, figure, save, style
+from .travelling import wave, wave_errors
 from .waves import dispersion
 
 __all__ = [
     "COLOURS", "branch", "breather", "corner", "dispersion", "drawn", "figure", "fit", "floquet_circle", "hysteresis",
-    "law", "profile", "save", "space_time", "strain_map", "style", "traces", "transmission", "work_precision",
+    "law", "profile", "save", "space_time", "strain_map", "style", "traces", "transmission", "wave", "wave_errors",
+    "work_precision",
 ]

@@ -11,7 +11,6 @@ _MADE = (
 )
 
 _AWAITED = (
-    Awaited("fig1.2", "The travelling wave's profile, its derivative and its tail", "travelling waves"),
     Awaited("DSW.1", "Dispersive shock from a step", "dispersive shocks"),
     Awaited("DSW.2", "Two zooms into the dispersive shock", "dispersive shocks"),
     Awaited("DSW.3", "Granular velocity shock and its KdV prediction", "dispersive shocks"),

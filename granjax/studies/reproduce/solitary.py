@@ -1,4 +1,4 @@
-"""Figure 1.3: the exact solitary wave of the Hertz chain runs."""
+"""Figures 1.2 and 1.3: the exact solitary wave of the Hertz chain beside both compactons, and how it runs."""
 
 import numpy as np
 import xarray as xr
@@ -8,6 +8,7 @@ from ...flow import Arrival, simulate
 from ...laws import Hertz
 from ...measures import along, strain
 from ...scenes import monomer
+from ...theory import compacton
 from ...travelling import solitary_wave
 from ...types import Count
 from .figure import Choice, Figure
@@ -56,9 +57,8 @@ def _draw(plots, figure, data):
     left.set_title("Strain of every contact")
     end = data.attrs["start"] + data.attrs["travel"]
     near = np.abs(data["contact"].values - end) <= 6
-    shift = data["place"].values
     plots.profile(
-        shift, data["exact"].values, right, labels="exact",
+        data["place"].values, data["exact"].values, right, labels="exact",
         points=(data["contact"].values[near] - end, data["strain"].values[-1, near]),
         points_label=f"simulated, $t = {data.attrs['travel']}$", floor=1e-12,
         x_label=r"$\xi = n - n_0 - c\,t$", y_label="strain", units="scaled",
@@ -66,7 +66,59 @@ def _draw(plots, figure, data):
     right.set_title(f"Profile after {data.attrs['travel']} contacts")
 
 
+def profile(speed: float, reach: int) -> xr.Dataset:
+    """The exact wave, its slope and both compactons at places xi = n - c t; its residual and error."""
+    reach = whole("reach", reach, 3, "It is how many contacts are shown on each side.")
+    wave = solitary_wave(Hertz(), speed=speed)
+    xi = np.linspace(-reach, reach, 2 * reach * POINTS + 1)
+    velocity = np.asarray(wave.velocity(np.append(xi, xi[-POINTS:] + 1)))
+    slope = (velocity[POINTS:] - velocity[:-POINTS]) / speed
+    forms = {"nesterenko": compacton.nesterenko, "ahnert_pikovsky": compacton.ahnert_pikovsky}
+    return xr.Dataset(
+        {
+            "strain": ("place", np.asarray(wave.strain(xi))), "slope": ("place", slope),
+            **{name: ("place", np.asarray(form(xi, speed=speed).strain)) for name, form in forms.items()},
+        },
+        {"place": xi},
+        {"speed": float(speed), "units": "scaled: A = m = 1", "error": float(wave.error),
+         "residual": float(wave.residual)},
+    )
+
+
+def peak(data: xr.Dataset) -> float:
+    """The peak strain over c^4."""
+    return float(data["strain"].sel(place=0.0) / data.attrs["speed"] ** 4)
+
+
+def _draw_profile(plots, figure, data):
+    ax = figure.subplots()
+    xi, strain = data["place"].values, data["strain"].values
+    curves = {"exact": strain, "its slope": data["slope"].values, "Nesterenko": data["nesterenko"].values,
+              "Ahnert-Pikovsky": data["ahnert_pikovsky"].values}
+    at = np.arange(0, len(xi), POINTS)
+    plots.profile(xi, np.stack(list(curves.values()), -1), ax, labels=list(curves), points=(xi[at], strain[at]),
+                  points_label="lattice", floor=1e-30, x_label=r"$\xi = n - c\,t$", y_label="strain", units="scaled")
+
+
 FIGURES = (
+    Figure(
+        label="fig1.2",
+        title="The travelling wave's profile, its derivative and its tail",
+        caption="The exact wave of a Hertz chain without precompression (A = m = 1), its slope, the lattice's "
+        "contacts, and both compactons, which end where the wave's tail goes on doubly exponentially (inset).",
+        compute=profile,
+        draw=_draw_profile,
+        number=peak,
+        quantity="peak strain over c^4",
+        expected=1.48735937434940207,
+        tolerance=1e-13,
+        source="the same equation by two other methods",
+        chosen={
+            "speed": Choice(1.0, "", "speed of the wave, contacts per time"),
+            "reach": Choice(6, "", "contacts shown on each side"),
+        },
+        size=(6.4, 4.4),
+    ),
     Figure(
         label="fig1.3",
         title="Space-time evolution of the exact travelling wave, strain, c = 1",

@@ -1,0 +1,90 @@
+"""Travelling waves: a profile with its slope, and how far closed forms are from it."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from ..checks import refuse, within
+from ..entry import checked
+from ..types import Numbers, Scalar
+from ..units import UnitsOrWords
+from .arrays import numbers
+from .curves import profile
+from .quantities import Axis, drawn_in, scaled_by, units_of
+from .style import COLOURS, AxesOrNone, axes_or_new
+
+
+@checked
+def wave(
+    wave_record: Any, ax: AxesOrNone = None, *, beside: Mapping[str, Numbers] | None = None, slope: bool = True,
+    floor: Scalar = 1e-16, units: UnitsOrWords = None,
+) -> Axes:
+    """Strain of a travelling wave over the place, its slope, the lattice's contacts as dots, and the tail in an inset.
+
+    **Arguments:**
+
+    - `wave_record`: anything with `xi` (X,), `strain(xi)`, `velocity(xi)` and `speed`, such as the result of
+      `gx.travelling.solitary_wave`.
+    - `beside`: dict from a name to strains (X,) at `wave_record.xi`, such as compactons. `slope`: whether
+      d strain/d xi = (v(xi + 1) - v(xi))/c is drawn, per contact.
+    - `floor`: lowest decade of the inset, a share of the largest value. `units`: `"um"`, as in `granjax.plots`.
+
+    **Returns:** the Axes; the inset is `ax.child_axes[0]`, the curves `ax.lines`: strain, slope, what is beside, dots.
+    **Raises** ValueError for a record without these, or strains of another shape than its places.
+    """
+    needed = ("xi", "strain", "velocity", "speed")
+    if not all(hasattr(wave_record, name) for name in needed):
+        refuse("wave_record", f"a record with {', '.join(needed)}", type(wave_record).__name__,
+               "Give the result of gx.travelling.solitary_wave.")
+    xi = numbers("wave_record.xi", wave_record.xi, 1)
+    curves = {"strain": wave_record.strain(xi)}
+    if slope:
+        velocity = wave_record.velocity
+        curves["slope, per contact"] = (np.asarray(velocity(xi + 1)) - np.asarray(velocity(xi))) / wave_record.speed
+    for name, y in (beside or {}).items():
+        y = numbers(f"beside[{name!r}]", y)
+        if y.shape != xi.shape:
+            refuse(f"beside[{name!r}]", f"strains at wave_record.xi, shape {xi.shape}", f"shape {y.shape}")
+        curves[name] = y
+    nodes = np.arange(np.ceil(xi.min()), np.floor(xi.max()) + 1)
+    return profile(
+        xi, np.stack([np.asarray(y) for y in curves.values()], -1), ax, labels=list(curves),
+        points=(nodes, np.asarray(wave_record.strain(nodes))), points_label="contacts", floor=floor,
+        x_label=r"place $\xi = n - c\,t$ (contacts)", y_label="strain",
+        units=units if units is not None else units_of(wave_record),
+    )
+
+
+@checked
+def wave_errors(record: Any, ax: AxesOrNone = None, *, floor: Scalar = 1e-12, units: UnitsOrWords = None) -> Axes:
+    """Errors of closed forms against the exact wave over how much faster than sound it is, both logarithmic.
+
+    **Arguments:** `record`: anything with `speed` (S,), `sound`, and `kdv_error`, `toda_error` (S,), relative to the
+    peak, such as the result of `gx.travelling.closed_forms`. `floor`: lowest error drawn. `units`: both axes are pure
+    numbers, so that it changes nothing; words that name a unit are refused.
+
+    **Returns:** the Axes. **Raises** ValueError for a record without these, or with no speed above sound.
+    """
+    needed = ("speed", "sound", "kdv_error", "toda_error")
+    if not all(hasattr(record, name) for name in needed):
+        refuse("record", f"a record with {', '.join(needed)}", type(record).__name__,
+               "Give the result of gx.travelling.closed_forms.")
+    floor = float(within("floor", floor, 0, 1, open_low=True, open_high=True))
+    faster = np.abs(numbers("record.speed", record.speed, 1)) / float(record.sound) - 1
+    label = r"speed over that of sound, less one, $c/c_0 - 1$"
+    by, _ = drawn_in(units, None, Axis(label, faster, ""), Axis("largest error over the peak", np.ones(1), ""))
+    ax = axes_or_new(ax, 5.2, 3.8)
+    order = np.argsort(faster)
+    for tone, mark, name, values in (
+        (COLOURS[1], "s--", "Korteweg-de Vries", record.kdv_error), (COLOURS[0], "o-", "Toda", record.toda_error),
+    ):
+        values = numbers("record", values, 1, finite=False)[order]
+        ax.plot(scaled_by(faster[order], by.factor), np.maximum(values, floor), mark, color=tone, ms=4, label=name)
+    ax.set_xscale("log")
+    ax.set_yscale("log")
+    ax.set_xlabel(label)
+    ax.set_ylabel("largest error of the strain over the peak")
+    ax.legend(frameon=False)
+    return ax

@@ -1,0 +1,72 @@
+"""Pictures of travelling waves, and how far closed forms are from them."""
+
+import matplotlib
+
+matplotlib.use("Agg")
+
+import numpy as np  # noqa: E402
+import pytest  # noqa: E402
+
+import granjax as gx  # noqa: E402
+from granjax import plots  # noqa: E402
+from granjax.travelling import ClosedForms, closed_forms, solitary_wave  # noqa: E402
+
+
+@pytest.fixture(scope="module")
+def toda():
+    return solitary_wave(gx.Toda(), speed=np.sinh(1.0))
+
+
+def test_a_wave_its_slope_and_its_contacts(toda):
+    other = gx.theory.toda.soliton(toda.xi, 0.0, 1.0).strain
+    ax = plots.wave(toda, beside={"Toda": other})
+    strain, slope, beside, nodes = ax.lines
+    np.testing.assert_allclose(strain.get_ydata(), beside.get_ydata(), atol=1e-12)
+    numeric = np.gradient(strain.get_ydata(), strain.get_xdata())
+    np.testing.assert_allclose(slope.get_ydata(), numeric, atol=2e-2)
+    np.testing.assert_allclose(nodes.get_ydata(), toda.strain(nodes.get_xdata()), rtol=1e-12)
+    assert set(np.diff(nodes.get_xdata())) == {1.0} and ax.get_ylabel().startswith("strain")
+    assert len(plots.wave(toda, slope=False).lines) == 2
+
+
+def test_a_wave_of_steel_beads_has_units():
+    chain = gx.scenes.beads("steel 316", 9.525e-3, 20.0, cells=12, boundary="free")
+    wave = solitary_wave(chain, speed=1.1 * float(gx.linear.sound_speed(chain)))
+    assert wave.units == "SI" and plots.wave(wave).get_ylabel() == "strain (µm)"
+    ax = plots.wave(wave, units="nm")
+    assert ax.get_ylabel() == "strain (nm)"
+    np.testing.assert_allclose(ax.lines[0].get_ydata().max(), 1e9 * float(wave.amplitude), rtol=1e-6)
+    found = closed_forms(chain, float(wave.speed))
+    scaled = closed_forms(gx.Hertz(1.0, 1.0), 1.1 * 1.5**0.5)
+    np.testing.assert_allclose(found.kdv_error, scaled.kdv_error, rtol=1e-9)
+    np.testing.assert_allclose(found.toda_error, scaled.toda_error, rtol=1e-9)
+
+
+def test_the_soliton_of_toda_is_the_wave_of_its_law():
+    found = closed_forms(gx.Toda(), np.sinh(1.0))
+    assert found.toda_error[0] < 1e-12 < 1e-2 < found.kdv_error[0] and "Toda by" in found.outcome
+
+
+def test_errors_over_speed():
+    record = ClosedForms(np.array([2.0, 1.1]), np.array(1.0), np.ones(2), np.array([0.5, 0.1]), np.array([0.4, 0.0]),
+                         np.zeros(2))
+    ax = plots.wave_errors(record)
+    kdv, toda = ax.lines
+    np.testing.assert_allclose(kdv.get_xdata(), [0.1, 1.0])
+    np.testing.assert_allclose(kdv.get_ydata(), [0.1, 0.5])
+    np.testing.assert_allclose(toda.get_ydata(), [1e-12, 0.4])
+    assert "c/c_0" in ax.get_xlabel() and "error" in ax.get_ylabel()
+
+
+@pytest.mark.parametrize(("call", "said"), [
+    (lambda toda: plots.wave(3), "wave_record: expected a record with xi, strain, velocity, speed"),
+    (lambda toda: plots.wave(toda, beside={"x": np.ones(3)}), r"strains at wave_record.xi, shape \(257,\), got shape"),
+    (lambda toda: plots.wave_errors(3), "record: expected a record with speed"),
+    (lambda toda: plots.wave(toda, units="kHz"), "kHz"),
+    (lambda toda: closed_forms(gx.Hertz(), 1.0), "K2 > 0, got K2 = 0"),
+    (lambda toda: closed_forms(gx.Toda(), np.ones((2, 2))), "one speed or a list"),
+    (lambda toda: closed_forms(gx.Toda(), 0.9), "sound"),
+])
+def test_what_is_refused(toda, call, said):
+    with pytest.raises(ValueError, match=said):
+        call(toda)
