@@ -285,6 +285,7 @@ def _(seed):
     for law in (gx.Hertz(1.0 + 0.1 * seed), gx.Toda(1.0 + 0.1 * seed)):
         wave = gx.travelling.solitary_wave(law, speed=1.3 + 0.01 * seed)
         wave.strain(0.3 + seed), wave.velocity(0.2), wave.displacement(0.2), wave.state(9, 4.0 + seed), repr(wave)
+    wave.floquet(14, "held")
     gx.states.solitary_wave(gx.scenes.monomer(9, stiffness=1.0 + seed), 4.0 + seed, speed=1.3)
 
 
@@ -332,7 +333,8 @@ UNCALLED = {
     "nearby": "`newton`", "history": "its own row, compiled by the caller", "B": "`coefficients`",
     "band_edges": "`coefficients`", "bright": "`coefficients`", "dark": "`coefficients`",
     "growth_rate": "`coefficients`", "bright_profile": "`dark_profile`",
-    "distance": "`compare`", "medium_of": "`solitary_wave`", "wave_of": "`solitary_wave`",
+    "distance": "`compare`", "stability": "`Wave.floquet`",
+    "medium_of": "`solitary_wave`", "wave_of": "`solitary_wave`",
     "steps_per_period": "`settle`",
     "largest": "`settle`, NumPy", "linearised": "`fit`; of lattices `linear_frequency`",
 }

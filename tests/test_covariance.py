@@ -562,6 +562,13 @@ def _(s):
     return fields_of(found, law=None, residual=About), state(gx.states.solitary_wave(s.lattice, 2.3, speed=found.speed))
 
 
+@row("wave_orbit", slow=(uniform,))
+def _(s):
+    wave = gx.travelling.solitary_wave(s.lattice, speed=1.3 * gx.linear.sound_speed(s.lattice))
+    lattice, guess = gx.travelling.ring(wave, 16)
+    return state(gx.travelling.wave_orbit(lattice, guess, wave.speed).state)
+
+
 # fits
 class Damped(eqx.Module):
     """A chain as a function of its parameters: equal structures compile once."""

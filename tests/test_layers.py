@@ -78,7 +78,7 @@ def test_imports_point_downwards(path):
 KINDS = {
     name: folder for folder, names in (
         ("laws", ("Hertz", "PowerLaw", "Polynomial", "Toda", "Linear", "Sine", "Spline", "Network", "Sum", "Scaled",
-                  "Yielding")),
+                  "Strained", "Yielding")),
         ("strains", ("Shift", "Stencil", "Pairs", "Stretch", "LinearMap")),
         ("terms", ("Bond", "Modulated", "OnSite", "Damping", "Dashpot", "ViscousContact", "Drag", "Drive", "Wall")),
     ) for name in names

@@ -1,6 +1,6 @@
 """Force laws: one bond or one site, elementwise, measured from static equilibrium."""
 
-from .base import Law, Scaled, Sum
+from .base import Law, Scaled, Strained, Sum
 from .contact import Hertz, PowerLaw
 from .network import Network
 from .power import plus_power
@@ -10,6 +10,6 @@ from .taylor import Taylor, taylor
 from .yielding import Yielding
 
 __all__ = [
-    "Hertz", "Law", "Linear", "Network", "Polynomial", "PowerLaw", "Scaled", "Sine", "Spline", "Sum", "Taylor", "Toda",
-    "Yielding", "plus_power", "taylor",
+    "Hertz", "Law", "Linear", "Network", "Polynomial", "PowerLaw", "Scaled", "Sine", "Spline", "Strained", "Sum",
+    "Taylor", "Toda", "Yielding", "plus_power", "taylor",
 ]

@@ -184,6 +184,44 @@ class Scaled(Law):
         return self.law.overlap(e)
 
 
+class Strained(Law):
+    """A law measured from another equilibrium, a strain s: F(e) = F_law(e + s) - F_law(s).
+
+    So a ring carries a mean strain, such as what a solitary wave shortens it by, while its displacements are periodic.
+    **Arguments:** `law`; `strain`: s [m], number or array over bonds.
+    """
+
+    dimensions = {"law": PART, "strain": (0, 1, 0)}
+    law: Law
+    strain: object
+
+    @checked
+    def __init__(self, law: Law, strain: Number):
+        self.law, self.strain = law, strain
+
+    @property
+    def softens(self):
+        return self.law.softens
+
+    @property
+    def opens(self):
+        return self.law.opens
+
+    @property
+    def preload(self):
+        return self.law.preload + self.law.force(jnp.asarray(self.strain))
+
+    def force(self, e):
+        return self.law.force(e + self.strain) - self.law.force(jnp.asarray(self.strain))
+
+    def energy(self, e):
+        rest = jnp.asarray(self.strain)
+        return self.law.energy(e + rest) - self.law.energy(rest) - self.law.force(rest) * e
+
+    def overlap(self, e):
+        return self.law.overlap(e + self.strain)
+
+
 class InOtherUnits(Law):
     """A law with compressions and forces counted in other units: F(e) = F_law(length e)/force."""
 

@@ -1,6 +1,6 @@
 """`Wave`: a solitary wave as a result."""
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -11,9 +11,11 @@ from ..checks import traced, whole
 from ..entry import checked
 from ..lattice import State
 from ..laws import Law
+from ..orbits.floquet import Floquet
 from ..profiles import Shape
 from ..results import Held, Result
 from ..types import Count, Number, Numbers, Parameter, Scalar
+from .stability import stability
 
 
 class Wave(Result):
@@ -89,6 +91,10 @@ class Wave(Result):
         middle = (sites - 2) / 2 if centre is None else centre
         xi = np.arange(sites) - middle
         return State(self.displacement(xi), self.velocity(xi))
+
+    def floquet(self, sites: Count | None = None, ends: str | None = None, **keywords: Any) -> Floquet:
+        """Stability over the time in which it runs one site: `granjax.travelling.stability`."""
+        return stability(self, sites, ends, **keywords)
 
 
 def half_width(shape: Shape, reach: float) -> float:

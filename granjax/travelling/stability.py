@@ -1,0 +1,154 @@
+"""Waves as fixed points of "run for 1/c, then shift by one site", and their stability, by the code of orbits."""
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from scipy.linalg import schur
+
+from ..checks import one_of, refuse, whole
+from ..entry import checked
+from ..flow import Flow
+from ..lattice import Lattice, State
+from ..laws import Strained
+from ..orbits import Orbit, Translation, orbit
+from ..orbits.floquet import STABLE, Floquet, decide
+from ..orbits.spectrum import known_spectrum
+from ..solvers import KahanLi8
+from ..strains import Shift
+from ..terms import Bond
+from ..types import Count, Scalar, StateLike
+
+# strain over the peak where a ring closes, by default; sites of the shortest and the longest
+CLOSED, SHORTEST, LONGEST = 1e-10, 12, 200
+# where far states are held: growth of the norm per contact without sound; steps at first and at most, to which the
+# matrix is known; powers of it that are looked at
+RATE, STEPS, MOST, KNOWN, POWERS = 1.0, 64, 2048, 1e-7, 24
+
+
+@checked
+def ring(wave: Any, sites: Count | None = None) -> tuple[Lattice, State]:
+    """A ring in which a wave runs, and the wave in its middle, displacements about the mean strain.
+
+    The wave shortens the ring by its compression, so that every bond has the mean strain s = compression/sites at rest
+    and the law F(e + s) - F(s); displacements are periodic then, and a shift by one site is a symmetry. The ring's own
+    wave differs by what the tail has left half-way round.
+
+    **Arguments:** `sites`: `None` is as many as bring the strain half-way round to 1e-10 of the peak.
+    **Raises** ValueError where more than 200 are needed (a wave little faster than sound), or fewer than 12 asked.
+    """
+    sites = _sites_of(wave) if sites is None else whole("sites", sites, SHORTEST)
+    s, centre = wave.compression / sites, sites // 2
+    # the mean of the strains themselves, which is that of the integral to what the tail leaves
+    xi = np.arange(sites) - centre
+    e = jnp.asarray(wave.strain(xi)) - s
+    e = e - e.mean()
+    u = jnp.concatenate([jnp.zeros(1), -jnp.cumsum(e)[:-1]])
+    units = {} if wave.units is None else {"units": wave.units}
+    lattice = Lattice(wave.mass, Bond(Shift(1, "periodic"), Strained(wave.law, s)), sites=sites, **units)
+    v = wave.velocity(xi)
+    return lattice, State(u - u.mean(), v - v.mean())
+
+
+def _sites_of(wave):
+    peak = abs(float(wave.amplitude))
+    strains = np.abs(np.asarray(wave.strain(np.arange(LONGEST // 2 + 1.0))))
+    half = int(np.argmax(strains < CLOSED * peak)) if strains[-1] < CLOSED * peak else None
+    if half is None:
+        refuse("sites", f"the number of a ring, where more than {LONGEST} are needed to hold all of the tail", "None",
+               "Give one; the matrix has twice as many rows, and the ring's wave is another one.")
+    return max(SHORTEST, 2 * half)
+
+
+@checked
+def wave_orbit(lattice: Lattice, guess: StateLike, speed: Scalar, **keywords: Any) -> Orbit:
+    r"""A wave of any ring as a fixed point: y(1/c) = S y(0), S the shift by one site, by Newton's method.
+
+    The lattice may have whatever terms: further neighbours, on-site forces, terms of the user's own. `orbit.floquet()`
+    tells its stability.
+
+    **Arguments:** `lattice`: a ring of equal cells. `guess`: a state near the wave, such as that of `ring(wave)`, or of
+    a lattice that is near. `speed`: c, sites per time, below zero to the left. `keywords`: of `gx.orbits.orbit`.
+    **Returns:** `Orbit`. **Raises** as `gx.orbits.orbit` does, and ValueError for a speed of zero.
+    """
+    if not 0 < abs(speed) < np.inf:
+        refuse("speed", "a speed that is not zero", repr(speed), "What stands still is gx.equilibrium's.")
+    return orbit(lattice, guess, 1 / abs(speed), symmetry=Translation(1 if speed > 0 else -1), **keywords)
+
+
+@checked
+def stability(wave: Any, sites: Count | None = None, ends: str | None = None, **keywords: Any) -> Floquet:
+    r"""Multipliers of a wave over the time in which it runs one site: of S^-1 D y(1/c), with errors and a verdict.
+
+    `ends="ring"`: the wave is set on a `ring`, refined there by Newton's method and judged as any orbit is, with Krein
+    signatures and four multipliers at +1 (phase and energy, displacement and momentum); the continuous spectrum is a
+    set of points on the unit circle. `ends="held"`: a chain whose far states are held: at every shift a bead at rest
+    comes in ahead and one is left behind. Two multipliers are at +1 (place and speed), those of what the wave leaves
+    behind lie within the circle, in a norm that grows ahead of the wave (Pego and Weinstein), and there is no
+    signature. Where nothing carries sound, perturbations behind the wave stay or drift on, and come again on a ring.
+
+    Where dE/dc passes zero along a family one pair leaves +1 (Friesecke and Pego, Nonlinearity 17, 207 (2004);
+    Cuevas-Maraver and others, Phys. Rev. E 96, 032214 (2017)).
+
+    **Arguments:** `sites`: of the ring or the chain, `None` by the tail. `ends`: `None` is "ring" where there is sound,
+    "held" elsewhere. `keywords`: of `gx.floquet.floquet` on a ring.
+    **Returns:** `Floquet`. **Raises** as `ring` and `wave_orbit` do.
+    """
+    ends = ("ring" if np.isfinite(float(wave.decay)) else "held") if ends is None else ends
+    if one_of("ends", ends, ("ring", "held")) == "ring":
+        lattice, state = ring(wave, sites)
+        return wave_orbit(lattice, state, float(wave.speed)).floquet(**keywords)
+    if keywords:
+        refuse("keywords", "none where the far states are held", ", ".join(keywords), 'They belong to ends="ring".')
+    return _held(wave, _sites_of(wave) if sites is None else whole("sites", sites, SHORTEST))
+
+
+def _held(wave, sites):
+    units = {} if wave.units is None else {"units": wave.units}
+    lattice = Lattice(wave.mass, Bond(Shift(1, "free"), wave.law), sites=sites, **units)
+    state, period, forward = wave.state(sites), 1 / abs(float(wave.speed)), float(wave.speed) > 0
+    decay = float(wave.decay)
+    rate = decay / 2 if np.isfinite(decay) else RATE
+    weights = np.exp(rate * (np.arange(sites) - (sites - 2) / 2) * (1 if forward else -1))
+    weights = np.concatenate([weights, weights * period / (2 * np.pi)])
+    back = np.kron(np.eye(2), np.eye(sites, k=1 if forward else -1))
+
+    def monodromy(steps):
+        factor = Flow(np.int64(steps), KahanLi8()).derivative(state, 0.0, period, lattice)[1]
+        return (back @ np.asarray(factor)) * weights[:, None] / weights
+
+    steps, coarse, fine = STEPS, monodromy(STEPS // 2), monodromy(STEPS)
+    while np.abs(fine - coarse).max() > KNOWN * np.abs(fine).max() and steps < MOST:
+        steps, coarse, fine = 2 * steps, fine, monodromy(2 * steps)
+    about = float(np.linalg.norm(fine - coarse)) + 1e-14 * float(np.linalg.norm(fine))
+    multipliers, vectors, error = known_spectrum(fine, coarse, about, 0.0)
+    radius = _radius(fine, about)
+    pair = np.argsort(np.abs(multipliers - 1))[:2]
+    inside = np.setdiff1d(np.arange(len(multipliers)), pair)
+    verdict, outcome = decide(multipliers, error, 2, False)
+    if radius < 1:
+        error[inside] = np.minimum(error[inside], np.abs(multipliers[inside]) + radius)
+        verdict = STABLE
+        outcome = ("What is no change of place or speed falls behind the wave: all other multipliers are below "
+                   f"{radius:.4g}. 2 multipliers at +1 are those of symmetry.")
+    unsigned = np.full(len(multipliers), np.nan)
+    return Floquet(fine / weights[:, None] * weights, multipliers, vectors / weights[:, None], error, unsigned, np.nan,
+                   about, 2, verdict, outcome, period, int(steps), None, state, **lattice.origin)
+
+
+def _radius(matrix, about):
+    """A bound on all multipliers but the two nearest +1, from the norms of powers of what is left without them."""
+    rho = np.linalg.eigvals(matrix)
+    apart = np.sort(np.abs(rho - 1))[1:3].mean()
+    triangle, _, count = schur(matrix, output="complex", sort=lambda x: abs(x - 1) < apart)
+    rest, bound = triangle[count:, count:], np.inf
+    if count != 2:
+        return bound
+    # of the two subspaces the angle, as what couples them over what sets them apart
+    tilt = 1 + np.linalg.norm(triangle[:count, count:]) / apart
+    power = np.eye(len(rest))
+    for k in range(1, POWERS + 1):
+        power = rest @ power
+        size = np.linalg.norm(power, 2)
+        bound = min(bound, (size + k * tilt * about * max(np.linalg.norm(rest, 2), 1) ** (k - 1)) ** (1 / k))
+    return float(bound)
