@@ -318,10 +318,12 @@ WITHIN = {
                      "work_precision.measuring", "orbits.symmetry", "laws.power"),
                     "numbers, words and Python: no program of their own"),
     **dict.fromkeys(("files", "fit.files", "reading.reader", "reading.tables"), "files, read and written by NumPy"),
-    **dict.fromkeys(("plots.style", "plots.curves", "plots.fits", "plots.orbits"), "drawn by NumPy; `plots`"),
+    **dict.fromkeys(("plots.cells", "plots.style", "plots.curves", "plots.fits", "plots.orbits"),
+                    "drawn by NumPy; `plots`"),
     **dict.fromkeys(("lattice.split", "lattice.tangents", "lattice.blocks", "split_system"), "`simulate`"),
     **dict.fromkeys(("studies.bright_breather", "studies.dark_breather", "studies.reproduce.registry",
-                     "studies.reproduce.making", "studies.resonance.decay", "studies.resonance.finite"),
+                     "studies.reproduce.making", "studies.resonance.decay", "studies.resonance.finite",
+                     "studies.resonance.maps", "studies.resonance.oscillations"),
                     "studies of minutes, made of what is called here"),
 }
 UNCALLED = {

@@ -19,7 +19,7 @@ from granjax.identify.regression import Coefficient
 from granjax.newton import newton
 from granjax.orbits.sweep import Jump, Sweep, Way
 from granjax.results import Held, Result
-from granjax.studies.resonance import Extrema, Transmission
+from granjax.studies.resonance import Extrema, Oscillations, ResonanceMap, Transmission
 from granjax.theory import nls
 from granjax.work_precision import Ladder
 from granjax.work_precision.advice import Advice
@@ -143,6 +143,9 @@ MAKERS = {
         settled(), chain(), 1.0, 2.0, np.ones(N), np.ones(N + 1), 1.0, 0.5, 3.0, -0.9, np.ones((6, N))),
     "Rectifier": lambda: studies.Rectifier(np.ones(3), sweep(), sweep(), 1.0, np.inf, np.ones(3), 1.0, 2.0, 3.0),
     "CellWave": lambda: gx.travelling.cell_wave(gx.Hertz(), [1.0], speed=1.0),
+    "Oscillations": lambda: Oscillations(np.ones(3), np.ones(3), 41),
+    "ResonanceMap": lambda: ResonanceMap(
+        np.ones(2), np.arange(3.0), np.ones((2, 3)), np.ones((2, 3)), ("a", "b"), "2:1", (8, 20)),
     "Transmission": lambda: Transmission(np.ones(3), np.ones(3), np.ones(3), 1.0, 9, 20.0),
     "Extrema": lambda: Extrema(np.ones(2), np.ones(2), np.ones(0), np.ones(0)),
     "Wave": lambda: gx.travelling.solitary_wave(gx.Hertz(), speed=1.0),

@@ -340,3 +340,21 @@ def test_what_is_masked_is_a_gap(ax):
     masked = np.ma.array(np.ones((5, 2)), mask=np.eye(5, 2, dtype=bool))
     assert len(gx.plots.traces(np.arange(5.0), masked, ax=ax).lines) > 1
     assert gx.plots.profile(np.arange(5.0), masked[:, 0], inset=None) is not None
+
+
+def test_waves_of_a_cell_and_maps_of_resonances():
+    wave = gx.travelling.tail_free(lambda ratio: (gx.Hertz(), [1.0, ratio]), 0.33, 0.36, speed=1.0)
+    ax = gx.plots.cell_wave(wave)
+    assert len(ax.lines) == 2 and ax.get_ylabel().startswith("strain") and len(ax.child_axes) == 1
+    assert ax.lines[0].get_ydata().max() == pytest.approx(wave.amplitude, rel=1e-2)
+    assert not gx.plots.cell_wave(wave, tail=False, units="mm").child_axes
+    first, second = np.array([0.2, 0.4, 0.6]), np.array([0.5, 1.0])
+    rate = np.array([[0.2, 0.1], [0.0, 0.3], [np.nan, 0.1]])
+    found = gx.resonance.ResonanceMap(first, second, rate, rate, ("ratio", "stiffness"), "2:1", (8, 20))
+    ax = gx.plots.resonance_map(found, marks=1)
+    assert ax.lines[0].get_xydata().tolist() == [[0.4, 0.5]] and "mass ratio" in ax.get_xlabel()
+    np.testing.assert_array_equal(np.ma.filled(ax.collections[0].get_array(), np.nan).reshape(2, 3), rate.T)
+    with pytest.raises(ValueError, match="record: expected a map of resonances"):
+        gx.plots.resonance_map(wave)
+    with pytest.raises(ValueError, match="wave: expected a wave of a cell"):
+        gx.plots.cell_wave(found)

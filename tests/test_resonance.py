@@ -169,6 +169,69 @@ def test_an_interval_without_anti_resonance():
         gx.resonance.anti_resonance(0.4, 0.5, contacts=(40, 80))
 
 
+def test_light_beads_swing_once_more_at_each_anti_resonance():
+    found = gx.resonance.oscillations([1.0, 0.342846, 0.154751, 0.090128, 0.0615, 0.6, 0.25])
+    assert found.count[:5].tolist() == [1, 2, 3, 4, 5]
+    # at resonances half a swing stands between
+    assert found.count[5] == 1.5 and found.count[6] == 2.5
+    assert "1 to 5 times" in found.outcome
+
+
+def test_swings_of_exact_waves_are_those_of_simulations():
+    xi = np.linspace(-9, 9, 3000)
+    for count, ratio in ((2, 0.342845781150), (3, 0.154751513885), (4, 0.090127769139)):
+        wave = gx.travelling.cell_wave(gx.Hertz(), [1.0, ratio], speed=1.0)
+        left, right = wave.strain(-xi, 0), wave.strain(1 - xi, 1)
+        assert gx.resonance.squeeze_count(left, right) == count
+        # in any units, however finely sampled
+        assert gx.resonance.squeeze_count(1e-7 * left[::9], 1e-7 * right[::9]) == count
+    assert np.isnan(gx.resonance.squeeze_count(np.zeros(9), np.zeros(9)))
+
+
+def test_a_map_of_dimers_is_their_decay_rate():
+    found = gx.resonance.resonance_map("1:1", [0.342846, 0.24, 0.7, 1.0], [1.0], cells=(30, 60))
+    rates = gx.resonance.decay_rate([0.342846, 0.24, 0.7], (60, 120))
+    np.testing.assert_allclose(found.rate[:3, 0], rates, atol=1e-7)
+    assert found.rate[3, 0] == pytest.approx(0, abs=1e-9)
+    assert found.force[3, 0] == pytest.approx(MONOMER_FORCE, rel=3e-6)
+
+
+def test_maps_of_larger_cells():
+    ratios, stiffness = np.array([0.4, 1.0]), np.array([0.5, 0.8, 1.0])
+    found = gx.resonance.resonance_map("2:1", ratios, stiffness, cells=(2, 6))
+    assert found.rate.shape == (2, 3) and found.rate[1, 2] == pytest.approx(0, abs=2e-3)
+    # one by one, and by a function of the user's own, in units of twice the mass and three times the stiffness
+    lattice = gx.Lattice(np.resize([1.0, 1.0, 0.4], 33),
+                         gx.Bond(gx.Shift(1, "free"), gx.Hertz(np.resize([1.0, 0.8, 0.8], 32))))
+    record = {"peak": gx.Peak(lambda t, y, lattice: gx.measures.contact_force(lattice, y)[18])}
+    run = gx.simulate(lattice, gx.states.impact(lattice), 1.4 * 18 + 6, record=record, step=0.02)
+    assert found.force[0, 1] == pytest.approx(float(run.recorded["peak"]), rel=1e-5)
+
+    def cell(ratio, k):
+        return [2.0, 2.0, 2 * ratio], [3.0, 3 * k, 3 * k]
+
+    scaled = gx.resonance.resonance_map(cell, ratios, stiffness, cells=(2, 6), names=("mass", "k"))
+    np.testing.assert_allclose(scaled.force, found.force * 3**0.4 * 2**0.6, rtol=1e-6)
+    data = scaled.to_xarray()
+    assert data.rate.dims == ("mass", "k") and data.mass.values.tolist() == [0.4, 1.0] and data.force.units
+
+
+def test_trimers_with_two_equal_masses_are_chains_of_two_to_one():
+    # second and third alike: one heavy bead and two light ones, hit at the heavy one
+    found = gx.resonance.resonance_map("trimer", [0.5, 1.0], [0.5, 1.0], cells=(2, 6))
+    assert found.names == ("second", "third") and found.rate[1, 1] == pytest.approx(0, abs=2e-3)
+    assert found.rate[0, 0] != found.rate[0, 1]
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("kind", ["2:1", "3:1", "4:1", "5:1", "trimer"])
+def test_whole_maps(kind):
+    found = gx.resonance.resonance_map(kind, np.linspace(0.08, 1, 24), np.linspace(0.08, 1, 24))
+    assert np.isfinite(found.rate).all() and found.rate[-1, -1] == pytest.approx(0, abs=1e-4)
+    # a ridge where the pulse loses several percent a cell, and valleys beside it
+    assert found.rate.max() > 0.03 and np.mean(np.abs(found.rate) < 3e-3) > 0.03
+
+
 @pytest.mark.parametrize(
     "call, message",
     [
@@ -183,6 +246,14 @@ def test_an_interval_without_anti_resonance():
         (lambda: gx.resonance.decay_rate([0.5], (200, 401)), "both even or both odd"),
         (lambda: gx.resonance.decay_rate([0.5], 200), "contacts: expected a sequence .each: a whole number., got 200"),
         (lambda: gx.resonance.contact_forces([0.5], [-1]), r"contacts\[0\]"),
+        (lambda: gx.resonance.oscillations([0.5], bead=40), "bead: expected a light one"),
+        (lambda: gx.resonance.squeeze_count([1.0, 2.0], [1.0]), "right: expected two rows"),
+        (lambda: gx.resonance.resonance_map("6:1", [0.5], [1.0]), "kind: expected one of"),
+        (lambda: gx.resonance.resonance_map("2:1", [0.0], [1.0]), "first: expected numbers above zero"),
+        (lambda: gx.resonance.resonance_map("2:1", 0.5, [1.0]), "first: expected a row"),
+        (lambda: gx.resonance.resonance_map("2:1", [0.5], [1.0], cells=(5, 5)), "cells: expected two cells"),
+        (lambda: gx.resonance.resonance_map(lambda p, q: [p, q], [0.5], [1.0]), "kind: expected a function"),
+        (lambda: gx.resonance.resonance_map(lambda p, q: ([p, q], [1.0]), [0.5], [1.0]), "as many stiffnesses"),
         (lambda: gx.resonance.anti_resonance(0.4, 0.3), "high: expected a mass ratio above low"),
         (lambda: gx.resonance.anti_resonance(0.0, 0.3), "low: expected numbers in"),
     ],

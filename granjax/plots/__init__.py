@@ -14,6 +14,7 @@ maps are perceptually uniform, or diverge evenly from white at zero; line colour
 be told apart by colour-blind eyes.
 """
 
+from .cells import cell_wave, resonance_map
 from .curves import profile, transmission
 from .fits import corner, fit, law
 from .histories import space_time, traces
@@ -24,7 +25,7 @@ from .travelling import wave, wave_errors
 from .waves import dispersion
 
 __all__ = [
-    "COLOURS", "branch", "breather", "corner", "dispersion", "drawn", "figure", "fit", "floquet_circle", "hysteresis",
-    "law", "profile", "save", "space_time", "strain_map", "style", "traces", "transmission", "wave", "wave_errors",
-    "work_precision",
+    "COLOURS", "branch", "breather", "cell_wave", "corner", "dispersion", "drawn", "figure", "fit", "floquet_circle",
+    "hysteresis", "law", "profile", "resonance_map", "save", "space_time", "strain_map", "style", "traces",
+    "transmission", "wave", "wave_errors", "work_precision",
 ]

@@ -1,0 +1,205 @@
+"""Decay of a pulse in chains of larger cells without precompression, over two parameters of the cell."""
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from ...checks import described, held_in_memory, one_of, positive, refuse, whole
+from ...entry import checked
+from ...flow import Peak, simulate
+from ...lattice import Lattice
+from ...laws import Hertz
+from ...measures import contact_force
+from ...programs import wait
+from ...results import Held, Result
+from ...states import impact
+from ...strains import Shift
+from ...terms import Bond
+from ...types import Parameter
+from .lanes import LANES
+
+# beads behind the last cell that is read; time that a pulse takes a bead, at most, and to rise and fall
+MARGIN, PACE, PASSING = 12, 1.4, 6.0
+MIXED = ("1:1", "2:1", "3:1", "4:1", "5:1")
+KINDS = (*MIXED, "trimer")
+
+
+def _mixed(alike):
+    def cell(ratio, stiffness):
+        return [1.0] * alike + [ratio], [1.0] * (alike - 1) + [stiffness, stiffness]
+
+    return cell
+
+
+def _trimer(second, third):
+    return [1.0, second, third], [1.0] * 3
+
+
+class ResonanceMap(Result):
+    """What `resonance_map` returns.
+
+    - `rate` (p, q): decay rate of the leading pulse per cell; 0 where it travels without loss, NaN where a run failed.
+    - `force` (p, q): its largest contact force in the last of the cells.
+    - `first` (p,), `second` (q,): the parameters, `names` what they are; `kind`; `cells`: between which it was read.
+    """
+
+    first: Float[np.ndarray, " p"]
+    second: Float[np.ndarray, " q"]
+    rate: Float[np.ndarray, "p q"]
+    force: Float[np.ndarray, "p q"]
+    names: tuple[str, str] = eqx.field(static=True)
+    kind: str = eqx.field(static=True)
+    cells: tuple[int, int] = eqx.field(static=True)
+
+    @property
+    def held(self) -> dict[str, Held]:
+        one, two = self.names
+        return {
+            "first": Held(one, "1", one), "second": Held(two, "1", two), "rate": Held(f"{one} {two}", "1"),
+            "force": Held(f"{one} {two}", "A^(2/5) (m v^2)^(3/5)"), "names": Held(None), "kind": Held(None),
+            "cells": Held(None),
+        }
+
+    @property
+    def outcome(self) -> str:
+        lost = np.count_nonzero(np.isnan(self.rate))
+        if lost == self.rate.size:
+            return "No run completed."
+        i, j = np.unravel_index(np.nanargmin(self.rate), self.rate.shape)
+        k, m = np.unravel_index(np.nanargmax(self.rate), self.rate.shape)
+        one, two = (name.replace("_", " ") for name in self.names)
+        failed = f" {lost} runs failed." if lost else ""
+        return (f"{self.rate.size} chains ({self.kind}): the pulse decays least, by {self.rate[i, j]:.2g} a cell, at "
+                f"{one} {self.first[i]:.4g}, {two} {self.second[j]:.4g}; most, by {self.rate[k, m]:.2g}, at "
+                f"{self.first[k]:.4g}, {self.second[m]:.4g}.{failed}")
+
+
+Cell = Callable[[Any, Any], Any]
+
+
+@checked
+def resonance_map(
+    kind: str | Cell, first: Parameter, second: Parameter, *, cells: tuple[int, int] = (8, 20),
+    names: tuple[str, str] | None = None, progress: bool = False,
+) -> ResonanceMap:
+    r"""Decay rate of the leading pulse in chains of one kind of cell, over two parameters of the cell.
+
+    Chains of Hertz contacts without precompression and with free ends; the first bead is struck with v = 1. The rate
+    is -ln(F_b/F_a)/(b - a), F the largest force of the first contact of the cells a and b until 1.4 n + 6 for contact n
+    [units of (m^2/(A^2 v))^{1/5}], whichever pulse brings it: where the leading one decays fast that is the one behind
+    it, which may bring more (a rate below zero). It is zero where a pulse travels without loss, as at the
+    anti-resonances of dimers; larger cells come near to that only where two parameters are right.
+
+    **Arguments:**
+
+    - `kind`: `"2:1"` ... `"5:1"`: that many beads of mass 1, then one of mass `ratio` (first parameter), whose two
+      contacts have the `stiffness` (second) over that of the others; `"1:1"` likewise; `"trimer"`: masses 1, `second`,
+      `third`, equal contacts. Or a function of two numbers that gives masses (P,) and stiffnesses (P,) of the contacts
+      behind them, with largest mass 1.
+    - `first` (p,), `second` (q,): values of the parameters, above zero.
+    - `cells`: (a, b), a < b; further down the chain is closer to the limit. `names`: of the parameters of a function.
+    - `progress`: a progress bar.
+
+    Fixed steps with h omega_max = 1/2, eight chains at a time: rates are good to about 1e-6.
+
+    **Returns:** `ResonanceMap`. **Raises** ValueError for another kind, values not above zero, cells that are no such
+    pair. Typical: 80 chains of 3:1 in a second.
+    Source: Jayaprakash, Starosvetsky, Vakakis, Phys. Rev. E 83, 036606 (2011), and the review's references for N:1.
+    """
+    if not callable(kind):
+        one_of("kind", kind, KINDS)
+    make = kind if callable(kind) else _trimer if kind == "trimer" else _mixed(int(kind[0]))
+    own = ("second", "third") if kind == "trimer" else ("first", "second") if callable(kind) else ("ratio", "stiffness")
+    names = own if names is None else names
+    first, second = _row("first", first), _row("second", second)
+    a, b = (whole(f"cells[{i}]", n, 0) for i, n in enumerate(cells))
+    if not a < b:
+        refuse("cells", "two cells (a, b), a < b", f"({a}, {b})", "Typical: (8, 20).")
+    if names[0] == names[1] or {*names} & {"rate", "force"}:
+        refuse("names", "two names of their own", repr(names))
+    made = [_cell(make, p, q) for p in first for q in second]
+    P = len(made[0][0])
+    if any(len(masses) != P for masses, _ in made):
+        refuse("kind", "cells of one size", "cells of several", "Their sizes are that of the program.")
+    masses, stiffness = (np.array(x) for x in zip(*made))
+    forces = _forces(masses, stiffness, (a, b), progress)
+    shape = len(first), len(second)
+    rate = -np.log(forces[1] / forces[0]) / (b - a)
+    told = kind if isinstance(kind, str) else getattr(kind, "__name__", "a cell of one's own")
+    return ResonanceMap(first, second, rate.reshape(shape), forces[1].reshape(shape), names, told, (a, b))
+
+
+def _row(argument, x):
+    x = np.asarray(positive(argument, x), float)
+    if x.ndim != 1 or not x.size:
+        refuse(argument, "a row of numbers", f"shape {x.shape}")
+    return x
+
+
+def _cell(make, p, q):
+    found = make(float(p), float(q))
+    if not isinstance(found, tuple) or len(found) != 2:
+        refuse("kind", "a function that gives (masses, stiffnesses)", f"one that gives {described(found)}")
+    masses, stiffness = (np.atleast_1d(np.asarray(positive("kind", x), float)) for x in found)
+    if masses.ndim != 1 or masses.shape != stiffness.shape:
+        refuse("kind", "as many stiffnesses as masses", f"shapes {masses.shape} and {stiffness.shape}")
+    return masses, stiffness
+
+
+def _forces(masses, stiffness, cells, progress):
+    """Largest forces (2, n) of the first contacts of two cells, for n cells (n, P)."""
+    n, P = masses.shape
+    beads = (cells[1] + 1) * P + MARGIN
+    held_in_memory("cells", beads, what="beads")
+    hardest = (stiffness.max(1) / masses.min(1)) ** 0.5
+    order = np.argsort(hardest, kind="stable")
+    lanes = np.pad(order, (0, -n % LANES), mode="edge").reshape(-1, LANES)
+    out = np.empty((2, n))
+    program = _program(beads, P * cells[0], P * cells[1])
+    for chunk in _followed(lanes, progress):
+        slow = float((masses[chunk].max(1) / stiffness[chunk].min(1)).max() ** 0.4)
+        along = [np.resize(x[chunk], (LANES, P))[:, np.arange(count) % P].T
+                 for x, count in ((masses, beads), (stiffness, beads - 1))]
+        out[:, chunk] = np.asarray(wait(program(*along, max(slow, 1.0))))
+    return out
+
+
+def _followed(chunks, progress):
+    if not progress:
+        return chunks
+    from tqdm import tqdm
+
+    return tqdm(chunks, desc="resonance map", unit="chunk", leave=False, disable=None)
+
+
+@cache
+def _program(beads, first, last):
+    """The compiled program of eight chains at a time: masses (beads, 8), stiffnesses (beads - 1, 8), slowness.
+
+    The last is how much longer a pulse takes than in equal beads with m = A = 1.
+    """
+    places = jnp.array([first, last])
+
+    @jax.jit
+    def forces(masses, stiffness, slow):
+        times = slow * (PACE * places + PASSING)
+
+        def quantity(t, y, lattice):
+            # what comes long after the leading pulse is not that
+            force = contact_force(lattice, y)[places]
+            return jnp.where((t <= times)[:, None], force, 0.0)
+
+        made = lambda mass, k: Lattice(mass, Bond(Shift(1, "free"), Hertz(k)))
+        lattice = jax.vmap(made, in_axes=-1, out_axes=-1)(masses, stiffness)
+        record = {"peak": Peak(quantity)}
+        run = simulate(lattice, impact(lattice), times[1], record=record, adjoint=diffrax.ForwardMode())
+        return jnp.where(run.completed, run.recorded["peak"], jnp.nan)
+
+    return forces

@@ -1,0 +1,120 @@
+"""How often a light bead swings between its heavy neighbours while a pulse squeezes them."""
+
+from functools import cache
+from typing import ClassVar
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from ...checks import held_in_memory, refuse, whole
+from ...entry import checked
+from ...flow import simulate
+from ...programs import wait
+from ...results import Held, Result
+from ...scenes import dimer
+from ...states import impact
+from ...types import Count, Parameter
+from .decay import MARGIN
+from .lanes import LANES, checked_ratios
+
+# of the heavy beads' approach: what counts as squeezed; of the swing: what counts as a turn
+SQUEEZED, TURN = 1e-3, 1e-4
+FRAMES = 2400
+
+
+class Oscillations(Result):
+    """What `oscillations` returns, for each `mass_ratio` (n,).
+
+    `count` (n,): swings of the light bead during one squeeze, to half a swing: 1, 2, 3, 4 at the anti-resonances 1,
+    0.342846, 0.154751, 0.090128. `bead`: its number.
+    """
+
+    held: ClassVar[dict[str, Held]] = {
+        "mass_ratio": Held("mass_ratio", "1"), "count": Held("mass_ratio", "1"), "bead": Held(None),
+    }
+    mass_ratio: Float[np.ndarray, " n"]
+    count: Float[np.ndarray, " n"]
+    bead: int
+
+    @property
+    def outcome(self) -> str:
+        return (f"Light bead {self.bead} swings {np.nanmin(self.count):g} to {np.nanmax(self.count):g} times while its "
+                f"neighbours are squeezed, at {len(self.count)} mass ratios.")
+
+
+@checked
+def oscillations(ratios: Parameter, *, bead: Count = 41) -> Oscillations:
+    """Swings of a light bead during the squeeze by the leading pulse, in a long dimer chain struck at its heavy end.
+
+    **Arguments:** `ratios`: light over heavy, in (0, 1], (n,); `bead`: which one, an odd number; far enough from the
+    struck end the pulse has found its form.
+
+    **Returns:** `Oscillations`; NaN where a run did not complete. Between anti-resonances the count passes through half
+    a swing more. **Raises** ValueError for ratios outside (0, 1] or a bead that is not light.
+    Source: Jayaprakash, Starosvetsky, Vakakis, Phys. Rev. E 83, 036606 (2011).
+    """
+    ratios, bead = checked_ratios(ratios), whole("bead", bead, 1)
+    if bead % 2 == 0:
+        refuse("bead", "a light one, of an odd number", str(bead))
+    beads = bead + 2 + MARGIN
+    held_in_memory("bead", beads, FRAMES * LANES * 16, "beads")
+    # until the pulse has passed at any ratio
+    ts = np.linspace(0.5 * bead, 1.4 * bead + 12, FRAMES)
+    padded = np.pad(ratios, (0, -len(ratios) % LANES), mode="edge").reshape(-1, LANES)
+    found = [np.asarray(wait(_program(beads, bead)(chunk, ts))) for chunk in padded]
+    left, right = np.concatenate(found, axis=2)[..., : len(ratios)]
+    return Oscillations(ratios, np.array([squeeze_count(*x) for x in zip(left.T, right.T)]), bead)
+
+
+@cache
+def _program(beads, bead):
+    """Compressions (2, T, 8) of the two contacts of a bead."""
+    @jax.jit
+    def strains(ratios, ts):
+        lattice = jax.vmap(lambda ratio: dimer(beads, ratio, boundary="free"), out_axes=-1)(ratios)
+        run = simulate(lattice, impact(lattice), ts[-1], save_at=ts, adjoint=diffrax.ForwardMode())
+        u = run.us[:, bead - 1 : bead + 2]
+        return jnp.where(run.completed, jnp.stack([u[:, 0] - u[:, 1], u[:, 1] - u[:, 2]]), jnp.nan)
+
+    return strains
+
+
+@checked
+def squeeze_count(left: Parameter, right: Parameter) -> float:
+    """Swings of a bead between its neighbours while these are squeezed, from the compressions of its two contacts.
+
+    The bead's place between its neighbours is z = (left - right)/2. Counted are the turns of z, two to a swing, from
+    where the neighbours' approach left + right exceeds a thousandth of its largest until it falls below or has its
+    first minimum behind the peak: so a bead that rattles on afterwards is not counted on.
+
+    **Arguments:** `left`, `right` (T,): compressions, of one pulse, in the order of time (or of -xi of a wave), dense
+    enough to show the swings. **Returns:** a multiple of 1/2; NaN for numbers that are none.
+    **Raises** ValueError for arrays that are not two such rows.
+    """
+    left, right = np.asarray(left, float), np.asarray(right, float)
+    if left.ndim != 1 or left.shape != right.shape or len(left) < 3:
+        refuse("right", "two rows of compressions of one length, three or more", f"shapes {left.shape}, {right.shape}")
+    approach, z = left + right, (left - right) / 2
+    top = int(np.argmax(approach))
+    if not np.isfinite(approach).all() or not approach[top] > 0:
+        return np.nan
+    low = approach < SQUEEZED * approach[top]
+    begin = top - int(np.argmax(low[top::-1])) if low[: top + 1].any() else 0
+    rising = np.append(np.diff(approach[top:]) > 0, True)
+    end = top + int(np.argmax(low[top:] | rising))
+    return _turns(z[begin : end + 1], TURN * approach[top]) / 2
+
+
+def _turns(z, least):
+    """How often z turns, by more than `least` from one turn to the next; its way in and out counts as such a change."""
+    turns, way, last = 0, 0, z[0]
+    for x in z:
+        if way >= 0 and x > last or way <= 0 and x < last:
+            way = way if abs(x - last) < least and not way else int(np.sign(x - last)) if not way else way
+            last = x if way else last
+        elif abs(x - last) > least:
+            turns, way, last = turns + 1, -way, x
+    return turns
