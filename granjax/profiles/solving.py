@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,6 +11,7 @@ from scipy.interpolate import CubicSpline
 
 from ..checks import refuse, traced
 from ..entry import checked
+from ..outside import Outside
 from .existence import Bounds, reached, side_of, twice_energy
 from .medium import Medium, fine_force, one_number, values
 from .shape import TentShape
@@ -257,14 +259,20 @@ def _assembled(medium, problem, tent, found, error, numbers):
     places = tent.places
     rate = decay_rate(np.exp(found.level) / problem.linear) if problem.linear > 0 else 0.0
     steep = rate or float(found.q[-2] - found.q[-1]) / places.apart
-    shape = TentShape.of(law, mass, speed, jnp.asarray(unit), places.coefficients(q), jnp.asarray(places.apart),
-                         jnp.asarray(steep))
-    e, weights = unit * jnp.exp(q), jnp.asarray(places.weights)
-    F = fine_force(law, e)
-    energy, compression = 2 * weights @ (e * F / 2 + law.energy(e)), 2 * weights @ e
+    shape, energy, compression = _whole(
+        law, mass, speed, jnp.asarray(unit), q, jnp.asarray(places.apart), jnp.asarray(steep), Outside(law))
     exponent = np.nan if problem.linear > 0 else problem.exponent(SMALL)
     return Solved(shape, found.residual, error, rate or np.nan, exponent, energy, mass * speed * compression,
                   compression, places.count)
+
+
+@eqx.filter_jit
+def _whole(law, mass, speed, unit, q, apart, steep, outside):
+    """The shape, its energy and its compression, by one program for each number of places."""
+    places = Places(len(q), apart, 0.0)
+    shape = TentShape.of(law, mass, speed, unit, places.coefficients(q), apart, steep)
+    e, weights = unit * jnp.exp(q), jnp.full(len(q), apart).at[0].divide(2)
+    return shape, 2 * weights @ (e * fine_force(law, e) / 2 + law.energy(e)), 2 * weights @ e
 
 
 def _implicit(medium, problem, tent, found, numbers):
