@@ -446,9 +446,14 @@ OWN = {
     "orbits.guesses.envelope.supports_bright.edge": lambda: Edge(0.0, 0, 1.0, True, envelope()),
     "orbits.symmetry.Symmetry.matrix.like": y, "results.Result.save.path": lambda: "file.nc",
     "theory.nls.dark.nu2": lambda: -1.0, "theory.elliptic.jacobi.u": lambda: 0.7,
+    "travelling.long_wave.long_wave.strain": lambda: np.ones(8),
     **{f"states.solitons.{name}_soliton.lattice": lambda: gx.scenes.monomer(40, precompression=0.3, boundary="free")
        for name in ("toda", "kdv")},
     **{f"theory.{name}": (lambda x=x: x) for name, x in {
+        "long_wave.omega_squared.form": "strain", "long_wave.residual.form": "strain",
+        "long_wave.travelling_residual.form": "strain", "long_wave.residual.y": np.ones(8),
+        "long_wave.residual.y_tt": np.ones(8), "long_wave.residual.force": np.square,
+        "long_wave.travelling_residual.profile": jnp.cos, "long_wave.travelling_residual.force": jnp.square,
         "toda.two_solitons.k2": 0.5, "toda.phase_shifts.k2": 0.5, "toda.periodic_wave.E1": -1.0,
         "toda.periodic_wave.E2": 0.2, "toda.periodic_wave.E3": 0.6, "toda.periodic_wave.E4": 1.0,
         "toda.periodic_numbers.E1": -1.0, "toda.periodic_numbers.E2": 0.2, "toda.periodic_numbers.E3": 0.6,

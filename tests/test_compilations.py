@@ -311,6 +311,20 @@ def _(seed):
     travelling.tail_free(lambda ratio: (gx.Hertz(f), [1.0, ratio]), 0.33, 0.36, speed=1.0).state(9)
 
 
+def bump(x):
+    return jnp.exp(-(x**2))
+
+
+@also("long_wave", SLOW)
+def _(seed):
+    own, f = gx.theory.long_wave, 1 + 0.1 * seed
+    own.omega_squared(f, "strain"), own.regularised_wave(np.arange(3.0), 1.4 + 0.1 * seed, speed=f)
+    own.residual(f * np.arange(8.0), np.ones(8), jnp.square, "displacement", spacing=f)
+    own.travelling_residual(bump, np.arange(3.0), jnp.square, f, "strain")
+    scene = gx.travelling.long_wave(gx.Hertz(f, 1.0), 0.1 * f * np.cos(np.arange(8) * np.pi / 4), spacing=f, speed=f)
+    gx.simulate(*scene[:2], 1.0, step=0.05)
+
+
 # public functions that no row calls by name, by their modules, and why
 WITHIN = {
     **dict.fromkeys(("checks", "entry.checked", "entry.kinds", "printing", "programs", "variables", "cli.commands",

@@ -3,10 +3,11 @@
 - `elliptic`: Jacobi's functions and Legendre's integrals.
 - `compacton`: solitary waves of continuum equations without linear sound.
 - `kdv`: the Korteweg-de Vries equation of long, weak waves; solitons and periodic waves on a chain.
+- `long_wave`: the long-wave equations of a chain: residuals, linear waves, the wave of the regularised one.
 - `nls`: the nonlinear Schroedinger equation of wave packets in a periodic chain; its solitons and instability.
 - `toda`: the Toda chain: solitons, periodic waves, eigenvalues of its Lax matrix.
 """
 
-from . import compacton, elliptic, kdv, nls, toda
+from . import compacton, elliptic, kdv, long_wave, nls, toda
 
-__all__ = ["compacton", "elliptic", "kdv", "nls", "toda"]
+__all__ = ["compacton", "elliptic", "kdv", "long_wave", "nls", "toda"]

@@ -2,11 +2,12 @@
 
 from .cells import CellWave, Resonator, cell_wave, tail_free, tail_free_stiffness
 from .closed_forms import ClosedForms, closed_forms
+from .long_wave import LongWave, SpectralStrain, long_wave
 from .solitary import solitary_wave
 from .stability import ring, stability, wave_orbit
 from .wave import Wave
 
 __all__ = [
-    "CellWave", "ClosedForms", "Resonator", "Wave", "cell_wave", "closed_forms", "ring", "solitary_wave", "stability",
-    "tail_free", "tail_free_stiffness", "wave_orbit",
+    "CellWave", "ClosedForms", "LongWave", "Resonator", "SpectralStrain", "Wave", "cell_wave", "closed_forms",
+    "long_wave", "ring", "solitary_wave", "stability", "tail_free", "tail_free_stiffness", "wave_orbit",
 ]
