@@ -237,3 +237,10 @@ SCENES = (
 )
 
 ALL_LATTICES = ALL_TERMS + SCENES
+
+# of lattices that differ in their ends, or in one number for several, the one whose program does most
+DISTINCT = tuple(case for case in ALL_LATTICES if case.name not in (
+    "bond_hertz_free", "bond_hertz_periodic", "bond_F0_free", "bond_F0_fixed", "bond_second_neighbour_free",
+    "bond_second_neighbour_fixed", "onsite_linear", "damping", "dashpot", "drive_last", "wall_left",
+    "wall_driven_left", "monomer",
+))

@@ -1,6 +1,7 @@
 """granjax is imported before JAX starts computing, so that its float type and XLA flags are in force for every test.
 
-Before that the import hook is set, with which every annotation is checked (tests/typed.py).
+Before that the import hook is set, with which every annotation is checked (tests/typed.py). A process that only hands
+tests to others imports neither.
 
 Most of the tests' time is compiling programs that run once. So they are compiled cheaply, unless XLA_FLAGS is set
 (`XLA_FLAGS= pytest` compiles as a user's programs are; the numbers are the same to rounding), and what was compiled is
@@ -12,50 +13,73 @@ import os
 import time
 from pathlib import Path
 
-import jax
 import pytest
-import typed
-
-# XLA ends a process whose flags it does not know, and has let go of this one
-EMITTERS = "--xla_cpu_use_fusion_emitters=false " if jax.__version_info__ < (0, 12) else ""
-CHEAP = f"--xla_llvm_disable_expensive_passes=true {EMITTERS}--xla_cpu_parallel_codegen_split_count=1"
-os.environ.setdefault("XLA_FLAGS", CHEAP)
-
-# older versions trace literals of a class of their own, which no annotation knows
-if jax.__version_info__ >= (0, 10):
-    typed.install()
-
-import granjax  # noqa: E402
-from granjax import tuning  # noqa: E402
 
 KEPT_FOR = 14 * 24 * 3600
 # bytes of a worker above which programs are let go where a module ends, and anywhere
 MUCH, MOST = 1.2e9, 2.4e9
-
-# a folder of the tests' own; the workers inherit its name, and the command line's switch below
-own = os.environ.get("GRANJAX_CACHE") or str(tuning._user_cache() / "granjax")
-os.environ.setdefault("GRANJAX_TESTS_CACHE", own if own == "0" else str(Path(own) / "tests"))
-kept = tuning.keep_compiled(os.environ["GRANJAX_TESTS_CACHE"])
-if kept:
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
-# where an operation was written is read by nobody here: a fourteenth
-jax.config.update("jax_traceback_in_locations_limit", 0)
-# the command line, called by tests, keeps nothing in the user's cache folder
-os.environ["GRANJAX_CACHE"] = "0"
-# traces are trees of many small objects that live long: rarer collections save a twentieth
-gc.set_threshold(100_000, 20, 50)
+WORKER = os.environ.get("PYTEST_XDIST_WORKER")
 
 
-def pytest_report_header(config):
-    return f"granjax {granjax.__version__}: {granjax.tune().outcome} Compiled programs are kept in {kept}."
+def pytest_configure(config):
+    """What has to come before the first computation, and before a module of tests is imported."""
+    hands_out = config.getoption("numprocesses", None) and not config.getoption("collectonly")
+    if WORKER or not hands_out:
+        config.programs = _prepare()
+        _forget(config.programs)
 
 
-def pytest_sessionstart(session):
+def _prepare():
+    """Flags, import hook, granjax; the folder of compiled programs, or None."""
+    import jax
+    import typed
+
+    # XLA ends a process whose flags it does not know, and has let go of the last one
+    cheap = "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"
+    cheap += " --xla_cpu_parallel_codegen_split_count=1"
+    if jax.__version_info__ < (0, 12):
+        cheap += " --xla_cpu_use_fusion_emitters=false"
+    os.environ.setdefault("XLA_FLAGS", cheap)
+    # older versions trace literals of a class of their own, which no annotation knows
+    if jax.__version_info__ >= (0, 10):
+        typed.install()
+
+    from granjax import tuning
+
+    # a folder of the tests' own, whose name processes that tests start inherit, and the command line's switch below
+    own = os.environ.get("GRANJAX_CACHE") or str(tuning._user_cache() / "granjax")
+    os.environ.setdefault("GRANJAX_TESTS_CACHE", own if own == "0" else str(Path(own) / "tests"))
+    kept = tuning.keep_compiled(os.environ["GRANJAX_TESTS_CACHE"])
+    if kept:
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    # where an operation was written is read by nobody here: a fourteenth
+    jax.config.update("jax_traceback_in_locations_limit", 0)
+    # the command line, called by tests, keeps nothing in the user's cache folder
+    os.environ["GRANJAX_CACHE"] = "0"
+    # traces are trees of many small objects that live long: rarer collections save a twentieth
+    gc.set_threshold(100_000, 20, 50)
+    return kept
+
+
+def _forget(kept):
     """What no run of the last days has written again is let go, in the tests' own folder alone."""
-    if kept and kept.parent == Path(os.environ["GRANJAX_TESTS_CACHE"]) and not os.environ.get("PYTEST_XDIST_WORKER"):
+    if kept and kept.parent == Path(os.environ["GRANJAX_TESTS_CACHE"]) and WORKER in (None, "gw0"):
         for program in kept.glob("*-cache"):
             if program.stat().st_mtime < time.time() - KEPT_FOR:
                 program.unlink(missing_ok=True)
+
+
+def pytest_report_header(config):
+    if not hasattr(config, "programs"):
+        return None
+    import granjax
+
+    return f"granjax {granjax.__version__}: {granjax.tune().outcome} Compiled programs are kept in {config.programs}."
+
+
+def pytest_collection_finish():
+    """What was imported stays: no collection looks at it again."""
+    gc.freeze()
 
 
 def _memory():
@@ -69,6 +93,8 @@ def _memory():
 def pytest_runtest_teardown(item, nextitem):
     """Compiled programs are let go, most where a module ends: a worker would grow to many GB."""
     if nextitem is not None and _memory() > (MUCH if item.path != nextitem.path else MOST):
+        import granjax
+
         granjax.clear()
 
 

@@ -52,6 +52,9 @@ def docstrings():
                     yield f"{path.relative_to(ROOT)}: {getattr(node, 'name', 'module')}", block
 
 
+DOCSTRINGS = list(docstrings())
+
+
 @pytest.fixture
 def elsewhere(tmp_path, monkeypatch):
     """A folder that looks like the repository's, to run in and to write to."""
@@ -71,7 +74,7 @@ def run(blocks, **names):
 
 
 def test_the_pages_have_blocks_and_docstrings_too():
-    assert len(README) >= 4 and "Traces.from_csv" in README[2] and len(dict(docstrings())) >= 2
+    assert len(README) >= 4 and "Traces.from_csv" in README[2] and len(dict(DOCSTRINGS)) >= 2
     fences = (ROOT / "README.md").read_text().count("```")
     assert fences == 2 * len(README), "a block of the README without a language"
 
@@ -93,7 +96,7 @@ def test_the_readme_runs_from_top_to_bottom(elsewhere):
     assert "For 1e-06" in printed
 
 
-@pytest.mark.parametrize("where, block", list(docstrings()), ids=lambda x: x if ": " in x and "\n" not in x else "")
+@pytest.mark.parametrize("where, block", DOCSTRINGS, ids=lambda x: x if ": " in x and "\n" not in x else "")
 def test_a_docstring_s_block_runs(where, block, elsewhere):
     space, printed = run([block], gx=gx)
     assert len(space) > 2 or printed

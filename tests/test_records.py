@@ -123,13 +123,23 @@ def test_errors_pass_through_transformations(site):
     one = run(1.0)
     error = one.record_error
     assert np.isnan(one.recorded["never"]) and np.isnan(error["never"]) and 0 < error["when"] < 1e-5
-    within, after = jax.jit(lambda speed: run(speed).record_error)(1.0), jax.jit(run)(1.0).record_error
-    speeds = jnp.array([1.0, 1.3])
-    mapped, mapped_after = jax.vmap(lambda speed: run(speed).record_error)(speeds), jax.vmap(run)(speeds).record_error
+
+    def both(speed):
+        found = run(speed)
+        return found, found.record_error
+
+    after, within = jax.jit(both)(1.0)
+    mapped_after, mapped = jax.vmap(both)(jnp.array([1.0, 1.3]))
     for name in ("peak", "when"):
-        for other in (within[name], after[name], mapped[name][0], mapped_after[name][0]):
+        at_first = mapped[name][0], mapped_after.record_error[name][0]
+        for other in (within[name], after.record_error[name], *at_first):
             np.testing.assert_allclose(other, error[name], rtol=1e-3, atol=1e-14)
-    slopes = jax.jacfwd(lambda speed: (run(speed).recorded["peak"], run(speed).record_error["peak"]))(1.0)
+
+    def peak(speed):
+        found, error = both(speed)
+        return found.recorded["peak"], error["peak"]
+
+    slopes = jax.jacfwd(peak)(1.0)
     np.testing.assert_allclose(slopes, (1.0, 0.0), atol=1e-6)
     data = one.to_xarray()
     assert data.attrs["peak_error"] == float(error["peak"]) and run(1.0).record_error["peak"] == error["peak"]

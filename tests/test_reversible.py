@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from cases import ALL_LATTICES, SPLITTING, over, random_like
+from cases import DISTINCT, SPLITTING, over, random_like
 from jax.flatten_util import ravel_pytree
 
 import granjax as gx
@@ -53,7 +53,7 @@ def differences(both, z, d):
 
 
 @pytest.mark.slow
-@over(ALL_LATTICES)
+@over(DISTINCT)
 def test_every_scene_has_derivatives_in_both_modes(case):
     f, z = function(case.lattice, moving(case.lattice), steps=20)
     d = 0.02 * z * np.random.default_rng(3).uniform(-1, 1, z.shape)
