@@ -325,6 +325,13 @@ def _(seed):
     gx.simulate(*scene[:2], 1.0, step=0.05)
 
 
+@also("periodic_wave", SLOW)
+def _(seed):
+    law = gx.Toda(1.0 + 0.1 * seed)
+    gx.travelling.periodic_wave(law, 8.0 + seed, amplitude=0.2 + 0.1 * seed).state(9)
+    gx.travelling.family(law, speed=[1.5 + 0.1 * seed])
+
+
 # public functions that no row calls by name, by their modules, and why
 WITHIN = {
     **dict.fromkeys(("checks", "entry.checked", "entry.kinds", "printing", "programs", "variables", "cli.commands",

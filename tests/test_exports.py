@@ -148,6 +148,8 @@ MAKERS = {
         np.ones(2), np.arange(3.0), np.ones((2, 3)), np.ones((2, 3)), ("a", "b"), "2:1", (8, 20)),
     "Transmission": lambda: Transmission(np.ones(3), np.ones(3), np.ones(3), 1.0, 9, 20.0),
     "Extrema": lambda: Extrema(np.ones(2), np.ones(2), np.ones(0), np.ones(0)),
+    "PeriodicWave": lambda: gx.travelling.periodic_wave(gx.Toda(), 8.0, amplitude=0.1),
+    "WaveFamily": lambda: gx.travelling.WaveFamily(*np.ones((8, 3)), np.ones(1), gx.Hertz(), "So.", **OTHER),
     "Wave": lambda: gx.travelling.solitary_wave(gx.Hertz(), speed=1.0),
     "Made": lambda: gx.reproduce.Made("fig", 1.0, 1.0, 0.1, None, 2.0, {"eps": 0.5}, None, None, "", "", "Agrees."),
 }

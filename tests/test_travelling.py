@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.special import ellipe, ellipj, ellipk
 
 import granjax as gx
 from granjax.travelling import solitary_wave
@@ -198,6 +199,43 @@ def test_a_wave_with_second_neighbours_by_newtons_method_from_one_without():
     np.testing.assert_allclose(run.final.u, jnp.roll(found.state.u, 5), atol=1e-7)
 
 
+@pytest.mark.parametrize(("m", "length"), [(0.3, 5.0), (0.99, 17.5)])
+def test_the_cnoidal_wave_of_toda(m, length):
+    K, E = ellipk(m), ellipe(m)
+    frequency = 1 / (2 * K) / np.sqrt(1 / ellipj(2 * K / length, m)[0] ** 2 - 1 + E / K)
+
+    def exact(x):
+        return np.log1p((2 * K * frequency) ** 2 * (ellipj(2 * K / length * x, m)[2] ** 2 - E / K))
+
+    x = np.arange(512) * length / 512
+    mean = exact(x).mean()
+    wave = gx.travelling.periodic_wave(gx.Toda(), length, speed=frequency * length, mean=mean)
+    np.testing.assert_allclose(wave.strain(x), exact(x), atol=1e-12)
+    again = gx.travelling.periodic_wave(gx.Toda(), length, amplitude=wave.amplitude, mean=mean)
+    assert float(again.speed) == pytest.approx(frequency * length, rel=1e-12)
+    u, v = wave.state(9, 3.3)
+    np.testing.assert_allclose(u[:-1] - u[1:], exact(np.arange(8) - 3.3), atol=1e-12)
+    assert np.isfinite(v).all() and float(wave.error) < 1e-10
+
+
+@pytest.mark.slow
+def test_a_periodic_wave_runs_around_a_ring():
+    wave = gx.travelling.periodic_wave(gx.Hertz(), 9.0, amplitude=0.3, mean=0.5)
+    u, v = wave.state(18)
+    ring = gx.Lattice(1.0, gx.Bond(gx.Shift(1, "periodic"), gx.laws.Strained(wave.law, wave.mean)), sites=18)
+    run = gx.simulate(ring, (u + wave.mean * np.arange(18), v), 18 / float(wave.speed), tolerance=1e-12)
+    np.testing.assert_allclose(run.final.v, v, atol=1e-8)
+
+
+@pytest.mark.slow
+def test_a_family_and_where_its_energy_turns():
+    waves = gx.travelling.family(STEEP, speed=[1.03, 1.035, 1.04])
+    ends = [float(solitary_wave(STEEP, speed=waves.turns[0] + d).energy) for d in (-1e-3, 0, 1e-3)]
+    assert waves.turns.shape == (1,) and ends[1] < min(ends[0], ends[2])
+    by_energy = gx.travelling.family(gx.Hertz(), energy=[1.0, 2.0])
+    np.testing.assert_allclose(by_energy.energy_slope, 10 * by_energy.energy / by_energy.speed, rtol=1e-8)
+
+
 BOND = gx.Bond(gx.Shift(1, "free"), gx.Toda())
 REFUSED = [
     (lambda: solitary_wave(gx.Hertz(1.0, 1.0), speed=1.2), "above that of sound, 1.22474"),
@@ -210,6 +248,10 @@ REFUSED = [
     (lambda: solitary_wave(gx.Hertz()), "exactly one of them"),
     (lambda: solitary_wave(gx.scenes.dimer(9, ratio=0.5), speed=1.0), "a uniform chain, all masses alike"),
     (lambda: solitary_wave(gx.Lattice(1.0, (BOND, gx.OnSite(gx.Linear(0.1))), sites=9), speed=2.0), "OnSite"),
+    (lambda: gx.travelling.periodic_wave(gx.Toda(), 8.0, speed=0.9), "one above that of small waves of this length"),
+    (lambda: gx.travelling.periodic_wave(gx.Hertz(), 8.0, amplitude=0.1), "the law is stiff"),
+    (lambda: gx.travelling.periodic_wave(gx.Linear(), 8.0, amplitude=0.1), "not linear"),
+    (lambda: gx.travelling.family(gx.Hertz(), speed=1.0), "one for each wave"),
     (lambda: solitary_wave(gx.Hertz(1.0, 1.0), speed=1.225).floquet(), "more than 200"),
     (lambda: solitary_wave(jax.vmap(lambda m: gx.scenes.monomer(9, mass=m), out_axes=-1)(jnp.ones(2)), speed=1.0),
      "a batch"),

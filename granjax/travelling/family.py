@@ -1,0 +1,92 @@
+"""`family`: solitary waves over their speed, amplitude or energy, and where their energy turns."""
+
+from typing import ClassVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from ..checks import one_of, parameter, refuse, traced
+from ..entry import checked
+from ..lattice import Lattice
+from ..laws import Law
+from ..profiles import medium_of, wave_of
+from ..results import Held, Result
+from ..types import Parameter, Scalar
+from .wave import half_width
+
+
+class WaveFamily(Result):
+    r"""Solitary waves of one law (P,), in the order in which they were asked for: fields as those of `Wave`.
+
+    `energy_slope`: dE/dc, by the implicit function theorem. Where it passes zero, at the speeds `turns`, waves gain or
+    lose their stability: one pair of multipliers of `Wave.floquet` is at +1 there, and waves on the side where energy
+    falls with speed are unstable.
+    """
+
+    held: ClassVar[dict[str, Held]] = {
+        "speed": Held("wave", "1/s"), "amplitude": Held("wave", "m"), "energy": Held("wave", "J"),
+        "momentum": Held("wave", "N s"), "compression": Held("wave", "m"), "width": Held("wave", "1"),
+        "energy_slope": Held("wave", "J s"), "error": Held("wave", "m"), "turns": Held("turn", "1/s"),
+    }
+    speed: Float[np.ndarray, " P"]
+    amplitude: Float[np.ndarray, " P"]
+    energy: Float[np.ndarray, " P"]
+    momentum: Float[np.ndarray, " P"]
+    compression: Float[np.ndarray, " P"]
+    width: Float[np.ndarray, " P"]
+    energy_slope: Float[np.ndarray, " P"]
+    error: Float[np.ndarray, " P"]
+    turns: Float[np.ndarray, " turns"]
+    law: Law
+    outcome: str
+
+
+@checked
+def family(
+    law: Law | Lattice, *, speed: Parameter | None = None, amplitude: Parameter | None = None,
+    energy: Parameter | None = None, mass: Scalar = 1.0, side: str | None = None,
+) -> WaveFamily:
+    """Solitary waves of a law, or of a uniform chain, at several speeds, amplitudes or energies.
+
+    **Arguments:** as of `solitary_wave`, with one of `speed`, `amplitude`, `energy` an array (P,).
+    **Returns:** `WaveFamily`. **Raises** ValueError where `solitary_wave` does, of the first that is none, and for what
+    is traced: `solitary_wave` has derivatives.
+    """
+    given = {name: x for name, x in (("speed", speed), ("amplitude", amplitude), ("energy", energy)) if x is not None}
+    if len(given) != 1:
+        refuse("speed, amplitude, energy", "exactly one of them", ", ".join(given) or "none")
+    if side is not None:
+        one_of("side", side, ("compression", "tension"))
+    ((name, numbers),) = given.items()
+    if traced((law, numbers, mass)):
+        refuse(name, "numbers that are known", "traced ones", "gx.travelling.solitary_wave has derivatives.")
+    numbers = np.asarray(parameter(name, numbers))
+    if numbers.ndim != 1 or not numbers.size:
+        refuse(name, "numbers (P,), one for each wave", f"shape {numbers.shape}")
+    medium, rows = medium_of(law, mass), []
+    for x in numbers:
+        found = {}
+
+        def numbers_of(x):
+            found["wave"] = solved = wave_of(medium, **{name: x}, side=side)
+            return solved.shape.speed, solved.energy, solved.shape.strain(0.0), solved.momentum, solved.compression
+
+        values, slopes = jax.jvp(numbers_of, (jnp.asarray(x),), (jnp.ones(()),))
+        solved = jax.lax.stop_gradient(found["wave"].shape)
+        rows.append([*map(float, values), 2 * half_width(solved, float(solved.end)), float(slopes[1] / slopes[0]),
+                     found["wave"].error])
+    c, E, peak, momentum, compression, width, slope, error = np.array(rows).T
+    turns = _zeros(np.abs(c), slope * np.sign(c))
+    told = f"{len(rows)} waves; " + (f"dE/dc passes zero near c = {', '.join(f'{x:.4g}' for x in turns)}."
+                                     if len(turns) else "their energy has no turn.")
+    return WaveFamily(c, peak, E, momentum, compression, width, slope, error, turns, medium.law, told, **medium.origin)
+
+
+def _zeros(c, slope):
+    """Speeds at which the slope passes zero, between neighbours, by a straight line."""
+    order = np.argsort(c)
+    c, slope = c[order], slope[order]
+    i = np.flatnonzero(slope[:-1] * slope[1:] < 0)
+    return c[i] - slope[i] * (c[i + 1] - c[i]) / (slope[i + 1] - slope[i])

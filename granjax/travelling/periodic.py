@@ -1,0 +1,131 @@
+"""`periodic_wave`: trains of waves about a mean strain."""
+
+from typing import ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from ..checks import positive, refuse, traced, whole
+from ..entry import checked
+from ..lattice import Lattice, State
+from ..laws import Law
+from ..profiles import Shape, medium_of
+from ..profiles.medium import one_number, values
+from ..profiles.periodic import FourierShape, train
+from ..results import Held, Result
+from ..types import Count, Number, Numbers, Parameter, Scalar
+
+TABLE = 129
+
+
+class PeriodicWave(Result):
+    r"""A train of waves, strain phi(n - c t) of contact n with a length of `wavelength` contacts, a crest at xi = 0.
+
+    m c^2 (phi - mean) = tent * F(phi) less its mean, in the frame in which the beads' mean velocity is zero.
+
+    **Fields:** `speed` [1/s], `wavelength` (contacts), `mean` strain, `crest` and `trough`, `amplitude` = (crest -
+    trough)/2 [m]; `energy` of a wavelength, from the law's own rest [J]; `residual` of the equation over the amplitude;
+    `error`: estimated distance of the strain from the truth, by two resolutions [m]; `xi`, `strains`, `velocities`: a
+    table; `law`, `mass`.
+    """
+
+    held: ClassVar[dict[str, Held]] = {
+        "speed": Held("", "1/s"), "wavelength": Held("", "1"), "mean": Held("", "m"), "amplitude": Held("", "m"),
+        "crest": Held("", "m"), "trough": Held("", "m"), "energy": Held("", "J"), "residual": Held("", "1"),
+        "error": Held("", "m"), "mass": Held("", "kg"), "xi": Held("xi", "1"), "strains": Held("xi", "m"),
+        "velocities": Held("xi", "m/s"),
+    }
+    speed: Number
+    wavelength: Number
+    mean: Number
+    amplitude: Number
+    crest: Number
+    trough: Number
+    energy: Number
+    residual: Number
+    error: Number
+    law: Law
+    mass: Number
+    xi: Numbers
+    strains: Numbers
+    velocities: Numbers
+    outcome: str
+    _shape: Shape = eqx.field(kw_only=True, repr=False)
+
+    @checked
+    def strain(self, xi: Parameter) -> Numbers:
+        """Compression of the contacts at places xi = n - c t [m]."""
+        return self._shape.at("strain", xi)
+
+    @checked
+    def velocity(self, xi: Parameter) -> Numbers:
+        """Velocity of the beads at places xi [m/s]; its mean is zero."""
+        return self._shape.at("velocity", xi)
+
+    @checked
+    def displacement(self, xi: Parameter) -> Numbers:
+        """Displacement of the beads at places xi [m], which falls by the mean strain from one bead to the next."""
+        return self._shape.at("displacement", xi)
+
+    @checked
+    def state(self, sites: Count, centre: Scalar = 0.0) -> State:
+        """Displacements and velocities (sites,) with a crest at contact `centre`, of a chain.
+
+        On a ring, whose sites are a multiple of the wavelength, the mean strain belongs to the law:
+        `gx.laws.Strained(wave.law, wave.mean)`, and `u + wave.mean n` to the displacements.
+        """
+        xi = np.arange(whole("sites", sites, 2)) - centre
+        return State(self.displacement(xi), self.velocity(xi))
+
+
+@checked
+def periodic_wave(
+    law: Law | Lattice, wavelength: Scalar, *, speed: Scalar | None = None, amplitude: Scalar | None = None,
+    mean: Scalar = 0.0, mass: Scalar = 1.0,
+) -> PeriodicWave:
+    r"""A periodic travelling wave of a chain of equal masses with one law between neighbours, exact on the lattice.
+
+    Newton's method on the Fourier form, c^2 m psi_k = sinc^2(k/2) (F(mean + psi))_k for k != 0, followed from waves of
+    small amplitude, whose speed is (K2/m)^{1/2} sinc(k/2), k = 2 pi/wavelength. Long ones are trains of solitary waves.
+
+    **Arguments:** `law`, `mass`: as for `solitary_wave`. `wavelength`: contacts, above 2. One of `speed` (contacts per
+    time, above zero) and `amplitude`, (crest - trough)/2. `mean`: strain, positive in compression, at which the law has
+    to be stiff.
+    **Returns:** `PeriodicWave`; it is not differentiated. **Raises** ValueError for a speed or an amplitude that
+    the family does not reach, a law without stiffness at the mean, one that is linear there, and what is traced.
+    Source: J. C. Eilbeck, R. Flesch, Phys. Lett. A 149, 200 (1990).
+    """
+    if (speed is None) == (amplitude is None):
+        refuse("speed, amplitude", "exactly one of them", "none" if speed is None else "both")
+    if traced((law, wavelength, speed, amplitude, mean, mass)):
+        refuse("law", "numbers that are known", "traced ones",
+               "Periodic waves are followed from small ones and have no derivatives; solitary ones do.")
+    medium = medium_of(law, mass)
+    L, c, a = (one_number(*x) for x in (("wavelength", wavelength), ("speed", speed), ("amplitude", amplitude)))
+    if not L > 2:
+        refuse("wavelength", "more than two contacts", f"{L:g}", "Shorter waves are the same on a lattice.")
+    positive("speed" if a is None else "amplitude", c if a is None else a)
+    m, s = float(medium.mass), one_number("mean", mean)
+    found = train(medium.law, m, s, L, c, a)
+    return _recorded(medium, found, L, s, m)
+
+
+def _recorded(medium, found, wavelength, mean, mass):
+    half, psi = found.half, found.strains
+    c, k = np.sqrt(found.level / mass), half.wavenumbers[1:]
+    F, _, W = values(medium.law, mean + psi)
+    b = np.sinc(k / (2 * np.pi)) * half.coefficients(F) / (mass * c)
+    shape = FourierShape(*map(jnp.asarray, (c, mean + (psi[0] - half.coefficients(psi).sum()), k,
+                                            half.coefficients(psi), b)))
+    weights = np.full(len(psi), wavelength / (len(psi) - 1))
+    weights[[0, -1]] /= 2
+    xi = np.linspace(-wavelength / 2, wavelength / 2, TABLE)
+    amplitude = (psi[0] - psi[-1]) / 2
+    numbers = dict(
+        speed=c, wavelength=wavelength, mean=mean, amplitude=amplitude, crest=mean + psi[0], trough=mean + psi[-1],
+        energy=weights @ W + mass * wavelength / 4 * b @ b, residual=found.residual, error=found.error)
+    return PeriodicWave(
+        **{name: jnp.asarray(x) for name, x in numbers.items()}, law=medium.law, mass=medium.mass, xi=xi,
+        strains=shape.at("strain", xi), velocities=shape.at("velocity", xi), _shape=shape,
+        outcome=f"Found to {found.error / abs(amplitude):.1e} of its amplitude.", **medium.origin)
