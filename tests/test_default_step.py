@@ -38,7 +38,7 @@ def highest_frequency(lattice, us):
     return np.sqrt(max(eigvalsh_tridiagonal(row[:-1] + row[1:], -row[1:-1]).max() for row in k))
 
 
-SLOW = ("granular 0.5", "granular strain", "Toda rarefaction", "FPUT", "softening")
+SLOW = ("granular 0.5", "granular 3", "granular strain", "Toda rarefaction", "FPUT", "softening")
 
 
 @pytest.mark.parametrize("case", [pytest.param(x, marks=pytest.mark.slow) if x in SLOW else x for x in SHOCKS])

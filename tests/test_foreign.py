@@ -121,7 +121,10 @@ CASES = (
     Case("friction", lambda k: _bead(RING, Friction(k), gx.OnSite(gx.Linear(0.1))), conserves=False),
 )
 over = pytest.mark.parametrize("case", CASES, ids=[case.name for case in CASES])
-conservative = pytest.mark.parametrize("case", CASES[:4], ids=[case.name for case in CASES[:4]])
+# the first and the last stand for those between
+conservative = pytest.mark.parametrize("case", [
+    pytest.param(case, marks=pytest.mark.slow if 0 < i < 3 else (), id=case.name) for i, case in enumerate(CASES[:4])
+])
 K = jnp.asarray(0.7)
 
 

@@ -134,7 +134,7 @@ class Pull(gx.terms.Term):
         return None
 
 
-@pytest.mark.parametrize("solver", [None, diffrax.Tsit5()])
+@pytest.mark.parametrize("solver", [None, pytest.param(diffrax.Tsit5(), marks=pytest.mark.slow)])
 def test_lanes_in_some_of_the_leaves_two_axes_of_them_and_solvers_that_are_not_ours(solver):
     """Lanes (2, 3): masses have them, a bond's stiffness one axis of them, the rest is shared."""
     mass = np.linspace(1.0, 2.0, 2 * 3 * SITES).reshape(SITES, 2, 3)

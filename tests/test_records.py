@@ -36,7 +36,8 @@ THRESHOLDS = np.array([0.9, 0.99, 0.9999])
 
 
 @pytest.mark.parametrize("method,within", [
-    (dict(solver=gx.RKN1210(), tolerance=1e-9), 1e-9), (dict(solver=gx.RKN1210(), tolerance=1e-6), 1e-6), ({}, 1e-6),
+    pytest.param(dict(solver=gx.RKN1210(), tolerance=1e-9), 1e-9, marks=pytest.mark.slow),
+    pytest.param(dict(solver=gx.RKN1210(), tolerance=1e-6), 1e-6, marks=pytest.mark.slow), ({}, 1e-6),
 ], ids=["1e-9", "1e-6", "default"])
 def test_a_crossing_that_rises_and_falls_within_one_step_is_found(site, method, within):
     record = {"arrival": gx.Arrival(thrice, THRESHOLDS), "peak": gx.Peak(place), "integral": gx.Integral(square)}
