@@ -30,7 +30,7 @@ def test_a_wave_its_slope_and_its_contacts(toda):
 
 
 def test_a_wave_of_steel_beads_has_units():
-    chain = gx.scenes.beads("steel 316", 9.525e-3, 20.0, cells=12, boundary="free")
+    chain = gx.scenes.beads("steel 316", 9.525e-3, 20.0, cells=12)  # whose walls are stiffer contacts
     wave = solitary_wave(chain, speed=1.1 * float(gx.linear.sound_speed(chain)))
     assert wave.units == "SI" and plots.wave(wave).get_ylabel() == "strain (µm)"
     ax = plots.wave(wave, units="nm")

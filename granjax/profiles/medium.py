@@ -49,9 +49,11 @@ def medium_of(law: Law | Lattice, mass: Scalar = 1.0) -> Medium:
     """
     if isinstance(law, Lattice):
         lattice = law
-        found = [term.next_neighbours() for term in lattice.terms]
+        # contacts with walls may be others than those between sites
+        inner = [(term.without_walls(lattice) or (term,))[0] for term in lattice.terms]
+        found = [term.next_neighbours() for term in inner]
         own = [one[0] for one in found if one is not None]
-        others = [term for term, one in zip(lattice.terms, found)
+        others = [term for term, one in zip(inner, found)
                   if one is None and not (term.walls() and term.span() == ())]
         wanted = "a uniform chain of bonds between neighbours"
         if lattice.fields is not None or lattice.axes != 1 or lattice.dimension is not None:
