@@ -188,6 +188,7 @@ def test_swings_of_exact_waves_are_those_of_simulations():
     assert np.isnan(gx.resonance.squeeze_count(np.zeros(9), np.zeros(9)))
 
 
+@pytest.mark.slow
 def test_a_map_of_dimers_is_their_decay_rate():
     found = gx.resonance.resonance_map("1:1", [0.342846, 0.24, 0.7, 1.0], [1.0], cells=(30, 60))
     rates = gx.resonance.decay_rate([0.342846, 0.24, 0.7], (60, 120))
@@ -216,6 +217,7 @@ def test_maps_of_larger_cells():
     assert data.rate.dims == ("mass", "k") and data.mass.values.tolist() == [0.4, 1.0] and data.force.units
 
 
+@pytest.mark.slow
 def test_trimers_with_two_equal_masses_are_chains_of_two_to_one():
     # second and third alike: one heavy bead and two light ones, hit at the heavy one
     found = gx.resonance.resonance_map("trimer", [0.5, 1.0], [0.5, 1.0], cells=(2, 6))

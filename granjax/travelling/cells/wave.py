@@ -12,11 +12,13 @@ from ...laws import Law
 from ...outside import Outside
 from .guess import from_struck, peak, pulse, struck
 from .system import MOST, Box, Chain, Solved, fourier, heaviness, newton, newton_with, response
-from .tail import Fit, Ripple, decay, drift_row, fit, ripple_row, ripples
+from .tail import Fit, Ripple, decay, drift_row, fit, margin, ripple_row, ripples
 
 # columns of one program: a box, and the cells of a simulated chain
 COLUMNS = (64, 4096, 8192)
 POINTS = 5
+# the speed over the sound speed at which a wave of any cell is begun where it is lost at its own
+SLOW = 1.06
 # of the peak: what counts as no ripple
 SILENT = 1e-11
 
@@ -123,6 +125,8 @@ def on_a_box(chain: Chain) -> Found | str:
     core = min(34 / decay(chain), 220.0)
     half = core + 4 * 2 * np.pi / waves[0].wavenumber if waves else core
     started = _started(chain, half)
+    if isinstance(started, str) and margin(chain) > 1.05 * SLOW:
+        started = _sped_up(chain, half) or started
     if isinstance(started, str):
         return started
     box, solved = started
@@ -130,7 +134,10 @@ def on_a_box(chain: Chain) -> Found | str:
         worst = _unresolved(solved.phi)
         if worst < 1e-12 or 1.5 * box.points * len(chain.masses) > MOST:
             break
-        box, solved = _again(chain, box, solved.phi, half, 1.5 * box.points / box.half / 2)
+        before = np.abs(solved.phi).max()
+        box, solved = _again(chain, box, solved.phi, box.half, 1.5 * _density(box))
+        if not (solved.converged and 0.6 < np.abs(solved.phi).max() / before < 1.6):
+            return "the wave was lost on a finer grid"
     if len(waves) != 1:
         return Found(box, solved, None, None, core, len(waves))
     return _smallest(chain, box, solved, waves[0], core)
@@ -190,6 +197,38 @@ def _started(chain, half):
     return box, solved
 
 
+def faster(chain, factor):
+    """The same chain for a wave that many times as fast."""
+    square = factor**2
+    own = None if chain.resonator is None else (chain.resonator[0], chain.resonator[1] / square)
+    return chain._replace(force=lambda e: chain.force(e) / square, slope=lambda e: chain.slope(e) / square,
+                          K2=chain.K2 / square, resonator=own)
+
+
+def _sped_up(chain, half):
+    """A wave on some box from one little faster than sound, whose ripple is small; `None` where it is lost."""
+    least = SLOW / margin(chain)
+    slow = faster(chain, least)
+    started = _started(slow, half + 34 / decay(slow) - 34 / decay(chain))
+    if isinstance(started, str):
+        return None
+    (box, solved), factor, step = started, least, 0.05
+    while factor < 1:
+        next_ = min(factor * (1 + step), 1.0)
+        other, trial = _again(faster(chain, next_), box, solved.phi, box.half, POINTS)
+        moved = np.abs(trial.phi).max() / np.abs(solved.phi).max()
+        if trial.converged and 0.9 < moved < 2.5:
+            box, solved, factor, step = other, trial, next_, min(1.5 * step, 0.1)
+        elif step > 0.01:
+            step /= 2
+            box, solved = _again(faster(chain, factor), box, solved.phi, box.half + 0.13, POINTS)
+            if not solved.converged:
+                return None
+        else:
+            return None
+    return box, solved
+
+
 def _smallest(chain, box, solved, ripple, core):
     k, density = ripple.wavenumber, _density(box)
     found = fit(box, solved.phi, ripple, core)
@@ -239,10 +278,7 @@ def without_tail(chain_at, low: float, high: float, parts=(0.5, 0.2, 0.8)) -> Fo
         box, phi, speed, row, core = begun
         for goal in np.unique([speed, 1.0])[:: 1 if speed < 1 else -1]:
             def box_of(p, goal=goal):
-                at = chain_at(p)
-                return Box(at._replace(
-                    force=lambda e: at.force(e) / goal**2, slope=lambda e: at.slope(e) / goal**2,
-                    K2=at.K2 / goal**2), box.half, box.points)
+                return Box(faster(chain_at(p), goal), box.half, box.points)
 
             solved = newton_with(box_of, row, phi, p, 0.2 * (high - low))
             if not solved.converged:
