@@ -149,7 +149,8 @@ def test_anti_resonances_of_chains_with_a_stiffness_at_rest(law, ratio, over):
     speed = over * np.sqrt(float(gx.laws.taylor(law).K2) / 0.65)
     alone = travelling.tail_free(lambda r: (law, [1.0, r]), 0.28, 0.36, speed=speed)
     assert alone.parameter == pytest.approx(ratio, abs=1e-9) and alone.ripple == 0
-    assert travelling.cell_wave(law, [1.0, alone.parameter], speed=speed).ripple == 0
+    there = travelling.cell_wave(law, [1.0, alone.parameter], speed=speed)
+    assert there.ripple < 1e-9 * there.amplitude
     beside = travelling.cell_wave(law, [1.0, 0.95 * ratio], speed=speed)
     assert beside.ripple > 1e-4 * beside.amplitude
     assert moved(alone, chain(law, alone.masses), 20.0, reach=12) < 1e-9

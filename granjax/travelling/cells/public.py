@@ -16,10 +16,10 @@ from ...types import Count, Parameter, Scalar
 from .resonator import Resonator
 from .system import fourier
 from .tail import margin
-from .wave import Found, Given, chain_of, error_of, of_one_site, on_a_box, velocities, without_tail
+from .wave import SILENT, Found, Given, chain_of, error_of, of_one_site, on_a_box, velocities, without_tail
 
-# the speed over the sound speed from which on a box holds the wave; of the peak, what counts as no ripple
-LEAST_MARGIN, SILENT = 1.004, 1e-11
+# the speed over the sound speed from which on a box holds the wave
+LEAST_MARGIN = 1.004
 # relative distance of a mass from an anti-resonance within which the wave of that is returned
 NEAR = 1e-5
 

@@ -17,6 +17,10 @@ from .tail import Fit, Ripple, decay, drift_row, fit, margin, ripple_row, ripple
 # columns of one program: a box, and the cells of a simulated chain
 COLUMNS = (64, 4096, 8192)
 POINTS = 5
+# decays of the core after which the ripple is alone
+DEEP = 29.0
+# the same where there is none
+DEEPER = 35.0
 # the speed over the sound speed at which a wave of any cell is begun where it is lost at its own
 SLOW = 1.06
 # of the peak: what counts as no ripple
@@ -122,17 +126,20 @@ def on_a_box(chain: Chain) -> Found | str:
     the smallest a the half of what a wave without ripple before it would leave behind it.
     """
     waves = ripples(chain)
-    core = min(34 / decay(chain), 220.0)
-    half = core + 4 * 2 * np.pi / waves[0].wavenumber if waves else core
+    core = min((DEEP if waves else DEEPER) / decay(chain), 220.0)
+    half = core + 3 * 2 * np.pi / waves[0].wavenumber if waves else core
     started = _started(chain, half)
     if isinstance(started, str) and margin(chain) > 1.05 * SLOW:
         started = _sped_up(chain, half) or started
     if isinstance(started, str):
         return started
     box, solved = started
-    for _ in range(4):
+    begun = _unresolved(solved.phi)
+    for refined in range(4):
         worst = _unresolved(solved.phi)
-        if worst < 1e-12 or 1.5 * box.points * len(chain.masses) > MOST:
+        # a law that is not smooth is hardly resolved by more places
+        slow = refined == 2 and worst > 1e-2 * begun
+        if worst < 1e-12 or slow or 1.5 * box.points * len(chain.masses) > MOST:
             break
         before = np.abs(solved.phi).max()
         box, solved = _again(chain, box, solved.phi, box.half, 1.5 * _density(box))
@@ -209,7 +216,7 @@ def _sped_up(chain, half):
     """A wave on some box from one little faster than sound, whose ripple is small; `None` where it is lost."""
     least = SLOW / margin(chain)
     slow = faster(chain, least)
-    started = _started(slow, half + 34 / decay(slow) - 34 / decay(chain))
+    started = _started(slow, half + DEEP / decay(slow) - DEEP / decay(chain))
     if isinstance(started, str):
         return None
     (box, solved), factor, step = started, least, 0.05
