@@ -1,0 +1,71 @@
+"""Closed forms beyond where they hold: elliptic functions of a rounded 1 - m, KdV and Toda in a Hertz chain."""
+
+import mpmath as mp
+import numpy as np
+import pytest
+import scipy.special
+
+import granjax as gx
+from granjax.theory import elliptic
+
+# elliptic functions near m = 1 ----------------------------------------------------------------------------------------
+
+
+def exact(u, m1):
+    with mp.workdps(50):
+        return np.array([[float(mp.ellipfun(kind, x, m=1 - mp.mpf(m1))) for x in u] for kind in ("sn", "cn", "dn")])
+
+
+def test_scipy_s_ellipj_loses_its_period_near_m_of_one():
+    """From m = 1 - 1e-10 on it is tanh and sech, which a wave follows to half its wavelength and no further."""
+    m1 = 2.0**-34
+    K = float(elliptic.K(m1=m1))
+    u = np.linspace(0, 2 * K, 9)
+    want = exact(u, m1)
+    theirs, ours = np.array(scipy.special.ellipj(u, 1 - m1)[:3]), np.array(elliptic.jacobi(u, 1 - m1))
+    assert np.abs(theirs - want).max() > 0.99
+    assert np.abs(ours - want).max() < 1e-13
+
+
+def test_a_parameter_that_is_rounded_has_no_long_waves():
+    """Solitons 80 widths apart have 1 - m = 1e-33, which no m holds; m1 does."""
+    m1 = 1e-33
+    assert np.isinf(scipy.special.ellipk(1 - m1)) and np.isinf(elliptic.K(1 - m1))
+    u = np.linspace(0, 2 * float(elliptic.K(m1=m1)), 9)
+    np.testing.assert_allclose(elliptic.jacobi(u, m1=m1), exact(u, m1), atol=1e-12)
+    # the exact zero of cn at K is where the trough of dn is
+    assert elliptic.jacobi(u[4], m1=m1).dn == pytest.approx(np.sqrt(m1), rel=1e-12)
+
+
+# solitons of the neighbours -------------------------------------------------------------------------------------------
+
+HERTZ, SOUND = gx.Hertz(1.0, 1.0), np.sqrt(1.5)
+
+
+def test_kdv_and_toda_beyond_their_range():
+    """At twice the speed of sound the crest is a fourth and an eighth of the true one."""
+    crest = 49.4301641677
+    K2, K3, _ = gx.laws.taylor(HERTZ)
+    strength, rate = gx.theory.toda.matched(K2, K3)
+    k = gx.theory.toda.wavenumber(speed=2 * SOUND, strength=strength, rate=rate)
+    assert gx.theory.kdv.amplitude(2 * SOUND, K2, K3) / crest == pytest.approx(0.2428, abs=1e-4)
+    assert gx.theory.toda.amplitude(k, rate=rate) / crest == pytest.approx(0.1211, abs=1e-4)
+
+
+@pytest.mark.slow
+def test_a_kdv_soliton_at_a_fifth_above_sound_sheds_a_fifth_of_its_crest():
+    chain, speed, centre, sites = gx.scenes.monomer(220, precompression=1.0, boundary="free"), 1.2 * SOUND, 50.0, 100
+
+    def after(state):
+        """Crest after so many sites over that at the start; the largest strain left behind, over the crest."""
+        run = gx.simulate(chain, state, sites / speed, step=0.05, solver=gx.SRKN11b(), save_at=2)
+        first, last = (np.asarray(gx.measures.strain(chain, y)) for y in (state, run.final))
+        return last.max() / first.max(), np.abs(last[: last.argmax() - 15]).max() / last.max(), last.argmax()
+
+    kept, left, _ = after(gx.travelling.solitary_wave(HERTZ, speed=speed).state(220, centre))
+    assert kept == pytest.approx(1, abs=1e-9) and left < 1e-9
+    kept, left, place = after(gx.states.kdv_soliton(chain, speed=speed, centre=centre))
+    assert kept < 0.8 and left > 0.03 and place < centre + sites - 4
+    # what it is meant for: a hundredth above sound it loses less than a hundredth
+    weak = gx.theory.kdv.soliton(np.arange(220), 0.0, 1.5, 0.375, speed=1.01 * SOUND, centre=centre)
+    assert weak.strain.max() / 0.12206021 == pytest.approx(0.983, abs=1e-3)
