@@ -74,3 +74,13 @@ def _sinh_less(x):
         series = 1 + square / ((2 * k + 2) * (2 * k + 3)) * series
     near = jnp.abs(x) < 1
     return jnp.where(near, x * square / 6 * series, jnp.sinh(jnp.where(near, 1.0, x)) - x)
+
+
+def _toda_constants(strength, rate, mass):
+    """a, b of one sign and m > 0 of a Toda chain."""
+    a, b, m = _numbers(strength=strength, rate=rate, mass=mass)
+    positive("mass", m)
+    signs = concrete(a), concrete(b)
+    if all(x is not None for x in signs) and not np.all(signs[0] * signs[1] > 0):
+        refuse("strength, rate", "two numbers of one sign, not zero", f"{show(signs[0])} and {show(signs[1])}")
+    return a, b, m

@@ -11,6 +11,11 @@ laboratory knows, a speed or an amplitude. Waves are of compression for K3 > 0, 
 **Velocity and displacement** are those of a lattice whose strain is exactly that of KdV and travels: u_n - u_{n+1} =
 y_n and v_n - v_{n+1} = dy_n/dt, by the series of (d/2)/sinh(d/2) to d^6, right to the eighth power of the width.
 
+    import numpy as np
+    K2, K3, K4 = gx.laws.taylor(gx.Hertz(precompression=1.0))
+    wave = gx.theory.kdv.soliton(np.arange(100), 0.0, K2, K3, speed=1.02 * K2**0.5, centre=50.0)
+    gx.plots.profile(np.arange(100), wave.strain, x_label="contact", y_label="strain")
+
 Source: D. J. Korteweg, G. de Vries, Phil. Mag. 39, 422 (1895); N. J. Zabusky, M. D. Kruskal, Phys. Rev. Lett. 15, 240
 (1965); for chains G. Friesecke, R. L. Pego, Nonlinearity 12, 1601 (1999).
 """
@@ -26,7 +31,8 @@ from ..entry import checked
 from ..printing import told
 from ..types import Numbers, Parameter
 from .chain_wave import ChainWave, _direction_of, _numbers, _one_given, _sech, _stiffnesses
-from .elliptic import _E, _K, _jacobi, _zeta
+from .elliptic_functions import _jacobi, _zeta
+from .elliptic_integrals import _E, _K
 
 __all__ = ["ChainWave", "Scales", "amplitude", "cnoidal", "scales", "soliton", "speed"]
 

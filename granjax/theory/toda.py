@@ -9,6 +9,11 @@ One soliton: exp(b y_n) - 1 = sinh^2 k sech^2(k (n - n0) -+ (a b/m)^{1/2} t sinh
 sound, and its wave number k [1/site] sets all else. Several of them, and periodic waves, as R. Hirota and H. Flaschka
 found them: every function below is exact, in arrays that broadcast, differentiable in both modes in all its numbers.
 
+    import numpy as np
+    n, t = np.arange(120), np.linspace(40, 160, 121)
+    wave = gx.theory.toda.two_solitons(n, t[:, None], k1=1.0, k2=0.5, centre1=-57.0, centre2=-44.0)
+    gx.plots.space_time(wave.strain, ts=t, label="strain", site_label="contact")
+
 Source: M. Toda, Theory of Nonlinear Lattices (Springer, 1989); R. Hirota, J. Phys. Soc. Jpn. 35, 286 (1973);
 H. Flaschka, Phys. Rev. B 9, 1924 (1974); G. Biondini, C. Chong, P. Kevrekidis, Physica D 469, 134315 (2024).
 """
@@ -21,12 +26,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import broadcast, concrete, one_of, parameter, positive, refuse, show
+from ..checks import broadcast, concrete, parameter, positive, refuse, show
 from ..entry import checked
 from ..printing import told
 from ..types import Numbers, Parameter
-from .chain_wave import ChainWave, _direction_of, _numbers, _one_given, _sinh_less, _stiffnesses
-from .elliptic import _K, _RF, _jacobi, _log_theta, _zeta
+from .chain_wave import ChainWave, _direction_of, _numbers, _one_given, _sinh_less, _stiffnesses, _toda_constants
+from .toda_periodic import PeriodicNumbers, lax_eigenvalues, periodic_numbers, periodic_wave
 
 __all__ = [
     "ChainWave", "PeriodicNumbers", "TodaConstants", "amplitude", "energy", "lax_eigenvalues", "matched",
@@ -62,7 +67,7 @@ def matched(K2: Parameter, K3: Parameter) -> TodaConstants:
 @checked
 def speed(k: Parameter, *, strength: Parameter = 1.0, rate: Parameter = 1.0, mass: Parameter = 1.0) -> Numbers:
     """Speed of a soliton, sinh k/k times that of sound (a b/m)^{1/2} [sites/s]. **Arguments:** `k` > 0 [1/site]."""
-    k, (a, b, m) = positive("k", k), _constants(strength, rate, mass)
+    k, (a, b, m) = positive("k", k), _toda_constants(strength, rate, mass)
     return jnp.sqrt(a * b / m) * (1 + _sinh_less(k) / k)
 
 
@@ -70,14 +75,14 @@ def speed(k: Parameter, *, strength: Parameter = 1.0, rate: Parameter = 1.0, mas
 def amplitude(k: Parameter, *, rate: Parameter = 1.0) -> Numbers:
     """Largest strain of a soliton, 2 ln(cosh k)/b. **Arguments:** `k` > 0 [1/site]; `rate`: b, not zero."""
     k, b = _numbers(k=positive("k", k), rate=rate)
-    _constants(b, b, 1.0)
+    _toda_constants(b, b, 1.0)
     return jnp.log1p(jnp.sinh(k) ** 2) / b
 
 
 @checked
 def energy(k: Parameter, *, strength: Parameter = 1.0, rate: Parameter = 1.0) -> Numbers:
     """Energy of a soliton, (sinh 2k - 2k) a/b. **Arguments:** `k` > 0 [1/site]."""
-    k, (a, b, _) = positive("k", k), _constants(strength, rate, 1.0)
+    k, (a, b, _) = positive("k", k), _toda_constants(strength, rate, 1.0)
     return a / b * _sinh_less(2 * k)
 
 
@@ -91,7 +96,7 @@ def wavenumber(
     **Arguments:** one of `speed` [sites/s], `amplitude` [m], of the sign of b, `energy` [J].
     **Raises** ValueError for none or several, a speed not above that of sound, an amplitude of the wrong sign.
     """
-    a, b, m = _constants(strength, rate, mass)
+    a, b, m = _toda_constants(strength, rate, mass)
     sound = jnp.sqrt(a * b / m)
     given = {"speed": speed, "amplitude": amplitude, "energy": energy}
     if amplitude is not None:
@@ -145,7 +150,7 @@ def soliton(
     """
     sign, k = _direction_of(direction), positive("k", k)
     n, t, k, centre = _numbers(n=n, t=t, k=k, centre=centre)
-    return ChainWave(*_solitons(n, t, (k,), (sign,), (centre,), (), *_constants(strength, rate, mass)))
+    return ChainWave(*_solitons(n, t, (k,), (sign,), (centre,), (), *_toda_constants(strength, rate, mass)))
 
 
 @checked
@@ -168,7 +173,7 @@ def two_solitons(
     starts = tuple(c - jnp.where(first, meeting / (2 * k), 0.0) for c, first, k in
                    ((centre1, behind[0], k1), (centre2, behind[1], k2)))
     signs = 1.0, -1.0 if head_on else 1.0
-    return ChainWave(*_solitons(n, t, (k1, k2), signs, starts, (meeting,), *_constants(strength, rate, mass)))
+    return ChainWave(*_solitons(n, t, (k1, k2), signs, starts, (meeting,), *_toda_constants(strength, rate, mass)))
 
 
 @checked
@@ -186,15 +191,6 @@ def phase_shifts(k1: Parameter, k2: Parameter, *, head_on: bool = False) -> tupl
     shift = -_log_meeting(k1, k2, head_on) / 2
     forward = 1.0 if head_on else jnp.sign(k1 - k2)
     return forward * shift / k1, -forward * shift / k2
-
-
-def _constants(strength, rate, mass):
-    a, b, m = _numbers(strength=strength, rate=rate, mass=mass)
-    positive("mass", m)
-    signs = concrete(a), concrete(b)
-    if all(x is not None for x in signs) and not np.all(signs[0] * signs[1] > 0):
-        refuse("strength, rate", "two numbers of one sign, not zero", f"{show(signs[0])} and {show(signs[1])}")
-    return a, b, m
 
 
 def _pair(k1, k2, head_on):
@@ -229,160 +225,3 @@ def _solitons(n, t, ks, signs, centres, meetings, a, b, m):
     more = sum(p[i] * jnp.expm1(2 * k[i]) for i in range(1, len(sets)))
     velocity = sum(2 * omega[i] * p[i] * (jnp.expm1(2 * k[i]) - more) / (1 + more) for i in range(1, len(sets)))
     return strain / b, velocity * rate / b, jnp.log1p(more) / b
-
-
-# ------------------------------------------------------------------------------------------------------- periodic waves
-
-
-class PeriodicNumbers(NamedTuple):
-    """What the four numbers of a periodic wave say of it.
-
-    - `wavelength` [sites], `period` [s], both infinite of a soliton; `speed` of its crests [sites/s].
-    - `m1`: 1 less the parameter of its elliptic functions: 0 of a soliton, 1 of a wave without amplitude.
-    - `mean_strain` [m], `mean_velocity` [m/s]; `crest`, `trough`: largest and smallest strain (for b > 0).
-    """
-
-    wavelength: jax.Array
-    period: jax.Array
-    speed: jax.Array
-    m1: jax.Array
-    mean_strain: jax.Array
-    mean_velocity: jax.Array
-    crest: jax.Array
-    trough: jax.Array
-    __repr__ = told
-
-
-@checked
-def periodic_wave(
-    n: Parameter, t: Parameter, E1: Parameter, E2: Parameter, E3: Parameter, E4: Parameter, *,
-    centre: Parameter = 0.0, strength: Parameter = 1.0, rate: Parameter = 1.0, mass: Parameter = 1.0,
-) -> ChainWave:
-    r"""The four-parameter family of periodic travelling waves, in scaled numbers (a = b = m = 1).
-
-        exp y_n = (E4 - E3 + E2 - E1)^2/4 + (E3 - E2)(E4 - E1) cn^2(z_n, m),   z_n = 2 F (n - centre) - omega t,
-        v_n = E1 + E2 + E3 + E4 - 2 mu_n,   mu_n = (E2 - E1 B sn^2)/(1 - B sn^2) of (z_n - F, m),
-
-    m = (E3 - E2)(E4 - E1)/((E4 - E2)(E3 - E1)), omega = ((E4 - E2)(E3 - E1))^{1/2}, B = (E3 - E2)/(E3 - E1), and F the
-    incomplete integral of arcsin ((E4 - E2)/(E4 - E1))^{1/2}. It is equal to the usual formula for y by mu and the root
-    of (mu - E1)(mu - E2)(mu - E3)(mu - E4), and needs no sign.
-
-    **Arguments:** `n`, `t`, `centre`: as `soliton`; E1 < E2 <= E3 <= E4, E2 < E4: the ends of the bands of the Lax
-    matrix, which of a chain at rest are -1 and 1. E3 = E4 is a soliton on a chain of uniform strain and velocity, E2 =
-    E3 such a chain alone. A number added to all four adds twice of it to the velocity. **Returns:** `ChainWave`; the
-    displacement has -(mean strain) n + (mean velocity) t in it, which `periodic_numbers` gives.
-    **Raises** ValueError for numbers in another order. Source: Biondini, Chong, Kevrekidis (2024), with the sign of
-    omega t of a wave that runs to the right, and mu + b = (E1 + E2 + E3 + E4)/2.
-    """
-    Es = _ends(E1, E2, E3, E4)
-    n, t, centre, _ = _numbers(n=n, t=t, centre=centre, E1=sum(Es))
-    return ChainWave(*_periodic(n, t, centre, Es, *_constants(strength, rate, mass)))
-
-
-@checked
-def periodic_numbers(
-    E1: Parameter, E2: Parameter, E3: Parameter, E4: Parameter, *,
-    strength: Parameter = 1.0, rate: Parameter = 1.0, mass: Parameter = 1.0,
-) -> PeriodicNumbers:
-    """Wavelength, period, speed and means of `periodic_wave`. **Arguments**, **Raises**: as there.
-
-    A wavelength between 1 and 2 sites is that of a wave to the left, in which sites see a longer one, 1/(1 - 1/it).
-    """
-    a, b, m = _constants(strength, rate, mass)
-    return PeriodicNumbers(*_of_ends(_ends(E1, E2, E3, E4), a, b, m))
-
-
-def _ends(*Es):
-    arrays = _numbers(**{f"E{i}": E for i, E in enumerate(Es, 1)})
-    values = [concrete(E) for E in arrays]
-    if all(x is not None for x in values):
-        one, two, three, four = values
-        if not np.all((one < two) & (two <= three) & (three <= four) & (two < four)):
-            refuse("E1, E2, E3, E4", "E1 < E2 <= E3 <= E4, and E2 < E4", ", ".join(map(show, values)))
-    return tuple(arrays)
-
-
-def _shape(E1, E2, E3, E4):
-    """m1, omega, F and the coefficients of exp y and of mu, of the ends of the bands."""
-    square = (E4 - E2) * (E3 - E1)
-    m1 = (E2 - E1) * (E4 - E3) / square
-    s, c, d = jnp.sqrt((E4 - E2) / (E4 - E1)), jnp.sqrt((E2 - E1) / (E4 - E1)), jnp.sqrt((E2 - E1) / (E3 - E1))
-    return m1, jnp.sqrt(square), s * _RF(c, d, 1.0), ((E4 - E3 + E2 - E1) / 2) ** 2, (E3 - E2) * (E4 - E1)
-
-
-def _mean_velocity(E1, E2, E3, E4):
-    m1, omega, F, *_ = _shape(E1, E2, E3, E4)
-    return E1 + E3 + E4 - E2 - 2 * omega * _zeta(F, m1)
-
-
-def _mean_strain(*Es):
-    m1, _, F, bottom, depth = _shape(*Es)
-    return jnp.log(bottom + depth) - 2 * _log_theta(2 * F, m1)
-
-
-@jax.jit
-def _periodic(n, t, centre, Es, a, b, m):
-    (E1, E2, E3, E4), rate = Es, jnp.sqrt(a * b / m)
-    m1, omega, F, bottom, depth = _shape(*Es)
-    z, m1 = jnp.broadcast_arrays(2 * F * (n - centre) - omega * rate * t, m1)
-    strain = jnp.log(bottom + depth * _jacobi(z, m1)[1] ** 2)
-    s, c, _ = _jacobi(z - F, m1)
-    velocity = E2 + E3 + E4 - E1 - 2 * (E2 - E1) / (c * c + (E2 - E1) / (E3 - E1) * s * s)
-    drift = _mean_velocity(*Es) * rate * t - _mean_strain(*Es) * n
-    displacement = _log_theta(z - 2 * F, m1) - _log_theta(z, m1) + drift
-    return strain / b, velocity * rate / b, displacement / b
-
-
-@jax.jit
-def _of_ends(Es, a, b, m):
-    rate = jnp.sqrt(a * b / m)
-    m1, omega, F, bottom, depth = _shape(*Es)
-    K = _K(m1)
-    return (K / F, 2 * K / (omega * rate), omega * rate / (2 * F), m1, _mean_strain(*Es) / b,
-            _mean_velocity(*Es) * rate / b, jnp.log(bottom + depth) / b, jnp.log(bottom) / b)
-
-
-# --------------------------------------------------------------------------------------------------------- Lax's matrix
-
-
-@checked
-def lax_eigenvalues(
-    strain: Parameter, velocity: Parameter, *, boundary: str = "free",
-    strength: Parameter = 1.0, rate: Parameter = 1.0, mass: Parameter = 1.0,
-) -> Numbers:
-    r"""Eigenvalues of the Lax matrix of N sites, ascending: v_n/2 on its diagonal, exp(y_n/2)/2 beside it (scaled).
-
-    A Toda ring keeps all of them, in time and whatever its solitons do; so does a chain whose ends are far from what
-    moves. A chain at rest fills [-1, 1]; each soliton has one beyond, cosh k to the right and -cosh k to the left.
-
-    **Arguments:** `strain` [m]: (N - 1,) of the bonds of a `"free"` chain, or (N,) of a `"periodic"` one, whose last
-    bond leads from the last site to the first; `velocity` [m/s]: (N,); lanes after the sites. With a lattice:
-    `measures.strain(lattice, y)`, `y.v`. **Returns:** (N, *lanes). Forces at free ends, such as that of a static
-    load, are no part of the matrix: it is kept as long as the ends stay at rest.
-    **Raises** ValueError for shapes that do not fit, fewer than two sites (three on a ring).
-    Source: H. Flaschka, Phys. Rev. B 9, 1924 (1974).
-    """
-    ring = one_of("boundary", boundary, ("free", "periodic")) == "periodic"
-    strain, velocity = parameter("strain", strain), parameter("velocity", velocity)
-    least = 3 if ring else 2
-    if velocity.ndim == 0 or len(velocity) < least:
-        refuse("velocity", f"an array over {least} sites or more", f"shape {velocity.shape}")
-    wanted = (len(velocity) - (not ring), *velocity.shape[1:])
-    if strain.shape != wanted:
-        refuse("strain", f"shape {wanted}, for a velocity of shape {velocity.shape}", f"shape {strain.shape}")
-    a, b, m = _constants(strength, rate, mass)
-    for name, x in (("strength", a), ("rate", b), ("mass", m)):
-        if x.shape not in ((), velocity.shape[1:]):
-            refuse(name, "one number, or one per lane", f"shape {x.shape}")
-    return _eigenvalues(strain, velocity, ring, a, b, m)
-
-
-@partial(jax.jit, static_argnums=2)
-def _eigenvalues(strain, velocity, ring, a, b, m):
-    beside, on = jnp.exp(b * strain / 2) / 2, b * velocity / (2 * jnp.sqrt(a * b / m))
-    lanes, i = on.shape[1:], np.arange(len(on))
-    matrix = jnp.zeros((len(on), len(on), *lanes), on.dtype).at[i, i].set(on)
-    j = i if ring else i[:-1]
-    k = (j + 1) % len(on)
-    matrix = matrix.at[j, k].set(beside).at[k, j].set(beside)
-    return jnp.moveaxis(jnp.linalg.eigvalsh(jnp.moveaxis(matrix, (0, 1), (-2, -1))), -1, 0)

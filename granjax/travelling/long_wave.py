@@ -93,6 +93,14 @@ def long_wave(
     take: every solver, tolerance, derivative, record, measure and picture; its energy is int [m (u_t^2 + u_xt^2/12)/2 +
     W(y)] dx.
 
+        import numpy as np
+        x = np.arange(-12, 12, 0.25)
+        scene = gx.travelling.long_wave(
+            gx.Hertz(), gx.theory.long_wave.regularised_wave(x).strain, spacing=0.25, speed=1.0)
+        run = gx.simulate(scene.lattice, scene.state, 8.0, step=0.05, save_at=21)
+        strain = gx.measures.along(gx.measures.strain, scene.lattice, run)
+        gx.plots.space_time(strain, ts=run.ts, sites=scene.places, label="strain")
+
     **Arguments:**
 
     - `law`: F and its energy W, of single numbers; `mass` of a site.

@@ -1,0 +1,143 @@
+"""sn, cn, dn, zeta and the logarithm of Theta by theta series, in m1 = 1 - m; `elliptic` is their face."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.custom_derivatives import SymbolicZero
+
+from .elliptic_integrals import _E, _K, _RD, _positive, _second
+
+# terms of a series in a nome below exp(-pi)
+TERMS = 5
+
+
+def _period_left(u, m1):
+    """u = r + 2 j K with |r| <= K, and j."""
+    j = jax.lax.stop_gradient(jnp.where(m1 > 0, jnp.round(u / (2 * _K(_positive(m1)[0]))), 0.0))
+    return jnp.where(j == 0, u, u - 2 * j * _K(jnp.where(j == 0, 1.0, m1))), j
+
+
+@jax.jit
+def _jacobi(u, m1):
+    r, j = _period_left(u, m1)
+    s, c, d = _in_period(r, m1)
+    sign = 1 - 2 * jnp.mod(j, 2)
+    return sign * s, sign * c, d
+
+
+@jax.jit
+def _zeta(u, m1):
+    r, _ = _period_left(u, m1)
+    s, c, d = _in_period(r, m1)
+    flat = _flat(d)
+    s, c, d = jnp.where(flat, 0.0, s), jnp.where(flat, 1.0, c), jnp.where(flat, 1.0, d)
+    second = jnp.where(flat, jnp.sign(r), _second(r, s, c, d, m1))
+    share = jnp.where(m1 > 0, _E(_positive(m1)[0]) / _K(_positive(m1)[0]), 0.0)
+    return second - r * share
+
+
+def _log_theta(u, m1):
+    """ln Theta(u)/Theta(0), whose derivative in u is zeta; at m = 1 ln cosh u."""
+    r, _ = _period_left(u, m1)
+    K, other = _K(jnp.where(m1 > 0, m1, 1.0)), _K(1 - m1)
+    r, round_ = jnp.abs(r), m1 > 0.5
+    q, z = jnp.exp(-jnp.pi * jnp.where(round_, other / K, 1.0)), jnp.pi * r / jnp.where(round_, K, 1.0)
+    by_cosines = jnp.log1p(
+        sum(2 * (-1) ** n * q ** (n * n) * (jnp.cos(n * z) - 1) for n in range(1, TERMS))
+        / (1 + sum(2 * (-1) ** n * q ** (n * n) for n in range(1, TERMS))))
+    other = jnp.where(round_, 1.0, other)
+    x, log_q = jnp.pi * r / (2 * other), jnp.where(m1 > 0, -jnp.pi * K / other, -jnp.inf)
+    log_q = jnp.where(round_, -1.0, log_q)
+    series = (1 + jnp.exp(-2 * x)) / 2 + sum(
+        jnp.exp((n * n + n) * log_q + 2 * n * x) * (1 + jnp.exp(-(4 * n + 2) * x)) / 2 for n in range(1, TERMS))
+    at_0 = 1 + sum(jnp.exp((n * n + n) * log_q) for n in range(1, TERMS))
+    square = jnp.where(m1 > 0, jnp.pi * r * r / (4 * K * other), 0.0)
+    return jnp.where(round_, by_cosines, x - square + jnp.log(series / at_0))
+
+
+@jax.custom_jvp
+def _in_period(r, m1):
+    """sn, cn, dn of |r| <= K: of |r| or K - |r|, whichever is less, by the series in the smaller nome."""
+    K, other = _K(m1), _K(1 - m1)
+    w = jnp.abs(r)
+    far = w > K / 2
+    w = jnp.where(far, K - w, w)
+    round_ = m1 > 0.5
+    s, c, d = (jnp.where(round_, x, y) for x, y in zip(
+        _by_sines(w, jnp.where(round_, K, 1.0), jnp.where(round_, other, 1.0)),
+        _by_exponentials(w, jnp.where(round_, 1.0, K), jnp.where(round_, 1.0, other))))
+    root, safe = jnp.sqrt(m1), jnp.where(far, d, 1.0)
+    s, c, d = jnp.where(far, c / safe, s), jnp.where(far, root * s / safe, c), jnp.where(far, root / safe, d)
+    return jnp.sign(r) * s, c, d
+
+
+def _by_sines(w, K, other):
+    """Theta series in the nome q = exp(-pi K'/K), multiples of the angle by recurrence."""
+    q, z = jnp.exp(-jnp.pi * other / K), jnp.pi * w / (2 * K)
+    cosines = [jnp.ones_like(z), jnp.cos(2 * z)]
+    for _ in range(2, TERMS):
+        cosines.append(2 * cosines[1] * cosines[-1] - cosines[-2])
+    # sin (2n + 1)z/sin z and cos (2n + 1)z/cos z are sums of cosines of even multiples
+    one = two = odd = even = 1.0
+    for n in range(1, TERMS):
+        odd, even = odd + 2 * cosines[n], 2 * cosines[n] - even
+        one, two = one + (-1) ** n * q ** (n * n + n) * odd, two + q ** (n * n + n) * even
+    three, four, two_0, three_0, four_0 = _constants(q, cosines)
+    one, two = one * jnp.sin(z), two * jnp.cos(z)
+    return three_0 * one / (two_0 * four), four_0 * two / (two_0 * four), four_0 * three / (three_0 * four)
+
+
+def _constants(q, cosines):
+    """theta_3, theta_4, and theta_2 (over 2 q^{1/4}), theta_3, theta_4 at zero."""
+    terms = [(q ** (n * n), (-1) ** n, cosines[n]) for n in range(1, TERMS)]
+    return (1 + 2 * sum(a * c for a, _, c in terms), 1 + 2 * sum(s * a * c for a, s, c in terms),
+            sum(q ** (n * n + n) for n in range(TERMS)), 1 + 2 * sum(a for a, _, _ in terms),
+            1 + 2 * sum(s * a for a, s, _ in terms))
+
+
+def _by_exponentials(w, K, other):
+    """Theta series in q = exp(-pi K/K') of an imaginary angle i x, times exp(-x); q exp(2x) is at most q^{1/2}."""
+    x, log_q = jnp.pi * w / (2 * other), -jnp.pi * K / other
+    q, up, down = jnp.exp(log_q), jnp.exp(log_q + 2 * x), jnp.exp(-2 * x)
+    # (1 - down^(2n+1))/(1 - down)
+    one, two, ratio, high = 1.0, 1 + down, 1.0, down
+    three = four = 1.0
+    for n in range(1, TERMS):
+        ratio, high = ratio + high * (1 + down), high * down * down
+        weight = q ** (n * n) * up**n
+        one, two = one + (-1) ** n * weight * ratio, two + weight * (1 + high)
+        more = q ** (n * n - n) * (up**n + (q * down) ** n)
+        three, four = three + more, four + (-1) ** n * more
+    one, two, near = -jnp.expm1(-2 * x) * one / 2, two / 2, jnp.exp(-x)
+    *_, two_0, three_0, four_0 = _constants(q, [1.0] * TERMS)
+    return three_0 * one / (four_0 * two), two_0 * near * four / (four_0 * two), two_0 * near * three / (three_0 * two)
+
+
+@partial(_in_period.defjvp, symbolic_zeros=True)
+def _(primals, tangents):
+    (r, m1), (dr, dm1) = primals, tangents
+    s, c, d = _in_period(r, m1)
+    change = [jnp.zeros_like(s)] * 3
+    if not isinstance(dr, SymbolicZero):
+        change = [x + y * dr for x, y in zip(change, (c * d, -s * d, -(1 - m1) * s * c))]
+    if not isinstance(dm1, SymbolicZero):
+        change = [x - y * dm1 for x, y in zip(change, _slopes_in_m(s, c, d, m1))]
+    return (s, c, d), tuple(change)
+
+
+def _flat(d):
+    """Where dn is so small that its square is no number."""
+    return d < 16 * np.sqrt(float(jnp.finfo(d.dtype).tiny))
+
+
+def _slopes_in_m(s, c, d, m1):
+    """Derivatives in m, from that of the amplitude, -dn int_0^u (sn/dn)^2/2."""
+    flat = _flat(d)
+    safe = jnp.where(flat, 1.0, d)
+    turn = jnp.where(flat, -jnp.sign(s) / (4 * d), -safe * s**3 * _RD(jnp.where(flat, 1.0, c), 1.0, safe) / 6)
+    # finite, so that a tangent that is zero stays so
+    turn = jnp.clip(turn, -jnp.finfo(turn.dtype).max, jnp.finfo(turn.dtype).max)
+    first = jnp.where(flat, -jnp.sign(s) / 4, c * jnp.where(flat, 0.0, turn))
+    return first, -s * turn, jnp.where(flat, s * turn, (-s * s / 2 - (1 - m1) * s * first) / safe)
