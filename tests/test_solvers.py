@@ -530,10 +530,11 @@ def test_lanes_and_vmap(solver, lanes):
 @pytest.mark.slow
 @pair
 def test_adaptive_vmap(solver):
+    # errors of a step well above what rounding, which differs, makes of them
     def alone(mass):
         found = solve(
             solver(), smooth(), 2.0, None, chain(mass),
-            stepsize_controller=diffrax.PIDController(rtol=1e-9, atol=1e-9),
+            stepsize_controller=diffrax.PIDController(rtol=1e-6, atol=1e-6),
         )
         return last(found)
 
