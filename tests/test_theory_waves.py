@@ -74,7 +74,7 @@ def crest(strain, k, near):
     return n + np.arccosh(np.sinh(k) / np.sqrt(np.expm1(strain[n]))) / k
 
 
-@pytest.mark.parametrize("head_on", [False, True])
+@pytest.mark.parametrize("head_on", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_solitons_of_a_simulation_are_shifted_and_keep_their_eigenvalues(head_on):
     """Shifts to 1e-8, eigenvalues of the ring to 1e-11."""
     k1, k2 = 1.0, 0.5
