@@ -243,6 +243,9 @@ def test_with_precompression_the_same_stiffness_leaves_no_tail():
     (lambda: travelling.cell_wave(gx.Hertz([1.0, 2.0, 3.0]), [1.0, 0.5], speed=2.0), "law: expected parameters"),
     (lambda: travelling.cell_wave(gx.Hertz(), [1.0, 0.5, 0.5], speed=1.0), "masses: expected one or two sites"),
     (lambda: travelling.cell_wave(gx.Hertz([1.0, 2.0], [0.0, 1.0]), [1.0, 1.0], speed=2.0), "law: expected a stiff"),
+    (lambda: travelling.cell_wave(gx.Hertz(), [], speed=1.0), "masses: expected one row"),
+    (lambda: travelling.tail_free(lambda r: (gx.Hertz(1.0, 0.1), [1.0, r]), 0.3, 0.4, speed=1.0),
+     "speed: expected supersonic"),
     (lambda: travelling.tail_free(dimer, 0.4, 0.3, speed=1.0), "high: expected a number above low"),
     (lambda: travelling.tail_free(lambda r: gx.Hertz(), 0.3, 0.4, speed=1.0), "cell: expected a function"),
     (lambda: travelling.tail_free(lambda r: (TODA, [r, r]), 0.3, 0.4, speed=4.0), "cell: expected a cell of several"),
@@ -258,7 +261,17 @@ def test_bad_input_is_refused(call, said):
         call()
 
 
+@pytest.mark.parametrize("exponent, ratio", [(2.0, 0.33085624619), (3.0, 0.32662322)])
+def test_other_powers_have_anti_resonances_too(exponent, ratio):
+    wave = travelling.tail_free(lambda r: (gx.PowerLaw(1.0, exponent), [1.0, r]), 0.3, 0.36, speed=1.0)
+    assert wave.parameter == pytest.approx(ratio, abs=1e-8) and wave.error < 1e-7
+    lattice = gx.Lattice(np.resize(wave.masses, 140), gx.Bond(gx.Shift(1, "free"), gx.PowerLaw(1.0, exponent)))
+    assert moved(wave, lattice) < 1e-6
+
+
 def test_where_nothing_is_found():
+    with pytest.raises(RuntimeError, match="almost without a stiffness"):
+        travelling.cell_wave(gx.Hertz(1.0, 1e-8), [1.0, 0.5], speed=1.0)
     with pytest.raises(RuntimeError, match="No wave of speed 1 was found"):
         travelling.tail_free(dimer, 0.5, 0.55, speed=1.0)
     with pytest.raises(RuntimeError, match="No wave of speed"):

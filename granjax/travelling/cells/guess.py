@@ -65,7 +65,8 @@ def _peak(chain, sign):
 def pulse(chain: Chain, box: Box, top: Peak):
     """Strains (P, N) of the form sech^(2/s)(s q x/2) with the decay rate q of the linear tail."""
     argument = np.minimum(top.power * decay(chain) * np.abs(box.x) / 2, 300.0)
-    return top.strain[:, None] / np.cosh(argument) ** (2 / top.power)
+    with np.errstate(over="ignore"):
+        return top.strain[:, None] / np.cosh(argument) ** (2 / top.power)
 
 
 class Struck(NamedTuple):

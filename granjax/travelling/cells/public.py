@@ -20,6 +20,8 @@ from .wave import SILENT, Found, Given, chain_of, error_of, of_one_site, on_a_bo
 
 # the speed over the sound speed from which on a box holds the wave
 LEAST_MARGIN = 1.004
+# the ripple over the peak beyond which there is no pulse to speak of
+LOUDEST = 0.5
 # relative distance of a mass from an anti-resonance within which the wave of that is returned
 NEAR = 1e-5
 
@@ -173,12 +175,16 @@ def cell_wave(
     given = chain_of(law, masses, speed, resonator)
     if not given.chain.K2.any():
         return _in_vacuum(law, given, speed, resonator, throw)
-    over = margin(given.chain)
+    _faster_than_sound(given.chain, speed)
+    return _result(on_a_box(given.chain), given, speed, resonator, None, throw)
+
+
+def _faster_than_sound(chain, speed):
+    over = margin(chain)
     if over < LEAST_MARGIN:
         sound = speed / over
         refuse("speed", f"supersonic, at least {LEAST_MARGIN} times the speed of sound, {LEAST_MARGIN * sound:.6g}",
                f"{speed:.6g}", f"The speed of sound is {sound:.6g} sites per time; slower waves of this kind radiate.")
-    return _result(on_a_box(given.chain), given, speed, resonator, None, throw)
 
 
 def alone_with_resonators(law: Law, mass: Scalar, speed: Scalar, resonator: Resonator) -> CellWave:
@@ -265,6 +271,8 @@ def tail_free(
     if not ends[1].K2.any() and len(ends[1].masses) > 2:
         refuse("cell", "two sites in a cell without a stiffness at rest", f"{len(ends[1].masses)}",
                "A wave then needs two parameters to be right; give a precompression.")
+    for chain in ends:
+        _faster_than_sound(chain, speed)
     found = without_tail(lambda p: given(p).chain, low, high)
     near = None if isinstance(found, str) else found.solved.parameter
     return _result(found, given((low + high) / 2 if near is None else near), speed, None, near, throw)
@@ -275,6 +283,9 @@ def _kind(x):
 
 
 def _result(found: Found | str, given: Given, speed, resonator, p, throw, off=0.0, remark=""):
+    if not isinstance(found, str) and found.tail is not None:
+        if abs(found.tail.amplitude) > LOUDEST * np.abs(found.solved.phi).max():
+            found = "its ripple is as strong as the wave itself"
     if isinstance(found, str):
         if throw:
             raise RuntimeError(f"No wave of speed {speed:.6g} was found: {found}.")

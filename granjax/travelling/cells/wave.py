@@ -23,6 +23,8 @@ DEEP = 29.0
 DEEPER = 35.0
 # the speed over the sound speed at which a wave of any cell is begun where it is lost at its own
 SLOW = 1.06
+# and beyond which one is not looked for
+FASTEST = 8.0
 # of the peak: what counts as no ripple
 SILENT = 1e-11
 
@@ -63,7 +65,7 @@ def chain_of(law: Law, masses, speed: float, resonator=None) -> Given:
                "The box of a wave follows its ripple, so the wave has no derivative; take differences, whose error "
                "the result's `error` says.")
     masses = np.atleast_1d(np.asarray(positive("masses", masses), float))
-    if masses.ndim != 1:
+    if masses.ndim != 1 or not masses.size:
         refuse("masses", "one row of masses, those of a cell", f"shape {masses.shape}", "One wave at a time.")
     P, mass = len(masses), masses.mean()
     wrong = [np.shape(x) for x in jax.tree.leaves(law) if np.shape(x) not in ((), (1,), (P,))]
@@ -128,6 +130,11 @@ def on_a_box(chain: Chain) -> Found | str:
     waves = ripples(chain)
     core = min((DEEP if waves else DEEPER) / decay(chain), 220.0)
     half = core + 3 * 2 * np.pi / waves[0].wavenumber if waves else core
+    if 2 * half * POINTS * len(chain.masses) > MOST:
+        return f"it takes a box of {2 * half:.3g} sites, for its core or for its ripple, which is too long"
+    if margin(chain) > FASTEST:
+        return (f"at {margin(chain):.3g} times the speed of sound the chain is almost without a stiffness at rest, and "
+                "the wave is beyond this method's reach; leave out the precompression")
     started = _started(chain, half)
     if isinstance(started, str) and margin(chain) > 1.05 * SLOW:
         started = _sped_up(chain, half) or started
@@ -344,8 +351,8 @@ def of_one_site(chain: Chain) -> Found | str:
     half = (count + 0.5) * np.pi / ripple.wavenumber
     box = _box(chain, half, max(10, 2 * ripple.wavenumber))
     solved = newton(box, fourier(phi, first.half, np.clip(box.x, -first.half, first.half)), max_steps=30)
-    if not solved.converged:
-        return f"Newton's method stopped at a residual of {solved.residual:.1e}"
+    if not solved.converged or not 0.3 < np.abs(solved.phi).max() / np.abs(phi).max() < 3:
+        return f"Newton's method did not reach a pulse from that of beads of the whole mass ({solved.residual:.1e})"
     return _smallest(chain, box, solved, ripple, core)
 
 
