@@ -147,7 +147,7 @@ def test_towards_the_speed_of_sound_it_is_the_soliton_of_korteweg_and_de_vries()
     assert np.diff(np.log(errors)) / np.diff(np.log(excess)) == pytest.approx(1.0, abs=0.1)
 
 
-@pytest.mark.parametrize("p", [1.2, 3.0, 10.0])
+@pytest.mark.parametrize("p", [3.0, *(pytest.param(x, marks=pytest.mark.slow) for x in (1.05, 10.0))])
 def test_powers_scale_and_sum(p):
     wave, faster = (solitary_wave(gx.PowerLaw(1.0, p), speed=c) for c in (1.0, 1.3))
     scale = 1.3 ** (2 / (p - 1))
@@ -234,6 +234,26 @@ def test_a_family_and_where_its_energy_turns():
     assert waves.turns.shape == (1,) and ends[1] < min(ends[0], ends[2])
     by_energy = gx.travelling.family(gx.Hertz(), energy=[1.0, 2.0])
     np.testing.assert_allclose(by_energy.energy_slope, 10 * by_energy.energy / by_energy.speed, rtol=1e-8)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("k", [1e-3, 0.03, 0.3, 10.0, 30.0])
+def test_the_error_is_no_less_than_what_it_is_off(k):
+    wave = solitary_wave(gx.Toda(), speed=np.sinh(k) / k)
+    x = np.linspace(0, 8 / k, 101)
+    off = np.abs(wave.strain(x) - np.log1p(np.sinh(k) ** 2 / np.cosh(k * x) ** 2)).max()
+    assert off <= float(wave.error) < 1e-7 * float(wave.amplitude)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("law", "speed"), [
+    (gx.PowerLaw(1.0, -3.0, 1.0), 17.3), (gx.Polynomial(1.0, 0.5, -0.1), 1.23), (gx.PowerLaw(1.0, 0.5, 1.0), 0.8),
+])
+def test_where_the_factor_goes_astray_or_the_law_nearly_ends(law, speed):
+    wave = solitary_wave(law, speed=speed)
+    z, w = np.polynomial.legendre.leggauss(300)
+    parts = [np.asarray(law.force(wave.strain(side * (1 + z) / 2))) * (1 - z) / 2 @ w / 2 for side in (1, -1)]
+    assert sum(parts) == pytest.approx(speed**2 * float(wave.amplitude), rel=1e-7)
 
 
 BOND = gx.Bond(gx.Shift(1, "free"), gx.Toda())

@@ -15,7 +15,7 @@ from ..outside import Outside
 from .existence import Bounds, reached, side_of, twice_energy
 from .medium import Medium, fine_force, one_number, values
 from .shape import TentShape
-from .start import DECAYS, decay_rate, normalised, petviashvili
+from .start import ASTRAY, DECAYS, by_peak, decay_rate, normalised, petviashvili
 from .tent import Found, Places, Tent, solve, swept
 
 # numbers of places; what two of them may differ by, relative to the peak; what a residual may be
@@ -23,6 +23,8 @@ PLACES, AGREE, CONVERGED = (160, 320, 640, 1280), 1e-13, 1e-9
 # ln of the strain over its peak where places end: of an exponential tail, and of one that falls faster
 DEEP, DEEPEST = -42.0, -560.0
 SECANTS = 8
+# units of rounding that an equation is known to
+LAST = 2.0
 # a strain over its unit at which a force grows as it does from zero
 SMALL = 1e-6
 
@@ -176,7 +178,8 @@ def _shape(problem):
         over = np.sqrt(max(problem.exponent(SMALL) - 1, 1e-6))
         half, guess = 3 + 5 / over, _guess(1 / max(1.0, 0.45 / over))[1]
     if problem.held is None:
-        return *petviashvili(problem.force, problem.linear, half, guess), 1.0
+        found = petviashvili(problem.force, problem.linear, half, guess)
+        return *(found if found[2] < ASTRAY else by_peak(problem.force, half, guess)), 1.0
     if problem.linear > 0.95:
         x = np.linspace(-half, half, 1024, endpoint=False)
         return x, guess(x), 0.0, 1.0
@@ -202,16 +205,27 @@ def _first(problem):
             return np.where(y < x[k], smooth(y), q[k] - rate * (y - x[k]))
 
         return first, np.log(level), rate, end, np.nan
-    p = problem.exponent(SMALL)
-    i, k = (int(np.argmax(below < depth)) or len(x) - 1 for depth in (-14, -25))
-    steep = (q[i] - q[k]) / (p ** x[k] - p ** x[i])
-    base = q[i] + steep * p ** x[i]
-    end = np.log((base - q[0] - DEEPEST) / steep) / np.log(p)
+    # a parabola is above a tail that falls ever faster, which the tent brings down to it
+    i, j, k = (int(np.argmax(below < depth)) or len(x) - 1 for depth in (-14, -19, -25))
+    j, k = max(j, i + 1), max(k, j + 1, i + 2)
+    parabola = np.polynomial.Polynomial.fit(x[[i, j, k]], q[[i, j, k]], 2)
+    reach = x[k] + np.arange(0, 100 * x[k], 0.1)
+    if not parabola.deriv(2)(0) < 0 or not parabola(reach[-1]) < q[0] + DEEPEST:
+        refuse("law", "one whose first shape settles", "one whose shape does not", "Try another speed or amplitude.")
+    end = float(reach[np.argmax(parabola(reach) < q[0] + DEEPEST)])
 
     def first(y):
-        return np.where(y < x[k], smooth(y), base - steep * p ** np.minimum(y, end + 3))
+        return np.where(y < x[k], smooth(y), parabola(y))
 
-    return first, np.log(level), 0.0, end, p
+    return *_brought_down(problem, first, np.log(level), end), problem.exponent(SMALL)
+
+
+def _brought_down(problem, first, level, end):
+    """The first shape with the tail that follows from it, the level, no decay rate, the end of the places."""
+    places = Places(PLACES[0], end / (PLACES[0] - 1), 0.0)
+    q = swept(Tent.of(places), problem.force, first(places.nodes), level)
+    last = int(np.argmax(q < q[0] + DEEPEST)) or places.count - 1
+    return CubicSpline(places.nodes[: last + 2], q[: last + 2]), level, 0.0, float(places.nodes[last])
 
 
 def _finished(problem, first, level, rate, end, exponent) -> tuple[Tent, Found, float]:
@@ -220,10 +234,7 @@ def _finished(problem, first, level, rate, end, exponent) -> tuple[Tent, Found, 
     steep = max(rate, problem.exponent(1.0)) if problem.linear > 0 else None
     for count in PLACES:
         tent = Tent.of(Places(count, end / (count - 1), rate), steep)
-        q = first(tent.places.nodes)
-        if before is None and not problem.linear > 0:
-            q = swept(tent, problem.force, q, level)
-        found = solve(tent, problem.force, q, level, problem.condition(tent))
+        found = solve(tent, problem.force, first(tent.places.nodes), level, problem.condition(tent))
         if not found.residual < CONVERGED:
             if count == PLACES[-1]:
                 refuse("law", "one whose wave is found", f"a residual of {found.residual:.1e} after Newton's method",
@@ -244,7 +255,10 @@ def _finished(problem, first, level, rate, end, exponent) -> tuple[Tent, Found, 
         if apart <= AGREE * peak:
             break
         before = places, found.q
-    return tent, found, float(max(apart, 4 * np.finfo(float).eps * peak))
+    # what the rounding of each equation's logarithms, and of the level's own digits, does to the strain
+    gaps = np.finfo(float).eps * (LAST + problem.exponent(np.exp(found.q[0])) + np.abs(found.q))
+    moved = np.abs(np.linalg.inv(found.jacobian))[: len(found.q), : len(found.q)] @ gaps
+    return tent, found, float(max(apart, (np.exp(found.q) * moved).max() * abs(problem.unit)))
 
 
 def _assembled(medium, problem, tent, found, error, numbers):

@@ -17,8 +17,10 @@ STENCIL, PIECE = 12, 12
 PIECES = (0.0, 1 / 32, 1 / 16, 1 / 8, 1 / 4, 3 / 8, 1 / 2, 5 / 8, 3 / 4, 7 / 8, 1.0)
 # ln of the strain over its peak where a far tail begins
 TAIL = -12.0
+# and the least that numbers hold
+LEAST = -690.0
 # slope of ln F times the length of a piece
-STEEP = 4.0
+STEEP = 2.0
 STEPS, HALVINGS, SETTLED = 40, 6, 1e-15
 _BARY = np.array([1 / np.prod(np.delete(k - np.arange(STENCIL), k), dtype=float) for k in range(STENCIL)])
 
@@ -144,7 +146,7 @@ def swept(tent: Tent, force: Callable, q: np.ndarray, level: float) -> np.ndarra
     for _ in range(int(np.ceil(tent.places.end)) + 2):
         with np.errstate(all="ignore"):
             new = np.log(tent.integral(force(tent.strain(q))[0])) - level
-        q = np.where(far & np.isfinite(new), new, q)
+        q = np.where(far, np.maximum(np.minimum(new, q), q[0] + LEAST), q)
     return q
 
 
