@@ -179,6 +179,9 @@ def test_what_else_is_refused():
         elliptic.K(0.5, m1=0.5)
     with pytest.raises(ValueError, match="^m, m1: expected one of the two, got none"):
         elliptic.jacobi(0.5)
+    # of what is traced nobody knows that it lies outside
+    assert np.isnan(jax.jit(elliptic.K)(2.0)) and np.isnan(jax.jit(elliptic.E)(2.0))
+    assert np.isnan(jax.jit(elliptic.jacobi)(0.3, 2.0)).all()
     with pytest.raises(ValueError, match="^u: expected numbers below 4.5e.14"):
         elliptic.jacobi(1e300, 0.5)
     assert elliptic.jacobi(1e300, 1.0).sn == 1.0

@@ -230,6 +230,7 @@ def test_what_a_compacton_of_any_powers_leaves():
 
 @pytest.mark.parametrize("call, said", [
     (lambda: toda.soliton(0.0, 0.0, -1.0), "^k: expected numbers above zero"),
+    (lambda: toda.soliton(0.0, 0.0, 400.0), "^k: expected numbers below 348"),
     (lambda: toda.two_solitons(0.0, 0.0, 1.0, 1.0, centre1=0.0, centre2=5.0), "^k1, k2: expected two that differ"),
     (lambda: toda.phase_shifts(1.0, 1.0), "^k1, k2: expected two that differ"),
     (lambda: toda.wavenumber(speed=0.9), "^speed: expected numbers above 1.0, the speed of sound"),

@@ -112,7 +112,7 @@ def _sloped(function, slope):
 
 def _positive(m1):
     """m1, with something else in place of zero, and its root."""
-    m1 = jnp.where(m1 > 0, m1, 1.0)
+    m1 = jnp.where(m1 != 0, m1, 1.0)
     return m1, jnp.sqrt(m1)
 
 
@@ -120,19 +120,19 @@ def _positive(m1):
 def _K(m1):
     a, b = jax.lax.fori_loop(0, MEANS, lambda i, ab: ((ab[0] + ab[1]) / 2, jnp.sqrt(ab[0] * ab[1])),
                              (jnp.ones_like(m1), _positive(m1)[1]))
-    return jnp.where(m1 > 0, jnp.pi / (a + b), jnp.inf)
+    return jnp.where(m1 != 0, jnp.pi / (a + b), jnp.inf)
 
 
-_sloped(_K, lambda m1: jnp.where(m1 > 0, -_RD(0.0, 1.0, _positive(m1)[1]) / 6, -jnp.inf))
+_sloped(_K, lambda m1: jnp.where(m1 != 0, -_RD(0.0, 1.0, _positive(m1)[1]) / 6, -jnp.inf))
 
 
 @jax.custom_jvp
 def _E(m1):
     safe, root = _positive(m1)
-    return jnp.where(m1 > 0, safe * (_RD(0.0, root, 1.0) + _RD(0.0, 1.0, root)) / 3, 1.0)
+    return jnp.where(m1 != 0, safe * (_RD(0.0, root, 1.0) + _RD(0.0, 1.0, root)) / 3, 1.0)
 
 
-_sloped(_E, lambda m1: jnp.where(m1 > 0, _RD(0.0, _positive(m1)[1], 1.0) / 6, jnp.inf))
+_sloped(_E, lambda m1: jnp.where(m1 != 0, _RD(0.0, _positive(m1)[1], 1.0) / 6, jnp.inf))
 
 
 @partial(jax.jit, static_argnums=0)
@@ -169,7 +169,7 @@ def _second(u, s, c, d, m1):
 
 @jax.jit
 def _complete_Pi(n, m1):
-    inside = (m1 > 0) & (n < 1)
+    inside = (m1 != 0) & (n != 1)
     n, m1 = jnp.where(inside, n, 0.0), jnp.where(inside, m1, 1.0)
     return jnp.where(inside, _third(n, 1.0, 0.0, jnp.sqrt(m1), m1), jnp.inf)
 

@@ -67,14 +67,14 @@ def matched(K2: Parameter, K3: Parameter) -> TodaConstants:
 @checked
 def speed(k: Parameter, *, strength: Parameter = 1.0, rate: Parameter = 1.0, mass: Parameter = 1.0) -> Numbers:
     """Speed of a soliton, sinh k/k times that of sound (a b/m)^{1/2} [sites/s]. **Arguments:** `k` > 0 [1/site]."""
-    k, (a, b, m) = positive("k", k), _toda_constants(strength, rate, mass)
+    k, (a, b, m) = _wave_number("k", k), _toda_constants(strength, rate, mass)
     return jnp.sqrt(a * b / m) * (1 + _sinh_less(k) / k)
 
 
 @checked
 def amplitude(k: Parameter, *, rate: Parameter = 1.0) -> Numbers:
     """Largest strain of a soliton, 2 ln(cosh k)/b. **Arguments:** `k` > 0 [1/site]; `rate`: b, not zero."""
-    k, b = _numbers(k=positive("k", k), rate=rate)
+    k, b = _numbers(k=_wave_number("k", k), rate=rate)
     _toda_constants(b, b, 1.0)
     return jnp.log1p(jnp.sinh(k) ** 2) / b
 
@@ -82,7 +82,7 @@ def amplitude(k: Parameter, *, rate: Parameter = 1.0) -> Numbers:
 @checked
 def energy(k: Parameter, *, strength: Parameter = 1.0, rate: Parameter = 1.0) -> Numbers:
     """Energy of a soliton, (sinh 2k - 2k) a/b. **Arguments:** `k` > 0 [1/site]."""
-    k, (a, b, _) = positive("k", k), _toda_constants(strength, rate, 1.0)
+    k, (a, b, _) = _wave_number("k", k), _toda_constants(strength, rate, 1.0)
     return a / b * _sinh_less(2 * k)
 
 
@@ -148,7 +148,7 @@ def soliton(
     **Returns:** `ChainWave` of strain, velocity and displacement, which is zero far to the right, and 2k/b far to the
     left: the sum of all strains. **Raises** ValueError for k <= 0, and constants that no Toda chain has.
     """
-    sign, k = _direction_of(direction), positive("k", k)
+    sign, k = _direction_of(direction), _wave_number("k", k)
     n, t, k, centre = _numbers(n=n, t=t, k=k, centre=centre)
     return ChainWave(*_solitons(n, t, (k,), (sign,), (centre,), (), *_toda_constants(strength, rate, mass)))
 
@@ -193,8 +193,16 @@ def phase_shifts(k1: Parameter, k2: Parameter, *, head_on: bool = False) -> tupl
     return forward * shift / k1, -forward * shift / k2
 
 
+def _wave_number(name, k):
+    k = positive(name, k)
+    value, most = concrete(k), 0.49 * np.log(float(jnp.finfo(k.dtype).max))
+    if value is not None and np.any(value > most):
+        refuse(name, f"numbers below {most:.0f}", show(value), "Beyond, exp(2k) passes the largest number.")
+    return k
+
+
 def _pair(k1, k2, head_on):
-    k1, k2 = positive("k1", k1), positive("k2", k2)
+    k1, k2 = _wave_number("k1", k1), _wave_number("k2", k2)
     broadcast(k1=k1, k2=k2)
     values = concrete(k1), concrete(k2)
     if not head_on and all(x is not None for x in values) and np.any(values[0] == values[1]):
