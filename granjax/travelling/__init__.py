@@ -2,15 +2,17 @@
 
 from .cells import CellWave, Resonator, cell_wave, tail_free, tail_free_stiffness
 from .closed_forms import ClosedForms, closed_forms
+from .collisions import Collision, collide
 from .family import WaveFamily, family
 from .long_wave import LongWave, SpectralStrain, long_wave
 from .periodic import PeriodicWave, periodic_wave
+from .reflection import Reflection, reflect
 from .solitary import solitary_wave
 from .stability import ring, stability, wave_orbit
 from .wave import Wave
 
 __all__ = [
-    "CellWave", "ClosedForms", "LongWave", "PeriodicWave", "Resonator", "SpectralStrain", "Wave", "WaveFamily",
-    "cell_wave", "closed_forms", "family", "long_wave", "periodic_wave", "ring", "solitary_wave", "stability",
-    "tail_free", "tail_free_stiffness", "wave_orbit",
+    "CellWave", "ClosedForms", "Collision", "LongWave", "PeriodicWave", "Reflection", "Resonator", "SpectralStrain",
+    "Wave", "WaveFamily", "cell_wave", "closed_forms", "collide", "family", "long_wave", "periodic_wave", "reflect",
+    "ring", "solitary_wave", "stability", "tail_free", "tail_free_stiffness", "wave_orbit",
 ]

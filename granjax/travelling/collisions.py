@@ -1,0 +1,267 @@
+"""Two waves that meet: phase shifts, speeds and energies after it, beside those of Korteweg-de Vries and of Toda."""
+
+from typing import ClassVar, NamedTuple
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+
+from ..checks import held_in_memory, positive, refuse, within
+from ..entry import checked
+from ..flow import Run, frequency_bound, simulate
+from ..lattice import Lattice, State
+from ..laws import taylor
+from ..programs import shared_size
+from ..results import Held, Result
+from ..strains import Shift
+from ..terms import Bond
+from ..theory import toda
+from ..types import Scalar
+from .tracking import MISFIT, known, number_of, of_own_speed, reach_of, tracked
+from .wave import Wave
+
+# frames of the time before and as long after, how much longer it is than the least, contacts beyond, and h omega
+FRAMES, MORE, BEYOND, STEP = 64, 0.25, 8, 0.2
+# how many times as long as before two waves are followed after they met, until they are free of what they shed
+LONGER = 1, 4, 16
+SAME = 1e-12
+
+
+class Collision(Result):
+    """What `collide` returns; the first of two numbers is of the first wave.
+
+    - `kind`: "overtaking" or "head-on". `meeting`: when and where the waves would have met as points [s], contacts.
+    - `shifts` (2,): how far each is along n beyond where it would be alone, at `meeting`, by straight lines through
+      its places before and after [contacts]; NaN where they have not parted. `shift_errors`: distance from the truth,
+      by either half of the frames and by twice the time step.
+    - `kdv_shifts`, `toda_shifts` (2,): those of the solitons of the same speeds, of Korteweg and de Vries (overtaking
+      alone) and of the Toda chain of the same K2 and K3; NaN where there is none, for the reason in `outcome`.
+    - `speeds`, `speeds_after` [1/s], `speed_errors`; `amplitudes`, `amplitudes_after` [m], `amplitude_errors`.
+    - `radiated`: energy that neither wave has afterwards [J]; `radiated_error`. `energy`: of both, before.
+    - `separation`: least distance between the two in the frames after they met, and `least_separation`: from which on
+      they have parted [contacts]. `misfits` (2,): what the waves leave of the strains about them, over their peaks.
+    - `times`, `places` (2, T): where each was found. `run`: the run, for pictures.
+    """
+
+    held: ClassVar[dict[str, Held]] = {
+        "meeting": Held("", "s"), "meeting_place": Held("", "1"), "shifts": Held("wave", "1"),
+        "shift_errors": Held("wave", "1"), "kdv_shifts": Held("wave", "1"), "toda_shifts": Held("wave", "1"),
+        "speeds": Held("wave", "1/s"), "speeds_after": Held("wave", "1/s"), "speed_errors": Held("wave", "1/s"),
+        "amplitudes": Held("wave", "m"), "amplitudes_after": Held("wave", "m"), "amplitude_errors": Held("wave", "m"),
+        "energy": Held("", "J"), "radiated": Held("", "J"), "radiated_error": Held("", "J"),
+        "separation": Held("", "1"), "least_separation": Held("", "1"), "misfits": Held("wave", "1"),
+        "times": Held("found", "s"), "places": Held("wave found", "1"), "run": Held(None),
+    }
+    kind: str
+    meeting: float
+    meeting_place: float
+    shifts: Float[np.ndarray, "2"]
+    shift_errors: Float[np.ndarray, "2"]
+    kdv_shifts: Float[np.ndarray, "2"]
+    toda_shifts: Float[np.ndarray, "2"]
+    speeds: Float[np.ndarray, "2"]
+    speeds_after: Float[np.ndarray, "2"]
+    speed_errors: Float[np.ndarray, "2"]
+    amplitudes: Float[np.ndarray, "2"]
+    amplitudes_after: Float[np.ndarray, "2"]
+    amplitude_errors: Float[np.ndarray, "2"]
+    energy: float
+    radiated: float
+    radiated_error: float
+    separation: float
+    least_separation: float
+    misfits: Float[np.ndarray, "2"]
+    times: Float[np.ndarray, " found"]
+    places: Float[np.ndarray, "2 found"]
+    run: Run
+    outcome: str
+
+
+class Course(NamedTuple):
+    """Where two waves would be at times 0 ... `time`, had they never met: x + c t; as points they do at `meeting`."""
+
+    starts: np.ndarray
+    speeds: np.ndarray
+    meeting: float
+    time: float
+    sites: int
+    longer: int
+
+    @property
+    def frames(self) -> int:
+        """As close as before they meet."""
+        return FRAMES * (1 + self.longer) + 1
+
+    def places(self, times: np.ndarray) -> np.ndarray:
+        """(2, T), in contacts."""
+        return self.starts[:, None] + self.speeds[:, None] * times
+
+
+@checked
+def collide(
+    first: Wave, second: Wave, *, tolerance: Scalar = 1e-6, tail: Scalar = 1e-14, step: Scalar | None = None,
+    progress: bool = False,
+) -> Collision:
+    r"""Two solitary waves of one chain meet: where each is afterwards, beside where it would be alone.
+
+    Both are put on a chain with free ends, so far apart that the tail of neither reaches the other; they run until they
+    are as far apart again, and longer where they are not yet free of what they shed. Each is found by least squares of
+    the exact wave of its speed, before and after they met: a shift is the distance of two lines of places, at the time
+    when they would meet as points. Where the chain is not integrable, the waves leave with other speeds, so the shift
+    depends on that time, by speeds_after - speeds.
+
+    **Arguments:**
+
+    - `first`, `second`: of `solitary_wave`, of one law and mass. They overtake where both run one way, and meet
+      head-on where one of them has a speed below zero. Their speeds must differ.
+    - `tolerance`: error of the shifts [contacts] above which they are followed four, then sixteen times as long, by
+      half the step each time.
+    - `tail` in (0, 0.01): share of its peak at which a wave ends; larger means a shorter chain and run, and an error
+      of about that in contacts. Time and sites grow as ln(1/tail) over the difference in speed.
+    - `step`: time step; `None` a fifth of one over the bound on the chain's frequencies, to begin with.
+    - `progress`: a progress bar.
+
+    **Returns:** `Collision`. **Raises** ValueError for two of different chains, equal speeds, traced numbers.
+    Not differentiable: places are fitted. Toda's k = 1 and 0.5: shifts +1.180269670641735, -2.360539341283469
+    overtaking, +0.2273362938026457, -0.4546725876052915 head-on.
+    Source: N. J. Zabusky, M. D. Kruskal, Phys. Rev. Lett. 15, 240 (1965); Y. Shen, P. G. Kevrekidis, S. Sen,
+    A. Hoffman, Phys. Rev. E 90, 022905 (2014).
+    """
+    waves = known("first", first), known("second", second)
+    tail = float(within("tail", tail, 0, 0.01, open_low=True, open_high=True))
+    _of_one_chain(*waves)
+    parted = max(reach_of(wave, tail) for wave in waves)
+    given = None if step is None else float(positive("step", step))
+    tolerance = float(positive("tolerance", tolerance))
+    for longer in LONGER:
+        course = _course(waves, parted, longer)
+        found = _measured(waves, course, parted, _runs(waves, course, given, progress))
+        if found.shift_errors.max() <= tolerance:
+            break
+    return found
+
+
+def _runs(waves, course, step, progress):
+    """With a step, and with twice as much."""
+    lattice = Lattice(waves[0].mass, Bond(Shift(1, "free"), waves[0].law), sites=course.sites)
+    lattice = lattice.counted_in(waves[0].units or lattice.units)
+    parts = [wave.state(course.sites, start) for wave, start in zip(waves, course.starts)]
+    state = State(*(a + b for a, b in zip(*parts)))
+    if step is None:
+        step = STEP / course.longer**0.5 / float(frequency_bound(lattice, state, 0.0, course.time))
+    # twice the step is to fit between two frames
+    step = min(step, course.time / (2 * (course.frames - 1)))
+    known = {"save_at": course.frames, "progress": progress}
+    return [simulate(lattice, state, course.time, step=h, **known) for h in (step, 2 * step)]
+
+
+def _of_one_chain(first, second):
+    media = [(wave.law, wave.mass) for wave in (first, second)]
+    if not eqx.tree_equal(*media, rtol=SAME, typematch=False) or first.units != second.units:
+        refuse("second", "a wave of the same law, mass and units as the first", "another chain",
+               "Both are of solitary_wave(law, ...) with one law.")
+    one, two = float(first.speed), float(second.speed)
+    if abs(one - two) <= SAME * abs(one):
+        refuse("second", "a speed other than the first's", f"{two:g} of both",
+               "Two waves of one speed never meet; for one to the left take speed=-c.")
+
+
+def _course(waves, parted, longer):
+    speeds = np.array([float(wave.speed) for wave in waves])
+    meeting = (1 + MORE) * parted / abs(speeds[0] - speeds[1])
+    ends = np.concatenate([-speeds, longer * speeds]) * meeting
+    margin = parted + BEYOND
+    sites = shared_size(int(np.ceil(np.ptp(ends) + 2 * margin)) + 2)
+    course = Course(margin - ends.min() - speeds * meeting, speeds, meeting, (1 + longer) * meeting, sites, longer)
+    held_in_memory("first and second", sites, 32 * course.frames, "sites, at speeds so close")
+    return course
+
+
+def _measured(waves, course, parted, runs):
+    ts, meeting = np.asarray(runs[0].ts, float), course.meeting
+    share = MORE / (1 + MORE)
+    early, late = ts <= share * meeting * (1 + SAME), ts >= course.time - share * (course.time - meeting) * (1 + SAME)
+    both = [-np.diff(np.asarray(one.us, float), axis=1) for one in runs]
+    sooner, later = [x[early] for x in both], [x[late] for x in both]
+    free = course.places(ts)
+    before = [tracked(w, ts[early], *sooner, x[early]) for w, x in zip(waves, free)]
+    after = [tracked(w, ts[late], *later, _highest(w, later[0], x[late], parted)) for w, x in zip(waves, free)]
+    after, besides, lost = zip(*(_own(track, later) for track in after))
+    lines = np.array([[track.at(meeting) for track in tracks] for tracks in (before, after)])
+    shifts, errors = lines[1, :, 0] - lines[0, :, 0], lines[..., 1].sum(0)
+    amplitudes, energies = (np.array([number_of(*pair, name) for pair in zip(after, besides)])
+                            for name in ("amplitude", "energy"))
+    misfits = np.array([track.misfit for track in after])
+    separation = float(np.min(np.abs(after[0].places - after[1].places)))
+    told = _apart(misfits, separation, parted, lost)
+    if told:
+        shifts, errors, amplitudes, energies = (np.full_like(x, np.nan) for x in (shifts, errors, amplitudes, energies))
+    kdv, toda_shifts, reasons = predicted(*waves)
+    energy = float(sum(float(w.energy) for w in waves))
+    of = lambda name: np.array([float(getattr(w, name)) for w in waves])
+    speeds = np.array([[track.speed, track.speed_error] for track in after])
+    told = told or f"They have parted, by {separation:.4g} contacts; shifts to {errors.max():.1e} contacts."
+    return Collision(
+        kind=_kind(waves), meeting=meeting, meeting_place=float(course.places(np.array([meeting]))[0, 0]),
+        shifts=shifts, shift_errors=errors, kdv_shifts=kdv, toda_shifts=toda_shifts, speeds=of("speed"),
+        speeds_after=speeds[:, 0], speed_errors=speeds[:, 1], amplitudes=of("amplitude"),
+        amplitudes_after=amplitudes[:, 0], amplitude_errors=amplitudes[:, 1], energy=energy,
+        radiated=float(energy - energies[:, 0].sum()), radiated_error=float(energies[:, 1].sum()),
+        separation=separation, least_separation=float(parted), misfits=misfits,
+        times=np.concatenate([ts[early], ts[late]]),
+        places=np.stack([np.concatenate([b.places, a.places]) for b, a in zip(before, after)]), run=runs[0],
+        outcome=" ".join([told, *reasons]), _mark=waves[0]._mark,
+    )
+
+
+def _kind(waves):
+    return "overtaking" if float(waves[0].speed) * float(waves[1].speed) > 0 else "head-on"
+
+
+def _highest(wave, strains, free, parted):
+    """The contact of the largest strain of the wave's sign, within half the distance of where it would be alone."""
+    near = np.abs(np.arange(strains.shape[1]) - free[:, None]) < parted / 2
+    return np.argmax(np.where(near, np.sign(float(wave.amplitude)) * strains, -np.inf), 1).astype(float)
+
+
+def _own(track, strains):
+    """The track by the wave of its own speed, one near by, and why there is none."""
+    try:
+        return *of_own_speed(track, *strains), ""
+    except ValueError as error:
+        return track, track.wave, str(error)
+
+
+def _apart(misfits, separation, parted, lost):
+    """Why there is no shift; empty where there is one."""
+    if any(lost):
+        return f"No shift: what leaves is no solitary wave. {next(filter(None, lost))}"
+    if not separation > 0.8 * parted:
+        return (f"No shift: the waves have not parted, {separation:.4g} contacts are between them and {parted:.4g} "
+                "would be needed.")
+    if not (misfits < MISFIT).all():
+        return (f"No shift: what leaves differs from a solitary wave by {np.nanmax(misfits):.1%} of its peak: other "
+                "waves are still about it.")
+    return ""
+
+
+def predicted(first: Wave, second: Wave) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """Shifts by Korteweg-de Vries and by Toda for solitons of the same speeds, and why there are none."""
+    none = np.full(2, np.nan)
+    K2, K3, _ = (float(x) for x in taylor(first.law))
+    waves = first, second
+    if not (np.isfinite(K2) and K2 > 0):
+        return none, none, ["KdV and Toda say nothing of a chain without sound."]
+    if K3 == 0 or any(K3 * float(wave.amplitude) < 0 for wave in waves):
+        return none, none, ["KdV and Toda have no such waves: K3 of this chain is zero or of the other sign."]
+    sound, speeds = np.sqrt(K2 / float(first.mass)), np.array([float(wave.speed) for wave in waves])
+    way, head_on = np.sign(speeds[0]), _kind(waves) == "head-on"
+    constants = dict(zip(("strength", "rate"), toda.matched(K2, K3)), mass=first.mass)
+    k = toda.wavenumber(speed=np.abs(speeds), **constants)
+    toda_shifts = way * np.array([float(x) for x in toda.phase_shifts(k[0], k[1], head_on=head_on)])
+    if head_on:
+        return none, toda_shifts, ["KdV knows waves of one way alone."]
+    # sech^2(kappa x), kappa^2 = 6 (c/sigma - 1)
+    kappa = np.sqrt(6 * (np.abs(speeds) / sound - 1))
+    log = np.log((kappa[0] + kappa[1]) / abs(kappa[0] - kappa[1])) * np.sign(kappa[0] - kappa[1])
+    return way * log / kappa * np.array([1, -1]), toda_shifts, []

@@ -1,0 +1,215 @@
+"""A wave that meets the end of its chain: delay, amplitude and energy of what comes back, over the end's stiffness."""
+
+from typing import Any, ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..checks import held_in_memory, positive, refuse, whole
+from ..entry import checked
+from ..flow import Run, frequency_bound, simulate
+from ..lattice import Lattice, State
+from ..laws import Law
+from ..programs import shared_size
+from ..results import Held, Result
+from ..strains import Shift
+from ..terms import Bond, Wall
+from ..types import Count, Numbers, Scalar
+from .tracking import MISFIT, known, number_of, of_own_speed, reach_of, tracked
+from .wave import Wave
+
+# frames of a run, contacts beyond, h omega, share of its peak at which a wave ends, and the least frames for a line
+FRAMES, BEYOND, STEP, TAIL, LEAST = 257, 8, 0.2, 1e-14, 6
+# how often a run is taken again, twice as long, until the slowest lane's wave is back
+AGAIN = 4
+
+
+class Reflection(Result):
+    """What `reflect` returns; arrays over the lanes of the wall, or single numbers.
+
+    - `delay`: of the leading reflected wave at the last bead, against an ideal mirror there that turns a wave at once
+      and as it is [s]; below zero it is early, as at a rigid end. `delay_error`: distance from the truth, by either
+      half of the frames and by twice the time step. NaN where no solitary wave came back, for the reason in `outcome`.
+    - `speeds` [1/s], `amplitudes` [m], `energies` [J] of the reflected wave, with `speed_errors`, `amplitude_errors`,
+      `energy_errors`; `speed`, `amplitude`, `energy` of the one that was sent. What it has lost is in other waves.
+    - `misfits`: what the reflected wave leaves of the strains about it, over its peak.
+    - `distance`: from the last bead, at which it was followed on [contacts]; `run`: the run, for pictures.
+    """
+
+    held: ClassVar[dict[str, Held]] = {
+        "delay": Held("", "s"), "delay_error": Held("", "s"), "speeds": Held("", "1/s"),
+        "speed_errors": Held("", "1/s"), "amplitudes": Held("", "m"), "amplitude_errors": Held("", "m"),
+        "energies": Held("", "J"), "energy_errors": Held("", "J"), "misfits": Held("", "1"),
+        "speed": Held(None, "1/s"), "amplitude": Held(None, "m"), "energy": Held(None, "J"),
+        "distance": Held(None, "1"), "run": Held(None),
+    }
+    delay: Numbers
+    delay_error: Numbers
+    speeds: Numbers
+    speed_errors: Numbers
+    amplitudes: Numbers
+    amplitude_errors: Numbers
+    energies: Numbers
+    energy_errors: Numbers
+    misfits: Numbers
+    speed: float
+    amplitude: float
+    energy: float
+    distance: int
+    run: Run
+    outcome: str
+
+
+@checked
+def reflect(
+    wave: Wave, wall: Law | None = None, *, distance: Count | None = None, step: Scalar | None = None,
+    progress: bool = False,
+) -> Reflection:
+    r"""A solitary wave is sent against the wall at the end of its chain: when and as what it comes back.
+
+    The leading reflected wave is found, as in `collide`, by least squares of the exact wave of its speed, while it runs
+    through `distance` to 1.5 `distance` contacts from the last bead. Its line of places, followed back, leaves the last
+    bead a `delay` after the line of the wave that was sent has come there.
+
+    **Arguments:**
+
+    - `wave`: of `solitary_wave`, to the right (speed > 0). `wall`: law of the contact between the last bead and the
+      wall, of any kind, from equilibrium; parameters of shape (B,) are lanes, all in one program. `None`: rigid, the
+      last bead is held; the limit of an infinitely stiff contact, which the waves of all stiffer walls approach.
+    - `distance`: contacts; `None` is twice the length of the wave's tail, 30 at least. Further away more of what else
+      comes back has fallen behind.
+    - `step`: time step; `None` a fifth of one over the bound on the frequencies of the stiffest lane.
+    - `progress`: a progress bar.
+
+    A bead of radius R on an elastic half-space of Young's modulus E (an array: lanes), in SI:
+    `wall = gx.Hertz(gx.materials.hertz_coefficient("steel 316", R, gx.Material("wall", E, 0.3, 1.0), jnp.inf), F0)`.
+
+    **Returns:** `Reflection`. The delay falls as the contact stiffens, towards the rigid limit: -ln(cosh k)/sinh k for
+    Toda's soliton. **Raises** ValueError for a wave to the left, traced numbers, a wall with more than one axis of
+    lanes. Not differentiable: places are fitted.
+    Source: J. Yang, C. Silvestro, D. Khatri, L. De Nardo, C. Daraio, Phys. Rev. E 83, 046606 (2011); S. Job, F. Melo,
+    A. Sokolow, S. Sen, Phys. Rev. Lett. 94, 178002 (2005).
+    """
+    known("wave", wave)
+    known("wall", wall)
+    if not float(wave.speed) > 0:
+        refuse("wave", "one to the right, where the wall is", f"speed {float(wave.speed):g}")
+    reach = reach_of(wave, TAIL)
+    distance = max(30, int(np.ceil(2 * reach))) if distance is None else whole("distance", distance, 4)
+    given = None if step is None else float(positive("step", step))
+    scene = _Scene(wave, wall, reach, distance)
+    for i in range(AGAIN):
+        runs = scene.runs(scene.time * 2**i, given, progress)
+        found, lost = zip(*(_returned(scene, runs, lane) for lane in range(scene.count)))
+        if not any(why == LATE for why in lost):
+            break
+    columns = np.array(found).reshape(scene.lanes + (9,))
+    return Reflection(
+        *np.moveaxis(columns, -1, 0), speed=float(wave.speed), amplitude=float(wave.amplitude),
+        energy=float(wave.energy), distance=distance, run=runs[0], outcome=_told(scene, columns[..., 1], lost),
+        _mark=runs[0]._mark,
+    )
+
+
+LATE = "no wave has come back yet"
+
+
+class _Scene:
+    """A chain with its wall, and the wave on its way."""
+
+    def __init__(self, wave: Wave, wall: Law | None, reach: float, distance: int):
+        self.wave, self.wall, self.distance = wave, wave.law if wall is None else wall, distance
+        more = 0.25 * reach + 4
+        room = max(1.5 * distance + reach, 2 * reach + more)
+        self.sites = shared_size(int(np.ceil(room)) + BEYOND)
+        self.lanes = _lanes(self.wall)
+        self.count = int(np.prod(self.lanes))
+        # contact n lies at n + 1/2 of the beads; a bead that is held is the wall of one bead less
+        self.mirror = self.sites - (0.5 if wall is None else 1.5)
+        self.start, speed = self.mirror - reach - more, float(wave.speed)
+        self.arrival, self.before = (reach + more) / speed, more / speed
+        self.time = self.arrival + 1.25 * (1.5 * distance + reach) / speed
+        held_in_memory("distance", self.sites * self.count, 64 * FRAMES, "sites and lanes")
+
+    def runs(self, time: float, step: float | None, progress: bool) -> list[Run]:
+        """With a step, and with twice as much."""
+        lattice, state = self._lattice(), self.wave.state(self.sites, self.start)
+        # the beads ahead of the wave are at rest in place, as the wall is
+        state = State(*(jnp.broadcast_to(x.reshape((-1,) + (1,) * len(self.lanes)), x.shape + self.lanes)
+                        for x in state))
+        if step is None:
+            step = STEP / float(frequency_bound(lattice, state, 0.0, time))
+        step = min(step, time / (2 * (FRAMES - 1)))
+        return [simulate(lattice, state, time, step=h, save_at=FRAMES, progress=progress) for h in (step, 2 * step)]
+
+    def _lattice(self):
+        bond, units = Bond(Shift(1, "free"), self.wave.law), self.wave.units
+
+        def made(wall):
+            lattice = Lattice(self.wave.mass, (bond, Wall(wall, "right")), sites=self.sites)
+            return lattice.counted_in(units or lattice.units)
+
+        if not self.lanes:
+            return made(self.wall)
+        over = jax.tree.map(lambda x: 0 if eqx.is_array(x) and x.shape == self.lanes else None, self.wall)
+        return jax.vmap(made, in_axes=(over,), out_axes=-1)(self.wall)
+
+
+def _lanes(wall: Any) -> tuple[int, ...]:
+    shape = jax.eval_shape(lambda e: wall.force(e), jax.ShapeDtypeStruct((), float)).shape
+    if len(shape) > 1:
+        refuse("wall", "parameters that are numbers, or one row of lanes (B,)", f"shape {shape}")
+    return shape
+
+
+def _returned(scene, runs, lane):
+    """Nine numbers of one lane, NaN where they are not known, and why."""
+    wave, none = scene.wave, [np.nan] * 9
+    ts = np.asarray(runs[0].ts, float)
+    at = (lane,) if scene.lanes else ()
+    both = [-np.diff(np.asarray(run.us, float)[(..., *at)], axis=1) for run in runs]
+    first = ts <= scene.before
+    sent = tracked(wave, ts[first], *(x[first] for x in both), scene.start + float(wave.speed) * ts[first])
+    frames, guesses, past = _leading(scene, ts, np.sign(float(wave.amplitude)) * both[0])
+    if not past or len(frames) < LEAST:
+        return none, LATE
+    strains = [x[frames] for x in both]
+    try:
+        back = tracked(wave, ts[frames], *strains, guesses)
+        back, beside = of_own_speed(back, *strains)
+    except ValueError as error:
+        return none, f"what comes back is no solitary wave: {error}"
+    if not back.misfit < MISFIT:
+        return none, f"what comes back differs from a solitary wave by {back.misfit:.1%} of its peak"
+    (came, early), (left, late) = sent.passes(scene.mirror), back.passes(scene.mirror)
+    amplitude, energy = (number_of(back, beside, name) for name in ("amplitude", "energy"))
+    return [left - came, early + late, -back.speed, back.speed_error, *amplitude, *energy, back.misfit], ""
+
+
+def _leading(scene, ts, strains):
+    """Frames in which the largest strain away from the wall is where waves are followed; places; whether it left."""
+    near, far = scene.mirror - scene.distance, scene.mirror - 1.5 * scene.distance
+    places = np.argmax(strains[:, : int(near + scene.distance / 2)], axis=1)
+    within = (ts > scene.arrival) & (places <= near) & (places >= far)
+    first = int(np.argmax(within))
+    count = int(np.argmin(np.append(within[first:], False)))
+    past = bool(within.any()) and first + count < len(ts)
+    frames = np.arange(first, first + count)
+    return frames, places[frames].astype(float), past
+
+
+def _told(scene, errors, lost):
+    """The outcome, in sentences."""
+    why = list(dict.fromkeys(filter(None, lost)))
+    if not why:
+        said = f"Came back; delays to {np.max(errors):.1e} of their unit."
+    else:
+        some = f"Of {sum(map(bool, lost))} of {scene.count} walls" if scene.count > 1 else "Of this wall"
+        said = f"{some} nothing is known: {'; '.join(why)}. A larger distance lets waves part."
+    loads = [float(np.max(np.asarray(law.preload))) for law in (scene.wall, scene.wave.law)]
+    if abs(loads[0] - loads[1]) > 1e-9 * max(map(abs, loads)):
+        said += (f" The wall's static force {loads[0]:.4g} is not the chain's {loads[1]:.4g}: a constant load on the "
+                 "last bead holds the difference.")
+    return said

@@ -1,0 +1,140 @@
+"""Where a wave is and how fast it runs, from the strains of a run: a fit of the wave's own shape, frame by frame."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ..checks import refuse, traced
+from .solitary import solitary_wave
+from .wave import Wave
+
+# least squares: of Gauss's iteration, and its last step in contacts
+ITERATIONS, STILL = 12, 1e-13
+# share of the peak at which the window of a fit ends; a fit that leaves more than this of the peak is of no wave
+WINDOW, MISFIT = 1e-3, 0.02
+# speeds closer than this have one shape; how often the shape of another speed is looked for
+NEAR, ROUNDS = 1e-5, 3
+
+
+class Track(NamedTuple):
+    """A wave in some frames: where it is, and the straight line through that.
+
+    `wave`: the exact wave of about its speed. `coarse`: places in a run of twice the step. `misfit`: what the fit
+    leaves, over the peak, in the worst frame.
+    """
+
+    wave: Wave
+    times: np.ndarray
+    places: np.ndarray
+    coarse: np.ndarray
+    misfit: float
+
+    @property
+    def speed(self) -> float:
+        """The slope of the line through the places."""
+        return _line(self.times, self.places)[1]
+
+    @property
+    def speed_error(self) -> float:
+        """How far other lines' slopes are from it: of either half of the frames, and of twice the step."""
+        return max(abs(_line(*other)[1] - self.speed) for other in self._others())
+
+    def at(self, time: float) -> tuple[float, float]:
+        """Where the line is at a time, and how far the other lines are from there."""
+        place = _at(time, self.times, self.places)
+        return place, max(abs(_at(time, *other) - place) for other in self._others())
+
+    def passes(self, place: float) -> tuple[float, float]:
+        """When the line is at a place, and its error."""
+        time = self.times.mean() + (place - self.places.mean()) / self.speed
+        return time, self.at(time)[1] / abs(self.speed)
+
+    def _others(self):
+        half = (len(self.times) + 1) // 2
+        parts = slice(half), slice(len(self.times) - half, None)
+        return [*((self.times[part], self.places[part]) for part in parts), (self.times, self.coarse)]
+
+
+def known(argument: str, wave: Wave) -> Wave:
+    """A wave whose numbers are there."""
+    if traced(wave):
+        refuse(argument, "a wave whose numbers are known", "a traced one",
+               "A fit in frames of a run has no derivative; differentiate gx.simulate itself, or take differences.")
+    return wave
+
+
+def reach_of(wave: Wave, share: float) -> float:
+    """From which place on the strain is below a share of the peak."""
+    x, peak = 1.0, abs(float(wave.amplitude))
+    while abs(float(wave.strain(x))) > share * peak:
+        x *= 1.1
+    return x
+
+
+def tracked(wave: Wave, times: np.ndarray, strains: np.ndarray, coarse: np.ndarray, guesses: np.ndarray) -> Track:
+    """A wave followed through frames of strains (T, contacts), also of a coarser run, from a guess for each frame."""
+    places, misfit = fitted(wave, strains, guesses)
+    return Track(wave, times, places, fitted(wave, coarse, places)[0], misfit)
+
+
+def of_own_speed(track: Track, strains: np.ndarray, coarse: np.ndarray) -> tuple[Track, Wave]:
+    """The same, by the exact wave of the speed that it has; and another wave near by, for derivatives in the speed.
+
+    **Raises** ValueError where the law has no wave of that speed.
+    """
+    for _ in range(ROUNDS if track.misfit < 1 else 0):
+        wave, speed = track.wave, track.speed
+        own = float(wave.speed)
+        side = "compression" if float(wave.amplitude) > 0 else "tension"
+        close = abs(speed / own - 1) < NEAR
+        beside = solitary_wave(wave.law, speed=own * (1 + NEAR) if close else speed, mass=wave.mass, side=side)
+        if close:
+            return track, beside
+        track = tracked(beside, track.times, strains, coarse, track.places)
+        if abs(track.speed / float(beside.speed) - 1) < NEAR and abs(speed / own - 1) < 0.01:
+            return track, wave
+    return track, wave
+
+
+def number_of(track: Track, beside: Wave, name: str) -> tuple[float, float]:
+    """Amplitude or energy of the wave of the track's speed, and its error."""
+    at, speed = float(getattr(track.wave, name)), float(track.wave.speed)
+    slope = (float(getattr(beside, name)) - at) / (float(beside.speed) - speed)
+    rounding = np.finfo(float).eps * abs(at) * 8
+    return at + slope * (track.speed - speed), abs(slope) * track.speed_error + rounding
+
+
+def fitted(wave: Wave, strains: np.ndarray, guesses: np.ndarray) -> tuple[np.ndarray, float]:
+    """Places (T,) at which the wave's shape is nearest to the strains, and what remains over the peak, at most.
+
+    Places count contacts. The window moves with the wave, so that an even remainder moves no place.
+    """
+    contacts, peak = strains.shape[1], float(wave.amplitude)
+    half = int(np.ceil(reach_of(wave, WINDOW))) + 1
+    window, rows = np.arange(-half, half + 1), np.arange(len(strains))[:, None]
+    places = np.array(guesses, float)
+    with np.errstate(all="ignore"):
+        for _ in range(ITERATIONS):
+            middle = np.clip(np.nan_to_num(np.rint(places)), half, contacts - 1 - half).astype(int)
+            n = middle[:, None] + window
+            xi = n - places[:, None]
+            # d strain/d xi = -(v_n - v_{n+1})/c
+            velocities = np.asarray(wave.velocity(np.stack([xi, xi + 1])))
+            slope = -(velocities[0] - velocities[1]) / float(wave.speed)
+            rest = strains[rows, n] - np.asarray(wave.strain(xi))
+            move = -(rest * slope).sum(1) / (slope**2).sum(1)
+            places = places + np.clip(move, -1, 1)
+            if np.abs(move).max() < STILL * contacts**0.5:
+                break
+    return places, float(np.max(np.abs(rest)) / abs(peak))
+
+
+def _line(times, places):
+    t = times - times.mean()
+    slope = float(t @ places / (t @ t))
+    return float(places.mean()), slope
+
+
+def _at(time, times, places):
+    mean, slope = _line(times, places)
+    return mean + slope * (time - times.mean())
