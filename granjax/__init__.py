@@ -94,7 +94,7 @@ Measurements and design
     smooth_peak         a maximum that differentiates
 Theory and studies
     theory              closed forms: envelopes (nls), Toda, KdV, compactons, elliptic functions
-    travelling          solitary waves, and waves of dimers and of beads with resonators
+    travelling          solitary waves, and waves of dimers and of beads with resonators; collisions, reflection
     Resonator           a mass on a spring in every bead
     studies             a rectifier, dark and bright breathers, as they were made
     resonance           transmission of dimers over their mass ratio

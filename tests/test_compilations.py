@@ -311,6 +311,13 @@ def _(seed):
     travelling.tail_free(lambda ratio: (gx.Hertz(f), [1.0, ratio]), 0.33, 0.36, speed=1.0).state(9)
 
 
+@also("collide and reflect", SLOW)
+def _(seed):
+    law, f = gx.Toda(1.0 + 0.1 * seed), (1.0 + 0.1 * seed) ** 0.5
+    one, two = (gx.travelling.solitary_wave(law, speed=c * f) for c in (1.5, -1.4))
+    repr(gx.travelling.collide(one, two)), repr(gx.travelling.reflect(one, gx.Toda(jnp.array([0.3, 3.0]) * f)))
+
+
 def bump(x):
     return jnp.exp(-(x**2))
 

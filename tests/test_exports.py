@@ -146,6 +146,10 @@ MAKERS = {
     "Oscillations": lambda: Oscillations(np.ones(3), np.ones(3), 41),
     "ResonanceMap": lambda: ResonanceMap(
         np.ones(2), np.arange(3.0), np.ones((2, 3)), np.ones((2, 3)), ("a", "b"), "2:1", (8, 20)),
+    "Collision": lambda: gx.travelling.Collision(
+        "overtaking", 1.0, 2.0, *np.ones((10, 2)), 3.0, 0.1, 0.01, 40.0, 30.0, np.ones(2), np.arange(4.0),
+        np.ones((2, 4)), run(), "They have parted.", **OTHER),
+    "Reflection": lambda: gx.travelling.Reflection(*np.ones((9, 3)), 1.0, 1.5, 2.8, 30, run(), "Back.", **OTHER),
     "Transmission": lambda: Transmission(np.ones(3), np.ones(3), np.ones(3), 1.0, 9, 20.0),
     "Extrema": lambda: Extrema(np.ones(2), np.ones(2), np.ones(0), np.ones(0)),
     "PeriodicWave": lambda: gx.travelling.periodic_wave(gx.Toda(), 8.0, amplitude=0.1),

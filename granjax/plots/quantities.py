@@ -16,7 +16,7 @@ _QUANTITIES = {
     "amplitude": "m", "velocity": "m/s", "speed": "m/s", "group velocity": "1/s", "acceleration": "m/s^2",
     "force": "N", "load": "N", "energy": "J", "power": "W", "frequency": "Hz", "angular frequency": "rad/s",
     "damping": "1/s", "rate": "1/s", "stress": "Pa", "pressure": "Pa", "modulus": "Pa", "mass": "kg", "voltage": "V",
-    "site": "", "contact": "", "frame": "", "period": "s", "bead": "", "wave number": "",
+    "site": "", "contact": "", "frame": "", "period": "s", "delay": "s", "bead": "", "wave number": "",
 }
 OMEGA = r"angular frequency $\omega$"
 SAID = re.compile(r".*[([][^)\]]+[)\]]\s*$")

@@ -1,4 +1,4 @@
-"""Travelling waves: a profile with its slope, and how far closed forms are from it."""
+"""Travelling waves: a profile with its slope, how far closed forms are from it, and what a wall sends back."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -6,13 +6,13 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from ..checks import refuse, within
+from ..checks import positive, refuse, within
 from ..entry import checked
-from ..types import Numbers, Scalar
+from ..types import Numbers, Parameter, Scalar
 from ..units import UnitsOrWords
 from .arrays import numbers
 from .curves import profile
-from .quantities import Axis, drawn_in, scaled_by, units_of
+from .quantities import Axis, drawn_in, quantity, scaled_by, units_of
 from .style import COLOURS, AxesOrNone, axes_or_new
 
 
@@ -87,4 +87,56 @@ def wave_errors(record: Any, ax: AxesOrNone = None, *, floor: Scalar = 1e-12, un
     ax.set_xlabel(label)
     ax.set_ylabel("largest error of the strain over the peak")
     ax.legend(frameon=False)
+    return ax
+
+
+@checked
+def reflection(
+    record: Any, stiffness: Parameter, ax: AxesOrNone = None, *, rigid: Any = None,
+    x_label: str = "stiffness of the wall's contact", units: UnitsOrWords = None,
+) -> Axes:
+    """Delay (left axis) and amplitude (right axis) of the wave that a wall reflects, over the wall's stiffness.
+
+    **Arguments:**
+
+    - `record`: anything with `delay`, `delay_error`, `amplitudes` (B,) and `amplitude`, such as the result of
+      `gx.travelling.reflect`. `stiffness` (B,) > 0: what the lanes of the wall were made of; Young's moduli with
+      `x_label="modulus"`, whose units then are drawn as well.
+    - `rigid`: a record of a rigid wall, drawn as the lines that the curves approach.
+    - `units`: `"us"`, `("um", "GPa")`, as in `granjax.plots`.
+
+    **Returns:** the Axes of the delay, with error bars; that of the amplitude over `record.amplitude`, the wave's own,
+    is `ax.child_axes[0]`. **Raises** ValueError for a record without these, or of another shape than the stiffness.
+    """
+    needed = ("delay", "delay_error", "amplitudes", "amplitude")
+    for name, one in (("record", record), ("rigid", rigid)):
+        if not (all(hasattr(one, x) for x in needed) or name == "rigid" and one is None):
+            refuse(name, f"a record with {', '.join(needed)}", type(one).__name__,
+                   "Give the result of gx.travelling.reflect.")
+    over = np.asarray(positive("stiffness", stiffness))
+    delay, error, amplitude = (numbers(f"record.{name}", getattr(record, name), finite=False) for name in needed[:3])
+    if over.ndim != 1 or not delay.shape == error.shape == amplitude.shape == over.shape:
+        refuse("stiffness", f"one number per lane of the record, shape {delay.shape}", f"shape {over.shape}")
+    by_x, by_y = drawn_in(units, units_of(record), Axis(x_label, over, quantity(x_label) or ""),
+                          Axis("delay", delay, "s"))
+    ax = axes_or_new(ax, 5.6, 3.8)
+    order = np.argsort(over)
+    x, y = scaled_by(over[order], by_x.factor), scaled_by(delay[order], by_y.factor)
+    ax.errorbar(x, y, scaled_by(error[order], by_y.factor), fmt="o-", ms=4, color=COLOURS[0], label="delay")
+    beside = ax.inset_axes([0, 0, 1, 1])
+    beside.patch.set_alpha(0.0)
+    beside.yaxis.tick_right()
+    beside.yaxis.set_label_position("right")
+    beside.plot(x, amplitude[order] / float(record.amplitude), "s--", ms=4, color=COLOURS[1], label="amplitude")
+    beside.tick_params(axis="x", which="both", bottom=False, labelbottom=False)
+    beside.set_ylabel("reflected amplitude / that sent")
+    if rigid is not None:
+        ax.axhline(scaled_by(float(rigid.delay), by_y.factor), color=COLOURS[0], lw=0.8, ls=":")
+        beside.axhline(float(rigid.amplitudes) / float(rigid.amplitude), color=COLOURS[1], lw=0.8, ls=":")
+    for one in (ax, beside):
+        one.set_xscale("log")
+    beside.set_xlim(ax.get_xlim())
+    ax.set_xlabel(by_x.label)
+    ax.set_ylabel(by_y.label)
+    ax.legend([*ax.containers, *beside.lines[:1]], ["delay", "amplitude"], frameon=False, loc="center right")
     return ax

@@ -24,7 +24,8 @@ from .wave import Wave
 FRAMES, MORE, BEYOND, STEP = 64, 0.25, 8, 0.2
 # how many times as long as before two waves are followed after they met, until they are free of what they shed
 LONGER = 1, 4, 16
-SAME = 1e-12
+# share of its peak at which a wave ends, over the tolerance, and not below; speeds and laws that are the same
+TAIL, ROUNDING, SAME = 1e-6, 1e-15, 1e-12
 
 
 class Collision(Result):
@@ -99,8 +100,7 @@ class Course(NamedTuple):
 
 @checked
 def collide(
-    first: Wave, second: Wave, *, tolerance: Scalar = 1e-6, tail: Scalar = 1e-14, step: Scalar | None = None,
-    progress: bool = False,
+    first: Wave, second: Wave, *, tolerance: Scalar = 1e-7, step: Scalar | None = None, progress: bool = False,
 ) -> Collision:
     r"""Two solitary waves of one chain meet: where each is afterwards, beside where it would be alone.
 
@@ -114,10 +114,9 @@ def collide(
 
     - `first`, `second`: of `solitary_wave`, of one law and mass. They overtake where both run one way, and meet
       head-on where one of them has a speed below zero. Their speeds must differ.
-    - `tolerance`: error of the shifts [contacts] above which they are followed four, then sixteen times as long, by
-      half the step each time.
-    - `tail` in (0, 0.01): share of its peak at which a wave ends; larger means a shorter chain and run, and an error
-      of about that in contacts. Time and sites grow as ln(1/tail) over the difference in speed.
+    - `tolerance` in (0, 0.1): of the shifts [contacts]. The tail of a wave ends at `tolerance`/10^6 of its peak; where
+      an error is larger, they are followed four, then sixteen times as long, by half the step each time. Time and
+      sites grow with the length of the tail over the difference in speed.
     - `step`: time step; `None` a fifth of one over the bound on the chain's frequencies, to begin with.
     - `progress`: a progress bar.
 
@@ -128,11 +127,10 @@ def collide(
     A. Hoffman, Phys. Rev. E 90, 022905 (2014).
     """
     waves = known("first", first), known("second", second)
-    tail = float(within("tail", tail, 0, 0.01, open_low=True, open_high=True))
-    _of_one_chain(*waves)
-    parted = max(reach_of(wave, tail) for wave in waves)
+    tolerance = float(within("tolerance", tolerance, 0, 0.1, open_low=True, open_high=True))
     given = None if step is None else float(positive("step", step))
-    tolerance = float(positive("tolerance", tolerance))
+    _of_one_chain(*waves)
+    parted = max(reach_of(wave, max(TAIL * tolerance, ROUNDING)) for wave in waves)
     for longer in LONGER:
         course = _course(waves, parted, longer)
         found = _measured(waves, course, parted, _runs(waves, course, given, progress))

@@ -1,6 +1,6 @@
 """Where a wave is and how fast it runs, from the strains of a run: a fit of the wave's own shape, frame by frame."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -55,10 +55,10 @@ class Track(NamedTuple):
         return [*((self.times[part], self.places[part]) for part in parts), (self.times, self.coarse)]
 
 
-def known(argument: str, wave: Wave) -> Wave:
-    """A wave whose numbers are there."""
+def known(argument: str, wave: Any) -> Any:
+    """A wave or a law whose numbers are there."""
     if traced(wave):
-        refuse(argument, "a wave whose numbers are known", "a traced one",
+        refuse(argument, "numbers that are known", "traced ones",
                "A fit in frames of a run has no derivative; differentiate gx.simulate itself, or take differences.")
     return wave
 
