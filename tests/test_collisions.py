@@ -69,14 +69,28 @@ def test_a_collision_in_steel_beads_is_that_in_scaled_numbers():
     assert (np.abs(found.shifts - found.toda_shifts) > 10 * found.shift_errors).all()
 
 
-def test_toda_at_a_rigid_end_meets_its_mirror_image(fast):
-    found = reflect(fast)
-    assert float(found.delay) == pytest.approx(-np.log(np.cosh(1.0)) / np.sinh(1.0), abs=1e-8)
-    assert abs(found.delay + np.log(np.cosh(1.0)) / np.sinh(1.0)) <= found.delay_error
-    assert float(found.amplitudes) == pytest.approx(found.amplitude, rel=1e-8)
+def test_a_stiffer_wall_sends_a_wave_back_earlier_towards_the_rigid_limit(fast):
+    stiffness = np.array([50.0, 500.0])
+    found, rigid = reflect(fast, gx.Linear(jnp.asarray(stiffness)), distance=58), reflect(fast, distance=58)
+    # at a rigid end Toda's soliton meets its mirror image
+    mirror = -np.log(np.cosh(1.0)) / np.sinh(1.0)
+    assert float(rigid.delay) == pytest.approx(mirror, abs=1e-8) and abs(rigid.delay - mirror) <= rigid.delay_error
+    assert float(rigid.amplitudes) == pytest.approx(rigid.amplitude, rel=1e-8)
+    assert found.delay.shape == (2,) and (np.diff(found.delay) < -10 * found.delay_error[1:]).all()
+    # as far from it as the wall gives way
+    left = found.delay - float(rigid.delay)
+    assert 0 < left[-1] < 1e-2 and left[-2] / left[-1] == pytest.approx(10.0, rel=0.05)
+    assert found.energies[0] < found.energies[1] == pytest.approx(found.energy, rel=1e-8)
+    assert "Came back" in found.outcome
+    assert found.to_xarray().delay.dims == ("lane",)
+    ax = plots.reflection(found, stiffness, rigid=rigid)
+    assert ax.get_ylabel() == "delay (scaled)" and len(ax.child_axes) == 1
+    with pytest.raises(ValueError, match=r"stiffness: expected one number per lane"):
+        plots.reflection(found, stiffness[1:])
 
 
-def test_a_stiffer_wall_sends_a_wave_back_earlier_towards_the_rigid_limit():
+@pytest.mark.slow
+def test_beads_at_a_wall_of_beads():
     wave = solitary_wave(gx.Hertz(), speed=1.0)
     stiffness = np.array([0.1, 1.0, 10.0, 1e3, 1e5])
     found, rigid = reflect(wave, gx.Hertz(jnp.asarray(stiffness))), reflect(wave)
@@ -86,12 +100,7 @@ def test_a_stiffer_wall_sends_a_wave_back_earlier_towards_the_rigid_limit():
     assert left[-1] < 2e-3 and left[-2] / left[-1] == pytest.approx(100 ** (2 / 3), rel=0.05)
     # a wall like a bead is a rigid one of one bead more
     assert left[1] == pytest.approx(1 + 1 / float(found.speeds[1]), abs=1e-6)
-    assert (found.energies < found.energy).all() and "Came back" in found.outcome
-    assert found.to_xarray().delay.dims == ("lane",)
-    ax = plots.reflection(found, stiffness, rigid=rigid)
-    assert ax.get_ylabel() == "delay (scaled)" and len(ax.child_axes) == 1
-    with pytest.raises(ValueError, match=r"stiffness: expected one number per lane"):
-        plots.reflection(found, stiffness[1:])
+    assert (found.energies < found.energy).all()
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ from ..checks import held_in_memory, positive, refuse, whole
 from ..entry import checked
 from ..flow import Run, frequency_bound, simulate
 from ..lattice import Lattice, State
-from ..laws import Law
+from ..laws import Law, taylor
 from ..programs import shared_size
 from ..results import Held, Result
 from ..strains import Shift
@@ -22,8 +22,8 @@ from .wave import Wave
 
 # frames of a run, contacts beyond, h omega, share of its peak at which a wave ends, and the least frames for a line
 FRAMES, BEYOND, STEP, TAIL, LEAST = 257, 8, 0.2, 1e-14, 6
-# how often a run is taken again, twice as long, until the slowest lane's wave is back
-AGAIN = 4
+# how often a run is taken again, twice as long, until the slowest lane's wave is back; what is none, over the peak
+AGAIN, FAINT = 3, 1e-3
 
 
 class Reflection(Result):
@@ -78,8 +78,8 @@ def reflect(
     - `wave`: of `solitary_wave`, to the right (speed > 0). `wall`: law of the contact between the last bead and the
       wall, of any kind, from equilibrium; parameters of shape (B,) are lanes, all in one program. `None`: rigid, the
       last bead is held; the limit of an infinitely stiff contact, which the waves of all stiffer walls approach.
-    - `distance`: contacts; `None` is twice the length of the wave's tail, 30 at least. Further away more of what else
-      comes back has fallen behind.
+    - `distance`: contacts; `None` is so far that sound has fallen behind, 30 at least. Further away more of what else
+      comes back has done so.
     - `step`: time step; `None` a fifth of one over the bound on the frequencies of the stiffest lane.
     - `progress`: a progress bar.
 
@@ -97,7 +97,10 @@ def reflect(
     if not float(wave.speed) > 0:
         refuse("wave", "one to the right, where the wall is", f"speed {float(wave.speed):g}")
     reach = reach_of(wave, TAIL)
-    distance = max(30, int(np.ceil(2 * reach))) if distance is None else whole("distance", distance, 4)
+    # what runs at the speed of sound is to fall behind
+    sound = float(jnp.sqrt(jnp.maximum(taylor(wave.law).K2, 0.0) / wave.mass)) / float(wave.speed)
+    distance = max(30, int(reach * max(2, 1 / (1 - sound)))) if distance is None else whole(
+        "distance", distance, 4)
     given = None if step is None else float(positive("step", step))
     scene = _Scene(wave, wall, reach, distance)
     for i in range(AGAIN):
@@ -107,7 +110,7 @@ def reflect(
             break
     columns = np.array(found).reshape(scene.lanes + (9,))
     return Reflection(
-        *np.moveaxis(columns, -1, 0), speed=float(wave.speed), amplitude=float(wave.amplitude),
+        *(np.asarray(columns[..., i]) for i in range(9)), speed=float(wave.speed), amplitude=float(wave.amplitude),
         energy=float(wave.energy), distance=distance, run=runs[0], outcome=_told(scene, columns[..., 1], lost),
         _mark=runs[0]._mark,
     )
@@ -191,8 +194,9 @@ def _returned(scene, runs, lane):
 def _leading(scene, ts, strains):
     """Frames in which the largest strain away from the wall is where waves are followed; places; whether it left."""
     near, far = scene.mirror - scene.distance, scene.mirror - 1.5 * scene.distance
-    places = np.argmax(strains[:, : int(near + scene.distance / 2)], axis=1)
-    within = (ts > scene.arrival) & (places <= near) & (places >= far)
+    seen = strains[:, : int(near + scene.distance / 2)]
+    places, there = np.argmax(seen, axis=1), seen.max(1) > FAINT * abs(float(scene.wave.amplitude))
+    within = there & (ts > scene.arrival) & (places <= near) & (places >= far)
     first = int(np.argmax(within))
     count = int(np.argmin(np.append(within[first:], False)))
     past = bool(within.any()) and first + count < len(ts)
