@@ -250,10 +250,12 @@ def _smallest(chain, box, solved, ripple, core):
     if np.abs(found.amplitude) < SILENT * top:
         return Found(box, solved, ripple, found, core, 1)
     best = box, solved, found
-    for _ in range(2):
-        # three lengths that spread over one period of the ripple about the best so far
+    for _ in range(3):
+        # three lengths that spread over one period of the ripple about the best so far; near some there is no wave
         lengths, sizes = [best[0].half], [np.abs(best[2].amplitude)]
-        for part in (1, 2):
+        for part in (1, -1, 0.5, -0.5):
+            if len(lengths) == 3:
+                break
             one, at = _again(chain, best[0], best[1].phi, best[0].half + part * np.pi / (3 * k), density)
             if at.converged:
                 lengths, sizes = [*lengths, one.half], [*sizes, np.abs(fit(one, at.phi, ripple, core).amplitude)]
@@ -270,7 +272,7 @@ def _smallest(chain, box, solved, ripple, core):
         gain = np.abs(size.amplitude) / np.abs(best[2].amplitude)
         if gain < 1:
             best = one, at, size
-        if gain > 0.9:
+        if gain > 0.97:
             break
     return Found(*best[:2], ripple, best[2], core, 1)
 
