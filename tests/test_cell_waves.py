@@ -10,6 +10,7 @@ from scipy.optimize import brentq
 
 import granjax as gx
 from granjax import travelling
+from granjax.travelling.cells import wave as solving
 
 TODA = gx.Toda(1.0, 1.0)
 # zeros of the decay rate of a struck chain's pulse, contacts 200 -> 600: good to 3e-6
@@ -125,6 +126,21 @@ def test_a_nanopteron_runs_on_unchanged_and_its_ripple_grows_with_contrast():
     # it has harmonics as well
     far = np.abs(wave.xi) > wave._core
     assert np.abs(wave.strains[:, far]).max() == pytest.approx(wave.ripple, rel=0.02)
+
+
+@pytest.mark.slow
+def test_no_box_has_a_smaller_ripple():
+    law = gx.Hertz(1.0, 1.0)
+    lattice = solving.chain_of(law, [1.0, 0.75], 1.1 * np.sqrt(3 / 1.75)).chain
+    found = solving.on_a_box(lattice)
+    smallest, period = abs(found.tail.amplitude), np.pi / found.ripple.wavenumber
+    for part in (-0.3, -0.1, 0.1, 0.3, 1.0, 2.0):
+        half = found.box.half + part * period
+        box, other = solving._again(lattice, found.box, found.solved.phi, half, solving._density(found.box))
+        size = abs(solving.fit(box, other.phi, found.ripple, found.core).amplitude)
+        assert other.converged and size > 0.99 * smallest
+        # lengths a period apart are alike
+        assert part < 1 or size < 1.02 * smallest
 
 
 @pytest.mark.slow
