@@ -55,6 +55,7 @@ NOT_FACE = {
     "descent.": "a part of `fit` and `design`", "parameters.": "a part of `fit` and `design`",
     "printing.": "what prints: its input is anything", "variables.": "what names the arrays of results",
     "files.": "what writes", "reading.": "what reads", "interrupts.": "what answers Ctrl-C",
+    "profiles.": "what `solitary_wave` asks, which has looked at everything",
     "programs.": "what compiles: what it is given is anything",
     "outside.": "for functions of the user's alone",
     "checks.": "what refuses: its input is anything",
@@ -447,6 +448,12 @@ OWN = {
     "orbits.symmetry.Symmetry.matrix.like": y, "results.Result.save.path": lambda: "file.nc",
     "theory.nls.dark.nu2": lambda: -1.0, "theory.elliptic.jacobi.u": lambda: 0.7,
     "travelling.long_wave.long_wave.strain": lambda: np.ones(8),
+    "travelling.periodic.periodic_wave.wavelength": lambda: 8.0,
+    "travelling.cells.public.tail_free.low": lambda: 0.1,
+    "travelling.cells.public.tail_free.cell": lambda: lambda ratio: (gx.Hertz(), [1.0, ratio]),
+    "studies.resonance.maps.resonance_map.second": lambda: np.array([1.0, 1.1]),
+    **{f"studies.resonance.oscillations.squeeze_count.{x}": lambda: np.array([0.0, 1.0, 1.0, 0.0])
+       for x in ("left", "right")},
     **{f"states.solitons.{name}_soliton.lattice": lambda: gx.scenes.monomer(40, precompression=0.3, boundary="free")
        for name in ("toda", "kdv")},
     **{f"theory.{name}": (lambda x=x: x) for name, x in {
@@ -486,6 +493,9 @@ ALSO = {
     "theory.kdv.soliton": {"": {"amplitude": 0.1}, "amplitude": {}, "speed": {}},
     "theory.toda.wavenumber": {"": {"speed": 1.5}, "speed": {}, "amplitude": {}, "energy": {}},
     "travelling.solitary.solitary_wave": {"": {"speed": 1.2}, "speed": {}, "amplitude": {}, "energy": {}},
+    "states.waves.solitary_wave": {"": {"speed": 1.2}, "speed": {}, "amplitude": {}, "energy": {}},
+    "travelling.family.family": {"": {"speed": np.array([1.2, 1.3])}, "speed": {}, "amplitude": {}, "energy": {}},
+    "travelling.periodic.periodic_wave": {"": {"amplitude": 0.1}, "speed": {}, "amplitude": {}},
     **{f"theory.elliptic.{name}": {"": {"m": 0.5}, "m": {}, "m1": {}}
        for name in ("jacobi", "zeta", "K", "E", "Pi", "F", "incomplete_E", "incomplete_Pi")},
 }
@@ -526,10 +536,16 @@ BLANK = (
     "plots.cells.cell_wave", "plots.cells.resonance_map",
     "plots.orbits.branch", "plots.orbits.breather", "plots.orbits.floquet_circle", "plots.orbits.hysteresis",
     "plots.precision.work_precision", "plots.waves.dispersion", "studies.resonance.finite.refine",
+    "plots.travelling.reflection", "plots.travelling.wave", "plots.travelling.wave_errors",
+    "travelling.collisions.collide", "travelling.reflection.reflect", "travelling.stability.ring",
+    "travelling.stability.stability", "travelling.wave.Wave.floquet",
+    *(f"travelling.{kind}.{name}" for kind in ("cells.public.CellWave", "periodic.PeriodicWave", "wave.Wave")
+      for name in ("strain", "velocity", "displacement", "state")),
     "work_precision.table.WorkPrecision.advice", "work_precision.table.WorkPrecision.to_json",
 )
 INSTANCES = {
     gx.Lattice: lattice, gx.Flow: lambda: gx.Flow(8), gx.units.Units: gx.units.Units, gx.Traces: traces,
+    gx.Resonator: lambda: gx.Resonator(0.1, 1.0),
     gx.orbits.Symmetry: gx.orbits.Symmetry, Result: run, Figure: lambda: figure("fig1.3"),
 }
 

@@ -17,7 +17,6 @@ from ..split_system import Split, pair
 from ..types import Number, StateLike
 from .model import Lattice, check_shape
 
-
 # numbers in a processor's longest vector; sites from which on a rest of one counts for nothing
 VECTOR, SHORT = 8, 2000
 

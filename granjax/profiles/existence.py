@@ -8,9 +8,15 @@ from ..checks import refuse
 from ..laws import Law
 from .medium import values
 
-# binary orders of magnitude of the strain that are looked through, nodes of a mean, rounding of 2 W/e^2
-ORDERS, MEAN, ROUNDING = 200, 24, 1e-10
+# binary orders of magnitude of the strain that are looked through, strains in each; nodes of a mean, rounding of
+# 2 W/e^2; strains around a largest one, and how often it is looked at closer
+ORDERS, EACH, MEAN, ROUNDING = 200, 4, 24, 1e-10
+AROUND, CLOSER = 33, 5
+# of a preload's work, from which on an energy is told by itself
+RESOLVED = 1e-6
 HALVINGS = 60
+# tops that are looked at: rounding makes many of a law that is linear somewhere
+MOST = 4
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(MEAN)
 SIDES = {"compression": 1, "tension": -1}
 
@@ -26,7 +32,8 @@ class Bounds(NamedTuple):
     @property
     def exist(self) -> bool:
         """Whether the law stiffens somewhere on this side, and is not infinitely stiff at rest."""
-        return bool(np.isfinite(self.linear) and np.any(self.secant > self.linear * (1 + ROUNDING)))
+        least = max(self.linear, self.secant.min()) if len(self.secant) else self.linear
+        return bool(np.isfinite(self.linear) and np.any(self.secant > least * (1 + ROUNDING)))
 
 
 def bounds(law: Law, side: int) -> Bounds:
@@ -34,20 +41,39 @@ def bounds(law: Law, side: int) -> Bounds:
 
     A wave of speed c has K2 < m c^2 < max of 2 W(e)/e^2 (Friesecke and Wattis): its mean kinetic energy is to be met.
     """
-    strains = side * 2.0 ** np.arange(-ORDERS, ORDERS + 1.0)
-    secant = twice_energy(law, strains)
+    strains = side * 2.0 ** (np.arange(-ORDERS * EACH, ORDERS * EACH + 1) / EACH)
+    strains, secant = _with_tops(law, strains, twice_energy(law, strains))
     linear = float(values(law, np.zeros(1))[1][0])
     # a law that is infinitely stiff at rest may give any number there
-    if np.isfinite(secant[0]) and secant[0] > 2 * max(linear, 0.0) and secant[0] > secant[ORDERS] * 1e3:
+    middle = np.interp(1.0, side * strains, secant)
+    if np.isfinite(secant[0]) and secant[0] > 2 * max(linear, 0.0) and secant[0] > middle * 1e3:
         linear = np.inf
     return Bounds(side, strains, secant, linear)
 
 
+def _with_tops(law, strains, secant):
+    """The same with the places where 2 W/e^2 is largest between its neighbours, to rounding."""
+    inner = np.where(np.isfinite(secant), secant, -np.inf)
+    tops = np.flatnonzero((inner[1:-1] > inner[:-2]) & (inner[1:-1] >= inner[2:]) & np.isfinite(secant[2:])) + 1
+    for i in tops[np.argsort(-inner[tops])][:MOST]:
+        low, high = strains[i - 1], strains[i + 1]
+        for _ in range(CLOSER):
+            near = np.geomspace(low, high, AROUND)
+            found = twice_energy(law, near)
+            k = int(np.clip(np.argmax(np.where(np.isfinite(found), found, -np.inf)), 1, AROUND - 2))
+            low, high = near[k - 1], near[k + 1]
+        strains, secant = np.append(strains, near[k]), np.append(secant, found[k])
+    order = np.argsort(np.abs(strains), kind="stable")
+    return strains[order], secant[order]
+
+
 def twice_energy(law: Law, e: np.ndarray) -> np.ndarray:
-    """2 W(e)/e^2, the mean of the force over the way there; infinite where the law ends."""
+    """2 W(e)/e^2; infinite where the law ends. Where W is a small part of the preload's work, the force's mean."""
     with np.errstate(all="ignore"):
         force = values(law, e[:, None] * (1 + _NODES) / 2)[0]
-        secant = force @ _WEIGHTS / e
+        W = values(law, e)[2]
+        told = np.abs(W) > RESOLVED * np.abs(float(law.preload) * e)
+        secant = np.where(told & (W / e != 0), 2 * W / e / e, force @ _WEIGHTS / e)
     first = np.argmax(~np.isfinite(secant)) if not np.isfinite(secant).all() else len(secant)
     return np.where(np.arange(len(secant)) < first, secant, np.inf)
 

@@ -79,7 +79,8 @@ def _single(argument, what, x):
     if np.ndim(x) == 0:
         return jnp.asarray(x, float)
     if values is not None and not np.ptp(values) <= UNIFORM * np.abs(values).max():
-        refuse(argument, f"a uniform chain, all {what} alike", f"{what} from {values.min():g} to {values.max():g}")
+        refuse(argument, f"a uniform chain, all {what} alike", f"{what} from {values.min():g} to {values.max():g}",
+               "Waves of cells of several masses or laws are gx.travelling.cell_wave's.")
     return jnp.asarray(x.reshape(-1)[0], float)
 
 

@@ -276,8 +276,24 @@ def _assembled(medium, problem, tent, found, error, numbers):
     shape, energy, compression = _whole(
         law, mass, speed, jnp.asarray(unit), q, jnp.asarray(places.apart), jnp.asarray(steep), Outside(law))
     exponent = np.nan if problem.linear > 0 else problem.exponent(SMALL)
-    return Solved(shape, found.residual, error, rate or np.nan, exponent, energy, mass * speed * compression,
-                  compression, places.count)
+    if traced((law, mass, numbers)):
+        rate, exponent = _tails(law, mass * speed**2, rate, exponent, unit)
+    return Solved(shape, found.residual, error, rate if problem.linear > 0 else np.nan, exponent, energy,
+                  mass * speed * compression, compression, places.count)
+
+
+def _tails(law, level, rate, exponent, unit):
+    """The decay rate and the exponent with their derivatives, by what they solve."""
+    if np.isfinite(exponent):
+        e = unit * SMALL
+        grown = e * law.derivative(e) / law.force(e)
+        return rate, exponent + grown - jax.lax.stop_gradient(grown)
+
+    def gap(kappa, level, linear):
+        return 2 * jnp.log(jnp.sinh(kappa / 2) / (kappa / 2)) - jnp.log(level / linear)
+
+    left = gap(rate, level, law.derivative(jnp.zeros(())))
+    return rate - (left - jax.lax.stop_gradient(left)) / jax.grad(gap)(rate, 1.0, 1.0), exponent
 
 
 @eqx.filter_jit

@@ -66,6 +66,9 @@ def closed_forms(law: Law | Lattice, speed: Parameter, *, mass: Scalar = 1.0) ->
     if not np.asarray(K2) > 0:
         refuse("law", "one with linear stiffness, K2 > 0", f"K2 = {float(K2):g}",
                "Without precompression there is no sound, which both closed forms stand on.")
+    if float(K3) == 0:
+        refuse("law", "one with K3, which sets the width of both solitons", "K3 = 0",
+               "Waves of a symmetric force are solitons of the modified equation.")
     sound = float(np.sqrt(K2 / medium.mass))
     rows = [_row(law, mass, c, float(K2), float(K3), float(medium.mass)) for c in speeds]
     return ClosedForms(speeds, np.asarray(sound), *map(np.array, zip(*rows)), **medium.origin)

@@ -66,7 +66,8 @@ def _recorded(medium, found: Solved) -> Wave:
     shape = found.shape
     known = jax.lax.stop_gradient(shape)
     end = float(known.end)
-    reach = min(end, REACH / found.decay) if np.isfinite(found.decay) else min(end, 8.0 * max(1.0, end / 12))
+    decay, exponent = (float(jax.lax.stop_gradient(x)) for x in (found.decay, found.exponent))
+    reach = min(end, REACH / decay) if np.isfinite(decay) else min(end, 8.0 * max(1.0, end / 12))
     xi = np.linspace(-reach, reach, TABLE)
     amplitude = shape.at("strain", 0.0)
     return Wave(
@@ -75,13 +76,13 @@ def _recorded(medium, found: Solved) -> Wave:
         decay=jnp.asarray(found.decay), exponent=jnp.asarray(found.exponent), residual=jnp.asarray(found.residual),
         error=jnp.asarray(found.error), law=medium.law, mass=medium.mass, xi=xi,
         strains=shape.at("strain", xi), velocities=shape.at("velocity", xi),
-        outcome=_told(found, amplitude), _shape=shape, **medium.origin,
+        outcome=_told(found, amplitude, decay, exponent), _shape=shape, **medium.origin,
     )
 
 
-def _told(found, amplitude):
-    tail = (f"exp(-{found.decay:.6g} |xi|)" if np.isfinite(found.decay)
-            else f"double exponential, of exponent {found.exponent:.6g}")
+def _told(found, amplitude, decay, exponent):
+    tail = (f"exp(-{decay:.6g} |xi|)" if np.isfinite(decay)
+            else f"double exponential, of exponent {exponent:.6g}")
     if traced(amplitude):
         return f"Found; its tail is {tail}."
     share = found.error / abs(float(amplitude))

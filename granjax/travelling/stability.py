@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.linalg import schur
 
-from ..checks import one_of, refuse, whole
+from ..checks import described, one_of, refuse, whole
 from ..entry import checked
 from ..flow import Flow
 from ..lattice import Lattice, State
@@ -37,6 +37,7 @@ def ring(wave: Any, sites: Count | None = None) -> tuple[Lattice, State]:
     **Arguments:** `sites`: `None` is as many as bring the strain half-way round to 1e-10 of the peak.
     **Raises** ValueError where more than 200 are needed (a wave little faster than sound), or fewer than 12 asked.
     """
+    _refuse_other(wave)
     sites = _sites_of(wave) if sites is None else whole("sites", sites, SHORTEST)
     s, centre = wave.compression / sites, sites // 2
     # the mean of the strains themselves, which is that of the integral to what the tail leaves
@@ -48,6 +49,11 @@ def ring(wave: Any, sites: Count | None = None) -> tuple[Lattice, State]:
     lattice = Lattice(wave.mass, Bond(Shift(1, "periodic"), Strained(wave.law, s)), sites=sites, **units)
     v = wave.velocity(xi)
     return lattice, State(u - u.mean(), v - v.mean())
+
+
+def _refuse_other(wave):
+    if not all(hasattr(wave, name) for name in ("strain", "velocity", "compression", "decay", "law")):
+        refuse("wave", "a solitary wave", described(wave), "Give the result of gx.travelling.solitary_wave.")
 
 
 def _sites_of(wave):
@@ -94,6 +100,7 @@ def stability(wave: Any, sites: Count | None = None, ends: str | None = None, **
     "held" elsewhere. `keywords`: of `gx.floquet.floquet` on a ring.
     **Returns:** `Floquet`. **Raises** as `ring` and `wave_orbit` do.
     """
+    _refuse_other(wave)
     ends = ("ring" if np.isfinite(float(wave.decay)) else "held") if ends is None else ends
     if one_of("ends", ends, ("ring", "held")) == "ring":
         lattice, state = ring(wave, sites)

@@ -7,7 +7,7 @@ import numpy as np
 from ...checks import positive, whole
 from ...entry import checked
 from ...printing import told
-from ...types import Count, Number, Parameter
+from ...types import Count, Number, Parameter, Scalar
 
 
 class Resonator(eqx.Module):
@@ -30,8 +30,9 @@ class Resonator(eqx.Module):
         return (self.stiffness * (1 / self.mass + 1 / mass)) ** 0.5
 
     @checked
-    def tail_free(self, speed: Number, mass: Number = 1.0) -> Number:
+    def tail_free(self, speed: Scalar, mass: Scalar = 1.0) -> Number:
         """The stiffness [N/m] nearest to its own at which a wave of this speed leaves no resonator swinging."""
+        speed = positive("speed", speed)
         n = np.maximum(np.round(self.swing(mass) / (2 * np.pi * speed)), 1)
         return tail_free_stiffness(speed, self.mass, mass, int(n))
 
