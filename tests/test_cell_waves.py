@@ -72,6 +72,19 @@ def test_the_ratio_does_not_depend_on_speed_or_units():
     assert wave.energy / (heavy * 3.1e4**2 * length**2) == pytest.approx(scaled.energy / 2.7**10, rel=1e-10)
 
 
+def test_a_chain_knows_its_cell_and_its_units():
+    chain = gx.scenes.beads(["steel 316", "aluminium 6061-T6"], 9.525e-3, 20.0, cells=8)
+    wave = travelling.cell_wave(chain, speed=1.05 * float(gx.linear.sound_speed(chain)))
+    law, mass = chain.terms[0].law, np.asarray(chain.mass)
+    stiffness = float(np.ravel(law.stiffness)[1])  # of the contacts between beads, as those with walls are others
+    scaled = travelling.cell_wave(gx.Hertz(stiffness, 20.0), mass[:2], speed=wave.speed)
+    assert wave.units == "SI" and len(wave.masses) == 2
+    np.testing.assert_allclose(wave.strains, scaled.strains, rtol=0, atol=1e-9 * wave.amplitude)
+    for bad, said in ((gx.scenes.taper(8, 0.9), "that repeats"), (gx.scenes.fput(8), "None beside a lattice")):
+        with pytest.raises(ValueError, match=said):
+            travelling.cell_wave(bad, None if "repeats" in said else [1.0], speed=2.0)
+
+
 def test_equal_beads_have_the_solitary_wave():
     wave = travelling.cell_wave(gx.Hertz(), [1.0, 1.0], speed=1.0)
     assert wave.masses.shape == (1,) and wave.energy == pytest.approx(2.82348668842275840, abs=1e-12)
@@ -98,6 +111,7 @@ def optical(masses, speed, stiffness=1.0):
     return brentq(excess, 1e-3, 20.0, xtol=1e-14)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law, masses, over", [
     (TODA, [1.0, 0.5], 1.02),
     pytest.param(gx.Polynomial(1.0, 0.25, 0.0), [1.0, 0.5], 1.02, marks=pytest.mark.slow),

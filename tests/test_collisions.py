@@ -26,7 +26,8 @@ def fast():
 
 
 @pytest.mark.parametrize(("way", "shifts"), [
-    (1, (1.180269670641735, -2.360539341283469)), (-1, (0.2273362938026457, -0.4546725876052915))],
+    pytest.param(1, (1.180269670641735, -2.360539341283469), marks=pytest.mark.slow),
+    (-1, (0.2273362938026457, -0.4546725876052915))],
     ids=["overtaking", "head-on"])
 def test_two_solitons_of_toda_are_shifted_as_the_closed_form_says(fast, way, shifts):
     slow = toda(0.5, way)
@@ -69,6 +70,7 @@ def test_a_collision_in_steel_beads_is_that_in_scaled_numbers():
     assert (np.abs(found.shifts - found.toda_shifts) > 10 * found.shift_errors).all()
 
 
+@pytest.mark.slow
 def test_a_stiffer_wall_sends_a_wave_back_earlier_towards_the_rigid_limit(fast):
     stiffness = np.array([50.0, 500.0])
     found, rigid = reflect(fast, gx.Linear(jnp.asarray(stiffness)), distance=58), reflect(fast, distance=58)

@@ -280,7 +280,7 @@ def _(seed):
     el.incomplete_E(x, x), el.incomplete_Pi(x, x, x)
 
 
-@also("solitary_wave")
+@also("solitary_wave", SLOW)
 def _(seed):
     for law in (gx.Hertz(1.0 + 0.1 * seed), gx.Toda(1.0 + 0.1 * seed)):
         wave = gx.travelling.solitary_wave(law, speed=1.3 + 0.01 * seed)

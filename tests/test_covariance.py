@@ -556,7 +556,7 @@ def even(rng, w):
     return gx.Lattice(w.kg(near(rng, 1.0)), gx.Bond(gx.Shift(1, "free"), hertz(rng, w)), sites=SITES)
 
 
-@row("solitary_wave", even, slow=(uniform,))
+@row("solitary_wave", slow=(even, uniform))
 def _(s):
     found = gx.travelling.solitary_wave(s.lattice, speed=1.15 * gx.linear.sound_speed(s.lattice))
     return fields_of(found, law=None, residual=About), state(gx.states.solitary_wave(s.lattice, 2.3, speed=found.speed))

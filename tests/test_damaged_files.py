@@ -180,6 +180,7 @@ def test_valid_files_are_read_right(valid, tmp_path):
         assert looked_at(key, data, tmp_path / "whole", valid) == "same", key
 
 
+@pytest.mark.slow
 def test_damaged_files_are_read_right_or_refused_in_a_sentence(valid, tmp_path):
     found = tried(300, tmp_path, valid)
     assert sum(found.values()) == 300 and {kind for kind, _ in found} == {"csv", "mat", "nc", "json"}

@@ -149,6 +149,7 @@ def test_a_sonic_vacuum_asks_for_steps():
         driven.settle(lattice, rest(lattice), 1.0)
 
 
+@pytest.mark.slow
 def test_a_period_that_is_not_the_drive_s_is_refused():
     # in SI too, where the forces of a displacement of a metre drown those of the drive
     chain = gx.scenes.monomer(3, 28.2e-3, 1.0114e10, precompression=10.0)
@@ -260,6 +261,7 @@ def test_a_second_sweep_compiles_nothing_and_follows_what_its_scene_reads():
     assert (run() < first).all()
 
 
+@pytest.mark.slow
 def test_what_has_settled_states_its_error_where_contacts_open():
     chain = gx.scenes.monomer(4, precompression=0.05**1.5)
     lattice = driven.driven_chain(chain, 0.065, 1.2, damping=0.15)

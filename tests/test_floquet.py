@@ -296,6 +296,7 @@ def test_a_state_that_is_no_orbit_is_refused(dimers):
 # against orbits and multipliers that granjax did not compute ----------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [
     "forced_opening", "forced_branch", pytest.param("hard_pair", marks=pytest.mark.slow),
     pytest.param("forced_branch_upper", marks=pytest.mark.slow), pytest.param("defect", marks=pytest.mark.slow),

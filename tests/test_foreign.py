@@ -211,6 +211,7 @@ class Circling(gx.Term):
         return -self.strength * u**2 / 2
 
 
+@pytest.mark.slow
 def test_an_energy_that_is_not_kept_has_no_error():
     for term in (Pushed(gx.Linear(0.5)), Slowed(gx.Linear(0.5)), Circling(K)):
         lattice = _bead(RING, term)
@@ -406,6 +407,7 @@ class Squared(gx.StrainMap):
         return (u[:-1] - u[1:]) ** 2
 
 
+@pytest.mark.slow
 def test_a_bent_strain_map_and_weights_a_bond():
     lattice = _bead(CHAIN, gx.Bond(Squared(), gx.Linear(100.0)))
     state = gx.State(jnp.zeros(N), jnp.zeros(N).at[3].set(1.0))

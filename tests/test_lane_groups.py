@@ -46,6 +46,7 @@ def batch(make=scene, lanes=LANES):
 FROM_LANE_TO_LANE = {"p": gx.Peak(lambda t, y, lattice: y.u - y.u.mean(-1, keepdims=True))}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("lanes", "how"), [
     pytest.param(LANES, {"save_at": 4}, id="frames as many as lanes at a time"),
     pytest.param((3, 4), {"save_at": jnp.array([1.0, 2.2])}, id="two axes", marks=pytest.mark.slow),

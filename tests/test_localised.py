@@ -46,6 +46,7 @@ def on_a_ring():
     return gx.breathers.breather(soft(), 0.8)
 
 
+@pytest.mark.slow
 def test_a_ring_whose_uniform_mode_softens_has_a_breather_all_the_same(on_a_ring):
     found = localisation(soft(), on_a_ring.state)
     assert found.participation < 2 and found.bright and on_a_ring.converged
@@ -85,6 +86,7 @@ def test_a_breather_in_other_units_is_the_same_with_the_same_words(on_a_ring):
     assert other.remark == on_a_ring.remark
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("omega, sites, signs", [(1.05, 5, None), (1.2, [5, 6], [1, -1])])
 def test_newtons_cradle_has_breathers(omega, sites, signs):
     lattice = cradle()

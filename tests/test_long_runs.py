@@ -91,6 +91,7 @@ def test_pieces_of_an_adaptive_run(request, monkeypatch):
     assert np.isinf(spent.ts[-1]) and np.isfinite(spent.ts[0]), "what was not reached is told so"
 
 
+@pytest.mark.slow
 def test_what_fails_in_a_piece_is_located(soon):
     lattice = gx.scenes.fput(4, alpha=-3.0)
     state = gx.states.impact(lattice, velocity=5.0)

@@ -71,6 +71,12 @@ def scene():
     return gx.travelling.long_wave(gx.Hertz(STIFFNESS), start, spacing=BOX / X, speed=SPEED, mass=MASS)
 
 
+def test_how_much_so_many_places_miss(scene):
+    coarse = gx.travelling.long_wave(gx.Hertz(STIFFNESS), long_wave.regularised_wave(PLACES[::4], **UNITS).strain,
+                                     spacing=4 * BOX / X, speed=SPEED, mass=MASS)
+    assert float(scene.unresolved()) < 1e-9 < 1e-4 < float(coarse.unresolved(coarse.state)) < 0.1
+
+
 def test_the_regularised_wave_travels(scene):
     """Over a third of the box, to 1e-10 of its crest; it keeps its shape, and the box its energy and length."""
     run = gx.simulate(scene.lattice, scene.state, 10.0, step=0.03, solver=gx.SRKN11b(), save_at=3)

@@ -96,6 +96,7 @@ def test_the_length_at_which_a_lattice_is_no_longer_linear():
     assert nonlinear_length(chain(gx.Hertz(1.0)), zigzag) == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("material", ("aluminium 6061-T6", pytest.param("PTFE", marks=pytest.mark.slow)))
 def test_a_family_in_metres_is_the_scaled_one(material):
     chain = gx.scenes.beads(["steel 440C", material] * 5 + ["steel 440C"], 9.53e-3, 10.0, boundary="free")

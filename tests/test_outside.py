@@ -182,6 +182,7 @@ class Spring(gx.Law):
         return self.unit * SIZE * e**2 / 2
 
 
+@pytest.mark.slow
 def test_what_the_force_of_a_law_and_a_record_read_counts_as_it_stands():
     lattice = gx.Lattice(np.ones(3), gx.Bond(SHIFT, Spring()))
     state = gx.states.impact(lattice)

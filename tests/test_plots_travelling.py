@@ -29,6 +29,7 @@ def test_a_wave_its_slope_and_its_contacts(toda):
     assert len(plots.wave(toda, slope=False).lines) == 2
 
 
+@pytest.mark.slow
 def test_a_wave_of_steel_beads_has_units():
     chain = gx.scenes.beads("steel 316", 9.525e-3, 20.0, cells=12)  # whose walls are stiffer contacts
     wave = solitary_wave(chain, speed=1.1 * float(gx.linear.sound_speed(chain)))
@@ -47,6 +48,14 @@ def test_the_soliton_of_toda_is_the_wave_of_its_law():
     assert found.toda_error[0] < 1e-12 < 1e-2 < found.kdv_error[0] and "Toda by" in found.outcome
 
 
+def test_a_family_over_its_speed():
+    family = gx.travelling.family(gx.Toda(), speed=np.sinh([1.0, 0.9]) / np.array([1.0, 0.9]))
+    ax = plots.wave_family(family)
+    np.testing.assert_allclose(ax.lines[0].get_ydata(), np.sort(family.energy))
+    assert ax.get_xlabel().startswith("speed, contacts per time") and ax.get_ylabel() == "energy"
+    assert plots.wave_family(family, quantity="width").get_ylabel() == "width"
+
+
 def test_errors_over_speed():
     record = ClosedForms(np.array([2.0, 1.1]), np.array(1.0), np.ones(2), np.array([0.5, 0.1]), np.array([0.4, 0.0]),
                          np.zeros(2))
@@ -61,6 +70,8 @@ def test_errors_over_speed():
 @pytest.mark.parametrize(("call", "said"), [
     (lambda toda: plots.wave(3), "wave_record: expected a record with xi, strain, velocity, speed"),
     (lambda toda: plots.wave(toda, beside={"x": np.ones(3)}), r"strains at wave_record.xi, shape \(257,\), got shape"),
+    (lambda toda: plots.wave_family(3), "a family of waves"),
+    (lambda toda: plots.wave_family(toda, quantity="mass"), "quantity: expected one of"),
     (lambda toda: plots.wave_errors(3), "record: expected a record with speed"),
     (lambda toda: plots.wave(toda, units="kHz"), "kHz"),
     (lambda toda: closed_forms(gx.Hertz(), 1.0), "K2 > 0, got K2 = 0"),

@@ -78,6 +78,7 @@ def test_the_default_step_is_accurate_enough():
         assert sweep.peak_force[0] == pytest.approx(one_by_one(ratio, 101, sweep.run_time, step=step), rel=6e-6)
 
 
+@pytest.mark.slow
 def test_a_longer_run_meets_no_larger_force():
     ratios = np.linspace(0.05, 1, 8)
     usual = gx.resonance.transmission(ratios, 101)

@@ -118,6 +118,7 @@ def test_a_result_without_an_outcome_cannot_be_made():
         Mute(1.0)
 
 
+@pytest.mark.slow
 def test_a_run_is_written_with_its_records_and_statistics(tmp_path):
     lattice = gx.scenes.monomer(8, precompression=1.0)
     record = {"peak": gx.Peak(lambda t, y, lattice: gx.measures.contact_force(lattice, y))}

@@ -81,6 +81,7 @@ def test_one_wave_by_speed_amplitude_or_energy_in_any_units():
     assert float(again.strain(0.3)) == float(wave.strain(0.3))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["energy", *(pytest.param(x, marks=pytest.mark.slow) for x in ("speed", "amplitude"))])
 def test_derivatives_by_the_implicit_function_theorem(name):
     def found(x):
@@ -126,6 +127,7 @@ def test_a_second_method_gives_the_same(load):
     np.testing.assert_allclose(wave.strain(x), strain, atol=1e-10 * float(wave.amplitude), rtol=0)
 
 
+@pytest.mark.slow
 def test_launched_on_a_lattice_it_stays_as_it_is():
     lattice = gx.scenes.monomer(1040, boundary="free")
     state = gx.states.solitary_wave(lattice, 15.0, speed=1.0)
@@ -135,6 +137,7 @@ def test_launched_on_a_lattice_it_stays_as_it_is():
     np.testing.assert_allclose(strain, exact, atol=1e-9, rtol=0)
 
 
+@pytest.mark.slow
 def test_towards_the_speed_of_sound_it_is_the_soliton_of_korteweg_and_de_vries():
     law, sigma, excess = gx.Hertz(1.0, 1.0), 1.5**0.5, np.array([1e-3, 1e-2])
     K2, K3, _ = gx.laws.taylor(law)
@@ -162,6 +165,7 @@ def test_powers_scale_and_sum(p):
 STEEP = gx.Linear() + gx.PowerLaw(1.0, 7.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("speed", [1.02, pytest.param(1.2, marks=pytest.mark.slow)])
 def test_a_wave_whose_energy_falls_with_its_speed_is_unstable(speed):
     """dE/dc changes its sign between, near 1.035, and one pair of multipliers leaves +1."""

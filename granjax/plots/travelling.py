@@ -6,14 +6,17 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from ..checks import positive, refuse, within
+from ..checks import one_of, positive, refuse, within
 from ..entry import checked
 from ..types import Numbers, Parameter, Scalar
 from ..units import UnitsOrWords
-from .arrays import numbers
+from .arrays import having, numbers
 from .curves import profile
 from .quantities import Axis, drawn_in, quantity, scaled_by, units_of
 from .style import COLOURS, AxesOrNone, axes_or_new
+
+# of a family, and the unit of its numbers in SI
+MEASURED = {"energy": "J", "amplitude": "m", "momentum": "N s", "compression": "m", "width": ""}
 
 
 @checked
@@ -87,6 +90,36 @@ def wave_errors(record: Any, ax: AxesOrNone = None, *, floor: Scalar = 1e-12, un
     ax.set_xlabel(label)
     ax.set_ylabel("largest error of the strain over the peak")
     ax.legend(frameon=False)
+    return ax
+
+
+@checked
+def wave_family(
+    record: Any, ax: AxesOrNone = None, *, quantity: str = "energy", units: UnitsOrWords = None,
+) -> Axes:
+    """A quantity of a family of waves over their speed, with the speeds at which the energy turns marked.
+
+    **Arguments:** `record`: anything with `speed` (P,), `turns` and the quantity (P,), such as the result of
+    `gx.travelling.family`. `quantity`: `"energy"`, `"amplitude"`, `"momentum"`, `"compression"` or `"width"`.
+    `units`: `"kHz"`, `"um"`, as in `granjax.plots`; a speed counts contacts per time.
+
+    **Returns:** the Axes. **Raises** ValueError for a record without these, or another quantity.
+    """
+    one_of("quantity", quantity, tuple(MEASURED))
+    having("record", record, "a family of waves", "speed", "turns", quantity)
+    speed, y = numbers("record.speed", record.speed, 1), numbers(f"record.{quantity}", getattr(record, quantity), 1)
+    turns = numbers("record.turns", record.turns, 1)
+    by_x, by_y = drawn_in(units, units_of(record), Axis("speed, contacts per time", speed, "1/s"),
+                          Axis(quantity, y, MEASURED[quantity]))
+    ax = axes_or_new(ax, 5.2, 3.6)
+    order = np.argsort(speed)
+    ax.plot(scaled_by(speed[order], by_x.factor), scaled_by(y[order], by_y.factor), "o-", ms=4, color=COLOURS[0])
+    for i, turn in enumerate(turns):
+        ax.axvline(scaled_by(turn, by_x.factor), color=COLOURS[1], ls=":", label=None if i else "dE/dc = 0")
+    if turns.size:
+        ax.legend(frameon=False)
+    ax.set_xlabel(by_x.label)
+    ax.set_ylabel(by_y.label)
     return ax
 
 

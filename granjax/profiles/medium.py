@@ -12,6 +12,7 @@ from ..entry import checked
 from ..lattice import Lattice
 from ..laws import Law
 from ..outside import Outside
+from ..printing import told
 from ..types import Numbers, Scalar
 
 # arguments that a law is evaluated at in one program, nodes of the mean of a stiffness, units of rounding
@@ -26,6 +27,7 @@ class Medium(NamedTuple):
     law: Law
     mass: Any
     origin: dict
+    __repr__ = told
 
     @property
     def known(self) -> "Medium":

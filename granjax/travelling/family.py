@@ -66,7 +66,7 @@ def family(
     if numbers.ndim != 1 or not numbers.size:
         refuse(name, "numbers (P,), one for each wave", f"shape {numbers.shape}")
     medium, rows = medium_of(law, mass), []
-    for x in numbers:
+    for x in _shown(numbers):
         found = {}
 
         def numbers_of(x):
@@ -82,6 +82,13 @@ def family(
     told = f"{len(rows)} waves; " + (f"dE/dc passes zero near c = {', '.join(f'{x:.4g}' for x in turns)}."
                                      if len(turns) else "their energy has no turn.")
     return WaveFamily(c, peak, E, momentum, compression, width, slope, error, turns, medium.law, told, **medium.origin)
+
+
+def _shown(numbers):
+    from tqdm import tqdm
+
+    # on a terminal alone
+    return tqdm(numbers, desc="waves", leave=False, disable=None)
 
 
 def _zeros(c, slope):

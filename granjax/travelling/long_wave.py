@@ -15,7 +15,7 @@ from ..printing import told
 from ..strains import StrainMap
 from ..terms import Bond
 from ..theory.long_wave import FORMS
-from ..types import Displacements, Number, Numbers, Parameter, Scalar
+from ..types import Displacements, Number, Numbers, Parameter, Scalar, StateLike
 
 # places of a box, and what a mean rate may be
 LEAST, STILL = 8, 1e-9
@@ -31,6 +31,17 @@ class LongWave(NamedTuple):
     state: State
     places: jax.Array
     __repr__ = told
+
+    @checked
+    def unresolved(self, y: StateLike | None = None) -> Number:
+        """How large the shortest eighth of the waves is in the strain, over the largest wave: what so many places miss.
+
+        Above 1e-8 or so take more places; it grows along a run in which the strain steepens. `y`: a state of a run,
+        `None` the one to start from.
+        """
+        strain = self.lattice.terms[0].strain_map.strain((self.state if y is None else y)[0])
+        waves = jnp.abs(jnp.fft.rfft(strain - jnp.mean(strain)))
+        return jnp.max(waves[7 * len(waves) // 8 :]) / jnp.max(waves)
 
 
 @checked
@@ -108,8 +119,8 @@ def long_wave(
       length. Or `speed`: that with which the strain travels, rate = -speed dy/dx. Neither: at rest.
     - `form`: `"regularised"` alone; of the other two (`theory.long_wave`) residuals can be had.
 
-    **Returns:** `LongWave(lattice, state, places)`. What a box of X places resolves is read off the spectrum of the
-    strain: an F that is not smooth at zero (Hertz in tension) costs digits there.
+    **Returns:** `LongWave(lattice, state, places)`. What a box of X places does not resolve `LongWave.unresolved`
+    tells, of the start and of a run's end: an F that is not smooth at zero (Hertz in tension) costs digits there.
     **Raises** ValueError for another form, with the reason; for arrays that do not fit, a rate of another mean.
     Typical: 60 sites in 512 places, a wave of a few sites.
     """

@@ -105,7 +105,8 @@ def periodic_wave(
     L, c, a = (one_number(*x) for x in (("wavelength", wavelength), ("speed", speed), ("amplitude", amplitude)))
     if not L > 2:
         refuse("wavelength", "more than two contacts", f"{L:g}", "Shorter waves are the same on a lattice.")
-    positive("speed" if a is None else "amplitude", c if a is None else a)
+    remedy = "To the left runs its mirror image, of beads with the other velocity." if a is None else ""
+    positive("speed" if a is None else "amplitude", c if a is None else a, remedy)
     m, s = float(medium.mass), one_number("mean", mean)
     found = train(medium.law, m, s, L, c, a)
     return _recorded(medium, found, L, s, m)

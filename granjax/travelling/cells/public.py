@@ -1,5 +1,6 @@
 """`cell_wave`, `tail_free`, and the wave that they return."""
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any, ClassVar
 
@@ -7,12 +8,13 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from ...checks import held_in_memory, parameter, positive, refuse, whole
+from ...checks import described, held_in_memory, parameter, positive, refuse, whole
 from ...entry import checked
-from ...lattice import State
+from ...lattice import Lattice, State
 from ...laws import Law
 from ...results import Held, Result
 from ...types import Count, Parameter, Scalar
+from .from_lattice import repeated_in
 from .resonator import Resonator
 from .system import fourier
 from .tail import margin
@@ -140,7 +142,8 @@ def swinging(velocities, xi, speed, resonator):
 
 @checked
 def cell_wave(
-    law: Law, masses: Parameter, *, speed: Scalar, resonator: Resonator | None = None, throw: bool = True,
+    law: Law | Lattice, masses: Parameter | None = None, *, speed: Scalar, resonator: Resonator | None = None,
+    throw: bool = True,
 ) -> CellWave:
     r"""The wave of a given speed in a chain whose masses and laws repeat with a cell of P sites.
 
@@ -161,8 +164,9 @@ def cell_wave(
     k = (kappa (1 + nu)/nu)^{1/2}/c without a stiffness at rest (in a chain without precompression its contacts open and
     close). Where k is a multiple of 2 pi no contact feels it and the wave travels alone.
 
-    **Arguments:** `law`; `masses` (P,) [kg]; `speed`: c, in sites (not cells) per time. `resonator`: a
-    `gx.Resonator` in every bead. `throw`: raise where it does not converge.
+    **Arguments:** `law` and `masses` (P,) [kg]; or a chain `Lattice` that repeats, whose walls do not count and whose
+    units the result has. `speed`: c, in sites (not cells) per time. `resonator`: a `gx.Resonator` in every bead.
+    `throw`: raise where it does not converge.
 
     **Returns:** `CellWave`, not differentiable. **Raises** ValueError for a speed that is not supersonic, a law without
     a wave of that speed, several sites without a stiffness at rest off the anti-resonances; RuntimeError where `throw`
@@ -171,12 +175,18 @@ def cell_wave(
     Source: Jayaprakash, Starosvetsky, Vakakis, Phys. Rev. E 83, 036606 (2011); Faver, Wright, SIAM J. Math. Anal. 50,
     473 (2018); Vainchtein, Starosvetsky, Wright, Perline, Phys. Rev. E 93, 042210 (2016).
     """
-    speed = float(positive("speed", speed))
+    speed, origin = float(positive("speed", speed, "To the left runs the mirrored chain.")), {}
+    if isinstance(law, Lattice):
+        if masses is not None:
+            refuse("masses", "None beside a lattice, which has its own", described(masses))
+        law, masses, origin = repeated_in(law)
+    elif masses is None:
+        refuse("masses", "those of a cell, (P,)", "None", "Or give a lattice.")
     given = chain_of(law, masses, speed, resonator)
     if not given.chain.K2.any():
-        return _in_vacuum(law, given, speed, resonator, throw)
+        return dataclasses.replace(_in_vacuum(law, given, speed, resonator, throw), **origin)
     _faster_than_sound(given.chain, speed)
-    return _result(on_a_box(given.chain), given, speed, resonator, None, throw)
+    return dataclasses.replace(_result(on_a_box(given.chain), given, speed, resonator, None, throw), **origin)
 
 
 def _faster_than_sound(chain, speed):
@@ -246,22 +256,29 @@ def tail_free(
     or, without a stiffness at rest, that neighbours far from the pulse do not drift apart (beads) or keep a gap
     (contacts). Newton's method solves for the wave and the parameter together.
 
-    **Arguments:** `cell`: parameter -> (law, masses), as `cell_wave` takes them; for dimers
+    **Arguments:** `cell`: parameter -> (law, masses), or a chain `Lattice`, as `cell_wave` takes them; for dimers
     `lambda ratio: (gx.Hertz(), [1.0, ratio])`. `low` < `high`: around one such place. `speed`: c [sites per time].
 
     **Returns:** `CellWave` with `parameter` (dimers of the sonic vacuum: 0.342845781150, any speed).
     **Raises** ValueError for an empty interval, a cell that does not fit; RuntimeError where `throw` and nothing was
     found between `low` and `high`.
     """
-    speed = float(positive("speed", speed))
+    speed = float(positive("speed", speed, "To the left runs the mirrored chain."))
     low, high = float(parameter("low", low)), float(parameter("high", high))
     if not low < high:
         refuse("high", f"a number above low = {low:g}", f"{high:g}")
 
+    origin = {}
+
     def given(p):
         made = cell(p)
+        if isinstance(made, Lattice):
+            *made, found = repeated_in(made)
+            made = tuple(made)
+            origin.update(found)
         if not (isinstance(made, tuple) and len(made) == 2 and isinstance(made[0], Law)):
-            refuse("cell", "a function of a number that gives (law, masses)", f"one that gives {_kind(made)}")
+            wanted = "a function of a number that gives (law, masses) or a chain"
+            refuse("cell", wanted, f"one that gives {_kind(made)}")
         return chain_of(made[0], made[1], speed)
 
     ends = [given(p).chain for p in (low, (low + high) / 2, high)]
@@ -275,7 +292,8 @@ def tail_free(
         _faster_than_sound(chain, speed)
     found = without_tail(lambda p: given(p).chain, low, high)
     near = None if isinstance(found, str) else found.solved.parameter
-    return _result(found, given((low + high) / 2 if near is None else near), speed, None, near, throw)
+    found = _result(found, given((low + high) / 2 if near is None else near), speed, None, near, throw)
+    return dataclasses.replace(found, **origin)
 
 
 def _kind(x):
