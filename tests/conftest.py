@@ -25,18 +25,20 @@ def pytest_configure(config):
     """What has to come before the first computation, and before a module of tests is imported."""
     hands_out = config.getoption("numprocesses", None) and not config.getoption("collectonly")
     if WORKER or not hands_out:
-        config.programs = _prepare()
+        # programs of the slow tests run long enough to be worth the optimiser
+        config.programs = _prepare("not slow" in config.getoption("markexpr"))
         _forget(config.programs)
 
 
-def _prepare():
-    """Flags, import hook, granjax; the folder of compiled programs, or None."""
+def _prepare(run_once):
+    """Flags, import hook, granjax; the folder of compiled programs, or None. `run_once`: most of them run once."""
     import jax
     import typed
 
     # XLA ends a process whose flags it does not know, and has let go of the last one
-    cheap = "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"
-    cheap += " --xla_cpu_parallel_codegen_split_count=1"
+    cheap = "--xla_llvm_disable_expensive_passes=true --xla_cpu_parallel_codegen_split_count=1"
+    if run_once:
+        cheap += " --xla_backend_optimization_level=0"
     if jax.__version_info__ < (0, 12):
         cheap += " --xla_cpu_use_fusion_emitters=false"
     os.environ.setdefault("XLA_FLAGS", cheap)
