@@ -12,6 +12,7 @@ from scipy.interpolate import CubicSpline
 from ..checks import refuse, traced
 from ..entry import checked
 from ..outside import Outside
+from ..printing import told
 from .existence import Bounds, reached, side_of, twice_energy
 from .medium import Medium, fine_force, one_number, values
 from .shape import TentShape
@@ -41,6 +42,7 @@ class Solved(NamedTuple):
     momentum: Any
     compression: Any
     places: int
+    __repr__ = told
 
 
 class _Problem(NamedTuple):
