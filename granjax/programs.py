@@ -109,19 +109,35 @@ def _parted(tree):
     return (treedef, rest), [leaf for own, leaf in zip(is_array, leaves) if own]
 
 
-_SETTLED = {}
+class Kept:
+    """What was found of objects, kept for each while it lives, by identity. `gx.clear` lets go of it."""
+
+    def __init__(self):
+        self._held = {}
+        self.cache_clear = self._held.clear
+
+    def __len__(self):
+        return len(self._held)
+
+    def get(self, x: Any) -> Any:
+        """What was kept of x, or `None`."""
+        owner, found = self._held.get(id(x), _NOBODY)
+        return found if owner() is x else None
+
+    def put(self, x: Any, found: Any) -> Any:
+        """Keep what was found of x, and return it."""
+        key, held = id(x), self._held
+        held[key] = weakref.ref(x, lambda _: held.pop(key, None)), found
+        return found
+
+
 _NOBODY = (lambda: None), None
+_PARTS = Kept()
 
 
 def _settled(x):
-    owner, found = _SETTLED.get(id(x), _NOBODY)
-    if owner() is not x:
-        key, found = id(x), _parted(x)
-        _SETTLED[key] = weakref.ref(x, lambda _: _SETTLED.pop(key, None)), found
-    return found
-
-
-_settled.cache_clear = _SETTLED.clear
+    found = _PARTS.get(x)
+    return _PARTS.put(x, _parted(x)) if found is None else found
 
 
 def joined(static: tuple, arrays: list) -> Pytree:

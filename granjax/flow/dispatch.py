@@ -1,10 +1,10 @@
 """What every call of `simulate` asks of a lattice: facts that are found once."""
 
-import weakref
 from typing import NamedTuple
 
 from ..checks import traced
 from ..lattice import Lattice
+from ..programs import Kept
 from ..terms.tracing import reads
 
 
@@ -25,25 +25,16 @@ class Facts(NamedTuple):
     known: dict
 
 
-_FACTS = {}
+_FACTS = Kept()
 
 
 def facts(lattice: Lattice) -> Facts:
     """The `Facts` of a lattice, kept while it lives and its functions read the same: its parameters never change."""
-    key = id(lattice)
-    owner, found, readers = _FACTS.get(key, _NOBODY)
-    # a lattice without functions of the user's, which is most, is known by itself
-    if owner() is lattice and (not readers or found.outside == lattice._outside.values()):
+    found = _FACTS.get(lattice)
+    # without functions of the user's nothing is read from outside, and a lattice is known by itself
+    if found is not None and (not found.outside or found.outside == lattice._outside.values()):
         return found
-    found = _found(lattice)
-    _FACTS[key] = weakref.ref(lattice, lambda _: _FACTS.pop(key, None)), found, lattice._outside.readers
-    return found
-
-
-_NOBODY = (lambda: None), None, ()
-
-
-facts.cache_clear = _FACTS.clear
+    return _FACTS.put(lattice, _found(lattice))
 
 
 def _found(lattice):

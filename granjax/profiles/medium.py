@@ -50,29 +50,35 @@ def medium_of(law: Law | Lattice, mass: Scalar = 1.0) -> Medium:
     **Raises** ValueError for a lattice that is no such chain, or a law whose parameters are not single numbers.
     """
     if isinstance(law, Lattice):
-        lattice = law
-        # contacts with walls may be others than those between sites
-        inner = [(term.without_walls(lattice) or (term,))[0] for term in lattice.terms]
-        found = [term.next_neighbours() for term in inner]
-        own = [one[0] for one in found if one is not None]
-        others = [term for term, one in zip(inner, found)
-                  if one is None and not (term.walls() and term.span() == ())]
-        wanted = "a uniform chain of bonds between neighbours"
+        lattice, wanted = law, "a uniform chain of bonds between neighbours"
         if lattice.fields is not None or lattice.axes != 1 or lattice.dimension is not None:
             refuse("law", wanted, f"a lattice of shape {lattice.shape}")
         if lattice.lanes:
             refuse("law", "one lattice", f"a batch of shape {lattice.lanes}", "Look for the wave of each in a loop.")
-        if others or not own:
-            names = ", ".join(type(term).__name__ for term in others) or "no bond to the next site"
-            refuse("law", wanted, f"one with {names}")
-        law, mass, origin = sum(own[1:], own[0]), lattice.mass, {"_mark": lattice._mark, "_space": lattice.space}
-        mass = _single("law", "masses", mass)
+        law, origin = law_between(lattice, wanted), lattice.origin
+        mass = _single("law", "masses", lattice.mass)
     else:
         origin, mass = {}, positive("mass", mass)
         if mass.shape:
             refuse("mass", "one number", f"shape {mass.shape}", "All sites are alike.")
     law = jax.tree.map(lambda x: _single("law", "parameters", x) if eqx.is_inexact_array(x) else x, law)
     return Medium(law, mass, origin)
+
+
+def law_between(lattice: Lattice, wanted: str) -> Law:
+    """The law of a chain's bonds to the next site, of all such terms; walls and their contacts do not count.
+
+    **Raises** ValueError for a chain with other terms, or without such bonds, as none of what is `wanted`.
+    """
+    # contacts with walls may be others than those between sites
+    inner = [(term.without_walls(lattice) or (term,))[0] for term in lattice.terms]
+    found = [term.next_neighbours() for term in inner]
+    others = [term for term, one in zip(inner, found) if one is None and not (term.walls() and term.span() == ())]
+    own = [one[0] for one in found if one is not None]
+    if others or not own:
+        names = ", ".join(type(term).__name__ for term in others) or "no bond to the next site"
+        refuse("law", wanted, f"one with {names}")
+    return sum(own[1:], own[0])
 
 
 def _single(argument, what, x):

@@ -5,6 +5,7 @@ its own stiffest lane. A call takes one chunk to every device; devices do not ta
 one compiled program.
 """
 
+from collections.abc import Iterable
 from functools import cache
 
 import diffrax
@@ -48,7 +49,7 @@ def peak_forces(
     # sorted, so that lanes of a chunk are about equally stiff; filled up with the softest
     padded = np.pad(ratios[order], (0, -len(ratios) % width), mode="edge").reshape(-1, width)
     program = _program(beads, boundary, bonds, devices)
-    done = list(map(np.asarray, _one_ahead(program, _followed(padded, progress), float(t1))))
+    done = list(map(np.asarray, _one_ahead(program, followed(padded, progress, "mass ratios"), float(t1))))
     forces = np.empty((len(bonds), len(ratios)))
     forces[:, order] = np.concatenate(done, axis=1)[:, : len(ratios)]
     return forces
@@ -64,13 +65,13 @@ def _one_ahead(program, chunks, t1):
     yield wait(coming)
 
 
-def _followed(chunks, progress):
+def followed(chunks: Iterable, progress: bool, what: str) -> Iterable:
+    """Chunks of lanes with a bar that names `what`, where somebody watches."""
     if not progress:
         return chunks
     from tqdm import tqdm
 
-    # no bar where nobody watches
-    return tqdm(chunks, desc="mass ratios", unit="chunk", leave=False, disable=None)
+    return tqdm(chunks, desc=what, unit="chunk", leave=False, disable=None)
 
 
 @cache

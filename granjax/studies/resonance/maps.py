@@ -23,7 +23,7 @@ from ...states import impact
 from ...strains import Shift
 from ...terms import Bond
 from ...types import Parameter
-from .lanes import LANES
+from .lanes import LANES, followed
 
 # beads behind the last cell that is read; time that a pulse takes a bead, at most, and to rise and fall
 MARGIN, PACE, PASSING = 12, 1.4, 6.0
@@ -163,20 +163,12 @@ def _forces(masses, stiffness, cells, progress):
     lanes = np.pad(order, (0, -n % LANES), mode="edge").reshape(-1, LANES)
     out = np.empty((2, n))
     program = _program(beads, P * cells[0], P * cells[1])
-    for chunk in _followed(lanes, progress):
+    for chunk in followed(lanes, progress, "resonance map"):
         slow = float((masses[chunk].max(1) / stiffness[chunk].min(1)).max() ** 0.4)
         along = [np.resize(x[chunk], (LANES, P))[:, np.arange(count) % P].T
                  for x, count in ((masses, beads), (stiffness, beads - 1))]
         out[:, chunk] = np.asarray(wait(program(*along, max(slow, 1.0))))
     return out
-
-
-def _followed(chunks, progress):
-    if not progress:
-        return chunks
-    from tqdm import tqdm
-
-    return tqdm(chunks, desc="resonance map", unit="chunk", leave=False, disable=None)
 
 
 @cache

@@ -9,6 +9,7 @@ import numpy as np
 from ...checks import refuse, traced
 from ...lattice import Lattice
 from ...laws import Law
+from ...profiles.medium import law_between
 
 # relative difference of numbers that repeat
 ALIKE = 1e-12
@@ -25,14 +26,7 @@ def repeated_in(lattice: Lattice) -> tuple[Law, np.ndarray, dict]:
         refuse("law", "known numbers", "traced ones", "The box of a wave follows its ripple: it has no derivative.")
     if lattice.fields is not None or lattice.axes != 1 or lattice.dimension is not None or lattice.lanes:
         refuse("law", wanted, f"a lattice of shape {lattice.shape}, lanes {lattice.lanes}", "One chain at a time.")
-    inner = [(term.without_walls(lattice) or (term,))[0] for term in lattice.terms]
-    found = [term.next_neighbours() for term in inner]
-    others = [term for term, one in zip(inner, found) if one is None and not (term.walls() and term.span() == ())]
-    own = [one[0] for one in found if one is not None]
-    if others or not own:
-        names = ", ".join(type(term).__name__ for term in others) or "no bond to the next site"
-        refuse("law", wanted, f"one with {names}")
-    law, (sites,) = sum(own[1:], own[0]), lattice.sites
+    law, (sites,) = law_between(lattice, wanted), lattice.sites
     rows = [np.broadcast_to(np.asarray(lattice.mass, float), sites)]
     rows += [np.asarray(x) for x in jax.tree.leaves(law) if np.ndim(x) and np.shape(x)[0] > 1]
     period = next((p for p in range(1, sites // 2 + 1) if all(_repeats(row, p) for row in rows)), None)
