@@ -95,6 +95,7 @@ Measurements and design
 Theory and studies
     theory              closed forms: envelopes (nls), Toda, KdV, compactons, elliptic functions
     travelling          solitary waves, and waves of dimers and of beads with resonators; collisions, reflection
+    shocks              dispersive shocks: strain steps, velocity shocks, pistons, impacts
     Resonator           a mass on a spring in every bead
     studies             a rectifier, dark and bright breathers, as they were made
     resonance           transmission of dimers over their mass ratio
@@ -183,7 +184,7 @@ __version__ = "0.1.0"
 _LAZY = {
     name: f".{name}" for name in (
         "breathers", "canonical", "continuation", "driven", "floquet", "forced", "identify", "linear", "materials",
-        "measures", "newton", "orbits", "plots", "scenes", "states", "studies", "theory", "travelling",
+        "measures", "newton", "orbits", "plots", "scenes", "shocks", "states", "studies", "theory", "travelling",
     )
 } | {"reproduce": ".studies.reproduce", "resonance": ".studies.resonance"}
 

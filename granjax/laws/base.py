@@ -185,19 +185,26 @@ class Scaled(Law):
 
 
 class Strained(Law):
-    """A law measured from another equilibrium, a strain s: F(e) = F_law(e + s) - F_law(s).
+    """A law measured from another equilibrium, a strain s: F(e) = F_law(e + s) - F_law(r), with r = s by default.
 
-    So a ring carries a mean strain, such as what a solitary wave shortens it by, while its displacements are periodic.
-    **Arguments:** `law`; `strain`: s [m], number or array over bonds.
+    So a ring carries a mean strain, such as what a solitary wave shortens it by, while its displacements are periodic;
+    and with one r for bonds of several s the far states of a shock are held at u = 0, without a ramp in u.
+    **Arguments:** `law`; `strain`: s [m], number or array over bonds; `reference`: r [m], the strain at which force and
+    energy are zero, `None` for s. With r beside s the force at e = 0 is that of the law from r to s.
     """
 
-    dimensions = {"law": PART, "strain": (0, 1, 0)}
+    dimensions = {"law": PART, "strain": (0, 1, 0), "reference": (0, 1, 0)}
     law: Law
     strain: object
+    reference: object
 
     @checked
-    def __init__(self, law: Law, strain: Number):
-        self.law, self.strain = law, strain
+    def __init__(self, law: Law, strain: Number, reference: Number | None = None):
+        self.law, self.strain, self.reference = law, strain, reference
+
+    @property
+    def _zero(self):
+        return jnp.asarray(self.strain if self.reference is None else self.reference)
 
     @property
     def softens(self):
@@ -209,14 +216,15 @@ class Strained(Law):
 
     @property
     def preload(self):
-        return self.law.preload + self.law.force(jnp.asarray(self.strain))
+        return self.law.preload + self.law.force(self._zero)
 
     def force(self, e):
-        return self.law.force(e + self.strain) - self.law.force(jnp.asarray(self.strain))
+        return self.law.force(e + self.strain) - self.law.force(self._zero)
 
     def energy(self, e):
-        rest = jnp.asarray(self.strain)
-        return self.law.energy(e + rest) - self.law.energy(rest) - self.law.force(rest) * e
+        zero = self._zero
+        moved = e if self.reference is None else e + (self.strain - zero)
+        return self.law.energy(e + self.strain) - self.law.energy(zero) - self.law.force(zero) * moved
 
     def overlap(self, e):
         return self.law.overlap(e + self.strain)

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from ..checks import is_whole, one_of, refuse
+from ..checks import concrete, is_whole, one_of, parameter, refuse, show
 from ..lattice import Lattice
 
 
@@ -39,3 +39,12 @@ def chain_only(lattice: Lattice, what: str) -> int:
         got = f"displacements of shape {lattice.shape}"
         refuse("lattice", f"a chain with one displacement per site, for {what}", got)
     return lattice.shape[0]
+
+
+def inside(name: str, centre: Any, size: int) -> Any:
+    """A place on a chain, from its first site to its last, also between two."""
+    centre = parameter(name, centre)
+    value = concrete(centre)
+    if value is not None and (value.ndim or not 0 <= value <= size - 1):
+        refuse(name, f"a place within 0 ... {size - 1}", show(value))
+    return centre

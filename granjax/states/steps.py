@@ -2,11 +2,11 @@
 
 import jax.numpy as jnp
 
-from ..checks import concrete, parameter, per_lane, refuse, show
+from ..checks import per_lane
 from ..entry import checked
 from ..lattice import Lattice, State
 from ..types import Parameter
-from .places import chain_only
+from .places import chain_only, inside
 
 
 @checked
@@ -26,7 +26,7 @@ def strain_step(lattice: Lattice, left: Parameter, right: Parameter = 0.0, centr
     """
     size = chain_only(lattice, "strain_step")
     left, right = per_lane("left", left, lattice.lanes), per_lane("right", right, lattice.lanes)
-    centre = _inside("centre", (size - 1) // 2 if centre is None else centre, size)
+    centre = inside("centre", (size - 1) // 2 if centre is None else centre, size)
     n = jnp.arange(size, dtype=left.dtype).reshape((-1,) + (1,) * len(lattice.lanes))
     before, after = jnp.maximum(centre - n, 0), size - 1 - jnp.maximum(n, centre)
     zeros = lattice.zeros()
@@ -50,15 +50,7 @@ def velocity_step(lattice: Lattice, c: Parameter, centre: Parameter | None = Non
     """
     size = chain_only(lattice, "velocity_step")
     c = per_lane("c", c, lattice.lanes)
-    centre = _inside("centre", (size - 1) / 2 if centre is None else centre, size)
+    centre = inside("centre", (size - 1) / 2 if centre is None else centre, size)
     n = jnp.arange(size, dtype=c.dtype).reshape((-1,) + (1,) * len(lattice.lanes))
     zeros = lattice.zeros()
     return State(zeros, (zeros - 2 * c * jnp.sign(n - centre)).astype(zeros.dtype))
-
-
-def _inside(name, centre, size):
-    centre = parameter(name, centre)
-    value = concrete(centre)
-    if value is not None and (value.ndim or not 0 <= value <= size - 1):
-        refuse(name, f"a place within 0 ... {size - 1}", show(value))
-    return centre

@@ -1,0 +1,146 @@
+"""The initial data of a shock, and how long a chain serves them."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from ..checks import concrete, refuse
+from ..entry import checked
+from ..flow import Run, simulate
+from ..lattice import Lattice, State
+from ..laws import Law
+from ..printing import told
+from ..terms.reach import furthest
+from ..types import Displacements, Number, Numbers, Scalar
+
+# points of the strains that are reached; nodes of an integral over them
+SAMPLES, NODES = 33, 32
+_PLACES, _WEIGHTS = np.polynomial.legendre.leggauss(NODES)
+# how far a linear front, Ai(z) with z = (n - s t)/(s t/8)^{1/3}, reaches ahead: it is below 1e-16 from z = 14 on; and
+# sites besides
+AIRY, SITES = 7, 4
+
+
+class Jolt(eqx.Module):
+    """What sends a shock into a medium: its law, the least mass, and pairs of a strain and the velocity it jumps by.
+
+    A velocity is that of beads against the medium ahead, in which the strain is; its sign is that of the compression.
+    """
+
+    law: Law
+    mass: Number
+    into: tuple
+    __repr__ = told
+
+
+class Riemann(eqx.Module):
+    """The initial data of a shock: unpacks as (lattice, state), so that `gx.simulate(*problem, t1)` runs it.
+
+    - `lattice`, `state`: the chain as it is run, and where it starts, lanes last.
+    - `kind`: "velocity", "strain", "piston" or "impacts". `c`: what was given: c, `left - right`, half the piston's
+      speed (the c of the velocity shock that it is one half of), the impulse.
+    - `centre`: place of the step on the scale of bonds, bond n being that between sites n and n + 1:
+      x = n - centre, and n/t of the theory is x/t.
+    - `rest`: strain of each bond at u = 0, (N - 1,), or 0.0.
+    """
+
+    lattice: Lattice
+    state: State
+    c: Number
+    centre: Number
+    rest: Number
+    kind: str = eqx.field(static=True)
+    _jolt: Jolt | None = None
+    __repr__ = told
+
+    def __iter__(self) -> Iterator[Any]:
+        return iter((self.lattice, self.state))
+
+    @checked
+    def strain(self, u: Displacements) -> Numbers:
+        """Total strain y_n of the bonds between sites, (..., N - 1) and lanes, from displacements (..., N) and lanes.
+
+        Positive in compression, measured from the rest of the chain as it was given. Far states lie in `rest`, not in
+        u, so that no digits are lost in large displacements.
+        """
+        axis = jnp.ndim(u) - 1 - len(self.lattice.lanes)
+        size = self.lattice.shape[0]
+        if axis < 0 or u.shape[axis] != size:
+            refuse("u", f"displacements of {size} sites, then lanes {self.lattice.lanes}", f"shape {jnp.shape(u)}")
+        u = jnp.asarray(u)
+        tail = jnp.take(u, jnp.arange(size - 1), axis) if isinstance(u, np.ndarray) else _cut(u, axis, 0, size - 1)
+        return tail - _cut(u, axis, 1, size) + self.rest
+
+    @checked
+    def until(self) -> Number:
+        """The time until which what the step sends out meets no end of the chain, one number or one per lane.
+
+        Nothing runs faster than the sound at the ends and a smooth jump (m s^2 = [F]/[y]) whose beads move at twice
+        the speed behind the shock, as in the first solitary wave; for a law that stiffens the wave itself is slower
+        than that. The linear front's width is added. Infinite where nothing moves (beads in touch that part).
+        **Raises** ValueError for a chain with other bonds than to the next site.
+        """
+        if self._jolt is None:
+            refuse("t1", "the time of a chain of bonds to the next site alone", "other bonds as well", "Give t1.")
+        centre, last = self.centre + 0.5, self.lattice.shape[0] - 1
+        room = jnp.minimum(centre, last - centre) if self.kind in ("velocity", "strain") else last + 0.0 * centre
+        return _until(self._jolt, room, len(self.lattice.lanes))
+
+    @checked
+    def run(self, t1: Scalar | None = None, **keywords: Any) -> Run:
+        """`gx.simulate(*self, t1, **keywords)`; t1 is `until()` where it is not given (the shortest of the lanes).
+
+        The run remembers its problem, which `gx.shocks.measure` reads.
+        """
+        if t1 is None:
+            t1 = jnp.min(self.until())
+            known = concrete(t1)
+            if known is not None and not 0 < known < np.inf:
+                why = "nothing moves, now or ever" if known > 0 else "the step is too close to an end"
+                refuse("t1", "a time", "None", f"None is found here: {why}.")
+            t1 = t1 if known is None else float(known)
+        run = simulate(self.lattice, self.state, t1, **keywords)
+        object.__setattr__(run, "_problem", self)
+        return run
+
+
+def _cut(u, axis, low, high):
+    return u[(slice(None),) * axis + (slice(low, high),)]
+
+
+@eqx.filter_jit
+def _until(jolt, room, lanes):
+    fastest = jnp.zeros(())
+    for strain, velocity in jolt.into:
+        squared = _stiffest(jolt.law, strain, jolt.mass * velocity**2, jnp.sign(velocity)) / jolt.mass
+        # of bonds that differ the stiffest
+        fastest = jnp.maximum(fastest, squared.max(0) if squared.ndim > lanes else squared)
+    # s t + AIRY (s t)^{1/3} = room: one real root
+    p, q = AIRY / 3, jnp.maximum(room - SITES, 0) / 2
+    root = 2 * p**0.5 * jnp.sinh(jnp.arcsinh(q / p**1.5) / 3)
+    return root**3 / jnp.sqrt(fastest)
+
+
+def _stiffest(law, strain, work, sign):
+    """The largest slope of a chord from a strain on, as far as [F][y] = `work`; and at none that of the tangent."""
+    force = law.force(strain)
+    zero = 0 * (law.derivative(strain) + work)
+
+    def reachable(x):
+        spent = (law.force(strain + sign * x) - force) * sign * x
+        return spent <= work
+
+    far = furthest(reachable, zero, 1.0)
+    x = jnp.linspace(0, 1, SAMPLES)[1:].reshape((-1,) + (1,) * far.ndim) * far
+    chord = (law.force(strain + sign * x) - force) * sign / jnp.where(x > 0, x, 1)
+    return jnp.maximum(law.derivative(strain), jnp.max(jnp.where(jnp.isfinite(chord) & (x > 0), chord, 0), 0))
+
+
+def simple_wave_velocity(law: Law, mass: Number, low: Number, high: Number) -> Number:
+    """The integral of the sound speed sqrt(F'(y)/m) from one strain to another: the velocity of a simple wave."""
+    shape = (-1,) + (1,) * jnp.ndim(high - low)
+    y = low + (1 + _PLACES.reshape(shape)) / 2 * (high - low)
+    return jnp.sum(_WEIGHTS.reshape(shape) / 2 * jnp.sqrt(jnp.maximum(law.derivative(y), 0) / mass), 0) * (high - low)

@@ -1,0 +1,215 @@
+"""The scenes of shocks: a step in the strain, colliding halves, a piston."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..checks import concrete, per_lane, refuse, show
+from ..entry import checked
+from ..lattice import Lattice, State
+from ..laws import Strained
+from ..profiles.medium import law_between
+from ..states import velocity_step
+from ..states.places import chain_only
+from ..strains import Shift
+from ..terms import Bond, Wall
+from ..types import Count, Number, Parameter
+from .riemann import Jolt, Riemann, simple_wave_velocity
+
+CHAIN = "a chain of bonds between neighbours"
+
+
+class Uniform(eqx.Module):
+    """w(t) = speed t, the motion of a piston: its speed can be swept and differentiated."""
+
+    speed: jax.Array
+
+    def __call__(self, t: Number) -> Number:
+        """The place of the piston at time t."""
+        return self.speed * t
+
+
+@checked
+def velocity_shock(lattice: Lattice, c: Parameter, *, centre: Parameter | None = None) -> Riemann:
+    r"""Two halves of a chain that collide: u = 0, v_n = -2c sign(n - centre).
+
+    For c > 0 they meet with a relative velocity 4c and a shock runs into each; for c < 0 they part, which sends a
+    rarefaction, or a shock where the law softens. Behind it the strain is about 2c over the speed of sound (Toda,
+    a = b = m = 1: 2 ln(1 + c) for -1 < c < 1; from c = 1 on the strain oscillates for ever from site to site).
+
+    The ends become free, whatever they were: bonds to walls are taken off and a ring is cut, since the far states
+    translate, which a wall or the way around a ring would stop. Nothing comes from the ends then.
+
+    **Arguments:** `lattice`: a chain; `c`: a quarter of the relative velocity [m/s], a number or one per lane;
+    `centre`: as in `gx.states.velocity_step`: a site, which stays at rest, or half way between two; `None` for the
+    middle. **Returns:** `Riemann`, its `centre` half a bond further left, where sites lie on the scale of bonds.
+    **Raises** ValueError for what is no chain, terms that hold or slow a translation (walls, on-site forces, damping
+    of sites: `piston` serves those), c not finite, or a centre outside the chain.
+    Source: S. Venakides, P. Deift, R. Oba, Comm. Pure Appl. Math. 44, 1171 (1991).
+    """
+    chain_only(lattice, "velocity_shock")
+    chain = _opened(lattice)
+    state = velocity_step(chain, c, centre)
+    _refuse_ends(chain, state)
+    c, size = per_lane("c", c, chain.lanes), chain.shape[0]
+    middle = (size - 1) / 2 if centre is None else centre
+    return Riemann(chain, state, c, jnp.asarray(middle, float) - 0.5, 0.0, "velocity", _jolt(chain, [(0.0, 4 * c)]))
+
+
+@checked
+def step(lattice: Lattice, left: Parameter, right: Parameter = 0.0, *, centre: Count | None = None) -> Riemann:
+    r"""A step in the strain, at rest: y_n = left for n < centre, right for n >= centre; u = v = 0.
+
+    Each bond is measured from the strain that it starts with, gx.laws.Strained(law, left or right, right), so that no
+    ramp u_n = -left n is needed: at a million sites such a ramp would round the strain to 1e-10, here it keeps all
+    digits. u counts from where the sites start; `problem.strain(u)` is the whole strain. The ends become rigid walls,
+    which carry the load of the far states: these stay at rest, to the last bit, until a wave comes.
+
+    The sites start at once: the site `centre` feels F(left) - F(right). For a law that stiffens and left > right a
+    shock runs to the right and a rarefaction to the left.
+
+    **Arguments:** `left`, `right`: strains from the rest of `lattice`, positive in compression [m], numbers or one per
+    lane; `centre`: the first bond that carries `right`, from 1 to N - 2; `None` for the middle, (N-1)//2.
+    **Returns:** `Riemann`, its `centre` half way between the bonds centre - 1 and centre.
+    **Raises** ValueError for what is no chain, bonds that differ or do not lead to the next site, on-site forces, equal
+    strains, those at which the law has no force, or a centre outside the chain.
+    """
+    size = chain_only(lattice, "step")
+    left, right = per_lane("left", left, lattice.lanes), per_lane("right", right, lattice.lanes)
+    dtype, lanes = lattice.dtype, len(lattice.lanes)
+    left, right = left.astype(dtype), right.astype(dtype)
+    centre = _site("centre", (size - 1) // 2 if centre is None else centre, size)
+    bonds = np.arange(-1, size).reshape((-1,) + (1,) * lanes)  # those to the walls as well
+    strain, terms = jnp.where(bonds < centre, left, right), []
+    for i, term in enumerate(lattice.terms):
+        found = term.next_neighbours()
+        if found is not None:
+            law = _alike(found[0], lanes, f"lattice.terms[{i}]")
+            terms.append(Bond(Shift(1, "fixed"), Strained(law, strain, right)))
+        elif term.dependence(lattice).displacement or term.dependence(lattice).time:
+            refuse("lattice", f"{CHAIN}, and damping", f"terms[{i}] ({type(term).__name__})",
+                   "The far states must be at rest at their strains.")
+        else:
+            terms.append(term)
+    chain = _with(lattice, terms)
+    jump = concrete(left - right)
+    if jump is not None and not np.all(jump):
+        refuse("left", "another strain than right", show(concrete(left)), "Without a jump nothing moves.")
+    law = law_between(lattice, CHAIN)
+    law = _alike(law, lanes, "lattice")
+    for name, y in (("left", left), ("right", right)):
+        force = concrete(law.force(y))
+        if force is not None and not np.all(np.isfinite(force)):
+            refuse(name, "a strain at which the law has a force", show(concrete(y)))
+    velocity = simple_wave_velocity(law, _least(chain), right, left)
+    zeros = chain.zeros()
+    problem = Riemann(chain, State(zeros, zeros), left - right, jnp.asarray(centre - 0.5, float),
+                      strain[1:-1], "strain", Jolt(law, _least(chain), ((right, velocity), (left, -velocity))))
+    return problem
+
+
+@checked
+def piston(lattice: Lattice, speed: Parameter) -> Riemann:
+    r"""A piston that moves into a chain at rest from the left: a `Wall` with w(t) = speed t and the chain's own law.
+
+    It is one half of a velocity shock with c = speed/2, seen by an observer who rests: u_n + 2c t of the sites right of
+    one that stays at rest, to rounding. A negative speed draws it out.
+
+    **Arguments:** `lattice`: a chain; bonds to walls are taken off and a ring is cut, the right end is free.
+    `speed` [m/s], a number or one per lane. **Returns:** `Riemann`, with c = speed/2; the piston's contact is bond -1,
+    and `centre` -1.5.
+    **Raises** ValueError for what is no chain of bonds to the next site, speeds not finite or zero.
+    Source: Molinari, Daraio, Phys. Rev. E 80, 056602 (2009).
+    """
+    chain_only(lattice, "piston")
+    speed = per_lane("speed", speed, lattice.lanes)
+    known = concrete(speed)
+    if known is not None and not np.all(known):
+        refuse("speed", "a speed other than zero", show(known))
+    laws = [_first(term, lattice) for term in lattice.terms if term.next_neighbours() is not None]
+    if not laws:
+        law_between(lattice, CHAIN)  # refuses, naming what is there
+    chain = _opened(lattice)
+    wall = Wall(sum(laws[1:], laws[0]), "left", Uniform(speed.astype(lattice.dtype)))
+    chain = _with(chain, (*chain.terms, wall))
+    zeros = chain.zeros()
+    return Riemann(chain, State(zeros, zeros), speed / 2, jnp.asarray(-1.5), 0.0, "piston",
+                   _jolt(_opened(lattice), [(0.0, 2 * speed)]))
+
+
+def _with(lattice, terms):
+    chain = eqx.tree_at(lambda x: x.terms, lattice, tuple(terms))
+    chain.check_terms()
+    return chain
+
+
+def _opened(lattice):
+    """The chain with its bonds to walls taken off, and a ring cut between its last site and its first."""
+    return _with(lattice, [_between(term, lattice) for term in lattice.terms])
+
+
+def _between(term, lattice):
+    found = term.next_neighbours()
+    if found is None or found[1] == "free":
+        return term
+    law, boundary = found
+    return Bond(Shift(1, "free"), _over(law, lattice, (lambda x: x[1:-1]) if boundary == "fixed" else lambda x: x[:-1]))
+
+
+def _first(term, lattice):
+    """The law of the contact with a wall on the left: that of the bond to a wall, or of the first one."""
+    return _over(term.next_neighbours()[0], lattice, lambda x: x[0])
+
+
+def _over(law, lattice, choose):
+    """`choose` applied to every parameter that has an axis over the bonds."""
+    axes = 1 + len(lattice.lanes)
+    return jax.tree.map(lambda x: choose(x) if jnp.ndim(x) == axes and x.shape[0] > 1 else x, law)
+
+
+def _alike(law, lanes, where):
+    """A law of one number for all bonds, where those of all are alike."""
+    def one(x):
+        if jnp.ndim(x) != 1 + lanes:
+            return x
+        values = concrete(x)
+        if values is not None and not np.all(values == values[:1]):
+            refuse("lattice", "bonds that are all alike", f"{where} with parameters from {values.min():g} to "
+                   f"{values.max():g}", "At one strain bonds that differ are not in equilibrium.")
+        return x[0]
+
+    return jax.tree.map(one, law)
+
+
+def _least(lattice):
+    """The least mass, one number or one per lane."""
+    mass = lattice.mass
+    return mass.min(0) if mass.ndim > len(lattice.lanes) else mass
+
+
+def _jolt(lattice, into):
+    """What the step sends out; `None` for a chain of other bonds as well."""
+    if any(term.next_neighbours() is None and term.dependence(lattice).displacement for term in lattice.terms):
+        return None
+    laws = [term.next_neighbours()[0] for term in lattice.terms if term.next_neighbours() is not None]
+    return Jolt(sum(laws[1:], laws[0]), _least(lattice), tuple(into)) if laws else None
+
+
+def _refuse_ends(lattice, state):
+    """Refuse what acts on the ends of a chain whose halves translate."""
+    for i, term in enumerate(lattice.terms):
+        if any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves((term, lattice.mass, state.v))):
+            continue
+        force = term.force(0.0, state.v, state.v, lattice.mass)
+        ends = np.asarray(force)[[0, -1]]
+        if np.any(ends != 0):
+            refuse("lattice", "a chain whose halves may translate, free at its ends",
+                   f"terms[{i}] ({type(term).__name__}), which acts on its ends then",
+                   "Take it out, write it with Shift(.., 'free'), or use gx.shocks.piston, where the chain rests.")
+
+
+def _site(name, centre, size):
+    if not 1 <= centre <= size - 2:
+        refuse(name, f"a bond from 1 to {size - 2}", show(centre))
+    return int(centre)
