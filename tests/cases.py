@@ -90,6 +90,7 @@ ALL_LAWS = (
     LawCase("sum_linear_sine", gx.Linear(0.4) + gx.Sine(0.9, 1.7), _SMOOTH),
     LawCase("scaled", Scaled(gx.Hertz(1.0, 0.3), jnp.asarray(1.7))),
     LawCase("strained", Strained(gx.Hertz(1.0, 0.3), jnp.asarray(0.4))),
+    LawCase("strained_alike", Strained(gx.Hertz(1.0, 0.3), jnp.asarray(0.4), jnp.asarray(0.4))),
     LawCase("yielding", gx.Yielding(gx.Hertz(), 2.0)),
     LawCase("yielding_F0", gx.Yielding(gx.Hertz(1.7, 0.9), 2.0)),
     LawCase("yielding_stiff", gx.Yielding(gx.Hertz(), 1e12)),

@@ -349,6 +349,11 @@ def run():
     return gx.Run(**{field.name: known.get(field.name) for field in dataclasses.fields(gx.Run)})
 
 
+@functools.cache
+def shock():
+    return gx.shocks.velocity_shock(lattice(), 0.1)
+
+
 def envelope(nu2=1.0):
     """Coefficients of a nonlinear Schroedinger equation, of a chain with one site per cell."""
     known = dict(k=jnp.pi, omega=1.0, nu2=nu2, nu3=1.0, nu3_force=1.0, group_velocity=0.0, resonant=False, bond=0)
@@ -470,6 +475,8 @@ OWN = {
         **{f"compacton.{kind}.p": 1.5 for kind in ("nesterenko", "ahnert_pikovsky")},
     }.items()},
     "newton.newton.guess": lambda: np.ones(1),
+    "shocks.scenes.step.left": lambda: 0.2, "shocks.scenes.step.right": lambda: 0.1,
+    "shocks.scenes.step.centre": lambda: 2,
     "terms.base.Term.force.mass": lambda: 1.0,
     "lattice.model.Lattice.total.parts": lambda: [np.zeros(5)],
     "fit.files.read_csv.path": lambda: file("file.csv"), "fit.files.read_mat.path": lambda: file("file.mat"),
@@ -547,7 +554,7 @@ BLANK = (
 INSTANCES = {
     gx.Lattice: lattice, gx.Flow: lambda: gx.Flow(8), gx.units.Units: gx.units.Units, gx.Traces: traces,
     gx.Resonator: lambda: gx.Resonator(0.1, 1.0),
-    gx.orbits.Symmetry: gx.orbits.Symmetry, Result: run, Figure: lambda: figure("fig1.3"),
+    gx.orbits.Symmetry: gx.orbits.Symmetry, gx.shocks.Riemann: shock, Result: run, Figure: lambda: figure("fig1.3"),
 }
 
 

@@ -581,6 +581,31 @@ def _(s):
     return state(gx.travelling.wave_orbit(lattice, guess, wave.speed).state)
 
 
+# shocks
+def shock(problem, s):
+    """What a problem is and where its strain goes in a few steps."""
+    run = problem.run(s.s(3.0), step=s.s(0.1))
+    return [speed(problem.state.v), problem.centre, length(problem.strain(run.us)), problem.kind]
+
+
+@row("velocity_shock", uniform, foreign)
+def _(s):
+    problem = gx.shocks.velocity_shock(s.lattice, s.speed(near(s.rng, 0.2)))
+    return [shock(problem, s), speed(problem.c), duration(problem.until() if s.lattice.terms[1:] == () else s.s(1.0))]
+
+
+@row("step", uniform)
+def _(s):
+    problem = gx.shocks.step(s.lattice, s.m(near(s.rng, 0.4)), s.m(0.1))
+    return [shock(problem, s), length([problem.c, problem.rest]), duration(problem.until())]
+
+
+@row("piston", uniform)
+def _(s):
+    problem = gx.shocks.piston(s.lattice, s.speed(near(s.rng, 0.3)))
+    return [shock(problem, s), speed(problem.c), duration(problem.until())]
+
+
 # fits
 class Damped(eqx.Module):
     """A chain as a function of its parameters: equal structures compile once."""

@@ -9,7 +9,6 @@ from ..checks import concrete, per_lane, refuse, show
 from ..entry import checked
 from ..lattice import Lattice, State
 from ..laws import Strained
-from ..profiles.medium import law_between
 from ..states import velocity_step
 from ..states.places import chain_only
 from ..strains import Shift
@@ -96,17 +95,15 @@ def step(lattice: Lattice, left: Parameter, right: Parameter = 0.0, *, centre: C
     jump = concrete(left - right)
     if jump is not None and not np.all(jump):
         refuse("left", "another strain than right", show(concrete(left)), "Without a jump nothing moves.")
-    law = law_between(lattice, CHAIN)
-    law = _alike(law, lanes, "lattice")
+    law = _alike(_law(lattice), lanes, "lattice")
     for name, y in (("left", left), ("right", right)):
         force = concrete(law.force(y))
         if force is not None and not np.all(np.isfinite(force)):
             refuse(name, "a strain at which the law has a force", show(concrete(y)))
     velocity = simple_wave_velocity(law, _least(chain), right, left)
     zeros = chain.zeros()
-    problem = Riemann(chain, State(zeros, zeros), left - right, jnp.asarray(centre - 0.5, float),
-                      strain[1:-1], "strain", Jolt(law, _least(chain), ((right, velocity), (left, -velocity))))
-    return problem
+    return Riemann(chain, State(zeros, zeros), left - right, jnp.asarray(centre - 0.5, float), strain[1:-1], "strain",
+                   Jolt(law, _least(chain), ((right, velocity), (left, -velocity))))
 
 
 @checked
@@ -127,15 +124,12 @@ def piston(lattice: Lattice, speed: Parameter) -> Riemann:
     known = concrete(speed)
     if known is not None and not np.all(known):
         refuse("speed", "a speed other than zero", show(known))
-    laws = [_first(term, lattice) for term in lattice.terms if term.next_neighbours() is not None]
-    if not laws:
-        law_between(lattice, CHAIN)  # refuses, naming what is there
-    chain = _opened(lattice)
-    wall = Wall(sum(laws[1:], laws[0]), "left", Uniform(speed.astype(lattice.dtype)))
-    chain = _with(chain, (*chain.terms, wall))
+    # the law of the bond to a wall on the left where there is one, else of the first bond
+    contact, free = _over(_law(lattice), lattice, lambda x: x[0]), _opened(lattice)
+    chain = _with(free, (*free.terms, Wall(contact, "left", Uniform(speed.astype(lattice.dtype)))))
     zeros = chain.zeros()
     return Riemann(chain, State(zeros, zeros), speed / 2, jnp.asarray(-1.5), 0.0, "piston",
-                   _jolt(_opened(lattice), [(0.0, 2 * speed)]))
+                   _jolt(free, [(0.0, 2 * speed)]))
 
 
 def _with(lattice, terms):
@@ -157,9 +151,13 @@ def _between(term, lattice):
     return Bond(Shift(1, "free"), _over(law, lattice, (lambda x: x[1:-1]) if boundary == "fixed" else lambda x: x[:-1]))
 
 
-def _first(term, lattice):
-    """The law of the contact with a wall on the left: that of the bond to a wall, or of the first one."""
-    return _over(term.next_neighbours()[0], lattice, lambda x: x[0])
+def _law(lattice):
+    """The law of all bonds to the next site."""
+    laws = [found[0] for found in (term.next_neighbours() for term in lattice.terms) if found is not None]
+    if not laws:
+        names = ", ".join(type(term).__name__ for term in lattice.terms)
+        refuse("lattice", CHAIN, f"one with {names or 'no terms'}", "Bonds to the next site are Bond(Shift(1), law).")
+    return sum(laws[1:], laws[0])
 
 
 def _over(law, lattice, choose):
@@ -192,8 +190,7 @@ def _jolt(lattice, into):
     """What the step sends out; `None` for a chain of other bonds as well."""
     if any(term.next_neighbours() is None and term.dependence(lattice).displacement for term in lattice.terms):
         return None
-    laws = [term.next_neighbours()[0] for term in lattice.terms if term.next_neighbours() is not None]
-    return Jolt(sum(laws[1:], laws[0]), _least(lattice), tuple(into)) if laws else None
+    return Jolt(_law(lattice), _least(lattice), tuple(into))
 
 
 def _refuse_ends(lattice, state):

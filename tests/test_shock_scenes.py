@@ -1,0 +1,166 @@
+"""The scenes of shocks against each other, closed forms and conservation."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import granjax as gx
+
+
+def hertz(sites=161, F0=0.3, boundary="fixed"):
+    return gx.scenes.monomer(sites, precompression=F0, boundary=boundary)
+
+
+def polynomial(sites=160):
+    """A law that softens: shocks are those of rarefaction."""
+    return gx.scenes.fput(sites, alpha=-0.25)
+
+
+def magnets(sites=160):
+    return gx.Lattice(np.ones(sites), gx.Bond(gx.Shift(1, "free"), gx.PowerLaw(0.05, -4.0, 0.05)))
+
+
+class Softer(gx.Law):
+    """tanh e, a law of one's own."""
+
+    rate: jax.Array
+
+    def force(self, e):
+        return jnp.tanh(self.rate * e)
+
+    def energy(self, e):
+        return jnp.log(jnp.cosh(self.rate * e)) / self.rate
+
+
+def own(sites=160):
+    return gx.Lattice(np.ones(sites), gx.Bond(gx.Shift(1, "free"), Softer(jnp.asarray(0.8))))
+
+
+CHAINS = {"toda": lambda: gx.scenes.toda(161), "hertz": hertz, "vacuum": lambda: hertz(F0=0), "softening": polynomial,
+          "magnets": magnets, "own": own}
+
+
+FAST = ("toda", 0.2), ("vacuum", 0.2), ("vacuum", -0.2), ("softening", -0.2)
+
+
+@pytest.mark.parametrize("name, c", [
+    pytest.param(name, c, marks=() if (name, c) in FAST else pytest.mark.slow) for name in CHAINS for c in (0.2, -0.2)])
+def test_nothing_comes_from_the_ends(name, c):
+    """Far states stay at rest, or translate, to rounding until `until()`, and the default step is not far too fine."""
+    for problem in (gx.shocks.velocity_shock(CHAINS[name](), c),
+                    gx.shocks.step(CHAINS[name](), max(c, 0.0), max(-c, 0.0))):
+        if name == "vacuum" and problem.kind == "velocity" and c < 0:
+            assert problem.until() == np.inf
+            with pytest.raises(ValueError, match="t1: expected a time, got None. None is found here: nothing moves"):
+                problem.run()
+            continue
+        run = problem.run()
+        y = np.asarray(problem.strain(run.us))[0]
+        size = abs(c)
+        assert run.completed and run.energy_error < 1e-8
+        assert np.abs(y[:3] - problem.strain(problem.state.u)[:3]).max() < 1e-11 * size
+        assert np.abs(y[-3:] - problem.strain(problem.state.u)[-3:]).max() < 1e-11 * size
+        assert np.abs(y - problem.strain(problem.state.u)).max() > 0.2 * size
+
+
+@pytest.mark.parametrize("name", ["toda", *(pytest.param(name, marks=pytest.mark.slow) for name in ("hertz", "own"))])
+def test_a_step_is_the_ramp_without_the_ramp(name):
+    chain, left, right = CHAINS[name](), 0.3, 0.05
+    problem = gx.shocks.step(chain, left, right)
+    run = problem.run(12.0, step=0.05)
+    free = gx.shocks.velocity_shock(chain, 0.1).lattice
+    ramp = gx.simulate(free, gx.states.strain_step(free, left, right), 12.0, step=0.05)
+    inner = slice(50, -50)
+    there = np.asarray(problem.strain(run.us))[0][inner]
+    u = np.asarray(ramp.us)[0]
+    assert np.abs(there - (u[:-1] - u[1:])[inner]).max() < 1e-13
+    assert np.ptp(there) > 0.2
+
+
+def test_a_piston_is_half_of_a_velocity_shock():
+    """In the frame of the piston, for a chain that is precompressed and one whose contacts differ."""
+    sites, c, t1 = 101, 0.15, 25.0
+    stiffness = np.random.default_rng(0).uniform(0.9, 1.1, sites // 2)
+    whole = gx.scenes.monomer(sites, stiffness=np.concatenate([stiffness[::-1], stiffness]), precompression=0.3,
+                              boundary="free")
+    half = gx.scenes.monomer(sites // 2, stiffness=np.append(stiffness, 1.0), precompression=0.3)
+    for chains in ((gx.scenes.toda(sites), gx.scenes.toda(sites // 2)), (whole, half)):
+        shock, piston = gx.shocks.velocity_shock(chains[0], c), gx.shocks.piston(chains[1], 2 * c)
+        assert piston.c == c and piston.centre == -1.5
+        u = np.asarray(shock.run(t1, step=0.1).us)[0]
+        moved = np.asarray(piston.run(t1, step=0.1).us)[0] - 2 * c * t1
+        assert u[sites // 2] == 0
+        assert np.abs(moved - u[sites // 2 + 1 :]).max() < 1e-12
+
+
+def test_the_binary_oscillation_of_toda():
+    """From c = 1 on the strain behind the shock has period two: it oscillates between two values for ever.
+
+    B. L. Holian, H. Flaschka, D. W. McLaughlin, Phys. Rev. A 24, 2595 (1981).
+    """
+    problem = gx.shocks.velocity_shock(gx.scenes.toda(400), 2.0)
+    run = problem.run(60.0, save_at=np.linspace(40.0, 60.0, 81))
+    y = np.asarray(problem.strain(run.us))[:, 180:220]
+    neighbours, second = np.diff(y, axis=1), y[:, 2:] - y[:, :-2]
+    swing = np.ptp(y, axis=0)
+    # every bond swings between the same two values, in antiphase with its neighbours, and no less towards the end
+    assert swing.min() > 1.0 and np.ptp(swing) < 0.1 * swing.min()
+    assert np.abs(second).max() < 0.05 * swing.min() and np.abs(neighbours).max() > 0.9 * swing.min()
+    assert np.ptp(y[:41], axis=0).min() == pytest.approx(np.ptp(y[40:], axis=0).min(), rel=0.05)
+    below = gx.shocks.velocity_shock(gx.scenes.toda(400), 0.5)
+    y = np.asarray(below.strain(below.run(60.0, save_at=[59.0, 60.0]).us))[:, 190:210]
+    assert np.abs(y - 2 * np.log(1.5)).max() < 0.2
+
+
+def test_a_batch_is_one_problem():
+    cs, lefts = jnp.asarray([0.1, 0.2]), jnp.asarray([0.2, 0.4])
+    chain = gx.scenes.toda(101)
+    many = jax.vmap(lambda c: gx.shocks.velocity_shock(chain, c), out_axes=-1)(cs)
+    steps = jax.vmap(lambda y: gx.shocks.step(chain, y, 0.1), out_axes=-1)(lefts)
+    pistons = jax.vmap(lambda c: gx.shocks.piston(chain, 2 * c), out_axes=-1)(cs)
+    alone = [gx.shocks.velocity_shock(chain, 0.2), gx.shocks.step(chain, 0.4, 0.1), gx.shocks.piston(chain, 0.4)]
+    for batch, one in zip((many, steps, pistons), alone):
+        assert batch.until().shape == (2,) and batch.until()[1] == pytest.approx(float(one.until()), rel=1e-12)
+        run, single = batch.run(20.0, step=0.1), one.run(20.0, step=0.1)
+        assert batch.strain(run.us).shape == (1, 100, 2)
+        assert np.abs(batch.strain(run.us)[..., 1] - one.strain(single.us)).max() < 1e-13
+    given = gx.shocks.velocity_shock(many.lattice, np.array([0.1, 0.2]))
+    assert np.array_equal(given.state.v, many.state.v)
+
+
+def test_a_step_differentiates():
+    def middle(left):
+        problem = gx.shocks.step(gx.scenes.toda(61), left)
+        return problem.strain(gx.simulate(*problem, 10.0, step=0.1).us)[0, 30]
+
+    near = 1e-5
+    slope = float(middle(0.3 + near) - middle(0.3 - near)) / (2 * near)
+    assert float(jax.grad(middle)(0.3)) == pytest.approx(slope, rel=1e-7)
+
+
+def tied():
+    """Every site on a spring of its own."""
+    return gx.Lattice(np.ones(50), (gx.Bond(gx.Shift(1, "free"), gx.Toda()), gx.OnSite(gx.Linear(0.1))))
+
+
+REFUSED = (
+    (lambda: gx.shocks.step(gx.scenes.toda(50), 0.1, 0.1), "left: expected another strain than right"),
+    (lambda: gx.shocks.step(gx.scenes.toda(50), 0.1, centre=0), "centre: expected a bond from 1 to 48"),
+    (lambda: gx.shocks.step(tied(), 0.1), "lattice: expected a chain of bonds between"),
+    (lambda: gx.shocks.velocity_shock(tied(), 0.1), "lattice: expected a chain whose halves"),
+    (lambda: gx.shocks.step(gx.scenes.monomer(50, stiffness=np.linspace(1, 2, 51)), 0.1), "lattice: expected bonds th"),
+    (lambda: gx.shocks.step(magnets(50), 100.0), "left: expected a strain at which the law has a force"),
+    (lambda: gx.shocks.piston(gx.scenes.toda(50), 0.0), "speed: expected a speed other than zero"),
+    (lambda: gx.shocks.piston(gx.Lattice(np.ones((4, 4)), gx.OnSite(gx.Linear(1.0))), 0.1), "lattice: expected a chai"),
+    (lambda: gx.shocks.piston(gx.Lattice(np.ones(4), gx.OnSite(gx.Linear(1.0))), 0.1), "lattice: expected a chain of"),
+    (lambda: gx.shocks.velocity_shock(gx.Lattice(np.ones(9), (gx.Bond(gx.Shift(1, "free"), gx.Toda()), gx.Damping(
+        0.1))), 0.1), "Damping.*, which acts on its ends"),
+    (lambda: gx.shocks.velocity_shock(gx.scenes.toda(50), 0.1).strain(np.zeros(49)), "u: expected displacements of 50"),
+)
+
+
+@pytest.mark.parametrize("use, said", REFUSED, ids=[said[:40] for _, said in REFUSED])
+def test_what_is_refused(use, said):
+    with pytest.raises(ValueError, match=said):
+        use()
