@@ -332,6 +332,12 @@ def _(seed):
     gx.simulate(*scene[:2], 1.0, step=0.05)
 
 
+@also("shock_edges", SLOW)
+def _(seed):
+    for law in (gx.Toda(1.0 + 0.1 * seed), gx.Hertz(1.0 + 0.1 * seed, 0.3)):
+        repr(gx.theory.shock_edges(law, 0.1 + 0.1 * seed, ahead=0.01 * seed))
+
+
 @also("periodic_wave", SLOW)
 def _(seed):
     law = gx.Toda(1.0 + 0.1 * seed)

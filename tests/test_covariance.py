@@ -568,6 +568,12 @@ def _(s):
     return fields_of(found, law=None, residual=About), state(found.state(9))
 
 
+@row("shock_edges", slow=(uniform,))
+def _(s):
+    found = gx.theory.shock_edges(s.lattice, s.speed(0.1), ahead=s.m(0.02))
+    return fields_of(found)
+
+
 @row("wave_family", slow=(uniform,))
 def _(s):
     sound = gx.linear.sound_speed(s.lattice)

@@ -152,6 +152,7 @@ MAKERS = {
     "Reflection": lambda: gx.travelling.Reflection(*np.ones((9, 3)), 1.0, 1.5, 2.8, 30, run(), "Back.", **OTHER),
     "Transmission": lambda: Transmission(np.ones(3), np.ones(3), np.ones(3), 1.0, 9, 20.0),
     "Extrema": lambda: Extrema(np.ones(2), np.ones(2), np.ones(0), np.ones(0)),
+    "FittedEdges": lambda: gx.theory.shock_edges(gx.Toda(), 0.5),
     "PeriodicWave": lambda: gx.travelling.periodic_wave(gx.Toda(), 8.0, amplitude=0.1),
     "WaveFamily": lambda: gx.travelling.WaveFamily(*np.ones((8, 3)), np.ones(1), gx.Hertz(), "So.", **OTHER),
     "Wave": lambda: gx.travelling.solitary_wave(gx.Hertz(), speed=1.0),

@@ -6,8 +6,10 @@
 - `long_wave`: the long-wave equations of a chain: residuals, linear waves, the wave of the regularised one.
 - `nls`: the nonlinear Schroedinger equation of wave packets in a periodic chain; its solitons and instability.
 - `toda`: the Toda chain: solitons, periodic waves, eigenvalues of its Lax matrix.
+- `shock_edges`: the edges of a dispersive shock of any convex law, by fitting.
 """
 
 from . import compacton, elliptic, kdv, long_wave, nls, toda
+from .fitting import FittedEdges, shock_edges
 
-__all__ = ["compacton", "elliptic", "kdv", "long_wave", "nls", "toda"]
+__all__ = ["FittedEdges", "compacton", "elliptic", "kdv", "long_wave", "nls", "shock_edges", "toda"]

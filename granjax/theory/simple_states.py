@@ -1,0 +1,231 @@
+r"""The state behind a simple wave of any law: int_ahead^mean (F'/m)^{1/2} dy = 2c, by quadrature with a known error."""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..checks import refuse
+from ..laws import Law
+from ..outside import Outside
+from ..printing import told
+from ..profiles import Medium
+from ..types import Numbers
+
+# arguments of a law in one program; nodes of a panel, and of the rule that it is checked by; panels towards either end
+CHUNK, FINE, COARSE, GRADED = 4096, 16, 11, (60, 50)
+# halvings of a panel that does not settle, panels that are halved at a time
+HALVINGS, MOST = 40, 64
+# binary orders of magnitude of the strain that are looked through, strains in each
+ORDERS, EACH = 400, 2
+STEPS = 100
+# share of the largest change of slope that counts as one the other way
+BENT = 1e-9
+_RULES = [np.polynomial.legendre.leggauss(count) for count in (FINE, COARSE)]
+_EPS = np.finfo(float).eps
+
+
+class Path(NamedTuple):
+    """From the strain ahead to the one behind, `width` further: nodes and weights on (0, 1), and what is there.
+
+    `sound`, `behind`: V_+ and V_- [1/s]; `growth`: V_-/V_+ - 1 with its digits; `close`: whether it takes an integral
+    of F'' to have them; `error`: relative, of `width` and `growth`.
+    """
+
+    width: float
+    nodes: np.ndarray
+    weights: np.ndarray
+    sound: float
+    behind: float
+    growth: float
+    close: bool
+    error: float
+    __repr__ = told
+
+    @property
+    def arrays(self) -> tuple[Numbers, ...]:
+        """Width, nodes and weights filled up to few lengths, and 1 where F'' is needed, for a compiled program."""
+        count = -(-len(self.nodes) // CHUNK) * CHUNK
+        nodes, weights = np.full(count, 0.5), np.zeros(count)
+        nodes[: len(self.nodes)], weights[: len(self.nodes)] = self.nodes, self.weights
+        return tuple(jnp.asarray(x, float) for x in (self.width, nodes, weights, self.close))
+
+
+@eqx.filter_jit
+def _slopes(law, e, outside):
+    first = law.derivative(e)
+    second = jax.jvp(law.derivative, (e,), (jnp.ones_like(e),))[1]
+    overlap = law.overlap(e)
+    return first, second, jnp.ones(e.shape) if overlap is None else jnp.broadcast_to(overlap, e.shape)
+
+
+def slopes(law: Law, e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """F' and F'' at known strains; NaN where a contact is open, two magnets have met, or the law has no stiffness."""
+    flat, outside = np.ravel(e), Outside(law)
+    padded = np.zeros(-(-max(flat.size, 1) // CHUNK) * CHUNK)
+    padded[: flat.size] = flat
+    parts = [_slopes(law, jnp.asarray(part), outside) for part in padded.reshape(-1, CHUNK)]
+    first, second, overlap = (np.concatenate([np.asarray(p, float) for p in x])[: flat.size].reshape(np.shape(e))
+                              for x in zip(*parts))
+    with np.errstate(invalid="ignore"):
+        there = (overlap > 0) & (first > 0) & np.isfinite(first)
+    return np.where(there, first, np.nan), np.where(there, second, np.nan)
+
+
+def _panels():
+    """Ends on [0, 1] that come ever closer to either of them."""
+    low, high = (2.0 ** -np.arange(count, 0, -1.0) for count in GRADED)
+    return np.concatenate([[0.0], low, 1 - high[::-1][1:], [1.0]])
+
+
+def _placed(ends, rule):
+    """Nodes and weights (panels, nodes) of a rule on panels (panels, 2)."""
+    t, w = _RULES[rule]
+    half = (ends[:, 1:] - ends[:, :1]) / 2
+    return ends[:, :1] + half * (1 + t), half * w
+
+
+def quadrature(law: Law, mass: float, ahead: float, width: float) -> tuple:
+    """Nodes, weights, F', F'' there, and relative errors of the means of (F'/m)^{1/2} and of F'' over a path.
+
+    Panels that get shorter towards either end hold what is singular there; those that two rules disagree on are halved.
+    """
+    edges = _panels()
+    ends, kept = np.stack([edges[:-1], edges[1:]], 1), []
+    whole = np.zeros(2)
+    for level in range(HALVINGS):
+        nodes, weights = (np.concatenate([_placed(ends, rule)[k] for rule in (0, 1)], 1) for k in (0, 1))
+        first, second = slopes(law, ahead + width * nodes)
+        with np.errstate(over="ignore", invalid="ignore"):
+            sums = np.stack([np.sqrt(first / mass) * weights, second * weights])
+        fine, coarse = sums[..., :FINE].sum(-1), sums[..., FINE:].sum(-1)
+        apart = np.abs(fine - coarse)
+        if level == 0:
+            whole = np.abs(fine).sum(-1)
+        bad = (apart > 8 * _EPS * whole[:, None]).any(0) & (level < HALVINGS - 1)
+        bad &= np.isfinite(apart).all(0)
+        # the worst ones alone, so that a law that is rough everywhere ends
+        if bad.sum() > MOST:
+            bad[np.argsort(-(apart / np.maximum(whole, 1e-300)[:, None]).max(0))[MOST:]] = False
+        kept.append((nodes[~bad, :FINE], weights[~bad, :FINE], first[~bad, :FINE], second[~bad, :FINE], apart[:, ~bad]))
+        if not bad.any():
+            break
+        middle = ends[bad].mean(1)
+        ends = np.concatenate([np.stack([ends[bad, 0], middle], 1), np.stack([middle, ends[bad, 1]], 1)])
+    nodes, weights, first, second = (np.concatenate([x[k].ravel() for x in kept]) for k in range(4))
+    apart = np.concatenate([x[4] for x in kept], 1).sum(1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return nodes, weights, first, second, apart / whole + 4 * _EPS
+
+
+def path_to(medium: Medium, c: float, ahead: float, kind: str | None = None) -> Path:
+    """The path of a velocity 2c; of a given `kind`, "shock" or "fan", or of either.
+
+    **Raises** ValueError where the law has no such state, makes the other kind of wave of that c, or bends both ways.
+    """
+    law, mass, side = medium.law, float(medium.mass), 1 if c > 0 else -1
+    if c == 0:
+        refuse("c", "a number other than zero", "0", "Without a jump of the velocity the chain stays at rest.")
+    low = _at_rest(law, ahead)
+    strains, first, second = _scan(law, ahead, side)
+    if kind is not None:
+        _refuse_other(kind, side * second, c)
+    if low == 0 and (side * second[second != 0][:1] < 0).any():
+        refuse("law", "one of finite stiffness ahead", f"one that is infinitely stiff at a strain of {ahead:g}")
+    width, (nodes, weights, _, bend, errors) = _width(law, mass, ahead, side, 2 * abs(c), strains, first)
+    bends = side * bend * {"shock": 1, "fan": -1, None: 0}[kind]
+    if not bends.min() >= -BENT * np.abs(bends).max():
+        order = np.argsort(nodes)
+        turn = ahead + width * nodes[order][np.argmax(bends[order] < -BENT * np.abs(bends).max())]
+        refuse("law", f"one that bends one way between the states {ahead:g} and {ahead + width:g}",
+               f"an inflection near {turn:.4g}", f"What starts there is no single {kind}, but several waves.")
+    high = float(slopes(law, np.array([ahead + width]))[0][0])
+    direct, summed = high - low, width * weights @ bend
+    rough = 2 * _EPS * (high + low) / abs(direct) if direct else np.inf
+    close = bool(low > 0 and not rough < errors[1])
+    with np.errstate(divide="ignore"):
+        growth = np.expm1(np.log1p(np.divide(summed if close else direct, low)) / 2)
+    error = max(errors[0], errors[1] if close else rough, 8 * _EPS)
+    return Path(width, nodes, weights, np.sqrt(low / mass), np.sqrt(high / mass), growth, close, float(error))
+
+
+def _at_rest(law, ahead):
+    """F' ahead, which may be zero; refused where it is below, infinite or that of an open contact."""
+    first, _, overlap = (float(x[0]) for x in _slopes(law, jnp.full(CHUNK, ahead), Outside(law)))
+    if overlap < 0:
+        refuse("ahead", "a strain at which the contacts are closed", f"{ahead:g}", "Across a gap no sound runs.")
+    if not 0 <= first < np.inf:
+        refuse("law", "one of finite stiffness ahead", f"one with a stiffness of {first:g} at a strain of {ahead:g}")
+    return first
+
+
+def _scan(law, ahead, side):
+    """Distances from the strain ahead over all orders of magnitude, with F' and F'' there, as far as the law goes."""
+    strains = 2.0 ** (np.arange(-ORDERS * EACH, ORDERS * EACH + 1) / EACH)
+    first, second = slopes(law, ahead + side * strains)
+    begin = int(np.argmax(np.isfinite(first)))
+    lost = ~np.isfinite(first[begin:])
+    end = begin + (int(np.argmax(lost)) if lost.any() else len(lost))
+    # where a stiffness falls below the least number there is nothing to add
+    first[:begin], second[:begin] = 0.0, 0.0
+    return strains[: end + 1], first[:end], second[:end]
+
+
+def _refuse_other(kind, bends, c):
+    """What a law makes of a jump is a shock where it stiffens along the way, else a fan."""
+    bent = bends[np.isfinite(bends) & (bends != 0)]
+    way = "compression" if c > 0 else "tension"
+    if not len(bent):
+        stiff = "one that is linear" if len(bends) else f"one without stiffness in {way}"
+        refuse("law", f"one that stiffens or softens in {way}", stiff, "A linear chain: gx.theory.linear_shock.")
+    if (bent[0] > 0) != (kind == "shock"):
+        made = ("a rarefaction: the law softens in " if kind == "shock" else "a shock: the law stiffens in ") + way
+        other = "gx.theory.simple_wave.fan" if kind == "shock" else "gx.theory.shock_edges"
+        wanted = f"a number {'below' if c > 0 else 'above'} zero, which makes a {kind}"
+        refuse("c", wanted, f"{c:g}, which makes {made}", f"Or ask {other} for that.")
+
+
+def _width(law, mass, ahead, side, jump, strains, first):
+    """The distance over which int V dy is the jump, above zero in tension too, and the quadrature there."""
+    V = np.sqrt(first / mass)
+    steps = np.diff(strains[: len(V)], prepend=0.0)
+    before = np.append(V[:1], V[:-1]) if len(V) else V
+    least, most = (np.cumsum(pick(V, before) * steps) for pick in (np.minimum, np.maximum))
+    enough = np.flatnonzero(least >= jump)
+    low = strains[: len(V)][most <= jump].max(initial=0.0)
+    high = strains[enough[0]] if len(enough) else strains[-1]
+    at, ended = high if len(enough) else (low + high) / 2, not len(enough)
+    for _ in range(STEPS):
+        found = quadrature(law, mass, ahead, side * at)
+        speed = np.sqrt(found[2] / mass)
+        gap = at * (found[1] @ speed) - jump
+        if np.isfinite(gap) and abs(gap) <= 2 * _EPS * jump or high - low <= 2 * _EPS * high:
+            break
+        if gap < 0:
+            low = at
+        else:
+            high, ended = at, not np.isfinite(gap)
+        newton = at - gap / speed[np.argmax(found[0])]
+        at = newton if low < newton < high else (low + high) / 2
+    if not np.isfinite(gap) or ended and not abs(gap) <= 1e-9 * jump:
+        last = quadrature(law, mass, ahead, side * low)
+        reached = low * (last[1] @ np.sqrt(last[2] / mass)) / 2 * side
+        refuse("c", f"a number {'below' if side > 0 else 'above'} {reached:.6g}", f"{side * jump / 2:g}",
+               f"At a strain of {ahead + side * low:.6g} the law ends: a contact opens, magnets meet, or it is soft.")
+    return side * at, found
+
+
+def speed_of(square: Numbers) -> Numbers:
+    """The root of F'/m; zero, with derivatives of zero, where nothing is stiff."""
+    stiff = square > 0
+    return jnp.where(stiff, jnp.sqrt(jnp.where(stiff, square, 1.0)), 0.0)
+
+
+def width_of(law: Law, mass: Any, c: Any, ahead: Any, width: Any, nodes: Numbers, weights: Numbers) -> Numbers:
+    """The distance `width` again, by Newton's method, so that it has the derivatives of what it solves."""
+    for _ in range(2):
+        whole = width * (weights @ speed_of(law.derivative(ahead + width * nodes) / mass))
+        width = width - (whole - 2 * c) / speed_of(law.derivative(ahead + width) / mass)
+    return width

@@ -1,0 +1,192 @@
+"""Dispersive-shock fitting, simple waves, the shock of a linear chain: closed forms, published numbers, simulations."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import granjax as gx
+from granjax.laws import Strained
+from granjax.theory import shock_edges
+
+# sound 1 and K3 = 1/2, as KdV and Toda have them
+STIFFNESS, REST = 2 * 2**0.5 / 3, 0.5
+GRANULAR = gx.Hertz(STIFFNESS, STIFFNESS * REST**1.5)
+
+
+class Mirror(gx.Law):
+    """F(e) = -F_law(-e): what compresses the one stretches the other."""
+
+    law: gx.Law
+
+    def force(self, e):
+        return -self.law.force(-e)
+
+    def energy(self, e):
+        return self.law.energy(-e)
+
+
+class Kinked(gx.Law):
+    """F(e) = e + a (e - s) |e - s|, a law of one's own whose second derivative jumps at s."""
+
+    a: jax.Array
+    s: jax.Array
+
+    def force(self, e):
+        grown = e - self.s
+        return e + self.a * (grown * jnp.abs(grown) + self.s * jnp.abs(self.s))
+
+    def energy(self, e):
+        raise NotImplementedError
+
+
+def toda_front(c):
+    """s_+ over sound, less 1."""
+    x = 2 * np.arcsinh(np.sqrt(c))
+    return x**2 / 6 + x**4 / 120 + x**6 / 5040 if x < 0.1 else np.sinh(x) / x - 1
+
+
+@pytest.mark.parametrize("c", [1e-12, 1e-8, 1e-4, 0.1, 0.5, 0.99])
+def test_fitting_is_exact_of_toda(c):
+    a, b, m = 0.7, 1.3, 2.1
+    sound, scale = (a * b / m) ** 0.5, (a / (b * m)) ** 0.5
+    found = shock_edges(gx.Toda(a, b), c * scale, m)
+    assert found.trailing_excess == pytest.approx(-c, rel=1e-12)
+    assert found.leading_excess == pytest.approx(toda_front(c), rel=1e-12)
+    assert found.mean == pytest.approx(2 * np.log1p(c) / b, rel=1e-12)
+    assert found.trailing_speed == pytest.approx(sound * (1 - c), rel=1e-12) and found.error < 1e-13
+    assert found.leading_speed == pytest.approx(sound * np.sqrt(c * (c + 1)) / np.arcsinh(np.sqrt(c)), rel=1e-12)
+
+
+@pytest.mark.parametrize("c, trailing, leading", [
+    (0.1, 0.9155282, 1.0557045), (0.3, 0.7988756, 1.1307943), (0.5, 0.7152649, 1.1834512)])
+def test_numbers_of_a_granular_shock(c, trailing, leading):
+    found = shock_edges(GRANULAR, c)
+    assert found.trailing_speed == pytest.approx(trailing, abs=1e-6)
+    assert found.leading_speed == pytest.approx(leading, abs=1e-6)
+    assert found.mean == pytest.approx(((1 + 5 * c) ** 0.8 - 1) / 2, rel=1e-12)
+
+
+def test_a_solitary_wave_tells_how_far_to_trust_the_fit():
+    own = shock_edges(gx.Toda(), 0.5, wave=True)
+    assert own.wave_speed == pytest.approx(float(own.leading_speed), rel=1e-9)
+    assert own.amplitude == pytest.approx(2 * np.log(2), rel=1e-8)
+    # simulated leading crests at t = 8000: 1.0549, 1.1342, 1.1925
+    found = shock_edges(GRANULAR, 0.5, wave=True)
+    assert found.wave_speed == pytest.approx(1.19286468, abs=1e-6) and "wave" in found.outcome
+
+
+def test_a_shock_ahead_of_which_there_is_no_sound():
+    found = shock_edges(gx.Hertz(), 0.5)
+    assert np.isnan(found.trailing_speed) and found.leading_speed == found.wave_speed
+    assert found.leading_speed == pytest.approx(1.04241, abs=1e-5) and "no sound" in found.outcome
+    assert found.mean == pytest.approx((1.25 / 1.5**0.5) ** 0.8, rel=1e-12)
+
+
+@pytest.mark.slow
+def test_shocks_of_a_power_law_are_alike():
+    found, small = shock_edges(gx.Hertz(), 0.5), shock_edges(gx.Hertz(3e9), 0.5e-3, 2e-4)
+    # speeds as c^{1/5}, strains as c^{4/5}, in other units as well
+    scale = 1e-3 * (2e-4 / 3e9) ** 0.5
+    assert small.mean == pytest.approx(float(found.mean) * scale**0.8, rel=1e-12)
+    assert small.leading_speed == pytest.approx(float(found.leading_speed) * 1e-3 * scale**-0.8, rel=1e-9)
+
+
+@pytest.mark.slow
+def test_a_strong_shock_has_no_trailing_edge():
+    found = shock_edges(gx.Toda(), 1.5)
+    assert np.isnan(found.trailing_speed) and "twofold or more" in found.outcome
+    assert found.leading_speed == pytest.approx(np.sqrt(3.75) / np.arcsinh(np.sqrt(1.5)), rel=1e-9)
+
+
+@pytest.mark.parametrize("law, c", [(GRANULAR, 0.3), (gx.PowerLaw(1.0, -3.0, 1.0), 0.2), (gx.Toda(), 1e-9)])
+def test_the_mirrored_law_has_the_mirrored_shock(law, c):
+    one, other = shock_edges(law, c), shock_edges(Mirror(law), -c)
+    assert other.mean == -one.mean
+    for name in ("trailing_speed", "leading_speed", "sound", "trailing_excess", "leading_excess"):
+        assert getattr(one, name) == getattr(other, name)
+
+
+def test_shocks_of_rarefaction():
+    soft = shock_edges(gx.PowerLaw(1.0, 0.5, 1.0), -0.1)
+    # V = (A/2)^{1/2} s^{-1/4}: int V dy = (8/9)^{1/2} (s^{3/4} - 1)
+    s = (1 - 0.2 * (9 / 8) ** 0.5) ** (4 / 3)
+    ahead, behind = 0.5**0.5, 0.5**0.5 * s**-0.25
+    assert soft.mean == pytest.approx(s - 1, rel=1e-12) and soft.trailing_speed == pytest.approx(2 * ahead - behind)
+    q = np.arccosh(np.sqrt(behind / ahead))
+    assert soft.leading_speed == pytest.approx(ahead * np.sinh(2 * q) / (2 * q), rel=1e-12)
+    # of cubic stiffness either way
+    ways = [shock_edges(gx.Polynomial(1.0, 0.0, 2.0), c) for c in (0.2, -0.2)]
+    assert ways[0].leading_speed == ways[1].leading_speed and ways[0].mean == -ways[1].mean
+
+
+def test_the_law_may_be_of_ones_own_and_have_a_kink():
+    a, s, c = 0.8, 0.1, 0.3
+    found = shock_edges(Kinked(jnp.asarray(a), jnp.asarray(s)), c, ahead=s)
+    # V = (1 + 2 a x)^{1/2}, x = y - s
+    behind = (1 + 6 * a * c) ** (1 / 3)
+    assert found.trailing_excess == pytest.approx(1 - behind, rel=1e-12)
+    assert found.mean == pytest.approx(s + (behind**2 - 1) / (2 * a), rel=1e-12)
+    mixed = shock_edges(gx.Hertz() + gx.Linear(0.5) + gx.Spline([-1.0, 0.3, 1.0], [0.2, 0.3, 0.5, 0.9]), 0.4)
+    assert mixed.error < 1e-12
+
+
+def test_the_chain_may_be_a_lattice_or_strained_before():
+    chain = gx.scenes.monomer(9, mass=0.3, stiffness=2.0, precompression=0.7)
+    law = gx.Hertz(2.0, 0.7)
+    one, other = shock_edges(chain, 0.2), shock_edges(law, 0.2, 0.3)
+    assert one.leading_speed == other.leading_speed and one.units == "scaled"
+    before = shock_edges(law, 0.2, 0.3, ahead=0.1)
+    again = shock_edges(Strained(law, 0.1), 0.2, 0.3)
+    assert before.leading_speed == pytest.approx(float(again.leading_speed), rel=1e-12)
+    assert before.mean == pytest.approx(float(again.mean) + 0.1, rel=1e-12)
+
+
+def test_edges_differentiate_in_all_their_numbers():
+    def edges(x):
+        found = shock_edges(gx.Hertz(x[0], x[1]), x[2], x[3], ahead=x[4])
+        return jnp.stack([found.trailing_speed, found.leading_speed, found.mean, found.leading_excess])
+
+    x, h = jnp.array([1.1, 0.6, 0.3, 0.8, 0.05]), 1e-4
+    forward, backward = jax.jacfwd(edges)(x), jax.jacrev(edges)(x)
+    apart = [[edges(x + k * h * e) - edges(x - k * h * e) for e in np.eye(5)] for k in (1, 2)]
+    central = (8 * jnp.stack(apart[0], 1) - jnp.stack(apart[1], 1)) / (12 * h)
+    np.testing.assert_allclose(forward, central, rtol=1e-9, atol=1e-10)
+    np.testing.assert_allclose(backward, forward, rtol=1e-12)
+
+
+@pytest.mark.slow
+def test_the_front_of_a_sonic_vacuum_differentiates():
+    # speed = const c^{1/5} (A/m)^{2/5}, mean = const c^{4/5} (A/m)^{-2/5}
+    def front(x):
+        found = shock_edges(gx.Hertz(x[0]), x[1], x[2])
+        return jnp.log(jnp.stack([found.leading_speed, found.mean]))
+
+    x = jnp.array([1.0, 0.5, 1.0])
+    powers = np.array([[0.4, 0.2, -0.4], [-0.4, 0.8, 0.4]])
+    np.testing.assert_allclose(jax.jacrev(front)(x) * x, powers, atol=1e-7)
+
+
+@pytest.mark.parametrize("law, c, more, said", [
+    (gx.Hertz(1.0, 1.0), 0.0, {}, "^c: expected a number other than zero"),
+    (GRANULAR, -0.1, {}, "^c: expected a number above zero.*softens in tension.*fan"),
+    (gx.PowerLaw(1.0, 0.5, 1.0), 0.1, {}, "^c: expected a number below zero.*softens in compression"),
+    (gx.PowerLaw(1.0, 0.5, 1.0), -3.0, {}, "^c: expected a number above -0.4714"),
+    (gx.PowerLaw(1.0, 0.5), 0.1, {}, "^c: expected a number below zero"),
+    (gx.Linear(1.0), 0.1, {}, "^law: expected one that stiffens or softens.*linear_shock"),
+    (gx.Polynomial(1.0, 1.0, -1.0), 0.3, {}, "^law: expected one that bends one way.*inflection near 0.3"),
+    (gx.Sine(), 0.3, {}, "^c: expected a number below zero"),
+    (gx.Linear(-1.0), 0.1, {}, "^law: expected one of finite stiffness"),
+    (gx.Hertz(), 0.1, {"ahead": -0.1}, "^ahead: expected a strain at which the contacts are closed"),
+    (gx.Hertz(), -0.1, {}, "without stiffness in tension"),
+    (gx.Hertz(jnp.ones(3), 1.0 + jnp.arange(3)), 0.1, {}, "^law: expected a uniform chain"),
+    (gx.scenes.dimer(8, precompression=1.0), 0.1, {}, "^law: expected a uniform chain"),
+])
+def test_what_makes_no_such_shock_is_refused(law, c, more, said):
+    with pytest.raises(ValueError, match=said):
+        shock_edges(law, c, **more)
+
+
+def test_edges_are_found_outside_of_compiled_functions():
+    with pytest.raises(ValueError, match="known"):
+        jax.jit(lambda c: shock_edges(GRANULAR, c).mean)(0.1)
