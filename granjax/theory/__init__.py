@@ -5,7 +5,7 @@
 - `kdv`: the Korteweg-de Vries equation of long, weak waves; solitons and periodic waves on a chain.
 - `long_wave`: the long-wave equations of a chain: residuals, linear waves, the wave of the regularised one.
 - `nls`: the nonlinear Schroedinger equation of wave packets in a periodic chain; its solitons and instability.
-- `toda`: the Toda chain: solitons, periodic waves, eigenvalues of its Lax matrix.
+- `toda`: the Toda chain: solitons, periodic waves, dispersive shocks, eigenvalues of its Lax matrix.
 - `shock_edges`: the edges of a dispersive shock of any convex law, by fitting.
 """
 

@@ -14,6 +14,14 @@ found them: every function below is exact, in arrays that broadcast, differentia
     wave = gx.theory.toda.two_solitons(n, t[:, None], k1=1.0, k2=0.5, centre1=-57.0, centre2=-44.0)
     gx.plots.space_time(wave.strain, ts=t, label="strain", site_label="contact")
 
+The dispersive shock that two halves leave which meet with the velocities 2c and -2c, for 0 < c (b m/a)^{1/2} < 1:
+
+    import numpy as np
+    edges = gx.theory.toda.velocity_shock(0.3)
+    n, t = np.arange(300.0), 200.0
+    shock = gx.theory.toda.shock_wave(n, t, 0.3)
+    gx.plots.profile(n, shock.strain, x_label="contact", y_label="strain")
+
 Source: M. Toda, Theory of Nonlinear Lattices (Springer, 1989); R. Hirota, J. Phys. Soc. Jpn. 35, 286 (1973);
 H. Flaschka, Phys. Rev. B 9, 1924 (1974); G. Biondini, C. Chong, P. Kevrekidis, Physica D 469, 134315 (2024).
 """
@@ -31,11 +39,14 @@ from ..entry import checked
 from ..printing import told
 from ..types import Numbers, Parameter
 from .chain_wave import ChainWave, _direction_of, _numbers, _one_given, _sinh_less, _stiffnesses, _toda_constants
+from .self_similar import ShockEdges, ShockWave
 from .toda_periodic import PeriodicNumbers, lax_eigenvalues, periodic_numbers, periodic_wave
+from .toda_shock import Modulation, modulation, modulus, shock_wave, velocity_shock
 
 __all__ = [
-    "ChainWave", "PeriodicNumbers", "TodaConstants", "amplitude", "energy", "lax_eigenvalues", "matched",
-    "periodic_numbers", "periodic_wave", "phase_shifts", "soliton", "speed", "two_solitons", "wavenumber",
+    "ChainWave", "Modulation", "PeriodicNumbers", "ShockEdges", "ShockWave", "TodaConstants", "amplitude", "energy",
+    "lax_eigenvalues", "matched", "modulation", "modulus", "periodic_numbers", "periodic_wave", "phase_shifts",
+    "shock_wave", "soliton", "speed", "two_solitons", "velocity_shock", "wavenumber",
 ]
 
 # of the inversion of a monotonic function from a guess that is never far

@@ -1,0 +1,131 @@
+"""What the dispersive shocks of KdV and Toda share: their results, and the parameter m that moves at a given speed."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..checks import broadcast, positive, within
+from ..printing import told
+from .chain_wave import _numbers
+from .elliptic_integrals import _K, _sloped
+
+# of Newton's method for ln(1 - m), from a guess that is never far
+NEWTON = 8
+# sinh^2 at the places of the trapezoidal rule, of which the first counts half; beyond the last no integrand is left
+STEP, LAST = 0.2, 40.0
+SQUARES = np.sinh(np.arange(0, LAST, STEP)) ** 2
+# in place of K(1), where sech of it is no number
+FAR = 1e3
+
+
+class ShockEdges(NamedTuple):
+    """Where a dispersive shock ends, and how large it is there.
+
+    - `trailing_speed`, `leading_speed`: n/t of its harmonic edge behind and of its solitary edge ahead [sites/s].
+    - `mean`: strain of the plateau behind. `amplitude`: strain of the crest at the leading edge.
+    """
+
+    trailing_speed: jax.Array
+    leading_speed: jax.Array
+    mean: jax.Array
+    amplitude: jax.Array
+    __repr__ = told
+
+
+class ShockWave(NamedTuple):
+    """A dispersive shock at places n and times t, of their shapes broadcast.
+
+    - `strain`: that of the modulated periodic wave, the plateau behind it, what the last crest leaves ahead.
+    - `m`: parameter of the periodic wave there, 0 on the plateau and 1 ahead.
+    - `mean`, `crest`, `trough`: of the periodic wave there: mean, and strains between which it oscillates.
+    """
+
+    strain: jax.Array
+    m: jax.Array
+    mean: jax.Array
+    crest: jax.Array
+    trough: jax.Array
+    __repr__ = told
+
+
+def _places(n, t, phase, **others):
+    """Places, times above zero and phases, as arrays that broadcast with all else."""
+    t = positive("t", t, "Before that nothing has moved: a shock is spread over n/t.")
+    n, t, phase, *_ = _numbers(n=n, t=t, phase=phase, **others)
+    return n, t, phase
+
+
+def _modulus_of(m, **others):
+    """m in [0, 1], which broadcasts with all else."""
+    m = within("m", m, 0, 1, remedy="It is 0 at the trailing edge and 1 at the leading edge.")
+    broadcast(m=m, **others)
+    return m
+
+
+def _turn(phase, m1):
+    """What a phase adds to the argument of Jacobi's functions; ahead of all crests, where m1 = 0, their last flank."""
+    phase = phase - 2 * jnp.pi * jnp.round(phase / (2 * jnp.pi))
+    return jnp.where(m1 != 0, phase * _K(jnp.where(m1 != 0, m1, 1.0)), FAR * jnp.abs(phase)) / jnp.pi
+
+
+def _excess(m1, c):
+    """(s(m) - 1)/c of the Toda chain, of c = 0 S(m) of KdV, by integrals of which no digits cancel where c is small.
+
+    With S = sinh^2 x and rho = (1 + c m1)/(1 + c), over all x, by the trapezoidal rule, whose error is exp(-pi^2/step):
+
+        int [m/((1 + c)(1 + rho S)) - m1 S]/((1 + S)(1 + m1 S)^{1/2}) over int rho/((1 + rho S)(1 + m1 S)^{1/2})
+    """
+    share, squares = 1 + c * m1, jnp.asarray(SQUARES, m1.dtype)
+
+    def add(i, sums, weight=1.0):
+        S = squares[i]
+        root, below = jnp.sqrt(1 + m1 * S), 1 + c + share * S
+        parts = ((1 - m1) / below - m1 * S) / ((1 + S) * root), share / (below * root)
+        return tuple(total + weight * part for total, part in zip(sums, parts))
+
+    first = add(0, (0.0, 0.0), 0.5)
+    over, under = jax.lax.fori_loop(1, len(SQUARES), add, first)
+    return over / under - _steep(m1)
+
+
+@jax.custom_jvp
+def _steep(m1):
+    return jnp.zeros_like(m1)
+
+
+# what goes like m1 ln(1/m1) has no slope at m1 = 0
+_sloped(_steep, lambda m1: jnp.where(m1 != 0, 0.0, jnp.inf))
+
+
+@jax.custom_jvp
+def _complement(x, c):
+    """m1 where (s(m) - 1)/c is x: 1 behind the trailing edge, 0 ahead of the leading one.
+
+    By Newton's method for ln of how far x is below the leading edge, nearly straight in ln m1.
+    """
+    x, c = jnp.broadcast_arrays(x, c)
+    low, high = -jnp.ones_like(c), _excess(jnp.zeros_like(c), c)
+    tiny = jnp.finfo(x.dtype).eps / 4
+    inside = (x > low) & (x < high)
+    gap = jnp.where(inside, (high - x) / (high - low), 0.5)
+
+    def nearer(_, y):
+        value, slope = jax.jvp(lambda y: (high - _excess(jnp.exp(-y), c)) / (high - low), (y,), (jnp.ones_like(y),))
+        value = jnp.maximum(value, tiny)
+        return jnp.clip(y - value * jnp.log(value / gap) / jnp.minimum(slope, -tiny), 0.0, 9 - jnp.log(tiny))
+
+    y = jax.lax.fori_loop(0, NEWTON, nearer, -1.2 * jnp.log(gap))
+    return jnp.where(inside, jnp.exp(-y), jnp.where(x < high, 1.0, 0.0))
+
+
+@_complement.defjvp
+def _(primals, tangents):
+    (x, c), (dx, dc) = primals, tangents
+    m1 = _complement(x, c)
+    inside = (m1 > 0) & (m1 < 1)
+    safe, c, dc = jnp.broadcast_arrays(jnp.where(inside, m1, 0.5), c, dc)
+    _, slope = jax.jvp(lambda m1: _excess(m1, c), (safe,), (jnp.ones_like(safe),))
+    _, along = jax.jvp(lambda c: _excess(safe, c), (c,), (dc,))
+    return m1, jnp.where(inside, (dx - along) / slope, 0.0)

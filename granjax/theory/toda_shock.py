@@ -1,0 +1,168 @@
+r"""The dispersive shock of a Toda chain after a velocity shock, by Whitham's modulation equations; see `toda`.
+
+All inside in scaled numbers, strength = rate = mass = 1, with m1 = 1 - m, which keeps its digits at the leading edge.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..checks import concrete, refuse, show
+from ..entry import checked
+from ..printing import told
+from ..types import Numbers, Parameter
+from .chain_wave import _numbers, _toda_constants
+from .elliptic_functions import _jacobi, _log_theta
+from .elliptic_integrals import _K, _RF
+from .self_similar import ShockEdges, ShockWave, _complement, _excess, _modulus_of, _places, _turn
+
+
+class Modulation(NamedTuple):
+    """The periodic wave of a dispersive shock of the Toda chain where its parameter is m.
+
+    - `speed`: n/t of that place [sites/s]. `E1`, `E2`, `E3`, `E4`: its numbers for `periodic_wave` (scaled).
+    - `mean`, `crest`, `trough`: of its strain [m]; `amplitude`: crest less trough. `wavelength` [sites].
+    """
+
+    speed: jax.Array
+    E1: jax.Array
+    E2: jax.Array
+    E3: jax.Array
+    E4: jax.Array
+    mean: jax.Array
+    amplitude: jax.Array
+    wavelength: jax.Array
+    crest: jax.Array
+    trough: jax.Array
+    __repr__ = told
+
+
+@checked
+def velocity_shock(
+    c: Parameter, *, strength: Parameter = 1.0, rate: Parameter = 1.0, mass: Parameter = 1.0
+) -> ShockEdges:
+    r"""The dispersive shock that v_n = -2c sign(n) sends to the right through a Toda chain at rest in strain.
+
+        s_- = 1 - c,   s_+ = (c (1 + c))^{1/2}/arsinh c^{1/2},   mean 2 ln(1 + c),   amplitude 2 ln(1 + 2c)
+
+    in scaled numbers, 0 < c < 1. **Arguments:** `c` [m/s]: half the velocity of either side, of the sign of `rate`;
+    c rate/(strength rate/mass)^{1/2} in (0, 1). `strength`, `rate`, `mass`: as everywhere here. **Returns:**
+    `ShockEdges`. **Raises** ValueError for other c: a chain that is pulled apart has a rarefaction, and from 1 on the
+    middle oscillates from site to site forever, so that no wave of one phase leads to a plateau.
+    Typical: c = 0.1 0.9, 1.06581768, 0.19062036, 0.36464311.
+    """
+    c, rate, b = _scaled(c, strength, rate, mass)
+    front = jnp.sqrt(c * (1 + c)) / jnp.arcsinh(jnp.sqrt(c))
+    return ShockEdges(rate * (1 - c), rate * front, 2 * jnp.log1p(c) / b, 2 * jnp.log1p(2 * c) / b)
+
+
+@checked
+def modulation(
+    m: Parameter, c: Parameter, *, strength: Parameter = 1.0, rate: Parameter = 1.0, mass: Parameter = 1.0
+) -> Modulation:
+    r"""The periodic wave inside the dispersive shock of `velocity_shock`, and the speed n/t at which it stands.
+
+        E1 = -(1 + c),  E2 = 1 - c,  E3 = (1 + c)(1 - c m1)/(1 + c m1),  E4 = 1 + c,   m1 = 1 - m,
+        s(m) = c (1 + c)/(1 + c m1) [(1 + c m1) E - (1 + c) m1 K]/[(1 + c) K - (1 + c m1) Pi(c m/(1 + c), m)]
+
+    From m = 0 at the trailing edge, where it has no amplitude, to m = 1 at the leading edge, a soliton; right to
+    rounding at both. **Arguments:** `m` in [0, 1], `c` and all else as `velocity_shock`. **Returns:** `Modulation`.
+    **Raises** ValueError for others. The slope of speed and mean in m is infinite at m = 1.
+    Typical: c = 0.5, m = 0.2, 0.5, 0.8, 0.95: speed 0.607509, 0.803701, 1.063430, 1.237004.
+    Source: Biondini, Chong, Kevrekidis (2024).
+    """
+    c, rate, b = _scaled(c, strength, rate, mass)
+    return Modulation(*_modulation(1 - _modulus_of(m, c=c), c, rate, b))
+
+
+@checked
+def modulus(
+    speed: Parameter, c: Parameter, *, strength: Parameter = 1.0, rate: Parameter = 1.0, mass: Parameter = 1.0
+) -> Numbers:
+    """The parameter m of the periodic wave at speed = n/t, the inverse of `modulation(m, c).speed`.
+
+    **Arguments:** `speed` [sites/s], any; all else as `velocity_shock`. **Returns:** m in (0, 1) between the edges, 0
+    behind and 1 ahead of them; derivatives of any order between. **Raises** ValueError as `velocity_shock`.
+    """
+    c, rate, _ = _scaled(c, strength, rate, mass)
+    speed, _ = _numbers(speed=speed, c=c)
+    return _modulus(speed / rate, c)
+
+
+@checked
+def shock_wave(
+    n: Parameter, t: Parameter, c: Parameter, *, phase: Parameter = 0.0,
+    strength: Parameter = 1.0, rate: Parameter = 1.0, mass: Parameter = 1.0,
+) -> ShockWave:
+    r"""The dispersive shock of `velocity_shock` as a wave: plateau, modulated periodic wave, strain 0 ahead.
+
+        exp y = (E4 - E3 + E2 - E1)^2/4 + (E3 - E2)(E4 - E1) cn^2(z, m),   z = 2 F n - omega t + phase K(m)/pi
+
+    of `periodic_wave`, whose numbers are those of `modulation` where the speed is n/t. **Arguments:**
+
+    - `n`, `t` > 0: places and times, arrays that broadcast. n is measured from the place of the shock: where site 0
+      has velocity 0, the bond between n and n + 1 is at n + 1/2. The wave to the left is the mirror image: give |n|.
+    - `phase` [rad], 2 pi a wave: a number, or an array over n that varies slowly.
+    - `c` and all else as `velocity_shock`.
+
+    **Returns:** `ShockWave`. **Raises** ValueError for t <= 0 and as `velocity_shock`.
+    """
+    c, rate, b = _scaled(c, strength, rate, mass)
+    n, t, phase = _places(n, t, phase, c=c)
+    return ShockWave(*_shock_wave(n, rate * t, phase, c, b))
+
+
+def _scaled(c, strength, rate, mass):
+    """c, the unit of speed and that of 1/strain."""
+    a, b, m = _toda_constants(strength, rate, mass)
+    c, *_ = _numbers(c=c, strength=a, rate=b, mass=m)
+    rate = jnp.sqrt(a * b / m)
+    c = c * b / rate
+    value = concrete(c)
+    if value is not None and not np.all((value > 0) & (value < 1)):
+        refuse("c", "c rate/(strength rate/mass)^(1/2) in (0, 1)", show(value),
+               "Below zero the chain is pulled apart and has a rarefaction; from 1 on its middle oscillates from site "
+               "to site, and no wave of one phase leads to a plateau.")
+    return c, rate, b
+
+
+def _numbers_of(m1, c):
+    """omega and F of the periodic wave, and exp y - 1 of its trough, and how much more its crest has."""
+    share = 1 + c * m1
+    omega = 2 * jnp.sqrt(c * (1 + c) / share)
+    F = jnp.sqrt(c / (1 + c)) * _RF(1 / jnp.sqrt(1 + c), jnp.sqrt(share / (1 + c)), 1.0)
+    root = c * (1 + c) * m1 / share
+    return omega, F, root * (2 + root), 4 * c * (1 + c) * (1 - m1) / share
+
+
+def _strains(m1, c, F, low, depth):
+    """Mean, crest and trough."""
+    crest = jnp.log1p(low + depth)
+    return crest - 2 * _log_theta(2 * F, m1), crest, jnp.log1p(low)
+
+
+@jax.jit
+def _modulation(m1, c, rate, b):
+    m1, c = jnp.broadcast_arrays(m1, c)
+    _, F, low, depth = _numbers_of(m1, c)
+    mean, crest, trough = _strains(m1, c, F, low, depth)
+    Es = -(1 + c), 1 - c, (1 + c) * (1 - c * m1) / (1 + c * m1), 1 + c
+    strains = mean / b, jnp.log1p(depth / (1 + low)) / b, _K(m1) / F, crest / b, trough / b
+    return jnp.broadcast_arrays(rate * (1 + c * _excess(m1, c)), *Es, *strains)
+
+
+@jax.jit
+def _modulus(s, c):
+    return 1 - _complement((s - 1) / c, c)
+
+
+@jax.jit
+def _shock_wave(n, t, phase, c, b):
+    m1 = _complement((n - t) / (c * t), c)
+    omega, F, low, depth = _numbers_of(m1, c)
+    mean, crest, trough = _strains(m1, c, F, low, depth)
+    z = 2 * F * n - omega * t + _turn(phase, m1)
+    strain = jnp.log1p(low + depth * _jacobi(z, m1)[1] ** 2)
+    return jnp.broadcast_arrays(strain / b, 1 - m1, mean / b, crest / b, trough / b)
