@@ -299,6 +299,8 @@ def _(seed):
     toda.periodic_wave(n, t, -f, 0.1, 0.4, f), toda.periodic_numbers(-f, 0.1, 0.4, f)
     toda.velocity_shock(0.5 * f), toda.modulation(0.2 * f, 0.5), toda.modulus(f, 0.5), toda.shock_wave(n, t, 0.5 * f)
     kdv.soliton(n, t, f, 0.5, amplitude=0.1 * f), kdv.cnoidal(n, t, 0.0, 0.01, 0.02, f, 0.5), kdv.scales(f, 0.5)
+    kdv.velocity_shock(0.1 * f, f, 0.5), kdv.modulation(0.2 * f, 0.1, f, 0.5), kdv.modulus(f, 0.1, f, 0.5)
+    kdv.shock_wave(n, t, 0.1 * f, f, 0.5)
     kdv.speed(0.1 * f, f, 0.5), kdv.amplitude(2 * f, f, 0.5)
     compacton.nesterenko(n, 1.5 * f), compacton.ahnert_pikovsky(n, 1.5 * f), compacton.rosenau_hyman(n, 2 * f)
 

@@ -6,7 +6,7 @@ import mpmath as mp
 import numpy as np
 import pytest
 
-from granjax.theory import toda
+from granjax.theory import kdv, toda
 
 # a, b, m in no particular units; both a and b negative: waves of rarefaction
 CONSTANTS = dict(strength=0.7, rate=1.3, mass=2.1), dict(strength=-0.7, rate=-1.3, mass=2.1)
@@ -78,6 +78,36 @@ def test_the_modulated_wave_of_toda(own):
     np.testing.assert_allclose(shock.strain[1:4], wave.strain, rtol=1e-10)
 
 
+def test_periodic_waves_of_any_numbers_solve_the_equation():
+    """At random E1 < E2 < E3 < E4; sound of the dispersion relation as E3 -> E2, a soliton on a strain as E3 -> E4."""
+    E = np.sort(np.random.default_rng(5).uniform(-2, 2, (40, 4)), 1).T[:, :, None]
+    n, t, own = jnp.arange(-3.0, 3.0), 0.43, CONSTANTS[0]
+    wave = lambda t: toda.periodic_wave(n, t, *E, **own)
+
+    @jax.jit
+    def left(t):
+        """m y'' less forces, and the strain's second derivative by that of the wave itself, over the largest force."""
+        at, second = wave(t), jax.jvp(lambda t: jax.jvp(wave, (t,), (1.0,))[1], (t,), (1.0,))[1]
+        force = own["strength"] * jnp.exp(own["rate"] * at.strain)
+        want = force[:, :-2] - 2 * force[:, 1:-1] + force[:, 2:]
+        return (own["mass"] * second.strain[:, 1:-1] - want) / force.max(1, keepdims=True)
+
+    assert np.abs(left(t)).max() < 1e-11
+    # a linear wave: omega = 2 exp(y/2) sin(k/2) and an amplitude that vanishes as E3 - E2 does
+    one, two, _, four = E
+    gap = 1e-8 * (four - one)
+    low = toda.periodic_numbers(one, two, two + gap, four)
+    sound, k = np.exp(low.mean_strain / 2), 2 * np.pi / low.wavelength
+    np.testing.assert_allclose(2 * np.pi / low.period, 2 * sound * np.sin(k / 2), rtol=1e-6)
+    np.testing.assert_allclose((low.crest - low.trough) / gap, 4 / (four - one), rtol=1e-6)
+    # a soliton: its speed sinh k/k on a strain of sound exp(y/2) = (E2 - E1)/2, in a frame of velocity E1 + E2
+    sound = (two - one) / 2
+    k = np.arccosh((2 * four - one - two) / (two - one))
+    front = toda.periodic_numbers(one, two, four, four)
+    np.testing.assert_allclose(front.speed, sound * np.sinh(k) / k, rtol=1e-12)
+    np.testing.assert_allclose(front.crest - 2 * np.log(sound), toda.amplitude(k), rtol=1e-10, atol=1e-13)
+
+
 def frequencies(m):
     """k and omega where the parameter is m, 2 pi a wave."""
     at = toda.modulation(m, 0.5)
@@ -107,7 +137,80 @@ def test_a_shock_differentiates():
     assert jax.grad(lambda m: toda.modulation(m, 0.5).speed)(1.0) == np.inf
 
 
+# ----------------------------------------------------------------------------------------------------------------- KdV
+
+# sigma = 1, K2 = 1, K3 = 1/2: the Toda chain of strength, rate and mass 1; a law that softens
+NORMAL, SOFT = (1.0, 0.5), (1.5, -0.4, 2.0)
+
+
+def S(m):
+    """As it is printed, in 60 digits; at m = 0 and 1 the limits."""
+    with mp.workdps(60):
+        m = mp.mpf(float(m))
+        if m == 0 or m == 1:
+            return -1.0 if m == 0 else 2 / 3
+        K, E = mp.ellipk(m), mp.ellipe(m)
+        return float((1 + m) / 3 - 2 * m * (1 - m) * K / (E - (1 - m) * K) / 3)
+
+
+def test_the_shock_of_kdv():
+    edges, ends = kdv.velocity_shock(C, *NORMAL), kdv.modulation([[0.0], [1.0]], C, *NORMAL)
+    np.testing.assert_allclose(edges, [1 - C, 1 + 2 * C / 3, 2 * C, 4 * C], atol=1e-15)
+    np.testing.assert_allclose([*ends.speed, ends.mean[0], ends.amplitude[1]], edges, atol=1e-15)
+    assert np.all(ends.mean[1] == 0) and np.all(ends.amplitude[0] == 0)
+    c = 1e-9
+    np.testing.assert_allclose((kdv.modulation(M, 0.5, *NORMAL).speed - 1) / 0.5, np.vectorize(S)(M), atol=1e-15)
+    assert (kdv.modulation(0.5, c, *NORMAL).speed - 1) / c == pytest.approx(S(0.5), abs=3e-7)
+    speed = kdv.modulation(M, 0.5, *NORMAL).speed
+    np.testing.assert_allclose(kdv.modulus(speed, 0.5, *NORMAL), M, atol=2e-15)
+
+
+def test_kdv_is_the_toda_chain_of_weak_shocks():
+    """At c = 1e-4: what is left of the edges is the next term of their series, with its factor."""
+    c = 1e-4
+    weak, exact = kdv.velocity_shock(c, *NORMAL), toda.velocity_shock(c)
+    np.testing.assert_allclose((np.array(exact) - np.array(weak)) / c**2, [0, -4 / 45, -1, -4], rtol=1e-3, atol=1e-7)
+    m = M[2:6]
+    inside, other = toda.modulation(m, c), kdv.modulation(m, c, *NORMAL)
+    np.testing.assert_allclose((inside.speed - 1) / c, np.vectorize(S)(m), atol=1e-4)
+    for name in ("mean", "amplitude", "wavelength", "crest", "trough"):
+        np.testing.assert_allclose(getattr(inside, name), getattr(other, name), rtol=2 * c)
+    n, t = 1e6 * (1 + c * np.linspace(-1.2, 0.8, 9)), 1e6
+    np.testing.assert_allclose(toda.shock_wave(n, t, c).strain, kdv.shock_wave(n, t, c, *NORMAL).strain, atol=0.2 * c)
+
+
+def test_the_modulated_wave_of_kdv():
+    """It is `cnoidal` of its numbers; of a law that softens it is a wave of rarefaction."""
+    c, m, t = -0.08, np.array([0.1, 0.5, 0.9]), 3000.0
+    sound, unit = kdv.scales(*SOFT)
+    at = kdv.modulation(m, c, *SOFT)
+    n = np.array([0.5 * sound * t, *at.speed * t, 2 * sound * t])
+    shock = kdv.shock_wave(n, t, c, *SOFT[:2], mass=SOFT[2])
+    np.testing.assert_allclose(shock.m, [0, *m, 1], atol=1e-12)
+    wave = kdv.cnoidal(n[1:4], t, at.r1, at.r2, at.r3, *SOFT[:2], mass=SOFT[2])
+    np.testing.assert_allclose(shock.strain[1:4], wave.strain, atol=1e-10)
+    np.testing.assert_allclose(shock.mean[1:4], at.mean, rtol=1e-10)
+    np.testing.assert_allclose(shock.strain[jnp.array([0, 4])], [unit * at.r3[0], 0], atol=1e-14)
+    assert unit < 0 and np.all(at.crest < at.mean) and np.all(at.mean < at.trough)
+    # the mean over a wavelength, and as many crests come as go
+    x = np.linspace(0, 1, 64, endpoint=False)[:, None] * at.wavelength
+    mean = kdv.cnoidal(x, 0.0, at.r1, at.r2, at.r3, *SOFT[:2], mass=SOFT[2]).strain.mean(0)
+    np.testing.assert_allclose(at.mean, mean, rtol=1e-10)
+
+    def frequencies(m):
+        at = kdv.modulation(m, c, *SOFT)
+        k = 2 * jnp.pi / at.wavelength
+        return k, k * sound * (1 + (at.r1 + at.r2 + at.r3) / 3)
+
+    _, (dk, domega) = jax.jit(lambda m: jax.jvp(frequencies, (m,), (jnp.ones(3),)))(jnp.asarray(m))
+    np.testing.assert_allclose(domega / dk, at.speed, rtol=1e-12)
+
+
 @pytest.mark.parametrize("call, said", [
+    (lambda: kdv.velocity_shock(-0.1, *NORMAL), r"^c: expected .* in \(0, 1\).*a rarefaction"),
+    (lambda: kdv.velocity_shock(1.0, *NORMAL), "^c: expected .*no long, weak wave"),
+    (lambda: kdv.modulation(0.5, 0.1, 1.0, 0.0), "^K3: expected numbers other than zero"),
+    (lambda: kdv.shock_wave(1.0, -1.0, 0.1, *NORMAL), "^t: expected numbers above zero"),
     (lambda: toda.velocity_shock(1.0), r"^c: expected .* in \(0, 1\).*from 1 on its middle oscillates"),
     (lambda: toda.velocity_shock(-0.1), "^c: expected .*pulled apart"),
     (lambda: toda.velocity_shock(0.1, strength=-1.0, rate=-1.0), "^c: expected .*pulled apart"),

@@ -2,7 +2,7 @@
 
 - `elliptic`: Jacobi's functions and Legendre's integrals.
 - `compacton`: solitary waves of continuum equations without linear sound.
-- `kdv`: the Korteweg-de Vries equation of long, weak waves; solitons and periodic waves on a chain.
+- `kdv`: the Korteweg-de Vries equation of long, weak waves; solitons, periodic waves, dispersive shocks on a chain.
 - `long_wave`: the long-wave equations of a chain: residuals, linear waves, the wave of the regularised one.
 - `nls`: the nonlinear Schroedinger equation of wave packets in a periodic chain; its solitons and instability.
 - `toda`: the Toda chain: solitons, periodic waves, dispersive shocks, eigenvalues of its Lax matrix.

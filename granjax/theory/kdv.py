@@ -16,6 +16,16 @@ y_n and v_n - v_{n+1} = dy_n/dt, by the series of (d/2)/sinh(d/2) to d^6, right 
     wave = gx.theory.kdv.soliton(np.arange(100), 0.0, K2, K3, speed=1.02 * K2**0.5, centre=50.0)
     gx.plots.profile(np.arange(100), wave.strain, x_label="contact", y_label="strain")
 
+The dispersive shock of a law beside that of Toda's chain, which needs no long waves:
+
+    import numpy as np
+    K2, K3, K4 = gx.laws.taylor(gx.Hertz(precompression=1.0))
+    strength, rate = gx.theory.toda.matched(K2, K3)
+    n, t, c = np.arange(300.0), 200.0, 0.2
+    kdv = gx.theory.kdv.shock_wave(n, t, c, K2, K3)
+    toda = gx.theory.toda.shock_wave(n, t, c, strength=strength, rate=rate)
+    gx.plots.profile(n, np.stack([kdv.strain, toda.strain]).T, x_label="contact", y_label="strain")
+
 Source: D. J. Korteweg, G. de Vries, Phil. Mag. 39, 422 (1895); N. J. Zabusky, M. D. Kruskal, Phys. Rev. Lett. 15, 240
 (1965); for chains G. Friesecke, R. L. Pego, Nonlinearity 12, 1601 (1999).
 """
@@ -33,12 +43,16 @@ from ..types import Numbers, Parameter
 from .chain_wave import ChainWave, _direction_of, _numbers, _one_given, _sech, _stiffnesses
 from .elliptic_functions import _jacobi, _zeta
 from .elliptic_integrals import _E, _K
+from .kdv_shock import STRAIGHT, Modulation, modulation, modulus, shock_wave, velocity_shock
+from .self_similar import ShockEdges, ShockWave
 
-__all__ = ["ChainWave", "Scales", "amplitude", "cnoidal", "scales", "soliton", "speed"]
+__all__ = [
+    "ChainWave", "Modulation", "Scales", "ShockEdges", "ShockWave", "amplitude", "cnoidal", "modulation", "modulus",
+    "scales", "shock_wave", "soliton", "speed", "velocity_shock",
+]
 
 # (d/2)/sinh(d/2) = 1 - d^2/24 + ...
 HALF_STEP = (1.0, -1 / 24, 7 / 5760, -31 / 967680)
-STRAIGHT = "Without K3 a chain has no KdV equation; of K4 alone it has the modified one."
 
 
 class Scales(NamedTuple):

@@ -1,0 +1,148 @@
+r"""The dispersive shock of KdV on a chain, as A. V. Gurevich and L. P. Pitaevskii found it; `kdv` is its face.
+
+Inside, strain is counted in K2/K3 and speed in that of sound, and m1 = 1 - m keeps its digits at the leading edge.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..checks import concrete, refuse, show
+from ..entry import checked
+from ..printing import told
+from ..types import Numbers, Parameter
+from .chain_wave import _numbers, _stiffnesses
+from .elliptic_functions import _jacobi
+from .elliptic_integrals import _E, _K
+from .self_similar import ShockEdges, ShockWave, _complement, _excess, _modulus_of, _places, _turn
+
+STRAIGHT = "Without K3 a chain has no KdV equation; of K4 alone it has the modified one."
+
+
+class Modulation(NamedTuple):
+    """The periodic wave of a dispersive shock of KdV where its parameter is m.
+
+    - `speed`: n/t of that place [sites/s]. `r1`, `r2`, `r3`: its numbers for `cnoidal`.
+    - `mean`, `crest`, `trough`: of its strain [m]; `amplitude`: crest less trough. `wavelength` [sites].
+    """
+
+    speed: jax.Array
+    r1: jax.Array
+    r2: jax.Array
+    r3: jax.Array
+    mean: jax.Array
+    amplitude: jax.Array
+    wavelength: jax.Array
+    crest: jax.Array
+    trough: jax.Array
+    __repr__ = told
+
+
+@checked
+def velocity_shock(c: Parameter, K2: Parameter, K3: Parameter, mass: Parameter = 1.0) -> ShockEdges:
+    r"""The dispersive shock that v_n = -2c sign(n) sends to the right through a chain at rest in strain, by KdV.
+
+        s_-/sigma = 1 - C,   s_+/sigma = 1 + 2C/3,   mean C K2/K3,   amplitude 2 C K2/K3,   C = 2c K3/(K2 sigma)
+
+    With sigma = K2 = 1, K3 = 1/2, those of `toda.velocity_shock`, s_+ to -4c^2/45, mean and amplitude to -c^2 and -4c^2
+    (1.4, 23 and 44 % too much at c = 1/2). A strain step from y to 0 is that of c = sigma y/2.
+
+    **Arguments:** `c` [m/s]: half the velocity of either side, of the sign of K3: a law that softens has shocks of
+    rarefaction. `K2` > 0, `K3` not zero, `mass`: as in `scales`. **Returns:** `ShockEdges`. **Raises** ValueError
+    unless 0 < C < 1: for c of the other sign no shock, from C = 1 on an edge that runs backwards, far beyond what KdV
+    tells of a chain. Typical: C = 0.1.
+    """
+    C, sound, unit = _scaled(c, K2, K3, mass)
+    return ShockEdges(sound * (1 - C), sound * (1 + 2 * C / 3), unit * C, 2 * unit * C)
+
+
+@checked
+def modulation(m: Parameter, c: Parameter, K2: Parameter, K3: Parameter, mass: Parameter = 1.0) -> Modulation:
+    r"""The periodic wave inside the dispersive shock of `velocity_shock`, and the speed n/t at which it stands.
+
+        r1 = 0,  r2 = C m,  r3 = C,   (n/t)/sigma = 1 + C S(m),   S = (1 + m)/3 - (2/3) m (1 - m) K/(E - (1 - m) K)
+
+    From m = 0 at the trailing edge, S = -1, to m = 1 at the leading edge, S = 2/3; right to rounding at both.
+    **Arguments:** `m` in [0, 1], all else as `velocity_shock`. **Returns:** `Modulation`. **Raises** ValueError for
+    others. The slope of speed and mean in m is infinite at m = 1. Typical: S(1/2) = -0.22947987.
+    Source: A. V. Gurevich, L. P. Pitaevskii, Sov. Phys. JETP 38, 291 (1974).
+    """
+    C, sound, unit = _scaled(c, K2, K3, mass)
+    return Modulation(*_modulation(1 - _modulus_of(m, c=C), C, sound, unit))
+
+
+@checked
+def modulus(speed: Parameter, c: Parameter, K2: Parameter, K3: Parameter, mass: Parameter = 1.0) -> Numbers:
+    """The parameter m of the periodic wave at speed = n/t, the inverse of `modulation(m, c, K2, K3).speed`.
+
+    **Arguments:** `speed` [sites/s], any; all else as `velocity_shock`. **Returns:** m in (0, 1) between the edges, 0
+    behind and 1 ahead of them; derivatives of any order between. **Raises** ValueError as `velocity_shock`.
+    """
+    C, sound, _ = _scaled(c, K2, K3, mass)
+    speed, _ = _numbers(speed=speed, c=C)
+    return _modulus(speed / sound, C)
+
+
+@checked
+def shock_wave(
+    n: Parameter, t: Parameter, c: Parameter, K2: Parameter, K3: Parameter, *, mass: Parameter = 1.0,
+    phase: Parameter = 0.0,
+) -> ShockWave:
+    r"""The dispersive shock of `velocity_shock` as a wave: plateau, modulated periodic wave, strain 0 ahead.
+
+        y = (K2/K3) C (2 dn^2(z, m) - 1 + m),   z = 2 C^{1/2} (n - sigma (1 + C (1 + m)/3) t) + phase K(m)/pi
+
+    of `cnoidal`, whose numbers are those of `modulation` where the speed is n/t. **Arguments:** `n`, `t` > 0, `phase`:
+    as in `toda.shock_wave`; all else as `velocity_shock`. **Returns:** `ShockWave`. **Raises** ValueError for t <= 0
+    and as `velocity_shock`.
+    """
+    C, sound, unit = _scaled(c, K2, K3, mass)
+    n, t, phase = _places(n, t, phase, c=C)
+    return ShockWave(*_shock_wave(n, sound * t, phase, C, unit))
+
+
+def _scaled(c, K2, K3, mass):
+    """C, the speed of sound and the unit of strain."""
+    K2, K3, mass = _stiffnesses(K2, K3, mass, STRAIGHT)
+    c, *_ = _numbers(c=c, K2=K2, K3=K3, mass=mass)
+    sound = jnp.sqrt(K2 / mass)
+    C = 2 * c * K3 / (K2 * sound)
+    value = concrete(C)
+    if value is not None and not np.all((value > 0) & (value < 1)):
+        refuse("c", "C = 2 c K3/(K2 sigma) in (0, 1)", show(value),
+               "Of the other sign there is a rarefaction, or where K3 < 0 a compression that spreads; a shock as "
+               "strong as C = 1 is no long, weak wave.")
+    return C, sound, K2 / K3
+
+
+def _strains(m1):
+    """Mean, crest and trough over C."""
+    share = jnp.where(m1 != 0, _E(m1) / _K(jnp.where(m1 != 0, m1, 1.0)), 0.0)
+    return 2 * share - m1, 2 - m1, m1
+
+
+@jax.jit
+def _modulation(m1, C, sound, unit):
+    m1, C = jnp.broadcast_arrays(m1, C)
+    mean, crest, trough = (unit * C * x for x in _strains(m1))
+    speed = sound * (1 + C * _excess(m1, 0 * m1))
+    wave = mean, 2 * unit * C * (1 - m1), _K(m1) / jnp.sqrt(C), crest, trough
+    return jnp.broadcast_arrays(speed, 0 * C, C * (1 - m1), C, *wave)
+
+
+@jax.jit
+def _modulus(s, C):
+    x = (s - 1) / C
+    return 1 - _complement(x, 0 * x)
+
+
+@jax.jit
+def _shock_wave(n, t, phase, C, unit):
+    x = n - t
+    m1 = _complement(x / (C * t), 0 * (x * C))
+    z = 2 * jnp.sqrt(C) * (x - C * (2 - m1) / 3 * t) + _turn(phase, m1)
+    strain = m1 + 2 * (1 - m1) * _jacobi(z, m1)[1] ** 2
+    mean, crest, trough = (unit * C * x for x in (_strains(m1)))
+    return jnp.broadcast_arrays(unit * C * strain, 1 - m1, mean, crest, trough)
