@@ -5,11 +5,15 @@ import jax.numpy as jnp
 import mpmath as mp
 import numpy as np
 import pytest
+from scipy.integrate import quad
 
+import granjax as gx
 from granjax.theory import kdv, toda
 
 # a, b, m in no particular units; both a and b negative: waves of rarefaction
 CONSTANTS = dict(strength=0.7, rate=1.3, mass=2.1), dict(strength=-0.7, rate=-1.3, mass=2.1)
+# sigma = 1, K2 = 1, K3 = 1/2: the Toda chain of strength, rate and mass 1; a law that softens
+NORMAL, SOFT = (1.0, 0.5), (1.5, -0.4, 2.0)
 M = np.array([0.0, 1e-9, 0.2, 0.5, 0.8, 0.95, 1 - 2.0**-30, 1.0])
 C = np.array([1e-6, 0.1, 0.5, 0.9])
 
@@ -70,12 +74,15 @@ def test_the_modulated_wave_of_toda(own):
     # far behind, inside, ahead
     t = 2000.0
     n = np.array([0.1 * unit * t, *at.speed * t, 2 * unit * t])
-    shock = toda.shock_wave(n, t, c, **own)
+    shock = toda.shock_wave(n, t, c, phase=0.0, **own)
     np.testing.assert_allclose(shock.m, [0, *m, 1], atol=1e-13)
     np.testing.assert_allclose(shock.mean[1:4], at.mean, rtol=1e-13)
     np.testing.assert_allclose(shock.strain[jnp.array([0, 4])], [2 * np.log(1.4) / own["rate"], 0], atol=1e-14)
     wave = toda.periodic_wave(n[1:4], t, at.E1, at.E2, at.E3, at.E4, **own)
     np.testing.assert_allclose(shock.strain[1:4], wave.strain, rtol=1e-10)
+    # a phase of its own at each place; a whole wave changes nothing
+    turned = toda.shock_wave(n, t, c, phase=jnp.array([0, 2, 4, 6, 0]) * jnp.pi, **own)
+    np.testing.assert_allclose(turned.strain, shock.strain, rtol=1e-10, atol=1e-15)
 
 
 def test_periodic_waves_of_any_numbers_solve_the_equation():
@@ -123,6 +130,42 @@ def test_waves_are_conserved():
     assert np.all(dk < 0) and np.all(k > 0)
 
 
+def exact_phase(m, c):
+    """pi less the ratio of the two integrals, by quadrature in the angle of each band."""
+    E1, E2, E3, E4 = (float(E) for E in toda.modulation(m, c)[1:5])
+    chi = lambda x: np.log((x * x - E2**2) * (E4**2 - x * x)) / 2 - np.log(c * x)
+    inside = lambda a, b, x: 2 * quad(lambda q: x(a + (b - a) * np.sin(q) ** 2), 0, np.pi / 2, epsabs=1e-13)[0]
+    over = inside(E3, E4, lambda x: chi(x) / np.sqrt((x - E1) * (x - E2)))
+    return np.pi - over / inside(E2, E3, lambda x: 1 / np.sqrt((x - E1) * (E4 - x)))
+
+
+def test_the_phase_is_known():
+    m = np.array([0.05, 0.5, 0.95])
+    for c in (0.1, 0.9):
+        np.testing.assert_allclose(toda.modulation(m, c).phase, [exact_phase(x, c) for x in m], rtol=1e-11)
+    np.testing.assert_allclose(kdv.modulation(m, 0.1, *NORMAL).phase, toda.modulation(m, 1e-7).phase, rtol=1e-6)
+    np.testing.assert_allclose(toda.modulation([1 - 2.0**-50, 1.0], 0.5).phase, 1.5 * np.pi, rtol=0.05)
+
+
+def test_a_simulated_shock_is_that_of_the_theory():
+    """Without anything fitted: the error in the middle falls like 1/t, the plateau is the mean."""
+    c, sites = 0.5, 501
+    chain, v = gx.scenes.toda(sites, boundary="free"), -2 * c * np.sign(np.arange(sites) - sites // 2)
+    run = gx.simulate(chain, (np.zeros(sites), v), 160.0, step=0.1, solver=gx.SRKN11b(), save_at=[40.0, 80.0, 160.0])
+    x = np.arange(sites - 1) + 0.5 - sites // 2
+    wrong, worst = [], []
+    for t, u in zip(np.asarray(run.ts), np.asarray(run.us)):
+        shock = toda.shock_wave(np.abs(x), t, c)
+        apart = np.abs(-np.diff(u) - shock.strain)
+        part = (np.abs(x) / t - 0.5) / (float(toda.velocity_shock(c).leading_speed) - 0.5)
+        wrong.append(t * apart[(part > 0.4) & (part < 0.6)].max())
+        worst.append(apart[np.abs(part - 0.5) < 0.4].max())
+    np.testing.assert_allclose(wrong, 1.2, rtol=0.1)
+    assert worst[-1] < 0.05 and worst[-1] < 0.6 * worst[0]
+    plateau, weight = -np.diff(u)[np.abs(x) < 40], np.cos(np.pi * x[np.abs(x) < 40] / 80) ** 2
+    assert np.average(plateau, weights=weight) == pytest.approx(2 * np.log(1.5), abs=2e-4)
+
+
 @pytest.mark.slow
 def test_a_shock_differentiates():
     """In both modes, and where c alone moves at the edges too."""
@@ -138,10 +181,6 @@ def test_a_shock_differentiates():
 
 
 # ----------------------------------------------------------------------------------------------------------------- KdV
-
-# sigma = 1, K2 = 1, K3 = 1/2: the Toda chain of strength, rate and mass 1; a law that softens
-NORMAL, SOFT = (1.0, 0.5), (1.5, -0.4, 2.0)
-
 
 def S(m):
     """As it is printed, in 60 digits; at m = 0 and 1 the limits."""
@@ -185,7 +224,7 @@ def test_the_modulated_wave_of_kdv():
     sound, unit = kdv.scales(*SOFT)
     at = kdv.modulation(m, c, *SOFT)
     n = np.array([0.5 * sound * t, *at.speed * t, 2 * sound * t])
-    shock = kdv.shock_wave(n, t, c, *SOFT[:2], mass=SOFT[2])
+    shock = kdv.shock_wave(n, t, c, *SOFT[:2], mass=SOFT[2], phase=0.0)
     np.testing.assert_allclose(shock.m, [0, *m, 1], atol=1e-12)
     wave = kdv.cnoidal(n[1:4], t, at.r1, at.r2, at.r3, *SOFT[:2], mass=SOFT[2])
     np.testing.assert_allclose(shock.strain[1:4], wave.strain, atol=1e-10)

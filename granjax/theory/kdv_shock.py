@@ -16,7 +16,7 @@ from ..types import Numbers, Parameter
 from .chain_wave import _numbers, _stiffnesses
 from .elliptic_functions import _jacobi
 from .elliptic_integrals import _E, _K
-from .self_similar import ShockEdges, ShockWave, _complement, _excess, _modulus_of, _places, _turn
+from .self_similar import ShockEdges, ShockWave, _complement, _excess, _modulus_of, _phase, _places, _turn
 
 STRAIGHT = "Without K3 a chain has no KdV equation; of K4 alone it has the modified one."
 
@@ -26,6 +26,7 @@ class Modulation(NamedTuple):
 
     - `speed`: n/t of that place [sites/s]. `r1`, `r2`, `r3`: its numbers for `cnoidal`.
     - `mean`, `crest`, `trough`: of its strain [m]; `amplitude`: crest less trough. `wavelength` [sites].
+    - `phase` [rad]: that of `shock_wave`, 3 pi/2 at the leading edge; behind it diverges, like ln^2 m.
     """
 
     speed: jax.Array
@@ -37,6 +38,7 @@ class Modulation(NamedTuple):
     wavelength: jax.Array
     crest: jax.Array
     trough: jax.Array
+    phase: jax.Array
     __repr__ = told
 
 
@@ -88,15 +90,16 @@ def modulus(speed: Parameter, c: Parameter, K2: Parameter, K3: Parameter, mass: 
 @checked
 def shock_wave(
     n: Parameter, t: Parameter, c: Parameter, K2: Parameter, K3: Parameter, *, mass: Parameter = 1.0,
-    phase: Parameter = 0.0,
+    phase: Parameter | None = None,
 ) -> ShockWave:
     r"""The dispersive shock of `velocity_shock` as a wave: plateau, modulated periodic wave, strain 0 ahead.
 
         y = (K2/K3) C (2 dn^2(z, m) - 1 + m),   z = 2 C^{1/2} (n - sigma (1 + C (1 + m)/3) t) + phase K(m)/pi
 
     of `cnoidal`, whose numbers are those of `modulation` where the speed is n/t. **Arguments:** `n`, `t` > 0, `phase`:
-    as in `toda.shock_wave`; all else as `velocity_shock`. **Returns:** `ShockWave`. **Raises** ValueError for t <= 0
-    and as `velocity_shock`.
+    as in `toda.shock_wave`, of whose phase KdV's is the limit of weak shocks; all else as `velocity_shock`.
+
+    **Returns:** `ShockWave`. **Raises** ValueError for t <= 0 and as `velocity_shock`.
     """
     C, sound, unit = _scaled(c, K2, K3, mass)
     n, t, phase = _places(n, t, phase, c=C)
@@ -128,7 +131,7 @@ def _modulation(m1, C, sound, unit):
     m1, C = jnp.broadcast_arrays(m1, C)
     mean, crest, trough = (unit * C * x for x in _strains(m1))
     speed = sound * (1 + C * _excess(m1, 0 * m1))
-    wave = mean, 2 * unit * C * (1 - m1), _K(m1) / jnp.sqrt(C), crest, trough
+    wave = mean, 2 * unit * C * (1 - m1), _K(m1) / jnp.sqrt(C), crest, trough, _phase(m1, 0 * m1)
     return jnp.broadcast_arrays(speed, 0 * C, C * (1 - m1), C, *wave)
 
 
@@ -142,7 +145,7 @@ def _modulus(s, C):
 def _shock_wave(n, t, phase, C, unit):
     x = n - t
     m1 = _complement(x / (C * t), 0 * (x * C))
-    z = 2 * jnp.sqrt(C) * (x - C * (2 - m1) / 3 * t) + _turn(phase, m1)
+    z = 2 * jnp.sqrt(C) * (x - C * (2 - m1) / 3 * t) + _turn(phase, m1, 0 * m1)
     strain = m1 + 2 * (1 - m1) * _jacobi(z, m1)[1] ** 2
     mean, crest, trough = (unit * C * x for x in (_strains(m1)))
     return jnp.broadcast_arrays(unit * C * strain, 1 - m1, mean, crest, trough)

@@ -16,6 +16,9 @@ NEWTON = 8
 # sinh^2 at the places of the trapezoidal rule, of which the first counts half; beyond the last no integrand is left
 STEP, LAST = 0.2, 40.0
 SQUARES = np.sinh(np.arange(0, LAST, STEP)) ** 2
+# sin^2, cos^2 and weights in an angle of which ln tan is equidistant
+_W = np.arange(-56, LAST, STEP)
+ANGLES = 1 / (1 + np.exp(-2 * _W)), 1 / (1 + np.exp(2 * _W)), STEP / (2 * np.cosh(_W))
 # in place of K(1), where sech of it is no number
 FAR = 1e3
 
@@ -51,10 +54,11 @@ class ShockWave(NamedTuple):
 
 
 def _places(n, t, phase, **others):
-    """Places, times above zero and phases, as arrays that broadcast with all else."""
+    """Places, times above zero and phases where they are given, as arrays that broadcast with all else."""
     t = positive("t", t, "Before that nothing has moved: a shock is spread over n/t.")
-    n, t, phase, *_ = _numbers(n=n, t=t, phase=phase, **others)
-    return n, t, phase
+    given = {} if phase is None else {"phase": phase}
+    n, t, *rest = _numbers(n=n, t=t, **given, **others)
+    return n, t, rest[0] if given else None
 
 
 def _modulus_of(m, **others):
@@ -64,8 +68,9 @@ def _modulus_of(m, **others):
     return m
 
 
-def _turn(phase, m1):
+def _turn(phase, m1, c):
     """What a phase adds to the argument of Jacobi's functions; ahead of all crests, where m1 = 0, their last flank."""
+    phase = _phase(m1, c) if phase is None else phase
     phase = phase - 2 * jnp.pi * jnp.round(phase / (2 * jnp.pi))
     return jnp.where(m1 != 0, phase * _K(jnp.where(m1 != 0, m1, 1.0)), FAR * jnp.abs(phase)) / jnp.pi
 
@@ -88,6 +93,31 @@ def _excess(m1, c):
     first = add(0, (0.0, 0.0), 0.5)
     over, under = jax.lax.fori_loop(1, len(SQUARES), add, first)
     return over / under - _steep(m1)
+
+
+def _phase(m1, c):
+    r"""Phase of the wave after a velocity shock of the Toda chain, of c = 0 of KdV: pi - D, 3 pi/2 at the leading edge.
+
+        D = int_E3^E4 ln chi |P|^{-1/2} / int_E2^E3 |P|^{-1/2},   P = (x - E1)(x - E2)(x - E3)(x - E4),
+        chi(x)^2 = (x^2 - (1 - c)^2)((1 + c)^2 - x^2)/(c x)^2
+
+    the density of what the left half sends as solitons into the right one. Trapezoidal rule in ln tan of the angle
+    whose sin^2 is (x - E3)/(E4 - E3).
+    """
+    inside, ends = (m1 != 0) & (m1 != 1), jnp.where(m1 == 0, 3 * jnp.pi / 2, jnp.pi)
+    m1 = jnp.where(inside, m1, 0.5)
+    share, (low, high, weights) = 1 + c * m1, (jnp.asarray(x, m1.dtype) for x in ANGLES)
+    span = (1 + c) * m1
+
+    def add(i, total):
+        # x - E2 over 2c, x - E1 over 2(1 + c), E4 - x over 2c
+        a, b, d = ((1 - m1) + span * low[i]) / share, (1 + c * m1 * low[i]) / share, span * high[i] / share
+        x = 1 - c + 2 * c * a
+        log = jnp.log(16 * a * b * d * (1 + c) * (1 - c + c * a)) / 2 - jnp.log(x)
+        return total + weights[i] * log / jnp.sqrt(a * b)
+
+    total = jax.lax.fori_loop(0, len(ANGLES[0]), add, 0 * span)
+    return jnp.where(inside, jnp.pi - total / (jnp.sqrt(share) * _K(m1)), ends)
 
 
 @jax.custom_jvp

@@ -37,6 +37,38 @@ def test_a_parameter_that_is_rounded_has_no_long_waves():
     assert elliptic.jacobi(u[4], m1=m1).dn == pytest.approx(np.sqrt(m1), rel=1e-12)
 
 
+def test_scipy_s_ellipj_ends_a_dispersive_shock_after_one_crest():
+    """At the leading edge of a Toda shock crests are 20 sites apart: by scipy's cn the second is missing altogether."""
+    c, m1 = 0.5, 2.0**-34
+    at = gx.theory.toda.modulation(1 - m1, c)
+    low, high = np.exp(at.trough), np.exp(at.crest)
+    n = np.arange(0.0, 31.0)
+    z = np.asarray(2 * n * elliptic.K(m1=m1) / at.wavelength)
+    strain = lambda cn: np.log(low + (high - low) * np.asarray(cn) ** 2)
+    want = strain(exact(z, m1)[1])
+    assert np.abs(strain(scipy.special.ellipj(z, 1 - m1)[1]) - want)[15:].max() > 0.99 * at.amplitude
+    E = at.E1, at.E2, at.E3, at.E4
+    np.testing.assert_allclose(gx.theory.toda.periodic_wave(n, 0.0, *E).strain, want, atol=1e-5)
+    np.testing.assert_allclose(strain(elliptic.jacobi(z, m1=m1).cn), want, atol=1e-13)
+
+
+def test_kdv_s_shock_is_no_toda_shock_at_a_half():
+    """Edge 1 %, mean 23 %, crest 44 % too much; in the middle as wrong as the wave is high, where Toda's is right."""
+    c, sites, t = 0.5, 301, 90.0
+    exact_, kdv = gx.theory.toda.velocity_shock(c), gx.theory.kdv.velocity_shock(c, 1.0, 0.5)
+    np.testing.assert_allclose(np.array(kdv) / np.array(exact_) - 1, [0, 0.0138, 0.2332, 0.4427], atol=1e-4)
+    chain, x = gx.scenes.toda(sites, boundary="free"), np.arange(sites - 1) + 0.5 - sites // 2
+    v = -2 * c * np.sign(np.arange(sites) - sites // 2)
+    run = gx.simulate(chain, (np.zeros(sites), v), t, step=0.1, solver=gx.SRKN11b())
+    strain, middle = np.asarray(gx.measures.strain(chain, run.final)), np.abs(np.abs(x) / t - 0.9) < 0.25
+    apart = {name: np.abs(strain - wave.strain)[middle].max() for name, wave in (
+        ("toda", gx.theory.toda.shock_wave(np.abs(x), t, c)),
+        ("kdv", gx.theory.kdv.shock_wave(np.abs(x), t, c, 1.0, 0.5)))}
+    assert apart["toda"] < 0.03 and apart["kdv"] > 0.8
+    assert strain[np.abs(x) < 15].mean() == pytest.approx(float(exact_.mean), rel=2e-3)
+    assert 0.9 * exact_.amplitude < strain.max() < exact_.amplitude < 0.7 * kdv.amplitude
+
+
 # solitons of the neighbours -------------------------------------------------------------------------------------------
 
 HERTZ, SOUND = gx.Hertz(1.0, 1.0), np.sqrt(1.5)
