@@ -7,7 +7,7 @@ import pytest
 
 import granjax as gx
 from granjax.laws import Strained
-from granjax.theory import shock_edges
+from granjax.theory import linear_shock, shock_edges
 
 # sound 1 and K3 = 1/2, as KdV and Toda have them
 STIFFNESS, REST = 2 * 2**0.5 / 3, 0.5
@@ -190,3 +190,74 @@ def test_what_makes_no_such_shock_is_refused(law, c, more, said):
 def test_edges_are_found_outside_of_compiled_functions():
     with pytest.raises(ValueError, match="known"):
         jax.jit(lambda c: shock_edges(GRANULAR, c).mean)(0.1)
+
+
+# -------------------------------------------------------------------------------------------------------- linear shocks
+
+
+def bessel(x):
+    """J_0(x), J_1(x), ... by Miller's recurrence, in extended precision."""
+    count = int(x + 20 * x ** (1 / 3)) + 60
+    J = np.zeros(count + 2, np.longdouble)
+    J[count] = 1e-300
+    for k in range(count, 0, -1):
+        J[k - 1] = 2 * k / np.longdouble(x) * J[k] - J[k + 1]
+        if abs(J[k - 1]) > 1e200:
+            J[k - 1 :] *= np.longdouble(1e-250)
+    return J / (J[0] + 2 * J[2::2].sum())
+
+
+@pytest.mark.parametrize("t", [0.3, 41.0, 1e4])
+def test_linear_shocks_are_sums_of_bessel_functions(t):
+    J = bessel(2 * t)
+    front = int(t)
+    n = np.array([0, 1, 2, 7, front // 2, front - 3, front, front + 2, front + 40])
+    n = n[(n >= 0) & (2 * n + 4 < len(J))]
+    # int_0^t J_{2n}(2s) ds = sum_k J_{2n+1+2k}(2t)
+    step = np.array([2 * (J[2 * k + 1 :: 2].sum() + J[2 * k + 3 :: 2].sum()) for k in n], float)
+    strain = np.array([J[2 * k :: 2].sum() for k in n], float)
+    for bonds, of_step, of_strain in ((n, step, strain), (-1 - n, step, None), (1 - n, None, 1 - strain)):
+        if of_step is not None:
+            np.testing.assert_allclose(linear_shock.velocity_step(bonds, t, 1.0), of_step, atol=1e-12)
+        if of_strain is not None:
+            np.testing.assert_allclose(linear_shock.strain_step(bonds, t, 1.0), of_strain, atol=1e-12)
+
+
+def test_linear_shocks_are_those_of_a_simulated_chain():
+    sites, c, K, m, t = 81, 0.3, 2.0, 0.7, 6.0
+    n, u = np.arange(sites) - 40, np.zeros(sites)
+    chain = gx.Lattice(m, gx.Bond(gx.Shift(1, "free"), gx.Linear(K)), sites=sites)
+    ramp = np.append(0.0, -np.cumsum(np.where(n[:-1] <= 0, c, 0.0)))
+    kept = slice(28, -28)  # what the ends have not reached
+    for state, step in (((u, -2 * c * np.sign(n)), linear_shock.velocity_step), ((ramp, u), linear_shock.strain_step)):
+        run = gx.simulate(chain, gx.State(*map(jnp.asarray, state)), t, solver=gx.KahanLi8(), step=0.05)
+        found = step(n[:-1], t, c, K, m)
+        np.testing.assert_allclose(-np.diff(run.final.u)[kept], found[kept], atol=1e-12)
+
+
+def test_linear_shocks_broadcast_and_differentiate():
+    n, t, K = np.arange(-6, 6)[:, None, None], np.array([0.0, 1.0, 5.0])[:, None], np.array([1.0, 2.0])
+    whole = linear_shock.velocity_step(n, t, 0.3, K)
+    assert whole.shape == (12, 3, 2) and not np.any(whole[:, 0])
+    one = linear_shock.velocity_step(n[:, 0, 0], 5.0, 0.3, 2.0)
+    np.testing.assert_allclose(whole[:, 2, 1], one, atol=1e-15)
+
+    def both(x):
+        return linear_shock.velocity_step(3, *x) + linear_shock.strain_step(-1, *x)
+
+    x, h = jnp.array([4.0, 0.5, 1.3, 0.8]), 1e-4
+    apart = [jnp.stack([both(x + k * h * e) - both(x - k * h * e) for e in np.eye(4)]) for k in (1, 2)]
+    np.testing.assert_allclose(jax.grad(both)(x), (8 * apart[0] - apart[1]) / (12 * h), atol=1e-10)
+    np.testing.assert_allclose(jax.jacfwd(both)(x), jax.grad(both)(x), atol=1e-14)
+
+
+@pytest.mark.parametrize("call, said", [
+    (lambda: linear_shock.velocity_step(0.5, 1.0, 1.0), "^n: expected whole numbers"),
+    (lambda: linear_shock.velocity_step(0, -1.0, 1.0), "^t: expected numbers not below zero"),
+    (lambda: linear_shock.strain_step(0, 1e30, 1.0), "^t: expected times of at most"),
+    (lambda: linear_shock.strain_step(np.arange(3), np.ones(2), 1.0), "broadcast"),
+    (lambda: jax.jit(lambda t: linear_shock.strain_step(0, t, 1.0))(1.0), "^t: expected times that are known"),
+])
+def test_what_no_linear_shock_has_is_refused(call, said):
+    with pytest.raises(ValueError, match=said):
+        call()
