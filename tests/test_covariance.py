@@ -606,6 +606,19 @@ def _(s):
     return [shock(problem, s), length([problem.c, problem.rest]), duration(problem.until())]
 
 
+@row("impacts", uniform)
+def _(s):
+    problem = gx.shocks.impacts(s.lattice, s.w(near(s.rng, 0.3), 1, 0, 1), s.s(1.0), 2)
+    return [shock(problem, s), Of(problem.c, 1, 0, 1), duration(problem.until())]
+
+
+@row("balances", slow=(uniform,))
+def _(s):
+    problem = gx.shocks.velocity_shock(s.lattice, s.speed(near(s.rng, 0.2)))
+    return fields_of(gx.shocks.balances(problem, s.s(3.0), (8, 12), step=s.s(0.1)), strain_residual=None,
+                     momentum_residual=None, energy_residual=None)
+
+
 @row("piston", uniform)
 def _(s):
     problem = gx.shocks.piston(s.lattice, s.speed(near(s.rng, 0.3)))

@@ -113,6 +113,84 @@ def test_the_binary_oscillation_of_toda():
     assert np.abs(y - 2 * np.log(1.5)).max() < 0.2
 
 
+@pytest.mark.parametrize("exponent", [1.5, pytest.param(2.5, marks=pytest.mark.slow)])
+def test_shocks_of_a_sonic_vacuum_are_one(exponent):
+    """y -> c^{2/(p+1)}, t -> c^{(1-p)/(p+1)}, while rounding, which grows there, stays below."""
+    def scaled(c):
+        problem = gx.shocks.velocity_shock(gx.scenes.monomer(161, exponent=exponent), c)
+        t1 = 25.0 * c ** ((1 - exponent) / (1 + exponent))
+        assert t1 < problem.until()
+        run = problem.run(t1)
+        return np.asarray(problem.strain(run.us))[0] / c ** (2 / (exponent + 1)), int(run.stats["steps"])
+
+    one, other = scaled(0.05), scaled(0.7)
+    assert other[1] == one[1] and one[0].max() > 0.5
+    assert np.abs(other[0] - one[0]).max() < 1e-9 * one[0].max()
+
+
+class Mirrored(gx.Law):
+    """-F(-e)."""
+
+    law: gx.Law
+
+    def force(self, e):
+        return -self.law.force(-e)
+
+    def energy(self, e):
+        return self.law.energy(-e)
+
+
+def test_the_mirrored_law_has_the_mirrored_shock():
+    """Strains of the other sign: a shock of compression becomes one of rarefaction, to the last bit."""
+    c = 0.2
+    chains = [gx.Lattice(np.ones(80), gx.Bond(gx.Shift(1, "free"), law)) for law in (gx.Toda(), Mirrored(gx.Toda()))]
+    for make, one, other in ((gx.shocks.velocity_shock, c, -c), (gx.shocks.step, 2 * c, -2 * c)):
+        runs = [make(chain, x).run(15.0, step=0.1) for chain, x in zip(chains, (one, other))]
+        assert np.array_equal(runs[0].us, -runs[1].us) and np.abs(runs[0].us).max() > c
+    # and left becomes right where the chain is turned round
+    left, right = (gx.shocks.step(chains[0], *y, centre=40).run(15.0, step=0.1) for y in ((0.4, 0.1), (0.1, 0.4)))
+    turned = gx.shocks.step(chains[0], 0.4, 0.1, centre=39).run(15.0, step=0.1)
+    assert np.abs(np.asarray(right.us)[0, ::-1] + np.asarray(turned.us)[0]).max() < 1e-13
+    assert np.abs(np.asarray(left.us)).max() > 0.1
+
+
+@pytest.mark.parametrize("kind", [
+    "velocity", "piston", *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("strain", "impacts"))])
+def test_the_balances_close(kind):
+    chain = hertz(121)
+    problem = {"velocity": lambda: gx.shocks.velocity_shock(chain, 0.3), "strain": lambda: gx.shocks.step(chain, 0.6),
+               "piston": lambda: gx.shocks.piston(chain, 0.6), "impacts": lambda: gx.shocks.impacts(chain, 0.5, 2.0),
+               }[kind]()
+    found = gx.shocks.balances(problem, 20.0, (62, 80) if kind in ("velocity", "strain") else None)
+    assert "close to the error" in found.outcome
+    for name in ("strain", "momentum", "energy"):
+        change, missed, error = (getattr(found, f"{name}_{what}") for what in ("change", "residual", "error"))
+        assert abs(change) > 0.1 and abs(missed) < 1e-10 * max(1, abs(change)) and abs(missed) <= error < 1e-7
+    if kind != "velocity":
+        return
+    in_si = gx.scenes.scaled(chain, units=gx.Units(2.0**-10, 2.0**-20, 2.0**-18)).lattice
+    other = gx.shocks.balances(gx.shocks.velocity_shock(in_si, 0.3 * 2.0**2), 20.0 * 2.0**18, (62, 80))
+    assert float(other.momentum_change) == pytest.approx(2.0**12 * float(found.momentum_change), rel=1e-9)
+    damped = gx.Lattice(np.ones(60), (gx.Bond(gx.Shift(1, "free"), gx.Toda()), gx.Damping(0.1)))
+    with pytest.raises(ValueError, match="problem: expected bonds to the next site alone inside of the box.*Damp"):
+        gx.shocks.balances(gx.shocks.step(damped, 0.4), 10.0, (20, 40))
+    for box in ((0, 4), (5, 5), (3, 120), (1, 2, 3)):
+        with pytest.raises(ValueError, match="^box: expected"):
+            gx.shocks.balances(problem, 10.0, box)
+
+
+def test_every_impact_gives_its_momentum():
+    chain, impulse = gx.scenes.toda(120), 0.4
+    problem = gx.shocks.impacts(chain, impulse, 5.0, 3, duration=1.0)
+    run = problem.run(save_at=np.asarray([0.5, 3.0, 5.5, 8.0, 12.0, 30.0]))
+    assert np.asarray(run.vs).sum(1) == pytest.approx(impulse * np.array([0.5, 1, 1.5, 2, 3, 3]), rel=1e-12)
+    # without a pause: a constant force, as behind a piston
+    steady = gx.shocks.impacts(gx.scenes.toda(200), 0.6, 1.0, duration=1.0)
+    late = np.asarray(steady.run(60.0, save_at=np.linspace(50, 60, 21)).us)
+    y = np.asarray(steady.strain(late))[:, :15].mean()
+    assert np.expm1(y) == pytest.approx(0.6, rel=0.02)
+
+
 def test_a_batch_is_one_problem():
     cs, lefts = jnp.asarray([0.1, 0.2]), jnp.asarray([0.2, 0.4])
     chain = gx.scenes.toda(101)
@@ -147,10 +225,14 @@ def tied():
 REFUSED = (
     (lambda: gx.shocks.step(gx.scenes.toda(50), 0.1, 0.1), "left: expected another strain than right"),
     (lambda: gx.shocks.step(gx.scenes.toda(50), 0.1, centre=0), "centre: expected a bond from 1 to 48"),
+    (lambda: gx.shocks.velocity_shock(gx.scenes.toda(50), 0.1, centre=48.5), "centre: expected a place with two sites"),
     (lambda: gx.shocks.step(tied(), 0.1), "lattice: expected a chain of bonds between"),
     (lambda: gx.shocks.velocity_shock(tied(), 0.1), "lattice: expected a chain whose halves"),
     (lambda: gx.shocks.step(gx.scenes.monomer(50, stiffness=np.linspace(1, 2, 51)), 0.1), "lattice: expected bonds th"),
     (lambda: gx.shocks.step(magnets(50), 100.0), "left: expected a strain at which the law has a force"),
+    (lambda: gx.shocks.impacts(gx.scenes.toda(50), 0.0, 1.0), "impulse: expected an impulse other than zero"),
+    (lambda: gx.shocks.impacts(gx.scenes.toda(50), 1.0, 1.0, duration=2.0), "duration: expected at most the interval"),
+    (lambda: gx.shocks.impacts(gx.scenes.toda(50), 1.0, 1.0, 0), "count: expected a whole number not below 1"),
     (lambda: gx.shocks.piston(gx.scenes.toda(50), 0.0), "speed: expected a speed other than zero"),
     (lambda: gx.shocks.piston(gx.Lattice(np.ones((4, 4)), gx.OnSite(gx.Linear(1.0))), 0.1), "lattice: expected a chai"),
     (lambda: gx.shocks.piston(gx.Lattice(np.ones(4), gx.OnSite(gx.Linear(1.0))), 0.1), "lattice: expected a chain of"),

@@ -89,20 +89,24 @@ class Riemann(eqx.Module):
         room = jnp.minimum(centre, last - centre) if self.kind in ("velocity", "strain") else last + 0.0 * centre
         return _until(self._jolt, room, len(self.lattice.lanes))
 
+    def horizon(self) -> Scalar:
+        """The shortest of `until()`. **Raises** ValueError where nothing moves or the step is too close to an end."""
+        t1 = jnp.min(self.until())
+        known = concrete(t1)
+        if known is None:
+            return t1
+        if not 0 < known < np.inf:
+            why = "nothing moves, now or ever" if known > 0 else "the step is too close to an end"
+            refuse("t1", "a time", "None", f"None is found here: {why}.")
+        return float(known)
+
     @checked
     def run(self, t1: Scalar | None = None, **keywords: Any) -> Run:
         """`gx.simulate(*self, t1, **keywords)`; t1 is `until()` where it is not given (the shortest of the lanes).
 
         The run remembers its problem, which `gx.shocks.measure` reads.
         """
-        if t1 is None:
-            t1 = jnp.min(self.until())
-            known = concrete(t1)
-            if known is not None and not 0 < known < np.inf:
-                why = "nothing moves, now or ever" if known > 0 else "the step is too close to an end"
-                refuse("t1", "a time", "None", f"None is found here: {why}.")
-            t1 = t1 if known is None else float(known)
-        run = simulate(self.lattice, self.state, t1, **keywords)
+        run = simulate(self.lattice, self.state, self.horizon() if t1 is None else t1, **keywords)
         object.__setattr__(run, "_problem", self)
         return run
 

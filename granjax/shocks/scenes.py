@@ -1,28 +1,52 @@
 """The scenes of shocks: a step in the strain, colliding halves, a piston."""
 
+import math
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import concrete, per_lane, refuse, show
+from ..checks import concrete, per_lane, positive, refuse, show, whole
 from ..entry import checked
 from ..lattice import Lattice, State
 from ..laws import Strained
+from ..printing import told
 from ..states import velocity_step
-from ..states.places import chain_only
+from ..states.places import chain_only, inside
 from ..strains import Shift
-from ..terms import Bond, Wall
+from ..terms import Bond, Breaks, Drive, Wall
+from ..terms.reach import furthest
 from ..types import Count, Number, Parameter
 from .riemann import Jolt, Riemann, simple_wave_velocity
 
 CHAIN = "a chain of bonds between neighbours"
 
 
+class Pulses(eqx.Module):
+    """A force that acts for a `duration` at the beginning of every `interval`, with the same impulse each time.
+
+    `count`: how many times, infinite for no end. Numbers that can be swept and differentiated.
+    """
+
+    impulse: jax.Array
+    interval: jax.Array
+    duration: jax.Array
+    count: jax.Array
+    __repr__ = told
+
+    def __call__(self, t: Number) -> Number:
+        """The force at time t."""
+        turn = jnp.floor(t / self.interval)
+        acts = (t >= 0) & (turn < self.count) & (t - turn * self.interval < self.duration)
+        return jnp.where(acts, self.impulse / self.duration, 0.0)
+
+
 class Uniform(eqx.Module):
     """w(t) = speed t, the motion of a piston: its speed can be swept and differentiated."""
 
     speed: jax.Array
+    __repr__ = told
 
     def __call__(self, t: Number) -> Number:
         """The place of the piston at time t."""
@@ -47,23 +71,26 @@ def velocity_shock(lattice: Lattice, c: Parameter, *, centre: Parameter | None =
     of sites: `piston` serves those), c not finite, or a centre outside the chain.
     Source: S. Venakides, P. Deift, R. Oba, Comm. Pure Appl. Math. 44, 1171 (1991).
     """
-    chain_only(lattice, "velocity_shock")
-    chain = _opened(lattice)
-    state = velocity_step(chain, c, centre)
+    size = chain_only(lattice, "velocity_shock")
+    chain, c = _opened(lattice), per_lane("c", c, lattice.lanes)
+    middle = inside("centre", (size - 1) / 2 if centre is None else centre, size)
+    known = concrete(middle)
+    if known is not None and not 1 < known < size - 2:
+        refuse("centre", "a place with two sites or more on either side", show(known), f"The chain has {size} sites.")
+    state = velocity_step(chain, c, middle)
     _refuse_ends(chain, state)
-    c, size = per_lane("c", c, chain.lanes), chain.shape[0]
-    middle = (size - 1) / 2 if centre is None else centre
-    return Riemann(chain, state, c, jnp.asarray(middle, float) - 0.5, 0.0, "velocity", _jolt(chain, [(0.0, 4 * c)]))
+    return Riemann(chain, state, c, middle - 0.5, 0.0, "velocity", _jolt(chain, [(0.0, 4 * c)]))
 
 
 @checked
 def step(lattice: Lattice, left: Parameter, right: Parameter = 0.0, *, centre: Count | None = None) -> Riemann:
     r"""A step in the strain, at rest: y_n = left for n < centre, right for n >= centre; u = v = 0.
 
-    Each bond is measured from the strain that it starts with, gx.laws.Strained(law, left or right, right), so that no
+    Each bond carries the strain that it starts with in its law, gx.laws.Strained(law, left or right, r), so that no
     ramp u_n = -left n is needed: at a million sites such a ramp would round the strain to 1e-10, here it keeps all
-    digits. u counts from where the sites start; `problem.strain(u)` is the whole strain. The ends become rigid walls,
-    which carry the load of the far states: these stay at rest, to the last bit, until a wave comes.
+    digits. u counts from where the sites start; `problem.strain(u)` is the whole strain. Forces and energies count from
+    r, that of the two strains from which the other one holds less energy. The ends become rigid walls, which carry the
+    load of the far states: these stay at rest, to the last bit, until a wave comes.
 
     The sites start at once: the site `centre` feels F(left) - F(right). For a law that stiffens and left > right a
     shock runs to the right and a rarefaction to the left.
@@ -79,13 +106,18 @@ def step(lattice: Lattice, left: Parameter, right: Parameter = 0.0, *, centre: C
     dtype, lanes = lattice.dtype, len(lattice.lanes)
     left, right = left.astype(dtype), right.astype(dtype)
     centre = _site("centre", (size - 1) // 2 if centre is None else centre, size)
+    law = _alike(_law(lattice), lanes)
+    for name, y in (("left", left), ("right", right)):
+        force = concrete(law.force(y))
+        if force is not None and not np.all(np.isfinite(force)):
+            refuse(name, "a strain at which the law has a force", show(concrete(y)))
+    reference = jnp.where(_beyond(law, left, right) <= _beyond(law, right, left), right, left)
     bonds = np.arange(-1, size).reshape((-1,) + (1,) * lanes)  # those to the walls as well
     strain, terms = jnp.where(bonds < centre, left, right), []
     for i, term in enumerate(lattice.terms):
         found = term.next_neighbours()
         if found is not None:
-            law = _alike(found[0], lanes, f"lattice.terms[{i}]")
-            terms.append(Bond(Shift(1, "fixed"), Strained(law, strain, right)))
+            terms.append(Bond(Shift(1, "fixed"), Strained(_alike(found[0], lanes), strain, reference)))
         elif term.dependence(lattice).displacement or term.dependence(lattice).time:
             refuse("lattice", f"{CHAIN}, and damping", f"terms[{i}] ({type(term).__name__})",
                    "The far states must be at rest at their strains.")
@@ -95,11 +127,6 @@ def step(lattice: Lattice, left: Parameter, right: Parameter = 0.0, *, centre: C
     jump = concrete(left - right)
     if jump is not None and not np.all(jump):
         refuse("left", "another strain than right", show(concrete(left)), "Without a jump nothing moves.")
-    law = _alike(_law(lattice), lanes, "lattice")
-    for name, y in (("left", left), ("right", right)):
-        force = concrete(law.force(y))
-        if force is not None and not np.all(np.isfinite(force)):
-            refuse(name, "a strain at which the law has a force", show(concrete(y)))
     velocity = simple_wave_velocity(law, _least(chain), right, left)
     zeros = chain.zeros()
     return Riemann(chain, State(zeros, zeros), left - right, jnp.asarray(centre - 0.5, float), strain[1:-1], "strain",
@@ -130,6 +157,49 @@ def piston(lattice: Lattice, speed: Parameter) -> Riemann:
     zeros = chain.zeros()
     return Riemann(chain, State(zeros, zeros), speed / 2, jnp.asarray(-1.5), 0.0, "piston",
                    _jolt(free, [(0.0, 2 * speed)]))
+
+
+@checked
+def impacts(
+    lattice: Lattice, impulse: Parameter, interval: Parameter, count: Count | None = None, *,
+    duration: Parameter | None = None,
+) -> Riemann:
+    r"""Repeated impacts on the first site of a chain at rest, as of a hammer: each gives it the same momentum.
+
+    The first site is pushed to the right by the force impulse/duration from t = 0, interval, 2 interval, ... on, for
+    `duration` each time; time steps end where a pulse begins and ends, so that none is lost. Impacts that follow each
+    other before a pulse has run off add up to a shock, as of a piston, with the mean force impulse/interval behind it.
+
+    **Arguments:** `lattice`: a chain, whose ends become free; `impulse` [N s], a number or one per lane, negative ones
+    pull; `interval` > 0 [s]; `count`: how many impacts, `None` for no end; `duration` [s], above zero and at most the
+    interval (a constant force), `None` for a tenth of it. **Returns:** `Riemann`, with c = impulse and the centre at
+    bond -1.
+    **Raises** ValueError for what is no chain of bonds to the next site, an impulse of zero, times not above zero or a
+    duration beyond the interval.
+    Source: E. B. Herbold, V. F. Nesterenko, Phys. Rev. E 75, 021304 (2007).
+    """
+    chain_only(lattice, "impacts")
+    impulse = per_lane("impulse", impulse, lattice.lanes)
+    interval = positive("interval", interval)
+    duration = interval / 10 if duration is None else positive("duration", duration)
+    for name, x in (("interval", interval), ("duration", duration)):
+        if x.ndim:
+            refuse(name, "one number", f"shape {x.shape}", "Lanes share their time steps.")
+    over, none = concrete(duration > interval), concrete(impulse == 0)
+    if over is not None and over:
+        refuse("duration", f"at most the interval, {show(interval)}", show(duration))
+    if none is not None and np.any(none):
+        refuse("impulse", "an impulse other than zero", show(concrete(impulse)))
+    count = math.inf if count is None else whole("count", count, 1)
+    chain = _opened(lattice)
+    pulses = Pulses(*(x.astype(lattice.dtype) for x in (impulse, interval, duration)),
+                    jnp.asarray(count, lattice.dtype))
+    breaks = Breaks(jnp.stack([jnp.zeros_like(pulses.duration), pulses.duration]), pulses.interval)
+    chain = _with(chain, (*chain.terms, Drive(pulses, 0, breaks=breaks)))
+    zeros, law, mass = chain.zeros(), _law(chain), _least(chain)
+    single, steady = impulse / mass, _steady_velocity(law, mass, impulse / interval)
+    return Riemann(chain, State(zeros, zeros), impulse, jnp.asarray(-1.0), 0.0, "impacts",
+                   Jolt(law, mass, ((0.0, 2 * jnp.sign(impulse) * jnp.maximum(jnp.abs(single), jnp.abs(steady))),)))
 
 
 def _with(lattice, terms):
@@ -166,18 +236,33 @@ def _over(law, lattice, choose):
     return jax.tree.map(lambda x: choose(x) if jnp.ndim(x) == axes and x.shape[0] > 1 else x, law)
 
 
-def _alike(law, lanes, where):
+def _beyond(law, strain, reference):
+    """The energy that a bond at one strain holds beyond the work of the force at another."""
+    return law.energy(strain) - law.energy(reference) - law.force(reference) * (strain - reference)
+
+
+def _alike(law, lanes):
     """A law of one number for all bonds, where those of all are alike."""
     def one(x):
         if jnp.ndim(x) != 1 + lanes:
             return x
         values = concrete(x)
         if values is not None and not np.all(values == values[:1]):
-            refuse("lattice", "bonds that are all alike", f"{where} with parameters from {values.min():g} to "
-                   f"{values.max():g}", "At one strain bonds that differ are not in equilibrium.")
+            refuse("lattice", "bonds that are all alike", f"parameters from {values.min():g} to {values.max():g}",
+                   "At one strain bonds that differ are not in equilibrium.")
         return x[0]
 
     return jax.tree.map(one, law)
+
+
+@eqx.filter_jit
+def _steady_velocity(law, mass, force):
+    """The velocity of beads behind a smooth jump into a medium at rest, of a given force: m v^2 = F y."""
+    sign = jnp.sign(force)
+    zero = 0 * (law.derivative(0.0) + force)
+    strain = furthest(lambda x: law.force(sign * x) * sign <= jnp.abs(force), zero, 1.0)
+    reached = jnp.sqrt(jnp.abs(force) * strain / mass)
+    return reached.max(0) if reached.ndim > jnp.ndim(mass) and reached.ndim > jnp.ndim(force) else reached
 
 
 def _least(lattice):
