@@ -466,7 +466,8 @@ OWN = {
         "long_wave.travelling_residual.form": "strain", "long_wave.residual.y": np.ones(8),
         "long_wave.residual.y_tt": np.ones(8), "long_wave.residual.force": np.square,
         "long_wave.travelling_residual.profile": jnp.cos, "long_wave.travelling_residual.force": jnp.square,
-        "fitting.shock_edges.c": 0.1, **{f"linear_shock.{name}_step.n": 2 for name in ("velocity", "strain")},
+        "fitting.shock_edges.c": 0.1, "simple_wave.mean.c": 0.1, "simple_wave.fan.c": -0.1,
+        **{f"linear_shock.{name}_step.n": 2 for name in ("velocity", "strain")},
         "toda.two_solitons.k2": 0.5, "toda.phase_shifts.k2": 0.5,
         **{f"toda_periodic.{name}.E{i}": E for name in ("periodic_wave", "periodic_numbers")
            for i, E in enumerate((-1.0, 0.2, 0.6, 1.0), 1)},

@@ -339,6 +339,7 @@ def _(seed):
 def _(seed):
     for law in (gx.Toda(1.0 + 0.1 * seed), gx.Hertz(1.0 + 0.1 * seed, 0.3)):
         repr(gx.theory.shock_edges(law, 0.1 + 0.1 * seed, ahead=0.01 * seed))
+        gx.theory.simple_wave.mean(law, 0.1 + 0.1 * seed), gx.theory.simple_wave.fan([0.9, 1.0], law, -0.1)
     own, n = gx.theory.linear_shock, np.arange(-5, 5)
     own.velocity_step(n, 3.0 + seed, 0.1, 1.0 + 0.1 * seed), own.strain_step(n, 3.0 + seed, 0.1 * seed)
 

@@ -570,8 +570,9 @@ def _(s):
 
 @row("shock_edges", slow=(uniform,))
 def _(s):
-    found = gx.theory.shock_edges(s.lattice, s.speed(0.1), ahead=s.m(0.02))
-    return fields_of(found)
+    found, own = gx.theory.shock_edges(s.lattice, s.speed(0.1), ahead=s.m(0.02)), gx.theory.simple_wave
+    fan = own.fan(np.linspace(0.7, 1.1, 5) * gx.linear.sound_speed(s.lattice), s.lattice, s.speed(-0.1))
+    return fields_of(found), length(own.mean(s.lattice, s.speed(0.1))), length(fan)
 
 
 @row("wave_family", slow=(uniform,))

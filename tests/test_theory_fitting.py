@@ -7,7 +7,7 @@ import pytest
 
 import granjax as gx
 from granjax.laws import Strained
-from granjax.theory import linear_shock, shock_edges
+from granjax.theory import linear_shock, shock_edges, simple_wave
 
 # sound 1 and K3 = 1/2, as KdV and Toda have them
 STIFFNESS, REST = 2 * 2**0.5 / 3, 0.5
@@ -259,5 +259,68 @@ def test_linear_shocks_broadcast_and_differentiate():
     (lambda: jax.jit(lambda t: linear_shock.strain_step(0, t, 1.0))(1.0), "^t: expected times that are known"),
 ])
 def test_what_no_linear_shock_has_is_refused(call, said):
+    with pytest.raises(ValueError, match=said):
+        call()
+
+
+# --------------------------------------------------------------------------------------------------------- simple waves
+
+
+def test_the_mean_of_a_power_law_in_closed_form():
+    c = np.array([-0.15, 1e-13, 0.1, 0.3, 0.5])
+    closed = simple_wave.power_law_mean(c, STIFFNESS, 1.5, REST)
+    np.testing.assert_allclose(closed, 0.5 * np.expm1(0.8 * np.log1p(5 * c)), rtol=1e-13)
+    for x, y in zip(c, closed):
+        assert simple_wave.mean(GRANULAR, x) == pytest.approx(float(y), rel=1e-12)
+    vacuum = simple_wave.power_law_mean(0.5, 1.3, 2.5, mass=0.7)
+    assert simple_wave.mean(gx.PowerLaw(1.3, 2.5), 0.5, 0.7) == pytest.approx(float(vacuum), rel=1e-12)
+    with pytest.raises(ValueError, match="^c: expected numbers at which contacts stay closed"):
+        simple_wave.power_law_mean(-0.3, STIFFNESS, 1.5, REST)
+
+
+def test_fans_of_rarefaction():
+    s = np.linspace(-1.2, 1.2, 49)
+    y = simple_wave.fan(s, gx.Toda(), -0.3)
+    np.testing.assert_allclose(np.exp(y / 2), np.clip(np.abs(s), 0.7, 1), atol=1e-15)
+    # of one's own law, the same by a law that is mirrored
+    other = simple_wave.fan(s, Mirror(GRANULAR), 0.15)
+    np.testing.assert_array_equal(other, -simple_wave.fan(s, GRANULAR, -0.15))
+    # V = (1 + 2y)^{1/4}
+    behind = 1 + 2 * simple_wave.mean(GRANULAR, -0.15)
+    np.testing.assert_allclose(1 - 2 * other, np.clip(s**4, behind, 1), atol=1e-14)
+
+
+def test_the_fan_of_a_simulated_chain():
+    sites, t = 400, 150.0
+    n = np.arange(sites) - sites // 2
+    chain = gx.Lattice(1.0, gx.Bond(gx.Shift(1, "free"), gx.Toda()), sites=sites)
+    run = gx.simulate(chain, gx.State(jnp.zeros(sites), jnp.asarray(0.4 * np.sign(n))), t)
+    s = (n[:-1] + 0.5) / t
+    # away from the edges, where a lattice rings
+    within = (np.abs(s) > 0.86) & (np.abs(s) < 0.94)
+    gap = -np.diff(run.final.u) - simple_wave.fan(s, gx.Toda(), -0.2)
+    assert np.abs(gap[within]).max() < 1.1e-2 and np.abs(gap[np.abs(s) < 0.5]).max() < 2e-2
+
+
+def test_simple_waves_differentiate():
+    def both(x):
+        law = gx.Hertz(x[1], x[2])
+        inside = simple_wave.fan(x[0], law, x[3], x[4], ahead=x[5])
+        return jnp.stack([inside, simple_wave.mean(law, x[3], x[4], ahead=x[5])])
+
+    x, h = jnp.array([0.85, STIFFNESS, STIFFNESS * REST**1.5, -0.15, 1.0, 0.02]), 1e-4
+    apart = [jnp.stack([both(x + k * h * e) - both(x - k * h * e) for e in np.eye(6)], 1) for k in (1, 2)]
+    found = jax.jacrev(both)(x)
+    np.testing.assert_allclose(found, (8 * apart[0] - apart[1]) / (12 * h), atol=1e-9)
+    np.testing.assert_allclose(jax.jacfwd(both)(x), found, atol=1e-13)
+
+
+@pytest.mark.parametrize("call, said", [
+    (lambda: simple_wave.fan(1.0, GRANULAR, 0.1), "^c: expected a number below zero.*shock_edges"),
+    (lambda: simple_wave.mean(GRANULAR, -5.0), "^c: expected a number above -0.2"),
+    (lambda: simple_wave.mean(GRANULAR, 0.0), "^c: expected a number other than zero"),
+    (lambda: simple_wave.power_law_mean(0.1, exponent=-3.0), "^exponent"),
+])
+def test_what_no_simple_wave_has_is_refused(call, said):
     with pytest.raises(ValueError, match=said):
         call()

@@ -6,11 +6,15 @@
 - `linear_shock`: steps of velocity and of strain in a linear chain.
 - `long_wave`: the long-wave equations of a chain: residuals, linear waves, the wave of the regularised one.
 - `nls`: the nonlinear Schroedinger equation of wave packets in a periodic chain; its solitons and instability.
+- `simple_wave`: the state behind a velocity step of any law, rarefaction fans.
 - `toda`: the Toda chain: solitons, periodic waves, dispersive shocks, eigenvalues of its Lax matrix.
 - `shock_edges`: the edges of a dispersive shock of any convex law, by fitting.
 """
 
-from . import compacton, elliptic, kdv, linear_shock, long_wave, nls, toda
+from . import compacton, elliptic, kdv, linear_shock, long_wave, nls, simple_wave, toda
 from .fitting import FittedEdges, shock_edges
 
-__all__ = ["FittedEdges", "compacton", "elliptic", "kdv", "linear_shock", "long_wave", "nls", "shock_edges", "toda"]
+__all__ = [
+    "FittedEdges", "compacton", "elliptic", "kdv", "linear_shock", "long_wave", "nls", "shock_edges", "simple_wave",
+    "toda",
+]

@@ -28,7 +28,7 @@ from ..profiles.medium import one_number
 from ..results import Held, Result
 from ..types import Number, Scalar
 from .chain_wave import _sinh_less
-from .simple_states import path_to, speed_of, width_of
+from .simple_states import _path_to, _speed_of, _width_of
 
 # bead velocity at the crest of the leading wave over c: of the Toda chain exactly
 PEAK = 4.0
@@ -99,7 +99,7 @@ def shock_edges(
     medium = medium_of(law, mass)
     c, ahead = parameter("c", c), parameter("ahead", ahead)
     given = one_number("c", c), one_number("ahead", ahead)
-    path = path_to(medium.known, *given, "shock")
+    path = _path_to(medium.known, *given, "shock")
     mean, sound, trailing, leading = _excesses(
         medium.law, medium.mass, c, ahead, *path.arrays, Outside(medium.law))
     speeds, front = [sound * (1 + trailing), sound * (1 + leading)], (None, None)
@@ -125,7 +125,7 @@ def shock_edges(
 @eqx.filter_jit
 def _excesses(law, mass, c, ahead, width, nodes, weights, close, outside):
     """mean, V_+, s_-/V_+ - 1 and s_+/V_+ - 1; the latter two without a meaning where V_+ = 0."""
-    width = width_of(law, mass, c, ahead, width, nodes, weights)
+    width = _width_of(law, mass, c, ahead, width, nodes, weights)
     low, high = law.derivative(ahead), law.derivative(ahead + width)
     at = ahead + width * nodes
     bend = jax.jvp(law.derivative, (at,), (jnp.ones_like(at),))[1]
@@ -133,7 +133,7 @@ def _excesses(law, mass, c, ahead, width, nodes, weights, close, outside):
     log = jnp.log1p(grown) / 2
     # of the wave number 2q of the leading wave: cosh^2 q = V_-/V_+
     twice = 2 * jnp.arcsinh(jnp.sqrt(jnp.expm1(log)))
-    return ahead + width, speed_of(low / mass), -jnp.expm1(log), _sinh_less(twice) / twice
+    return ahead + width, _speed_of(low / mass), -jnp.expm1(log), _sinh_less(twice) / twice
 
 
 def _front(medium, c, ahead, given, sound, guess):

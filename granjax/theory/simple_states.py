@@ -61,7 +61,7 @@ def _slopes(law, e, outside):
     return first, second, jnp.ones(e.shape) if overlap is None else jnp.broadcast_to(overlap, e.shape)
 
 
-def slopes(law: Law, e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _slopes_at(law: Law, e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """F' and F'' at known strains; NaN where a contact is open, two magnets have met, or the law has no stiffness."""
     flat, outside = np.ravel(e), Outside(law)
     padded = np.zeros(-(-max(flat.size, 1) // CHUNK) * CHUNK)
@@ -87,7 +87,7 @@ def _placed(ends, rule):
     return ends[:, :1] + half * (1 + t), half * w
 
 
-def quadrature(law: Law, mass: float, ahead: float, width: float) -> tuple:
+def _quadrature(law: Law, mass: float, ahead: float, width: float) -> tuple:
     """Nodes, weights, F', F'' there, and relative errors of the means of (F'/m)^{1/2} and of F'' over a path.
 
     Panels that get shorter towards either end hold what is singular there; those that two rules disagree on are halved.
@@ -97,7 +97,7 @@ def quadrature(law: Law, mass: float, ahead: float, width: float) -> tuple:
     whole = np.zeros(2)
     for level in range(HALVINGS):
         nodes, weights = (np.concatenate([_placed(ends, rule)[k] for rule in (0, 1)], 1) for k in (0, 1))
-        first, second = slopes(law, ahead + width * nodes)
+        first, second = _slopes_at(law, ahead + width * nodes)
         with np.errstate(over="ignore", invalid="ignore"):
             sums = np.stack([np.sqrt(first / mass) * weights, second * weights])
         fine, coarse = sums[..., :FINE].sum(-1), sums[..., FINE:].sum(-1)
@@ -120,7 +120,7 @@ def quadrature(law: Law, mass: float, ahead: float, width: float) -> tuple:
         return nodes, weights, first, second, apart / whole + 4 * _EPS
 
 
-def path_to(medium: Medium, c: float, ahead: float, kind: str | None = None) -> Path:
+def _path_to(medium: Medium, c: float, ahead: float, kind: str | None = None) -> Path:
     """The path of a velocity 2c; of a given `kind`, "shock" or "fan", or of either.
 
     **Raises** ValueError where the law has no such state, makes the other kind of wave of that c, or bends both ways.
@@ -141,7 +141,7 @@ def path_to(medium: Medium, c: float, ahead: float, kind: str | None = None) -> 
         turn = ahead + width * nodes[order][np.argmax(bends[order] < -BENT * np.abs(bends).max())]
         refuse("law", f"one that bends one way between the states {ahead:g} and {ahead + width:g}",
                f"an inflection near {turn:.4g}", f"What starts there is no single {kind}, but several waves.")
-    high = float(slopes(law, np.array([ahead + width]))[0][0])
+    high = float(_slopes_at(law, np.array([ahead + width]))[0][0])
     direct, summed = high - low, width * weights @ bend
     rough = 2 * _EPS * (high + low) / abs(direct) if direct else np.inf
     close = bool(low > 0 and not rough < errors[1])
@@ -164,7 +164,7 @@ def _at_rest(law, ahead):
 def _scan(law, ahead, side):
     """Distances from the strain ahead over all orders of magnitude, with F' and F'' there, as far as the law goes."""
     strains = 2.0 ** (np.arange(-ORDERS * EACH, ORDERS * EACH + 1) / EACH)
-    first, second = slopes(law, ahead + side * strains)
+    first, second = _slopes_at(law, ahead + side * strains)
     begin = int(np.argmax(np.isfinite(first)))
     lost = ~np.isfinite(first[begin:])
     end = begin + (int(np.argmax(lost)) if lost.any() else len(lost))
@@ -198,7 +198,7 @@ def _width(law, mass, ahead, side, jump, strains, first):
     high = strains[enough[0]] if len(enough) else strains[-1]
     at, ended = high if len(enough) else (low + high) / 2, not len(enough)
     for _ in range(STEPS):
-        found = quadrature(law, mass, ahead, side * at)
+        found = _quadrature(law, mass, ahead, side * at)
         speed = np.sqrt(found[2] / mass)
         gap = at * (found[1] @ speed) - jump
         if np.isfinite(gap) and abs(gap) <= 2 * _EPS * jump or high - low <= 2 * _EPS * high:
@@ -210,22 +210,22 @@ def _width(law, mass, ahead, side, jump, strains, first):
         newton = at - gap / speed[np.argmax(found[0])]
         at = newton if low < newton < high else (low + high) / 2
     if not np.isfinite(gap) or ended and not abs(gap) <= 1e-9 * jump:
-        last = quadrature(law, mass, ahead, side * low)
+        last = _quadrature(law, mass, ahead, side * low)
         reached = low * (last[1] @ np.sqrt(last[2] / mass)) / 2 * side
         refuse("c", f"a number {'below' if side > 0 else 'above'} {reached:.6g}", f"{side * jump / 2:g}",
                f"At a strain of {ahead + side * low:.6g} the law ends: a contact opens, magnets meet, or it is soft.")
     return side * at, found
 
 
-def speed_of(square: Numbers) -> Numbers:
+def _speed_of(square: Numbers) -> Numbers:
     """The root of F'/m; zero, with derivatives of zero, where nothing is stiff."""
     stiff = square > 0
     return jnp.where(stiff, jnp.sqrt(jnp.where(stiff, square, 1.0)), 0.0)
 
 
-def width_of(law: Law, mass: Any, c: Any, ahead: Any, width: Any, nodes: Numbers, weights: Numbers) -> Numbers:
+def _width_of(law: Law, mass: Any, c: Any, ahead: Any, width: Any, nodes: Numbers, weights: Numbers) -> Numbers:
     """The distance `width` again, by Newton's method, so that it has the derivatives of what it solves."""
     for _ in range(2):
-        whole = width * (weights @ speed_of(law.derivative(ahead + width * nodes) / mass))
-        width = width - (whole - 2 * c) / speed_of(law.derivative(ahead + width) / mass)
+        whole = width * (weights @ _speed_of(law.derivative(ahead + width * nodes) / mass))
+        width = width - (whole - 2 * c) / _speed_of(law.derivative(ahead + width) / mass)
     return width

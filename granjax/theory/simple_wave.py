@@ -1,0 +1,130 @@
+r"""Simple waves of any law: the state that a velocity step leaves behind, and the fan of a rarefaction.
+
+Long waves of m y_tt = F(y)_nn run one way along the curve on which v - int V dy is constant, V(y) = (F'(y)/m)^{1/2} the
+speed of sound [sites/s]. So the halves of a chain with v_n = -2c sign(n) meet at the strain y_- with
+
+    int_ahead^{y_-} V dy = 2c.
+
+Where V falls on the way from the one ahead to y_- the wave is a fan, V(y(n/t)) = |n|/t for V_- < |n|/t < V_+; where it
+rises there is a dispersive shock (`shock_edges`), whose plateau is y_- exactly of Toda's chain and nearly so
+elsewhere: precompressed Hertz (d0 = 1/2, sound 1), c = 0.1, 0.3, 0.5: 9e-6, 2e-4, 7e-4 above what was simulated.
+
+Source: G. B. Whitham, Linear and Nonlinear Waves (Wiley, 1974).
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..checks import broadcast, concrete, non_negative, parameter, positive, refuse, show, traced
+from ..entry import checked
+from ..lattice import Lattice
+from ..laws import Law
+from ..outside import Outside
+from ..profiles import medium_of
+from ..profiles.medium import one_number
+from ..types import Numbers, Parameter, Scalar
+from .simple_states import _path_to, _slopes_at, _width_of
+
+__all__ = ["fan", "mean", "power_law_mean"]
+
+HALVINGS = 60
+
+
+@checked
+def mean(law: Law | Lattice, c: Scalar, mass: Scalar = 1.0, *, ahead: Scalar = 0.0) -> Numbers:
+    """Strain behind the waves of v_n = -2c sign(n), int_ahead^mean (F'/m)^{1/2} dy = 2c, to 1e-12 or so.
+
+    **Arguments:** `law`, `mass`: any law, or a uniform chain `Lattice`, which has both; `c` [m/s]: above zero
+    compresses, below zero stretches; `ahead`: strain before [m]. **Returns:** a strain [m], differentiable in all but
+    the kind of law (`jax.grad`, `jax.jvp`; `jax.jit` and `jax.vmap` are refused). **Raises** ValueError for c = 0, a
+    law without stiffness ahead, or one that ends before: contacts open, magnets meet.
+    Typical: Toda 2 ln(1 + c); Hertz without precompression, A = m = 1, c = 1/2: 1.01646, 1.2 % above the mean that was
+    simulated: the wave is no simple one there.
+    """
+    medium = medium_of(law, mass)
+    c, ahead = parameter("c", c), parameter("ahead", ahead)
+    path = _path_to(medium.known, one_number("c", c), one_number("ahead", ahead))
+    return _mean(medium.law, medium.mass, c, ahead, *path.arrays[:3], Outside(medium.law))
+
+
+@eqx.filter_jit
+def _mean(law, mass, c, ahead, width, nodes, weights, outside):
+    return ahead + _width_of(law, mass, c, ahead, width, nodes, weights)
+
+
+@checked
+def fan(
+    speed: Parameter, law: Law | Lattice, c: Scalar, mass: Scalar = 1.0, *, ahead: Scalar = 0.0,
+) -> Numbers:
+    """Strain at the places n = speed t of the two rarefactions that v_n = -2c sign(n) makes.
+
+    `ahead` for |speed| > V_+, V(y) = |speed| in the fan, `mean` for |speed| < V_-. **Arguments:** as `mean`; `speed`:
+    n/t [sites/s], any shape. **Returns:** strains of that shape [m], differentiable as `mean` is; at the two edges,
+    where it has a kink, from the side of the fan. **Raises** ValueError as `mean`, where c makes a shock, and where the
+    law has an inflection between the states. Long waves alone: at the edges a lattice rings over t^{1/3} sites.
+    """
+    medium = medium_of(law, mass)
+    speed, c, ahead = parameter("speed", speed), parameter("c", c), parameter("ahead", ahead)
+    known = concrete(jax.lax.stop_gradient(speed))
+    if known is None:
+        refuse("speed", "speeds that are known", "ones that jax.jit or jax.vmap traces", "jax.grad may go through it.")
+    before = one_number("ahead", ahead)
+    path = _path_to(medium.known, one_number("c", c), before, "fan")
+    share = _solved(medium.known, before, path, np.abs(known).ravel())
+    inside = (np.abs(known) <= path.sound) & (np.abs(known) >= path.behind)
+    behind = jnp.asarray(np.abs(known) < path.behind)
+    return _fan(medium.law, medium.mass, c, ahead, speed, jnp.asarray(path.width * share.reshape(known.shape)),
+                jnp.asarray(inside), behind, *path.arrays[:3], Outside(medium.law))
+
+
+def _solved(medium, ahead, path, speeds):
+    """Share of the way from the strain ahead to the one behind, at which sound is so fast, by halving."""
+    low, high = np.zeros(len(speeds)), np.ones(len(speeds))
+    for _ in range(HALVINGS):
+        middle = (low + high) / 2
+        slower = _slopes_at(medium.law, ahead + path.width * middle)[0] < float(medium.mass) * speeds**2
+        low, high = np.where(slower, low, middle), np.where(slower, middle, high)
+    return (low + high) / 2
+
+
+@eqx.filter_jit
+def _fan(law, mass, c, ahead, speed, further, inside, behind, width, nodes, weights, outside):
+    width = _width_of(law, mass, c, ahead, width, nodes, weights)
+    # by Newton's method, for the digits of a weak fan and for derivatives
+    for _ in range(2):
+        stiff, bend = jax.jvp(law.derivative, (ahead + further,), (jnp.ones_like(further),))
+        usable = inside & (bend != 0)
+        further = further - jnp.where(usable, (stiff - mass * speed**2) / jnp.where(usable, bend, 1.0), 0.0)
+    return ahead + jnp.where(inside, further, jnp.where(behind, width, 0.0))
+
+
+@checked
+def power_law_mean(
+    c: Parameter, stiffness: Parameter = 1.0, exponent: Parameter = 1.5, rest: Parameter = 0.0, mass: Parameter = 1.0,
+) -> Numbers:
+    r"""`mean` of a contact A [d0 + y]^p in closed form: y = [d0^r + 2 r c (m/(p A))^{1/2}]^{1/r} - d0, 2r = p + 1.
+
+    **Arguments:** `c` [m/s]; `stiffness` A > 0; `exponent` p > 0; `rest`: overlap d0 >= 0 at rest [m], zero in a sonic
+    vacuum, where y = (2 r c)^{1/r} (m/(p A))^{1/(2r)}; `mass`: arrays that broadcast. **Returns:** strains [m],
+    differentiable in all. **Raises** ValueError for p <= 0, and a c that opens the contacts.
+    Typical: d0 = 1/2, A = 2^{3/2}/3, p = 3/2, m = 1: [(1 + 5c)^{4/5} - 1]/2.
+    """
+    c, A, p = parameter("c", c), positive("stiffness", stiffness), positive("exponent", exponent)
+    d0, m = non_negative("rest", rest), positive("mass", mass)
+    broadcast(c=c, stiffness=A, exponent=p, rest=d0, mass=m)
+    r, more = (p + 1) / 2, 2 * c * jnp.sqrt(m / (p * A))
+    squeezed = d0 > 0
+    base = jnp.where(squeezed, d0, 1.0)
+    # (1 + x)^{1/r} - 1 with its digits where x is small
+    share = r * more * base**-r
+    if not traced((share, d0)):
+        grown = np.where(concrete(squeezed), concrete(share) + 1, concrete(c))
+        if np.any(grown < 0):
+            refuse("c", "numbers at which contacts stay closed", show(c), "At -d0^r (p A/m)^{1/2}/(2r) they open.")
+    closed = squeezed & (share > -1)
+    near = base * jnp.expm1(jnp.log1p(jnp.where(closed, share, 0.0)) / r)
+    free = ~squeezed & (more > 0)
+    far = jnp.where(free, r * jnp.where(free, more, 1.0), 1.0) ** (1 / r)
+    return jnp.where(closed, near, jnp.where(free, far, jnp.where(squeezed, -d0, 0.0)))
