@@ -483,7 +483,7 @@ OWN = {
     "newton.newton.guess": lambda: np.ones(1),
     "shocks.scenes.step.left": lambda: 0.2, "shocks.scenes.step.right": lambda: 0.1,
     "shocks.scenes.step.centre": lambda: 2, "shocks.balances.balances.problem": shock,
-    "shocks.balances.balances.box": lambda: (1, 3),
+    "shocks.balances.balances.box": lambda: (1, 3), "shocks.history.space_time.problem": shock,
     "terms.base.Term.force.mass": lambda: 1.0,
     "lattice.model.Lattice.total.parts": lambda: [np.zeros(5)],
     "fit.files.read_csv.path": lambda: file("file.csv"), "fit.files.read_mat.path": lambda: file("file.mat"),

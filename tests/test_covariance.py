@@ -620,6 +620,12 @@ def _(s):
                      momentum_residual=None, energy_residual=None)
 
 
+@row("space_time", slow=(uniform,))
+def _(s):
+    problem = gx.shocks.velocity_shock(s.lattice, s.speed(near(s.rng, 0.2)))
+    return fields_of(gx.shocks.space_time(problem, s.s(3.0), 4, 8), c=speed)
+
+
 @row("piston", uniform)
 def _(s):
     problem = gx.shocks.piston(s.lattice, s.speed(near(s.rng, 0.3)))

@@ -157,6 +157,9 @@ MAKERS = {
     "WaveFamily": lambda: gx.travelling.WaveFamily(*np.ones((8, 3)), np.ones(1), gx.Hertz(), "So.", **OTHER),
     "Wave": lambda: gx.travelling.solitary_wave(gx.Hertz(), speed=1.0),
     "Balances": lambda: gx.shocks.Balances(*np.ones((12, 2)), 2.0, 3, 9, **OTHER),
+    "SpaceTime": lambda: gx.shocks.SpaceTime(
+        np.arange(2.0), np.arange(3), np.ones((2, 3)), 1.5, 0.1, state(), 0.1, np.ones(()), "It ran.", "velocity",
+        **OTHER),
     "Made": lambda: gx.reproduce.Made("fig", 1.0, 1.0, 0.1, None, 2.0, {"eps": 0.5}, None, None, "", "", "Agrees."),
 }
 made = functools.cache(lambda name: MAKERS[name]())

@@ -1,5 +1,8 @@
 """The scenes of shocks against each other, closed forms and conservation."""
 
+import subprocess
+import sys
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -189,6 +192,41 @@ def test_every_impact_gives_its_momentum():
     late = np.asarray(steady.run(60.0, save_at=np.linspace(50, 60, 21)).us)
     y = np.asarray(steady.strain(late))[:, :15].mean()
     assert np.expm1(y) == pytest.approx(0.6, rel=0.02)
+
+
+def test_a_map_is_what_the_run_shows():
+    for problem, sites in ((gx.shocks.step(hertz(101), 0.5, 0.1), 20), (gx.shocks.piston(hertz(101), 0.4), [0, 1, 99])):
+        found = gx.shocks.space_time(problem, 20.0, 6, sites)
+        run = problem.run(20.0, save_at=6)
+        wanted = np.asarray(problem.strain(run.us))[:, found.bonds]
+        assert np.abs(found.strain - wanted).max() < 1e-11 and np.ptp(wanted) > 0.2
+        assert np.array_equal(found.bonds, np.arange(0, 100, 5) if sites == 20 else sites)
+        assert np.array_equal(found.places, found.bonds - float(problem.centre))
+        data = found.to_xarray()
+        assert data.strain.dims == ("time", "bond") and data.kind == problem.kind
+    many = jax.vmap(lambda c: gx.shocks.velocity_shock(gx.scenes.toda(60), c), out_axes=-1)(jnp.asarray([0.1, 0.2]))
+    found = gx.shocks.space_time(many, 5.0, 3, 10, step=0.2)
+    assert found.strain.shape == (3, 10, 2) and found.energy_error.shape == (2,) and found.step <= 0.2
+    for wrong, said in (({"frames": 1}, "frames: expected"), ({"sites": [100]}, "sites: expected how many bonds"),
+                        ({"save_at": 3}, "keyword: expected one of 'step'"), ({"frames": 10**13}, "GB of memory")):
+        with pytest.raises(ValueError, match=said):
+            gx.shocks.space_time(problem, 20.0, **wrong)
+
+
+MILLION = """
+import resource
+import granjax as gx
+chain = gx.scenes.monomer(10**6, precompression=1.0)
+for problem in (gx.shocks.velocity_shock(chain, 0.3), gx.shocks.step(chain, 0.5, 0.1)):
+    assert gx.shocks.space_time(problem, 1.0, 5, 1000).strain.shape == (5, 1000)
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6)
+"""
+
+
+@pytest.mark.slow
+def test_a_million_sites_need_less_than_two_gigabytes():
+    found = subprocess.run([sys.executable, "-c", MILLION], capture_output=True, text=True, check=True)
+    assert float(found.stdout) < 2
 
 
 def test_a_batch_is_one_problem():

@@ -1,0 +1,157 @@
+"""Where a shock is when: a strided map of the strain, made without keeping the trajectory."""
+
+from typing import Any, ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from ..checks import held_in_memory, is_whole, real, refuse, show, traced, whole
+from ..entry import checked
+from ..flow import simulate
+from ..flow.method import PASSED, STEP_FRACTION, checked_method, fixed_step
+from ..flow.stiffness import compressions, reached_frequency
+from ..lattice import Lattice, State
+from ..results import Held, Result
+from ..types import Count, Counts, Number, Numbers, Scalar, Times, Values
+from .riemann import Riemann
+
+
+class SpaceTime(Result):
+    """A map of the strain: `strain` (T, B) and lanes, at the times `ts` (T,) and the `bonds` (B,), by their indices.
+
+    - `centre`: place of the step on the scale of bonds, so that n/t of the theory is `places/t`. `kind`, `c`: those of
+      the `Riemann` problem.
+    - `final`: the `State` at t1. `step`: the time step, the longest where a tolerance was given.
+    - `energy_error`: as of a `Run`, at the times of the map; NaN where a term does not keep the energy.
+    """
+
+    held: ClassVar[dict[str, Held]] = {
+        "ts": Held("time", "s", "time"), "bonds": Held("bond", "", "bond"), "strain": Held("time bond", "m"),
+        "centre": Held(None), "c": Held(None), "step": Held(None, "s"), "energy_error": Held(None),
+    }
+    ts: Times
+    bonds: Counts
+    strain: Numbers
+    centre: Number
+    c: Number
+    final: State
+    step: Number
+    energy_error: Numbers
+    outcome: str = eqx.field(static=True)
+    kind: str = eqx.field(static=True)
+
+    @property
+    def places(self) -> Numbers:
+        """Distance of the bonds from the step, bond - centre, (B,), and lanes where these have centres of their own."""
+        return np.subtract.outer(np.asarray(self.bonds, float), np.asarray(self.centre))
+
+    def _fields(self):
+        yield from ((name, value) for name, value in super()._fields() if name != "final")
+
+
+@checked
+def space_time(
+    problem: Riemann, t1: Scalar | None = None, frames: Count = 400, sites: Count | Values = 400, **keywords: Any,
+) -> SpaceTime:
+    """Run a shock and keep a strided map of its strain: the memory is that of the map and of one state.
+
+    The run goes from frame to frame with one time step, that of the whole run, and nothing else is kept. On a terminal
+    a bar shows the time that is left.
+
+    **Arguments:** `problem`: a `Riemann`; `t1`: as in its `run`. `frames`: how many times from 0 to t1, two or more.
+    `sites`: how many bonds at most, evenly over the chain, or their indices. Where the stride is longer than half a
+    wave the map shows another wave than there is (the waves behind a shock are about 3 ... 10 bonds long), though each
+    of its numbers is true.
+    `keywords`: `step`, `tolerance`, `solver` of `gx.simulate`.
+    **Returns:** `SpaceTime`. **Raises** ValueError for fewer than two frames, bonds that are not there, a map beyond
+    the memory, other keywords; RuntimeError where the run does not complete.
+    """
+    frames = whole("frames", frames, 2)
+    bonds = _bonds(sites, problem.lattice.shape[0] - 1)
+    others = keywords.keys() - {"step", "tolerance", "solver"}
+    if others:
+        refuse("keyword", "one of 'step', 'tolerance', 'solver'", ", ".join(map(repr, sorted(others))))
+    lattice, state = problem
+    if traced((problem, t1)):
+        refuse("problem", "numbers that are known", "traced ones", "A map is made frame by frame; use problem.run.")
+    held_in_memory("frames", frames * len(bonds) * max(int(np.prod(lattice.lanes)), 1), 8, "numbers of a map")
+    t1 = problem.horizon() if t1 is None else t1
+    solver, step, tolerance = checked_method(lattice, *(keywords.get(x) for x in ("solver", "step", "tolerance")))
+    if tolerance is None:
+        step = fixed_step(lattice, state, 0.0, float(t1), step, solver, frames - 1)[0]
+        step = float(step)
+    ts, rows = np.linspace(0.0, float(t1), frames), []
+    energy, seen = _energy(lattice, 0.0, state), _extremes(lattice, 0.0, state.u, None)
+    lost = jnp.zeros_like(energy[0])
+    for low, high in zip(ts[:-1], _bar(ts[1:])):
+        rows.append(_row(problem, state.u, bonds))
+        run = simulate(lattice, state, high, t0=low, solver=solver, step=step, tolerance=tolerance)
+        state, now = State(*run.final), _energy(lattice, high, run.final)
+        lost = jnp.maximum(lost, jnp.abs(now[0] - energy[0]) / jnp.maximum(jnp.abs(energy[0]), now[1]))
+        seen = _extremes(lattice, high, state.u, seen)
+    rows.append(_row(problem, state.u, bonds))
+    lost = lost if lattice.conserves else jnp.full_like(lost, jnp.nan)
+    told = f"{frames} frames of {len(bonds)} bonds, at time steps of {step or float(run.stats['step']):.4g}."
+    if tolerance is None and "step" not in keywords:
+        told += _doubt(lattice, seen, float(t1), state, step)
+    return SpaceTime(ts, bonds, np.stack(rows), problem.centre, problem.c, state,
+                     np.asarray(step if tolerance is None else run.stats["step"]), lost, told, problem.kind,
+                     **lattice.origin)
+
+
+def _bonds(sites, count):
+    """The indices of the bonds that the map shows."""
+    if is_whole(sites):
+        return np.arange(0, count, -(-count // whole("sites", sites, 1)))
+    wanted = f"how many bonds, or their indices from 0 to {count - 1}"
+    bonds = real("sites", sites, wanted)
+    if bonds.ndim != 1 or not bonds.size or np.any((bonds != np.round(bonds)) | (bonds < 0) | (bonds >= count)):
+        refuse("sites", wanted, show(bonds))
+    return bonds.astype(int)
+
+
+def _row(problem, u, bonds):
+    own = jnp.ndim(problem.rest) > len(problem.lattice.lanes)
+    rest = problem.rest[bonds] if own else problem.rest
+    return np.asarray(u[bonds] - u[bonds + 1] + rest)
+
+
+@eqx.filter_jit
+def _energy(lattice: Lattice, t: Scalar, y: State):
+    """The whole energy, and the kinetic one."""
+    kinetic = lattice.kinetic_energy(y[1])
+    return kinetic + lattice.potential_energy(t, y[0]), kinetic
+
+
+@eqx.filter_jit
+def _extremes(lattice, t, u, seen):
+    """The least and the largest compression of each law so far, one number for all bonds or per lane."""
+    found = compressions(lattice, t, u)
+    low, high = ([tuple(reduce(x, 0, keepdims=True) if x.ndim > len(lattice.lanes) else x for x in own)
+                  for own in found] for reduce in (jnp.min, jnp.max))
+    if seen is None:
+        return tuple(low), tuple(high)
+    lower, upper = ([tuple(map(pick, *own)) for own in zip(new, old)]
+                    for pick, new, old in zip((jnp.minimum, jnp.maximum), (low, high), seen))
+    return tuple(lower), tuple(upper)
+
+
+@eqx.filter_jit
+def _reached(lattice, seen, t1, u):
+    return reached_frequency(lattice, *seen, 0.0, t1, u)
+
+
+def _doubt(lattice, seen, t1, state, step):
+    """A sentence where the stiffness that was reached asks for a shorter step than the bound at the start did."""
+    omega = float(_reached(lattice, seen, t1, state.u))
+    if step * omega <= PASSED * STEP_FRACTION:
+        return ""
+    return f" Energy gathered beyond the bound at the start: give step={STEP_FRACTION / omega:.3g}."
+
+
+def _bar(times):
+    from tqdm import tqdm
+
+    # on a terminal alone
+    return tqdm(times, desc="shock", unit="frame", leave=False, disable=None)
