@@ -124,6 +124,12 @@ class Run(Result):
         return f"{sentence} {self.remark}".strip()
 
     @property
+    def started(self) -> tuple[Any, State] | None:
+        """The lattice and the state that the run began with; `None` of one that was traced or has been stored."""
+        look = self.__dict__.get("_look")
+        return None if look is None else look.args[:2]
+
+    @property
     def contact_opened(self) -> Flags:
         """Whether a contact was open at any time, per lane; `opening` says how sure that is.
 

@@ -59,6 +59,11 @@ class Riemann(eqx.Module):
     def __iter__(self) -> Iterator[Any]:
         return iter((self.lattice, self.state))
 
+    @property
+    def law(self) -> Law | None:
+        """The law that the shock runs into, from the rest of the chain as it was given; `None` where there are others."""
+        return None if self._jolt is None else self._jolt.law
+
     @checked
     def strain(self, u: Displacements) -> Numbers:
         """Total strain y_n of the bonds between sites, (..., N - 1) and lanes, from displacements (..., N) and lanes.

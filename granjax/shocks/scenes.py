@@ -66,14 +66,14 @@ def velocity_shock(lattice: Lattice, c: Parameter, *, centre: Parameter | None =
 
     **Arguments:** `lattice`: a chain; `c`: a quarter of the relative velocity [m/s], a number or one per lane;
     `centre`: as in `gx.states.velocity_step`: a site, which stays at rest, or half way between two; `None` for the
-    middle. **Returns:** `Riemann`, its `centre` half a bond further left, where sites lie on the scale of bonds.
+    site in the middle, (N - 1)//2. Where none rests, the plateau's mean comes to its value like 1/t. **Returns:** `Riemann`, its `centre` half a bond further left, where sites lie on the scale of bonds.
     **Raises** ValueError for what is no chain, terms that hold or slow a translation (walls, on-site forces, damping
     of sites: `piston` serves those), c not finite, or a centre outside the chain.
     Source: S. Venakides, P. Deift, R. Oba, Comm. Pure Appl. Math. 44, 1171 (1991).
     """
     size = chain_only(lattice, "velocity_shock")
     chain, c = _opened(lattice), per_lane("c", c, lattice.lanes)
-    middle = inside("centre", (size - 1) / 2 if centre is None else centre, size)
+    middle = inside("centre", (size - 1) // 2 if centre is None else centre, size)
     known = concrete(middle)
     if known is not None and not 1 < known < size - 2:
         refuse("centre", "a place with two sites or more on either side", show(known), f"The chain has {size} sites.")

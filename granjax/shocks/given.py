@@ -1,0 +1,65 @@
+"""What a run began with: the initial data of its shock, and the medium that this runs into."""
+
+import numpy as np
+
+from ..checks import refuse, show
+from ..flow import Run
+from ..lattice import Lattice, State
+from ..profiles import Medium, medium_of
+from .riemann import Riemann
+
+# relative difference of strains or velocities that are one
+ALIKE = 1e-9
+
+
+def problem_of(run: Run, problem: Riemann | None) -> Riemann:
+    """The problem that is given, that the run remembers, or that its first state tells.
+
+    **Raises** ValueError where that is no step in the strain or the velocity, for a batch, and a run that stopped.
+    """
+    if np.ndim(run.energy_error):
+        refuse("run", "a run of one lattice", f"a batch of shape {np.shape(run.energy_error)}", "One at a time.")
+    if not bool(run.completed):
+        refuse("run", "one that completed", run.outcome)
+    problem = run.__dict__.get("_problem") if problem is None else problem
+    if problem is not None:
+        size = np.shape(problem.state.v)
+        if np.shape(run.final.v) != size:
+            refuse("problem", f"that of the run, of {np.shape(run.final.v)} sites", f"one of {size}")
+        return problem
+    if run.started is None:
+        refuse("problem", "what was run, as gx.shocks.velocity_shock returns it", "nothing, and the run does not know",
+               "Give it: measure(run, problem).")
+    return _recognised(*run.started)
+
+
+def _recognised(lattice: Lattice, state: State) -> Riemann:
+    """The problem of which a lattice and a state are."""
+    remedy = "Begin with gx.shocks.velocity_shock, step or piston; or give the problem: measure(run, problem)."
+    if lattice.axes != 1 or lattice.fields is not None or lattice.dimension is not None:
+        refuse("run", "one of a chain", f"a lattice of shape {lattice.shape}", remedy)
+    u, v = (np.asarray(x, float) for x in state)
+    y = u[:-1] - u[1:]
+    if not u.any() and v.any():
+        left, right = np.flatnonzero(v == v[0]), np.flatnonzero(v == v[-1])
+        middle = (left[-1] + right[0]) / 2
+        if v[0] == -v[-1] and len(left) + len(right) == len(v) - (middle % 1 == 0):
+            return Riemann(lattice, state, v[0] / 2, middle - 0.5, 0.0, "velocity")
+    elif y.any() and not v.any():
+        steps = np.flatnonzero(np.abs(np.diff(y)) > ALIKE * np.abs(y).max())
+        if len(steps) == 1:
+            return Riemann(lattice, state, y[0] - y[-1], steps[0] + 0.5, 0.0, "strain")
+    elif not u.any() and any(getattr(term, "motion", None) is not None for term in lattice.terms):
+        return Riemann(lattice, state, np.nan, -1.5, 0.0, "piston")
+    refuse("run", "one that begins with a step in the strain or the velocity, or a piston",
+           f"velocities from {show(v.min())} to {show(v.max())}", remedy)
+
+
+def medium_before(problem: Riemann) -> Medium:
+    """The law between neighbours as the chain was given, and the mass. **Raises** ValueError where there are several."""
+    if np.ndim(problem.rest) == 0:
+        return medium_of(problem.lattice).known
+    mass = np.asarray(problem.lattice.mass, float)
+    if np.ptp(mass):
+        refuse("problem", "a chain of equal masses", f"masses from {mass.min():g} to {mass.max():g}")
+    return Medium(medium_of(problem.law, float(mass.flat[0])).law, mass.flat[0], problem.lattice.origin).known

@@ -1,0 +1,281 @@
+"""`measure`: what a dispersive shock is like, read off the lattice."""
+
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from ..checks import one_of, refuse, traced, whole
+from ..entry import checked
+from ..flow import Run
+from ..laws import Law
+from ..measures import peak_times
+from ..profiles.medium import values
+from ..results import Held, Result
+from ..types import Count, Number
+from .given import medium_before, problem_of
+from .riemann import Riemann
+from .theories import THEORIES, Seen, modulated
+from .windows import BEYOND, LocalWave, local_wave, windows
+
+# share of the highest crest that the leading one has at least; of the far ends' jump that may be uneven there
+CREST, QUIET = 0.3, 1e-6
+# relative difference of speeds of sound that are one
+SAME = 1e-6
+# quiet bonds at the end; share of the leading speed within which the plateau is first looked for;
+# and of time by which the leading crest's speed may differ from place over time
+EVEN, NEAR, WANDER, ONE_SIDED = 8, 0.1, 0.1, ("piston", "impacts")
+# places of the windows between the edges; periods of the waves at the trailing edge, and at the leading one, of a window
+FROM, TO, PERIODS, APART = 0.12, 0.92, 2.6, 2.1
+# shares of the amplitude at the leading edge between which waves tell where the trailing one is: below, the plateau rings
+RINGS, SMALL = 0.08, 0.8
+
+
+class Shock(Result):
+    r"""What `measure` returns, of a shock between a plateau and the chain `ahead` of it, at a time t.
+
+    Places count bonds from that of the step; s = n/t.
+
+    - `time` t [s]; `ahead`: strain of the chain ahead [m]; `sound` there [1/s].
+    - `mean`: strain of the plateau, Hann-weighted over the bonds of `window` (2,), with `mean_error` [m].
+    - `leading_speed`: of the leading crest [1/s]; `amplitude`: its height above `ahead` [m]; `leading_place`: n.
+    - `trailing_speed`: s where the waves' amplitude comes to zero, by a parabola through s over amplitude [1/s].
+    - Each with its `_error`: the distance from what half of the data, or another order, gives.
+    - `s` (W,): n/t of windows inside the shock. In each the wave nearest to the strains, whatever the law: `means`,
+      `amplitudes` = crest - trough [m], `wavelengths` [bonds], `omegas` [rad/s], `misfits`: what it leaves, over the
+      amplitude. NaN where fewer than two crests pass.
+    - `theory`: "toda" or "kdv", matched to the law at `ahead`, with the c [1/s m] whose plateau has this mean.
+      `m` (W,): the modulation parameter whose wave is nearest to the strains, with `m_errors`; `speeds_of_m`: s that
+      Whitham's theory has for it; `phases` (W,): Theta_0 with the theory's own m(s), in radians; `theory_errors`: what
+      then remains of the strains at most, over the jump `mean - ahead`.
+    """
+
+    held: ClassVar[dict[str, Held]] = {
+        "time": Held("", "s"), "ahead": Held("", "m"), "sound": Held("", "1/s"), "mean": Held("", "m"),
+        "mean_error": Held("", "m"), "window": Held("end", "1"), "leading_speed": Held("", "1/s"),
+        "leading_error": Held("", "1/s"), "leading_place": Held("", "1"), "amplitude": Held("", "m"),
+        "amplitude_error": Held("", "m"), "trailing_speed": Held("", "1/s"), "trailing_error": Held("", "1/s"),
+        "c": Held("", "m/s"), "s": Held("s", "1/s"), "means": Held("s", "m"), "amplitudes": Held("s", "m"),
+        "wavelengths": Held("s", "1"), "omegas": Held("s", "rad/s"), "misfits": Held("s", "1"), "m": Held("s", "1"),
+        "m_errors": Held("s", "1"), "speeds_of_m": Held("s", "1/s"), "phases": Held("s", "rad"),
+        "theory_errors": Held("s", "1"), "law": Held(None), "mass": Held("", "kg"),
+    }
+    time: float
+    ahead: float
+    sound: float
+    mean: float
+    mean_error: float
+    window: Float[np.ndarray, "2"]
+    leading_speed: float
+    leading_error: float
+    leading_place: float
+    amplitude: float
+    amplitude_error: float
+    trailing_speed: float
+    trailing_error: float
+    c: float
+    s: Float[np.ndarray, " s"]
+    means: Float[np.ndarray, " s"]
+    amplitudes: Float[np.ndarray, " s"]
+    wavelengths: Float[np.ndarray, " s"]
+    omegas: Float[np.ndarray, " s"]
+    misfits: Float[np.ndarray, " s"]
+    theory: str
+    m: Float[np.ndarray, " s"]
+    m_errors: Float[np.ndarray, " s"]
+    speeds_of_m: Float[np.ndarray, " s"]
+    phases: Float[np.ndarray, " s"]
+    theory_errors: Float[np.ndarray, " s"]
+    law: Law
+    mass: Number
+    outcome: str
+
+
+class Profile(NamedTuple):
+    """Strains and velocities of a chain at a time, a shock running to the right: places n of bonds from the step."""
+
+    time: float
+    places: np.ndarray
+    strain: np.ndarray
+    velocity: np.ndarray
+    ahead: float
+    # 1 of a shock of compression, -1 of rarefaction
+    sign: float
+
+    @property
+    def extreme(self):
+        """The strain that is farthest from that ahead."""
+        return float(self.sign * np.max(self.sign * self.strain))
+
+
+@checked
+def measure(
+    run: Run, problem: Riemann | None = None, *, side: str = "right", theory: str = "toda", points: Count = 11,
+) -> Shock:
+    r"""Plateau, edges, amplitude and modulation of a dispersive shock, from the last state of a run.
+
+    Short windows of the chain at the leading crest and at `points` places between the edges are run on for some periods
+    of their waves, so that crests are seen in time, where they are what they are, and not between two bonds.
+
+    **Arguments:**
+
+    - `run`: of `problem.run(t1)`, or `gx.simulate(*problem, t1)`; the longer, the nearer to the theory's t -> infinity.
+    - `problem`: what was run, `None` for what the run remembers, or its first state tells: one that begins with a step
+      in the strain or the velocity, or a wall that moves. One chain of equal masses and bonds, without losses.
+    - `side`: "right" or "left" of the step. `theory`: "toda" or "kdv", whose modulated waves are fitted.
+    - `points`: W, how many windows.
+
+    **Returns:** `Shock`; it has no derivative. **Raises** ValueError for a run without a problem, waves that have come
+    to the ends, nothing that is a shock (no crest above the plateau), a chain of several masses or laws, a batch.
+    Typical: the plateau's mean is good to 1e-6 at t = 2000, m to 2e-3, the edges to 1/t.
+    """
+    if traced((run, problem)):
+        refuse("run", "numbers that are known", "traced ones", "Fits have no derivative; differentiate gx.simulate.")
+    one_of("side", side, ("right", "left"))
+    one_of("theory", theory, tuple(THEORIES))
+    points = whole("points", points, 3, "The trailing edge follows from the waves before it.")
+    problem = problem_of(run, problem)
+    medium = medium_before(problem)
+    found = _measured(_profile(run, problem, side), problem, medium, theory, points)
+    for name in ("window", "leading_speed", "leading_place", "trailing_speed", "s", "speeds_of_m"):
+        found[name] = found[name] if side == "right" else -found[name]
+    return Shock(**found, theory=theory, law=medium.law, mass=medium.mass, **medium.origin)
+
+
+def _measured(profile, problem, medium, theory, points):
+    """The fields of a shock that runs to the right."""
+    crest = _leading(profile)
+    time, lead = profile.time, float(profile.places[crest])
+    plateau = _plateau(problem, profile, medium, lead / time)
+    sound, behind, fastest = _speeds(medium, profile.ahead, plateau.mean, profile.extreme)
+    if not behind > (1 + SAME) * sound:
+        refuse("run", "a shock: faster sound behind than ahead", f"sound at {behind:g} behind and {sound:g} ahead",
+               "This is a rarefaction, or a linear chain: gx.theory.simple_wave and linear_shock.")
+    trailing = max(2 * sound - behind, 0.0)
+    span = _span(profile, crest, behind, trailing)
+    middle = time + span / 2
+    s = trailing + (lead / time - trailing) * np.linspace(FROM, TO, points)
+    index = np.append(np.rint(np.interp(s * middle, profile.places, np.arange(len(profile.places)))).astype(int), crest)
+    cut = windows(medium, profile.strain, profile.velocity, index, span, max(fastest, lead / time))
+    speed, speed_error, height, height_error = _crest_in_time(cut, profile, lead / time)
+    xi, tau, strains = cut.near()
+    waves = [local_wave(xi, tau, strains[..., j]) for j in range(points)]
+    local, places = LocalWave(*map(np.array, zip(*waves))), profile.places[index[:-1]]
+    edge, edge_error = _edge(places / middle, local.amplitude, height)
+    fit = modulated(theory, medium, profile.ahead, plateau.mean, Seen(places, middle, xi, tau, strains[..., :-1], local))
+    return dict(
+        time=time, ahead=profile.ahead, sound=sound, mean=plateau.mean, mean_error=plateau.error,
+        window=plateau.window, leading_speed=speed, leading_error=speed_error, leading_place=lead, amplitude=height,
+        amplitude_error=height_error, trailing_speed=edge, trailing_error=edge_error, c=fit.c, s=places / middle,
+        means=local.mean, amplitudes=local.amplitude, wavelengths=2 * np.pi / local.wavenumber, omegas=local.omega,
+        misfits=local.misfit, m=fit.m, m_errors=fit.m_errors, speeds_of_m=fit.speeds, phases=fit.phases,
+        theory_errors=fit.errors, outcome=_told(profile, fit, local, edge))
+
+
+def _profile(run, problem, side):
+    """The last state, mirrored where the shock runs to the left. **Raises** ValueError where its end is not at rest."""
+    strain = np.asarray(problem.strain(run.final.u), float)
+    velocity, places = np.asarray(run.final.v, float), np.arange(len(strain)) - float(problem.centre)
+    if side == "left":
+        strain, velocity, places = strain[::-1], -velocity[::-1], -places[::-1]
+    jump, end = np.ptp(strain), strain[-EVEN:]
+    ahead = float(end[-1])
+    if not jump > 0 or np.ptp(end) > QUIET * jump or len(strain) < 4 * EVEN:
+        refuse("run", "a shock with quiet bonds before it", f"strains from {end.min():g} to {end.max():g} at the "
+               f"{side} end, of {strain.min():g} to {strain.max():g}", "A longer chain, or a shorter run; problem.until.")
+    sign = 1.0 if strain.max() - ahead > ahead - strain.min() else -1.0
+    return Profile(float(np.asarray(run.ts)[-1]), places, strain, velocity, ahead, sign)
+
+
+def _leading(profile):
+    """The bond of the first crest from the right. **Raises** ValueError where there is none."""
+    x = profile.sign * (profile.strain - profile.ahead)
+    top = np.flatnonzero((x[1:-1] > x[:-2]) & (x[1:-1] >= x[2:]) & (x[1:-1] > CREST * x.max())) + 1
+    top = top[profile.places[top] > 0]
+    if not top.size:
+        refuse("run", "a shock, whose leading crest is the first of many", "a front without a crest",
+               "A rarefaction fan has none; a longer run has one where there is a shock.")
+    return int(top[-1])
+
+
+class Plateau(NamedTuple):
+    """Weighted mean of the strain over a window of places, and how far that of a smaller one is from it."""
+
+    mean: float
+    error: float
+    window: np.ndarray
+
+
+def _plateau(problem, profile, medium, lead):
+    """The middle half of what lies between the shock and what is on the other side of the step."""
+    near = _hann(profile, np.array([0.0 if problem.kind in ONE_SIDED else -1.0, 1.0]) * NEAR * lead * profile.time)
+    sound, behind, _ = _speeds(medium, profile.ahead, near, near)
+    own = 2 * sound - behind
+    own = own if own > NEAR * lead else 2 * NEAR * lead
+    other = {"velocity": -own, "strain": -behind}.get(problem.kind, 0.0)
+    ends = profile.time * np.array([other, own])
+    inner, less = ((ends.mean() + share * (ends - ends.mean())) for share in (0.5, 0.4))
+    mean = _hann(profile, inner)
+    return Plateau(mean, abs(mean - _hann(profile, less)) + 1e-15 * abs(mean), inner)
+
+
+def _hann(profile, window):
+    low, high = window
+    x = (profile.places - low) / (high - low)
+    weight = np.where((x > 0) & (x < 1), np.sin(np.pi * x) ** 2, 0.0)
+    return float(weight @ profile.strain / weight.sum())
+
+
+def _speeds(medium, *strains):
+    """Speed of sound at each strain."""
+    return [float(x) for x in np.sqrt(values(medium.law, np.array(strains))[1] / float(medium.mass))]
+
+
+def _span(profile, crest, behind, trailing):
+    """A time in which some waves pass at the trailing edge, and the next crest after the leading one."""
+    # group speed V cos(k/2) of the linear wave on the plateau, of omega = 2 V sin(k/2)
+    omega = 2 * behind * np.sqrt(max(1 - (trailing / behind) ** 2, 0.0))
+    x = profile.sign * profile.strain[:crest]
+    top = np.flatnonzero((x[1:-1] > x[:-2]) & (x[1:-1] >= x[2:])) + 1
+    gap = (crest - top[-1]) * profile.time / profile.places[crest] if top.size else 0.0
+    return float(max(PERIODS * 2 * np.pi / omega, APART * gap))
+
+
+def _crest_in_time(cut, profile, speed):
+    """Speed and height of the leading crest, and their errors, from when each bond of the last window peaks; its speed
+    is about that given.
+    """
+    x, ts = profile.sign * (cut.strains[..., -1] - profile.ahead), cut.times
+    peaks = peak_times(ts, x[:, cut.half : -BEYOND])
+    times, heights = np.asarray(peaks.times), np.asarray(peaks.heights)
+    n = np.arange(len(times))
+    # later crests come later, and where the window ends others do
+    there = np.abs(times - n / speed) < 1 / speed + WANDER * ts[-1]
+    n, t, h = n[there], times[there], heights[there]
+    if len(n) < 3:
+        refuse("run", "a leading crest that passes some bonds", f"{len(n)} of them", "A longer run.")
+    slope = lambda part: float(np.polyfit(t[part], n[part], 1)[0])
+    whole, half = slope(slice(None)), (len(n) + 1) // 2
+    error = max(abs(slope(part) - whole) for part in (slice(half), slice(len(n) - half, None)))
+    return whole, error, float(h.mean()), float(np.ptp(h))
+
+
+def _edge(s, amplitudes, height):
+    """s where the amplitude comes to zero, and how far a straight line's is from it."""
+    small = np.isfinite(amplitudes) & (amplitudes > RINGS * height) & (amplitudes < SMALL * height)
+    if small.sum() < 4:
+        return np.nan, np.nan
+    at = lambda order, part: float(np.polyfit(amplitudes[small][part], s[small][part], order)[-1])
+    edge = at(2, slice(None))
+    if not edge > 0:
+        return np.nan, np.nan
+    return edge, max(abs(edge - at(2, slice(1, None))) if small.sum() > 4 else np.inf, abs(edge - at(3, slice(None))))
+
+
+def _told(profile, fit, local, edge):
+    crests = int(np.isfinite(local.amplitude).sum())
+    told = f"A shock of {'compression' if profile.sign > 0 else 'rarefaction'}; waves found in {crests} of " \
+           f"{local.amplitude.size} windows."
+    if not np.isfinite(edge):
+        told += " No trailing edge: the waves reach as far as the step, and there is no even plateau."
+    return f"{told} {fit.outcome}".strip()

@@ -1,0 +1,164 @@
+"""Modulated waves of Toda and KdV, fitted to what is seen in windows of a shock."""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.optimize import least_squares, minimize_scalar
+
+from ..laws import Strained, taylor
+from ..profiles.medium import Medium
+from ..theory import kdv, toda
+from .windows import LocalWave
+
+# phases at which the modulated wave is taken, and m of the table off which the start of a fit is read by the amplitude
+STARTS, TABLE = 64, np.linspace(0.0, 1.0, 65)
+
+
+class Seen(NamedTuple):
+    """What is seen in windows: their places n, the time of their middle, offsets (B,) and (F,), strains (F, B, W)."""
+
+    places: np.ndarray
+    time: float
+    xi: np.ndarray
+    tau: np.ndarray
+    strains: np.ndarray
+    local: LocalWave
+
+    def only(self, some: np.ndarray, ahead: float) -> "Seen":
+        """Some of the windows, their strains from that ahead."""
+        local = LocalWave(*(x[some] for x in self.local))
+        return Seen(self.places[some], self.time, self.xi, self.tau, self.strains[..., some] - ahead, local)
+
+
+class Modulated(NamedTuple):
+    """The c whose plateau has the mean; per window m, its error, s of it, Theta_0, and what remains over the jump."""
+
+    c: float
+    m: np.ndarray
+    m_errors: np.ndarray
+    speeds: np.ndarray
+    phases: np.ndarray
+    errors: np.ndarray
+    outcome: str
+
+
+def _toda_constants(K2, K3, mass):
+    a, b = toda.matched(K2, K3)
+    return {"strength": a, "rate": b, "mass": mass}
+
+
+def _toda_c(jump, strength, rate, mass):
+    return np.expm1(rate * jump / 2) * np.sqrt(strength / (rate * mass))
+
+
+def _toda_wave(n, wave, constants):
+    return toda.periodic_wave(n, 0.0, wave.E1, wave.E2, wave.E3, wave.E4, **constants).strain
+
+
+def _kdv_constants(K2, K3, mass):
+    return {"K2": K2, "K3": K3, "mass": mass}
+
+
+def _kdv_c(jump, K2, K3, mass):
+    return jump / 2 * np.sqrt(K2 / mass)
+
+
+def _kdv_wave(n, wave, constants):
+    return kdv.cnoidal(n, 0.0, wave.r1, wave.r2, wave.r3, **constants).strain
+
+
+class Theory(NamedTuple):
+    """A theory's formulas, its constants of K2, K3 and the mass, c of the plateau's jump, and its periodic wave."""
+
+    name: str
+    formulas: object
+    constants: object
+    c: object
+    wave: object
+
+
+THEORIES = {"toda": Theory("Toda", toda, _toda_constants, _toda_c, _toda_wave),
+            "kdv": Theory("KdV", kdv, _kdv_constants, _kdv_c, _kdv_wave)}
+
+
+def modulated(theory: str, medium: Medium, ahead: float, mean: float, seen: Seen) -> Modulated:
+    """The theory's waves in every window; NaN, and a reason, where it has none."""
+    own, none = THEORIES[theory], np.full(seen.places.shape, np.nan)
+    K2, K3, _ = (float(x) for x in taylor(Strained(medium.law, ahead) if ahead else medium.law))
+    told = lambda why: Modulated(np.nan, none, none, none, none, none, f"Not compared with {own.name}: {why}")
+    if not (np.isfinite(K2) and K2 > 0 and np.isfinite(K3) and K3 * (mean - ahead) > 0):
+        return told("the chain ahead has no sound, or K3 there is not of the sign of the jump.")
+    constants = {name: float(x) for name, x in own.constants(K2, K3, float(medium.mass)).items()}
+    c = float(own.c(mean - ahead, **constants))
+    try:
+        table = own.formulas.modulation(TABLE, c, **constants)
+    except ValueError as error:
+        return told(str(error))
+    numbers = {name: jnp.asarray(x) for name, x in constants.items()}
+    part = seen.only(np.flatnonzero(np.isfinite(seen.local.amplitude)), ahead)
+    if not part.places.size:
+        return told("no waves were found in the windows.")
+    m, errors, speeds, phases, rest = (none.copy() for _ in range(5))
+    start = np.interp(part.local.amplitude, np.abs(np.asarray(table.amplitude)), TABLE)
+    known = np.isfinite(seen.local.amplitude)
+    m[known], errors[known] = _parameters(theory, c, numbers, part, np.clip(start, 1e-3, 1 - 1e-3))
+    phases[known], rest[known] = _phases(own, c, constants, part)
+    speeds[known] = np.asarray(own.formulas.modulation(m[known], c, **constants).speed)
+    return Modulated(c, m, errors, speeds, phases, rest / abs(mean - ahead), "")
+
+
+def _parameters(theory, c, numbers, seen, start):
+    """m nearest to the strains of every window, and how far m nearest to either half of the frames is from it.
+
+    In the phase k n - omega t as it was seen: another law's waves have the theory's shape sooner than its dispersion.
+    """
+    frames, _, count = seen.strains.shape
+    half, local = (frames + 1) // 2, seen.local
+    turns = (local.wavenumber * seen.xi[:, None] - local.omega * seen.tau[:, None, None]) / (2 * np.pi)
+    weights = np.ones((frames, 1, 3, 1))
+    weights[half:, :, 1], weights[: frames - half, :, 2] = 0, 0
+    scale = np.abs(seen.strains).max((0, 1))
+
+    def rest(p):
+        # (all frames or a half of them, windows)
+        x, crest = p.reshape(2, 3, count)
+        wave = np.asarray(_periodic(theory, turns[:, :, None] - crest, 1 / (1 + np.exp(-x)), c, numbers))
+        return (weights * (wave - seen.strains[:, :, None]) / scale).ravel()
+
+    own = np.arange(3 * count)
+    sparsity = np.kron(np.ones((frames * len(seen.xi), 1)), np.eye(len(own)))
+    first = np.stack([np.log(start / (1 - start)), seen.local.crest * local.wavenumber / (2 * np.pi)])
+    found = least_squares(rest, np.repeat(first, 3, 0).ravel(), jac_sparsity=np.tile(sparsity, 2), xtol=1e-9,
+                          ftol=1e-12, max_nfev=40)
+    m = 1 / (1 + np.exp(-found.x.reshape(2, 3, count)[0]))
+    return m[0], np.abs(m[1:] - m[0]).max(0)
+
+
+def _phases(own, c, constants, seen):
+    """Theta_0 of the theory's modulated wave that is nearest in every window, and what remains at most."""
+    phases = 2 * np.pi * np.arange(STARTS) / STARTS
+    n, t = seen.places + seen.xi[:, None], seen.time + seen.tau[:, None, None]
+    wave = np.asarray(own.formulas.shock_wave(n[..., None], t[..., None], c, phase=phases, **constants).strain)
+    # the wave is periodic in its phase
+    series, order = np.fft.rfft(wave, axis=-1) / STARTS, np.arange(STARTS // 2 + 1)
+    twice = np.where((order == 0) | (order == STARTS // 2), 1, 2)
+    found = []
+    for j in range(len(seen.places)):
+        own_series, strains = series[:, :, j] * twice, seen.strains[..., j]
+        at = lambda phase: (own_series @ np.exp(1j * order * phase)).real - strains
+        best = phases[np.argmin(np.sum((wave[:, :, j] - strains[..., None]) ** 2, (0, 1)))]
+        near = minimize_scalar(lambda x: np.sum(at(x) ** 2), bounds=(best - 0.2, best + 0.2), method="bounded",
+                               options={"xatol": 1e-6})
+        found.append((near.x % (2 * np.pi), np.abs(at(near.x)).max()))
+    return np.array(found).T
+
+
+@partial(jax.jit, static_argnums=0)
+def _periodic(theory, turns, m, c, constants):
+    """Strains of waves with m at places counted in wavelengths from a crest."""
+    own = THEORIES[theory]
+    wave = own.formulas.modulation(m, c, **constants)
+    return own.wave(turns * wave.wavelength, wave, constants)
