@@ -2,6 +2,7 @@
 
 from typing import ClassVar, NamedTuple
 
+import jax
 import numpy as np
 from jaxtyping import Float
 
@@ -23,10 +24,10 @@ CREST, QUIET = 0.3, 1e-6
 # relative difference of speeds of sound that are one
 SAME = 1e-6
 # quiet bonds at the end; share of the leading speed within which the plateau is first looked for;
-# and of time by which the leading crest's speed may differ from place over time
-EVEN, NEAR, WANDER, ONE_SIDED = 8, 0.1, 0.1, ("piston", "impacts")
+# of time by which the leading crest's speed may differ from place over time; rounds in which plateau and edge agree
+EVEN, NEAR, WANDER, ROUNDS = 8, 0.05, 0.1, 3
 # places of the windows between the edges; periods of the waves at the trailing edge, and at the leading one, of a window
-FROM, TO, PERIODS, APART = 0.12, 0.92, 2.6, 2.1
+FROM, TO, PERIODS, APART = 0.15, 0.92, 2.6, 2.1
 # shares of the amplitude at the leading edge between which waves tell where the trailing one is: below, the plateau rings
 RINGS, SMALL = 0.08, 0.8
 
@@ -159,8 +160,9 @@ def _measured(profile, problem, medium, theory, points):
     cut = windows(medium, profile.strain, profile.velocity, index, span, max(fastest, lead / time))
     speed, speed_error, height, height_error = _crest_in_time(cut, profile, lead / time)
     xi, tau, strains = cut.near()
-    waves = [local_wave(xi, tau, strains[..., j]) for j in range(points)]
+    waves = [local_wave(xi, tau, profile.sign * strains[..., j]) for j in range(points)]
     local, places = LocalWave(*map(np.array, zip(*waves))), profile.places[index[:-1]]
+    local = local._replace(mean=profile.sign * local.mean)
     edge, edge_error = _edge(places / middle, local.amplitude, height)
     fit = modulated(theory, medium, profile.ahead, plateau.mean, Seen(places, middle, xi, tau, strains[..., :-1], local))
     return dict(
@@ -175,7 +177,12 @@ def _measured(profile, problem, medium, theory, points):
 def _profile(run, problem, side):
     """The last state, mirrored where the shock runs to the left. **Raises** ValueError where its end is not at rest."""
     strain = np.asarray(problem.strain(run.final.u), float)
-    velocity, places = np.asarray(run.final.v, float), np.arange(len(strain)) - float(problem.centre)
+    time, velocity = float(np.asarray(run.ts)[-1]), np.asarray(run.final.v, float)
+    places = np.arange(len(strain)) - float(problem.centre)
+    if problem.kind == "piston":
+        wall = next(term for term in problem.lattice.terms if term.walls() == ("left",))
+        own, speed = wall.compression(time, run.final.u), jax.jvp(wall.motion, (time,), (1.0,))[1]
+        strain, velocity, places = np.append(own, strain), np.append(speed, velocity), np.append(places[0] - 1, places)
     if side == "left":
         strain, velocity, places = strain[::-1], -velocity[::-1], -places[::-1]
     jump, end = np.ptp(strain), strain[-EVEN:]
@@ -184,7 +191,7 @@ def _profile(run, problem, side):
         refuse("run", "a shock with quiet bonds before it", f"strains from {end.min():g} to {end.max():g} at the "
                f"{side} end, of {strain.min():g} to {strain.max():g}", "A longer chain, or a shorter run; problem.until.")
     sign = 1.0 if strain.max() - ahead > ahead - strain.min() else -1.0
-    return Profile(float(np.asarray(run.ts)[-1]), places, strain, velocity, ahead, sign)
+    return Profile(time, places, strain, velocity, ahead, sign)
 
 
 def _leading(profile):
@@ -208,14 +215,15 @@ class Plateau(NamedTuple):
 
 def _plateau(problem, profile, medium, lead):
     """The middle half of what lies between the shock and what is on the other side of the step."""
-    near = _hann(profile, np.array([0.0 if problem.kind in ONE_SIDED else -1.0, 1.0]) * NEAR * lead * profile.time)
-    sound, behind, _ = _speeds(medium, profile.ahead, near, near)
-    own = 2 * sound - behind
-    own = own if own > NEAR * lead else 2 * NEAR * lead
-    other = {"velocity": -own, "strain": -behind}.get(problem.kind, 0.0)
-    ends = profile.time * np.array([other, own])
-    inner, less = ((ends.mean() + share * (ends - ends.mean())) for share in (0.5, 0.4))
-    mean = _hann(profile, inner)
+    mean = _hann(profile, np.array([-1.0, 1.0]) * NEAR * lead * profile.time)
+    for _ in range(ROUNDS):
+        sound, behind = _speeds(medium, profile.ahead, mean)
+        own = max(2 * sound - behind, NEAR * lead)
+        # the other half of a piston's plateau would be its mirror image
+        other = -behind if problem.kind == "strain" else -own
+        ends = profile.time * np.array([other, own])
+        inner, less = ((ends.mean() + share * (ends - ends.mean())) for share in (0.5, 0.4))
+        mean = _hann(profile, inner)
     return Plateau(mean, abs(mean - _hann(profile, less)) + 1e-15 * abs(mean), inner)
 
 

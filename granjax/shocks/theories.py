@@ -51,7 +51,7 @@ def _toda_constants(K2, K3, mass):
 
 
 def _toda_c(jump, strength, rate, mass):
-    return np.expm1(rate * jump / 2) * np.sqrt(strength / (rate * mass))
+    return np.expm1(rate * jump / 2) * np.sqrt(strength * rate / mass) / rate
 
 
 def _toda_wave(n, wave, constants):
@@ -111,7 +111,7 @@ def modulated(theory: str, medium: Medium, ahead: float, mean: float, seen: Seen
 
 
 def _parameters(theory, c, numbers, seen, start):
-    """m nearest to the strains of every window, and how far m nearest to either half of the frames is from it.
+    """m nearest to the strains of every window, and how far the mean of those of either half of the frames is from it.
 
     In the phase k n - omega t as it was seen: another law's waves have the theory's shape sooner than its dispersion.
     """
@@ -134,7 +134,8 @@ def _parameters(theory, c, numbers, seen, start):
     found = least_squares(rest, np.repeat(first, 3, 0).ravel(), jac_sparsity=np.tile(sparsity, 2), xtol=1e-9,
                           ftol=1e-12, max_nfev=40)
     m = 1 / (1 + np.exp(-found.x.reshape(2, 3, count)[0]))
-    return m[0], np.abs(m[1:] - m[0]).max(0)
+    # between the halves m moves on, evenly
+    return m[0], np.abs(m[1:].mean(0) - m[0])
 
 
 def _phases(own, c, constants, seen):
