@@ -56,7 +56,7 @@ def _recognised(lattice: Lattice, state: State) -> Riemann:
 
 
 def medium_before(problem: Riemann) -> Medium:
-    """The law between neighbours as the chain was given, and the mass. **Raises** ValueError where there are several."""
+    """The law between neighbours as the chain was given, and the mass. **Raises** ValueError for several."""
     if np.ndim(problem.rest) == 0:
         return medium_of(problem.lattice).known
     mass = np.asarray(problem.lattice.mass, float)

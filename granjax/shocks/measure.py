@@ -26,9 +26,9 @@ SAME = 1e-6
 # quiet bonds at the end; share of the leading speed within which the plateau is first looked for;
 # of time by which the leading crest's speed may differ from place over time; rounds in which plateau and edge agree
 EVEN, NEAR, WANDER, ROUNDS = 8, 0.05, 0.1, 3
-# places of the windows between the edges; periods of the waves at the trailing edge, and at the leading one, of a window
+# places of the windows between the edges; their periods of the waves at the trailing edge, and at the leading one
 FROM, TO, PERIODS, APART = 0.15, 0.92, 2.6, 2.1
-# shares of the amplitude at the leading edge between which waves tell where the trailing one is: below, the plateau rings
+# shares of the amplitude at the leading edge between which waves tell the trailing one: below, the plateau rings
 RINGS, SMALL = 0.08, 0.8
 
 
@@ -41,7 +41,8 @@ class Shock(Result):
     - `mean`: strain of the plateau, Hann-weighted over the bonds of `window` (2,), with `mean_error` [m].
     - `leading_speed`: of the leading crest [1/s]; `amplitude`: its height above `ahead` [m]; `leading_place`: n.
     - `trailing_speed`: s where the waves' amplitude comes to zero, by a parabola through s over amplitude [1/s].
-    - Each with its `_error`: the distance from what half of the data, or another order, gives.
+    - Each with its `_error`: the distance from what half of the data, or another order, gives; for the trailing edge
+      the length of a wave besides.
     - `s` (W,): n/t of windows inside the shock. In each the wave nearest to the strains, whatever the law: `means`,
       `amplitudes` = crest - trough [m], `wavelengths` [bonds], `omegas` [rad/s], `misfits`: what it leaves, over the
       amplitude. NaN where fewer than two crests pass.
@@ -163,8 +164,9 @@ def _measured(profile, problem, medium, theory, points):
     waves = [local_wave(xi, tau, profile.sign * strains[..., j]) for j in range(points)]
     local, places = LocalWave(*map(np.array, zip(*waves))), profile.places[index[:-1]]
     local = local._replace(mean=profile.sign * local.mean)
-    edge, edge_error = _edge(places / middle, local.amplitude, height)
-    fit = modulated(theory, medium, profile.ahead, plateau.mean, Seen(places, middle, xi, tau, strains[..., :-1], local))
+    edge, edge_error = _edge(places / middle, local, height, middle)
+    seen = Seen(places, middle, xi, tau, strains[..., :-1], local)
+    fit = modulated(theory, medium, profile.ahead, plateau.mean, seen)
     return dict(
         time=time, ahead=profile.ahead, sound=sound, mean=plateau.mean, mean_error=plateau.error,
         window=plateau.window, leading_speed=speed, leading_error=speed_error, leading_place=lead, amplitude=height,
@@ -188,8 +190,8 @@ def _profile(run, problem, side):
     jump, end = np.ptp(strain), strain[-EVEN:]
     ahead = float(end[-1])
     if not jump > 0 or np.ptp(end) > QUIET * jump or len(strain) < 4 * EVEN:
-        refuse("run", "a shock with quiet bonds before it", f"strains from {end.min():g} to {end.max():g} at the "
-               f"{side} end, of {strain.min():g} to {strain.max():g}", "A longer chain, or a shorter run; problem.until.")
+        refuse("run", "a shock with quiet bonds before it", f"strains of {end.min():g} to {end.max():g} at the {side} "
+               f"end, of {strain.min():g} to {strain.max():g}", "A longer chain, or a shorter run; problem.until().")
     sign = 1.0 if strain.max() - ahead > ahead - strain.min() else -1.0
     return Profile(time, places, strain, velocity, ahead, sign)
 
@@ -250,9 +252,7 @@ def _span(profile, crest, behind, trailing):
 
 
 def _crest_in_time(cut, profile, speed):
-    """Speed and height of the leading crest, and their errors, from when each bond of the last window peaks; its speed
-    is about that given.
-    """
+    """Speed, about that given, and height of the leading crest, with errors, from when bonds of its window peak."""
     x, ts = profile.sign * (cut.strains[..., -1] - profile.ahead), cut.times
     peaks = peak_times(ts, x[:, cut.half : -BEYOND])
     times, heights = np.asarray(peaks.times), np.asarray(peaks.heights)
@@ -268,8 +268,9 @@ def _crest_in_time(cut, profile, speed):
     return whole, error, float(h.mean()), float(np.ptp(h))
 
 
-def _edge(s, amplitudes, height):
-    """s where the amplitude comes to zero, and how far a straight line's is from it."""
+def _edge(s, local, height, time):
+    """s where the amplitude comes to zero, and its error: by fewer windows or a cubic, and the length of a wave."""
+    amplitudes = local.amplitude
     small = np.isfinite(amplitudes) & (amplitudes > RINGS * height) & (amplitudes < SMALL * height)
     if small.sum() < 4:
         return np.nan, np.nan
@@ -277,7 +278,9 @@ def _edge(s, amplitudes, height):
     edge = at(2, slice(None))
     if not edge > 0:
         return np.nan, np.nan
-    return edge, max(abs(edge - at(2, slice(1, None))) if small.sum() > 4 else np.inf, abs(edge - at(3, slice(None))))
+    others = [at(3, slice(None))] + [at(2, slice(1, None))] * int(small.sum() > 4)
+    length = 2 * np.pi / local.wavenumber[small][0] / time
+    return edge, max(abs(edge - other) for other in others) + length
 
 
 def _told(profile, fit, local, edge):

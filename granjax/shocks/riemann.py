@@ -61,7 +61,7 @@ class Riemann(eqx.Module):
 
     @property
     def law(self) -> Law | None:
-        """The law that the shock runs into, from the rest of the chain as it was given; `None` where there are others."""
+        """The law between neighbours, from the rest of the chain as it was given; `None` where there are others."""
         return None if self._jolt is None else self._jolt.law
 
     @checked

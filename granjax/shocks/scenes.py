@@ -66,7 +66,8 @@ def velocity_shock(lattice: Lattice, c: Parameter, *, centre: Parameter | None =
 
     **Arguments:** `lattice`: a chain; `c`: a quarter of the relative velocity [m/s], a number or one per lane;
     `centre`: as in `gx.states.velocity_step`: a site, which stays at rest, or half way between two; `None` for the
-    site in the middle, (N - 1)//2. Where none rests, the plateau's mean comes to its value like 1/t. **Returns:** `Riemann`, its `centre` half a bond further left, where sites lie on the scale of bonds.
+    site in the middle, (N - 1)//2. Where none rests, the plateau's mean comes to its value like 1/t.
+    **Returns:** `Riemann`, its `centre` half a bond further left, where sites lie on the scale of bonds.
     **Raises** ValueError for what is no chain, terms that hold or slow a translation (walls, on-site forces, damping
     of sites: `piston` serves those), c not finite, or a centre outside the chain.
     Source: S. Venakides, P. Deift, R. Oba, Comm. Pure Appl. Math. 44, 1171 (1991).

@@ -13,7 +13,8 @@ from ..profiles.medium import Medium
 from ..strains import Shift
 from ..terms import Bond
 
-# frames in time, of which one in three counts where waves are fitted; sites beyond what the ends of a window can reach, and a multiple to which its length is rounded up
+# frames in time, of which one in three counts where waves are fitted; sites beyond what the ends of a window can reach,
+# and a multiple to which its length is rounded up
 FRAMES, THIRD, BEYOND, ROUND = 97, 3, 8, 16
 # bonds on each side of the middle that count; harmonics of a wave
 BESIDE, HARMONICS = 3, 6
@@ -59,8 +60,9 @@ def windows(
 
 
 class LocalWave(NamedTuple):
-    """A periodic wave as it is about one place: numbers of it, where a crest is in the middle of the time, and what it
-    leaves of the strains over its amplitude.
+    """A periodic wave about one place: `crest` is where one is in the middle of the time.
+
+    `misfit`: what it leaves of the strains, over its amplitude.
     """
 
     mean: float
@@ -102,7 +104,7 @@ def local_wave(xi: np.ndarray, tau: np.ndarray, strains: np.ndarray) -> LocalWav
 
 
 def _guess(tau, strains):
-    """Wave number and frequency from the crests in time of the middle bond and of the next; `None` for fewer than two."""
+    """Wave number and frequency from crests in time of the middle bond and the next; `None` for fewer than two."""
     middle = strains.shape[1] // 2
     first, later = (_crests(tau, strains[:, middle + j]) for j in (0, 1))
     if len(first) < 2 or not len(later):
