@@ -551,7 +551,7 @@ BLANK = (
     "plots.orbits.branch", "plots.orbits.breather", "plots.orbits.floquet_circle", "plots.orbits.hysteresis",
     "plots.precision.work_precision", "plots.waves.dispersion", "studies.resonance.finite.refine",
     "plots.travelling.reflection", "plots.travelling.wave", "plots.travelling.wave_errors",
-    "plots.travelling.wave_family",
+    "plots.travelling.wave_family", "shocks.measure.measure",
     "travelling.collisions.collide", "travelling.reflection.reflect", "travelling.stability.ring",
     "travelling.stability.stability", "travelling.wave.Wave.floquet",
     *(f"travelling.{kind}.{name}" for kind in ("cells.public.CellWave", "periodic.PeriodicWave", "wave.Wave")

@@ -321,6 +321,13 @@ def _(seed):
     repr(gx.travelling.collide(one, two)), repr(gx.travelling.reflect(one, gx.Toda(jnp.array([0.3, 3.0]) * f)))
 
 
+@also("measure a shock", SLOW)
+def _(seed):
+    f = 1 + 0.1 * seed
+    chain = gx.Lattice(1.0, (gx.Bond(gx.Shift(1, "free"), gx.Toda(f)),), sites=200)
+    repr(gx.shocks.measure(gx.shocks.piston(chain, 0.6 * f**0.5).run(110.0 / f**0.5)))
+
+
 def bump(x):
     return jnp.exp(-(x**2))
 

@@ -150,6 +150,9 @@ MAKERS = {
         "overtaking", 1.0, 2.0, *np.ones((10, 2)), 3.0, 0.1, 0.01, 40.0, 30.0, np.ones(2), np.arange(4.0),
         np.ones((2, 4)), run(), "They have parted.", **OTHER),
     "Reflection": lambda: gx.travelling.Reflection(*np.ones((9, 3)), 1.0, 1.5, 2.8, 30, run(), "Back.", **OTHER),
+    "Shock": lambda: gx.shocks.Shock(
+        *np.ones(5), np.ones(2), *np.ones(8), *np.ones((6, 3)), "toda", *np.ones((5, 3)), gx.Hertz(), 1.0, "A shock.",
+        **OTHER),
     "Transmission": lambda: Transmission(np.ones(3), np.ones(3), np.ones(3), 1.0, 9, 20.0),
     "Extrema": lambda: Extrema(np.ones(2), np.ones(2), np.ones(0), np.ones(0)),
     "FittedEdges": lambda: gx.theory.shock_edges(gx.Toda(), 0.5),

@@ -87,7 +87,7 @@ THEORIES = {"toda": Theory("Toda", toda, _toda_constants, _toda_c, _toda_wave),
 def modulated(theory: str, medium: Medium, ahead: float, mean: float, seen: Seen) -> Modulated:
     """The theory's waves in every window; NaN, and a reason, where it has none."""
     own, none = THEORIES[theory], np.full(seen.places.shape, np.nan)
-    K2, K3, _ = (float(x) for x in taylor(Strained(medium.law, ahead) if ahead else medium.law))
+    K2, K3, _ = (float(x) for x in taylor(Strained(medium.law, jnp.asarray(ahead))))
     told = lambda why: Modulated(np.nan, none, none, none, none, none, f"Not compared with {own.name}: {why}")
     if not (np.isfinite(K2) and K2 > 0 and np.isfinite(K3) and K3 * (mean - ahead) > 0):
         return told("the chain ahead has no sound, or K3 there is not of the sign of the jump.")
