@@ -147,23 +147,46 @@ def test_the_phase_is_known():
     np.testing.assert_allclose(toda.modulation([1 - 2.0**-50, 1.0], 0.5).phase, 1.5 * np.pi, rtol=0.05)
 
 
+def simulated(c, times, step):
+    """A velocity shock: time, places, strain, where in the fan that is, 0 to 1, and how far off the theory is."""
+    sites = 501
+    chain, v = gx.scenes.toda(sites, boundary="free"), -2 * c * np.sign(np.arange(sites) - sites // 2)
+    run = gx.simulate(chain, (np.zeros(sites), v), times[-1], step=step, solver=gx.SRKN11b(), save_at=times)
+    x, (back, front, *_) = np.abs(np.arange(sites - 1) + 0.5 - sites // 2), toda.velocity_shock(c)
+    for t, u in zip(times, np.asarray(run.us)):
+        apart = np.abs(-np.diff(u) - toda.shock_wave(x, t, c).strain)
+        yield t, x, -np.diff(u), np.asarray((x / t - back) / (front - back)), np.asarray(apart)
+
+
 def test_a_simulated_shock_is_that_of_the_theory():
     """Without anything fitted: the error in the middle falls like 1/t, the plateau is the mean."""
-    c, sites = 0.5, 501
-    chain, v = gx.scenes.toda(sites, boundary="free"), -2 * c * np.sign(np.arange(sites) - sites // 2)
-    run = gx.simulate(chain, (np.zeros(sites), v), 160.0, step=0.1, solver=gx.SRKN11b(), save_at=[40.0, 80.0, 160.0])
-    x = np.arange(sites - 1) + 0.5 - sites // 2
-    wrong, worst = [], []
-    for t, u in zip(np.asarray(run.ts), np.asarray(run.us)):
-        shock = toda.shock_wave(np.abs(x), t, c)
-        apart = np.abs(-np.diff(u) - shock.strain)
-        part = (np.abs(x) / t - 0.5) / (float(toda.velocity_shock(c).leading_speed) - 0.5)
-        wrong.append(t * apart[(part > 0.4) & (part < 0.6)].max())
-        worst.append(apart[np.abs(part - 0.5) < 0.4].max())
-    np.testing.assert_allclose(wrong, 1.2, rtol=0.1)
+    middle, worst = [], []
+    for t, x, strain, part, apart in simulated(0.5, [40.0, 80.0, 160.0], 0.1):
+        middle.append(t * apart[(part > 0.4) & (part < 0.6)].max())
+        worst.append(apart[(part > 0.1) & (part < 0.9)].max())
+    np.testing.assert_allclose(middle, 1.2, rtol=0.1)
     assert worst[-1] < 0.05 and worst[-1] < 0.6 * worst[0]
-    plateau, weight = -np.diff(u)[np.abs(x) < 40], np.cos(np.pi * x[np.abs(x) < 40] / 80) ** 2
-    assert np.average(plateau, weights=weight) == pytest.approx(2 * np.log(1.5), abs=2e-4)
+    weight = np.where(x < 40, np.cos(np.pi * x / 80) ** 2, 0)
+    assert np.average(strain, weights=weight) == pytest.approx(2 * np.log(1.5), abs=2e-4)
+
+
+def test_a_shock_beyond_c_of_one_has_a_binary_oscillation():
+    """Neighbours swing against each other behind the fan, exactly as the wave of two sites of the theory does."""
+    c = 2.0
+    for t, x, strain, part, apart in simulated(c, [40.0, 80.0, 105.0], 0.04):
+        assert t * apart[(part > 0.1) & (part < 0.6)].max() < 1.0
+    assert apart[(part > -0.19) & (part < -0.15)].max() < 1e-5
+    at, edges = toda.modulation(1 - 1 / c**2, c), toda.velocity_shock(c)
+    assert at.wavelength == pytest.approx(2, rel=1e-14) and at.E3 == pytest.approx(c - 1, rel=1e-15)
+    assert at.speed == edges.trailing_speed and at.mean == edges.mean
+    behind = strain[(part > -0.22) & (part < -0.15)]
+    assert np.all((behind > at.trough) & (behind < at.crest)) and np.ptp(behind) > 0.3
+    # at c = 1 both sides meet
+    ends = np.array(toda.velocity_shock(1 + np.array([-1e-9, 0.0, 1e-9])))
+    np.testing.assert_allclose(ends, ends[:, [1]] * np.ones(3), rtol=0, atol=1e-7)
+    m = toda.modulus(toda.modulation([0.76, 0.9, 1.0], c).speed, c)
+    np.testing.assert_allclose([toda.modulus(0.1, c), *m], [0.75, 0.76, 0.9, 1.0], rtol=1e-13)
+    assert jax.grad(lambda c: toda.modulus(0.1, c))(c) == pytest.approx(2 / c**3)
 
 
 @pytest.mark.slow
@@ -177,7 +200,13 @@ def test_a_shock_differentiates():
     np.testing.assert_allclose(back, want, rtol=1e-6)
     edges = jax.jit(jax.jacfwd(lambda c: jnp.stack(toda.modulation(jnp.array([0.0, 1.0]), c)[:7])))(0.5)
     assert np.all(np.isfinite(edges))
-    assert jax.grad(lambda m: toda.modulation(m, 0.5).speed)(1.0) == np.inf
+    slopes = jax.jit(jax.jacfwd(lambda m: jnp.stack(toda.modulation(m, 0.5))))
+    assert slopes(1.0)[0] == np.inf and slopes(1.0)[5] == -np.inf and np.all(np.isfinite(slopes(0.0)))
+    # nowhere a NaN: behind, at both edges, ahead
+    t, speeds = 80.0, toda.velocity_shock(0.5)
+    n = t * jnp.array([0.1, speeds.trailing_speed, 0.9, speeds.leading_speed, 1.4])
+    every = jax.jit(jax.jacrev(lambda x: jnp.stack(toda.shock_wave(n + x[0], t + x[1], 0.5 + x[2]))))(jnp.zeros(3))
+    assert np.all(np.isfinite(every))
 
 
 # ----------------------------------------------------------------------------------------------------------------- KdV
@@ -250,7 +279,8 @@ def test_the_modulated_wave_of_kdv():
     (lambda: kdv.velocity_shock(1.0, *NORMAL), "^c: expected .*no long, weak wave"),
     (lambda: kdv.modulation(0.5, 0.1, 1.0, 0.0), "^K3: expected numbers other than zero"),
     (lambda: kdv.shock_wave(1.0, -1.0, 0.1, *NORMAL), "^t: expected numbers above zero"),
-    (lambda: toda.velocity_shock(1.0), r"^c: expected .* in \(0, 1\).*from 1 on its middle oscillates"),
+    (lambda: toda.velocity_shock(0.0), "^c: expected .* above zero.*has a rarefaction"),
+    (lambda: toda.modulation(0.7, 2.0), r"^m: expected numbers from 1 - 1/c\^2 on"),
     (lambda: toda.velocity_shock(-0.1), "^c: expected .*pulled apart"),
     (lambda: toda.velocity_shock(0.1, strength=-1.0, rate=-1.0), "^c: expected .*pulled apart"),
     (lambda: toda.modulation(1.1, 0.5), r"^m: expected numbers in \[0, 1\]"),

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.custom_derivatives import SymbolicZero
 
-from .elliptic_integrals import _E, _K, _RD, _positive, _second
+from .elliptic_integrals import _E, _K, _RD, _positive, _second, _sloped
 
 # terms of a series in a nome below exp(-pi)
 TERMS = 5
@@ -38,14 +38,24 @@ def _zeta(u, m1):
     return second - r * share
 
 
+@jax.custom_jvp
+def _nome(m1):
+    """exp(-pi K'/K), m/16 of small m."""
+    return jnp.exp(-jnp.pi * _K(1 - m1) / _K(m1))
+
+
+_sloped(_nome, lambda m1: -((jnp.pi / (2 * _K(m1))) ** 2) / m1 * jnp.where(
+    m1 < 1, _nome(m1) / jnp.where(m1 < 1, 1 - m1, 1.0), 1 / 16))
+
+
 def _log_theta(u, m1):
     """ln Theta(u)/Theta(0), whose derivative in u is zeta; at m = 1 ln cosh u."""
     r, _ = _period_left(u, m1)
-    K, other = _K(jnp.where(m1 > 0, m1, 1.0)), _K(1 - m1)
     r, round_ = jnp.abs(r), m1 > 0.5
-    q, z = jnp.exp(-jnp.pi * jnp.where(round_, other / K, 1.0)), jnp.pi * r / jnp.where(round_, K, 1.0)
+    K, other = _K(jnp.where(m1 > 0, m1, 1.0)), _K(jnp.where(round_, 0.5, 1 - m1))
+    q, z = _nome(jnp.where(round_, m1, 1.0)), jnp.pi * r / jnp.where(round_, K, 1.0)
     by_cosines = jnp.log1p(
-        sum(2 * (-1) ** n * q ** (n * n) * (jnp.cos(n * z) - 1) for n in range(1, TERMS))
+        sum(-4 * (-1) ** n * q ** (n * n) * jnp.sin(n * z / 2) ** 2 for n in range(1, TERMS))
         / (1 + sum(2 * (-1) ** n * q ** (n * n) for n in range(1, TERMS))))
     other = jnp.where(round_, 1.0, other)
     x, log_q = jnp.pi * r / (2 * other), jnp.where(m1 > 0, -jnp.pi * K / other, -jnp.inf)

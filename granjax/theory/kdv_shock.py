@@ -16,7 +16,7 @@ from ..types import Numbers, Parameter
 from .chain_wave import _numbers, _stiffnesses
 from .elliptic_functions import _jacobi
 from .elliptic_integrals import _E, _K
-from .self_similar import ShockEdges, ShockWave, _complement, _excess, _modulus_of, _phase, _places, _turn
+from .self_similar import ShockEdges, ShockWave, _complement, _excess, _modulus_of, _phase, _places, _steep, _turn
 
 STRAIGHT = "Without K3 a chain has no KdV equation; of K4 alone it has the modified one."
 
@@ -129,7 +129,8 @@ def _strains(m1):
 @jax.jit
 def _modulation(m1, C, sound, unit):
     m1, C = jnp.broadcast_arrays(m1, C)
-    mean, crest, trough = (unit * C * x for x in _strains(m1))
+    mean, crest, trough = _strains(m1)
+    mean, crest, trough = (unit * C * x for x in (mean + _steep(m1), crest, trough))
     speed = sound * (1 + C * _excess(m1, 0 * m1))
     wave = mean, 2 * unit * C * (1 - m1), _K(m1) / jnp.sqrt(C), crest, trough, _phase(m1, 0 * m1)
     return jnp.broadcast_arrays(speed, 0 * C, C * (1 - m1), C, *wave)

@@ -27,7 +27,7 @@ class ShockEdges(NamedTuple):
     """Where a dispersive shock ends, and how large it is there.
 
     - `trailing_speed`, `leading_speed`: n/t of its harmonic edge behind and of its solitary edge ahead [sites/s].
-    - `mean`: strain of the plateau behind. `amplitude`: strain of the crest at the leading edge.
+    - `mean`: strain of the plateau behind, in the mean. `amplitude`: strain of the crest at the leading edge.
     """
 
     trailing_speed: jax.Array
@@ -41,7 +41,7 @@ class ShockWave(NamedTuple):
     """A dispersive shock at places n and times t, of their shapes broadcast.
 
     - `strain`: that of the modulated periodic wave, the plateau behind it, what the last crest leaves ahead.
-    - `m`: parameter of the periodic wave there, 0 on the plateau and 1 ahead.
+    - `m`: parameter of the periodic wave there, 1 ahead, and 0 on the plateau where that is one.
     - `mean`, `crest`, `trough`: of the periodic wave there: mean, and strains between which it oscillates.
     """
 
@@ -110,14 +110,13 @@ def _phase(m1, c):
     span = (1 + c) * m1
 
     def add(i, total):
-        # x - E2 over 2c, x - E1 over 2(1 + c), E4 - x over 2c
-        a, b, d = ((1 - m1) + span * low[i]) / share, (1 + c * m1 * low[i]) / share, span * high[i] / share
-        x = 1 - c + 2 * c * a
-        log = jnp.log(16 * a * b * d * (1 + c) * (1 - c + c * a)) / 2 - jnp.log(x)
-        return total + weights[i] * log / jnp.sqrt(a * b)
+        # share times (x - E2)/2c, (x - E1)/2(1 + c), (x + E2)/2, (E4 - x)/2c, x/(1 + c)
+        a, b, d = 1 - m1 + span * low[i], 1 + c * m1 * low[i], jnp.maximum(1 - c * c * m1, 0.0) + c * span * low[i]
+        chi = 4 * jnp.sqrt(a * b * d * m1 * high[i]) / (share * (1 - c * m1 + 2 * c * m1 * low[i]))
+        return total + weights[i] * jnp.log(chi) / jnp.sqrt(a * b)
 
     total = jax.lax.fori_loop(0, len(ANGLES[0]), add, 0 * span)
-    return jnp.where(inside, jnp.pi - total / (jnp.sqrt(share) * _K(m1)), ends)
+    return jnp.where(inside, jnp.pi - total * jnp.sqrt(share) / _K(m1), ends)
 
 
 @jax.custom_jvp
@@ -129,14 +128,20 @@ def _steep(m1):
 _sloped(_steep, lambda m1: jnp.where(m1 != 0, 0.0, jnp.inf))
 
 
+def _last(c):
+    """m1 at the trailing edge: beyond c = 1 a wave of two sites stands behind it, of numbers -+(1 + c), -+(1 - c)."""
+    return 1 / jnp.maximum(c, 1.0) ** 2
+
+
 @jax.custom_jvp
 def _complement(x, c):
-    """m1 where (s(m) - 1)/c is x: 1 behind the trailing edge, 0 ahead of the leading one.
+    """m1 where (s(m) - 1)/c is x: what it is at the trailing edge behind that, 0 ahead of the leading one.
 
     By Newton's method for ln of how far x is below the leading edge, nearly straight in ln m1.
     """
     x, c = jnp.broadcast_arrays(x, c)
-    low, high = -jnp.ones_like(c), _excess(jnp.zeros_like(c), c)
+    last = _last(c)
+    low, high = _excess(last, c), _excess(jnp.zeros_like(c), c)
     tiny = jnp.finfo(x.dtype).eps / 4
     inside = (x > low) & (x < high)
     gap = jnp.where(inside, (high - x) / (high - low), 0.5)
@@ -144,18 +149,20 @@ def _complement(x, c):
     def nearer(_, y):
         value, slope = jax.jvp(lambda y: (high - _excess(jnp.exp(-y), c)) / (high - low), (y,), (jnp.ones_like(y),))
         value = jnp.maximum(value, tiny)
-        return jnp.clip(y - value * jnp.log(value / gap) / jnp.minimum(slope, -tiny), 0.0, 9 - jnp.log(tiny))
+        return jnp.clip(y - value * jnp.log(value / gap) / jnp.minimum(slope, -tiny), first, 9 + first - jnp.log(tiny))
 
-    y = jax.lax.fori_loop(0, NEWTON, nearer, -1.2 * jnp.log(gap))
-    return jnp.where(inside, jnp.exp(-y), jnp.where(x < high, 1.0, 0.0))
+    first = -jnp.log(last)
+    y = jax.lax.fori_loop(0, NEWTON, nearer, first - 1.2 * jnp.log(gap))
+    return jnp.where(inside, jnp.exp(-y), jnp.where(x < high, last, 0.0))
 
 
 @_complement.defjvp
 def _(primals, tangents):
     (x, c), (dx, dc) = primals, tangents
     m1 = _complement(x, c)
-    inside = (m1 > 0) & (m1 < 1)
+    last, change = jax.jvp(_last, (c,), (dc,))
+    inside, behind = (m1 > 0) & (m1 < last), m1 == last
     safe, c, dc = jnp.broadcast_arrays(jnp.where(inside, m1, 0.5), c, dc)
     _, slope = jax.jvp(lambda m1: _excess(m1, c), (safe,), (jnp.ones_like(safe),))
     _, along = jax.jvp(lambda c: _excess(safe, c), (c,), (dc,))
-    return m1, jnp.where(inside, (dx - along) / slope, 0.0)
+    return m1, jnp.where(inside, (dx - along) / slope, jnp.where(behind, change, 0.0))

@@ -16,7 +16,21 @@ from ..types import Numbers, Parameter
 from .chain_wave import _numbers, _toda_constants
 from .elliptic_functions import _jacobi, _log_theta
 from .elliptic_integrals import _K, _RF
-from .self_similar import ShockEdges, ShockWave, _complement, _excess, _modulus_of, _phase, _places, _turn
+from .self_similar import (
+    ShockEdges,
+    ShockWave,
+    _complement,
+    _excess,
+    _last,
+    _modulus_of,
+    _phase,
+    _places,
+    _steep,
+    _turn,
+)
+
+# of 1 - m, as the least m of a shock is written
+ROUNDING = 1e-6
 
 
 class Modulation(NamedTuple):
@@ -49,15 +63,17 @@ def velocity_shock(
 
         s_- = 1 - c,   s_+ = (c (1 + c))^{1/2}/arsinh c^{1/2},   mean 2 ln(1 + c),   amplitude 2 ln(1 + 2c)
 
-    in scaled numbers, 0 < c < 1. **Arguments:** `c` [m/s]: half the velocity of either side, of the sign of `rate`;
-    c rate/(strength rate/mass)^{1/2} in (0, 1). `strength`, `rate`, `mass`: as everywhere here. **Returns:**
-    `ShockEdges`. **Raises** ValueError for other c: a chain that is pulled apart has a rarefaction, and from 1 on the
-    middle oscillates from site to site forever, so that no wave of one phase leads to a plateau.
+    in scaled numbers, for c < 1. From c = 1 on there is no plateau: behind s_-, the speed of `modulation` at m = 1 -
+    1/c^2, neighbours swing against each other forever between the crest and the trough that it has there; `mean` is
+    theirs.
+
+    **Arguments:** `c` [m/s]: half the velocity of either side, of the sign of `rate`; scaled c rate/(strength
+    rate/mass)^{1/2}. `strength`, `rate`, `mass`: as everywhere here. **Returns:** `ShockEdges`. **Raises** ValueError
+    for c of the other sign, which pulls the chain apart and has a rarefaction.
     Typical: c = 0.1 0.9, 1.06581768, 0.19062036, 0.36464311.
     """
     c, rate, b = _scaled(c, strength, rate, mass)
-    front = jnp.sqrt(c * (1 + c)) / jnp.arcsinh(jnp.sqrt(c))
-    return ShockEdges(rate * (1 - c), rate * front, 2 * jnp.log1p(c) / b, 2 * jnp.log1p(2 * c) / b)
+    return ShockEdges(*_edges(c, rate, b))
 
 
 @checked
@@ -70,13 +86,21 @@ def modulation(
         s(m) = c (1 + c)/(1 + c m1) [(1 + c m1) E - (1 + c) m1 K]/[(1 + c) K - (1 + c m1) Pi(c m/(1 + c), m)]
 
     From m = 0 at the trailing edge, where it has no amplitude, to m = 1 at the leading edge, a soliton; right to
-    rounding at both. **Arguments:** `m` in [0, 1], `c` and all else as `velocity_shock`. **Returns:** `Modulation`.
-    **Raises** ValueError for others. The slope of speed and mean in m is infinite at m = 1.
+    rounding at both. Where c > 1 (scaled) it begins at m = 1 - 1/c^2, with a wave of two sites. **Arguments:** `m` in
+    [0, 1], `c` and all else as `velocity_shock`. **Returns:** `Modulation`. **Raises** ValueError for others.
+    The slope of speed and mean in m is infinite at m = 1.
     Typical: c = 0.5, m = 0.2, 0.5, 0.8, 0.95: speed 0.607509, 0.803701, 1.063430, 1.237004.
     Source: Biondini, Chong, Kevrekidis (2024).
     """
     c, rate, b = _scaled(c, strength, rate, mass)
-    return Modulation(*_modulation(1 - _modulus_of(m, c=c), c, rate, b))
+    m = _modulus_of(m, c=c)
+    values = concrete(m), concrete(c)
+    if all(x is not None for x in values) and np.any(1 - values[0] > (1 + ROUNDING) * np.asarray(_last(values[1]))):
+        refuse("m", "numbers from 1 - 1/c^2 on, where c > 1 (scaled)", show(values[0]),
+               "There the shock begins, with a wave of two sites.")
+    # m alone sets m1: what rounding puts below the least m has no slope
+    m1 = 1 - m
+    return Modulation(*_modulation(m1 + jax.lax.stop_gradient(jnp.minimum(m1, _last(c)) - m1), c, rate, b))
 
 
 @checked
@@ -85,8 +109,9 @@ def modulus(
 ) -> Numbers:
     """The parameter m of the periodic wave at speed = n/t, the inverse of `modulation(m, c).speed`.
 
-    **Arguments:** `speed` [sites/s], any; all else as `velocity_shock`. **Returns:** m in (0, 1) between the edges, 0
-    behind and 1 ahead of them; derivatives of any order between. **Raises** ValueError as `velocity_shock`.
+    **Arguments:** `speed` [sites/s], any; all else as `velocity_shock`. **Returns:** m between the edges, 0 behind
+    them, or 1 - 1/c^2 where c > 1 (scaled), and 1 ahead; derivatives of any order between.
+    **Raises** ValueError as `velocity_shock`.
     """
     c, rate, _ = _scaled(c, strength, rate, mass)
     speed, _ = _numbers(speed=speed, c=c)
@@ -98,7 +123,7 @@ def shock_wave(
     n: Parameter, t: Parameter, c: Parameter, *, phase: Parameter | None = None,
     strength: Parameter = 1.0, rate: Parameter = 1.0, mass: Parameter = 1.0,
 ) -> ShockWave:
-    r"""The dispersive shock of `velocity_shock` as a wave: plateau, modulated periodic wave, strain 0 ahead.
+    r"""The dispersive shock of `velocity_shock` as a wave: plateau or middle, modulated periodic wave, strain 0 ahead.
 
         exp y = (E4 - E3 + E2 - E1)^2/4 + (E3 - E2)(E4 - E1) cn^2(z, m),   z = 2 F n - omega t + phase K(m)/pi
 
@@ -113,7 +138,8 @@ def shock_wave(
     **Returns:** `ShockWave`. The phase is pi less the integral of ln chi over the band from E3 to E4, over that of 1
     over the gap from E2 to E3, both with the weight |(x - E1)(x - E2)(x - E3)(x - E4)|^{-1/2}, where chi(x)^2 =
     (x^2 - E2^2)(E4^2 - x^2)/(c x)^2 is what the left half does to the right one. Nothing is fitted; the error inside
-    falls like 1/t, at the edges more slowly. **Raises** ValueError for t <= 0 and as `velocity_shock`.
+    falls like 1/t, at the edges more slowly; where c > 1 (scaled) the wave of two sites is right at once, but around
+    n = 0, where a motion of few sites stands. **Raises** ValueError for t <= 0 and as `velocity_shock`.
     Typical: c = 1/2, t = 200: wrong by 0.01 in the middle. Source of the form of the phase: J. Michor, Phys. Lett. A
     380, 1110 (2016); chi is the scattering of these two halves.
     """
@@ -129,10 +155,9 @@ def _scaled(c, strength, rate, mass):
     rate = jnp.sqrt(a * b / m)
     c = c * b / rate
     value = concrete(c)
-    if value is not None and not np.all((value > 0) & (value < 1)):
-        refuse("c", "c rate/(strength rate/mass)^(1/2) in (0, 1)", show(value),
-               "Below zero the chain is pulled apart and has a rarefaction; from 1 on its middle oscillates from site "
-               "to site, and no wave of one phase leads to a plateau.")
+    if value is not None and not np.all(value > 0):
+        refuse("c", "c rate/(strength rate/mass)^(1/2) above zero", show(value),
+               "Otherwise the chain is pulled apart, and has a rarefaction.")
     return c, rate, b
 
 
@@ -152,13 +177,24 @@ def _strains(m1, c, F, low, depth):
 
 
 @jax.jit
+def _edges(c, rate, b):
+    m1 = jnp.where(c < 1, 0.5, _last(c))
+    back = jnp.where(c < 1, 1 - c, 1 + c * _excess(m1, c))
+    _, F, low, depth = _numbers_of(m1, c)
+    mean = jnp.where(c < 1, 2 * jnp.log1p(c), _strains(m1, c, F, low, depth)[0])
+    front = jnp.sqrt(c * (1 + c)) / jnp.arcsinh(jnp.sqrt(c))
+    return rate * back, rate * front, mean / b, 2 * jnp.log1p(2 * c) / b
+
+
+@jax.jit
 def _modulation(m1, c, rate, b):
     m1, c = jnp.broadcast_arrays(m1, c)
     _, F, low, depth = _numbers_of(m1, c)
     mean, crest, trough = _strains(m1, c, F, low, depth)
     Es = -(1 + c), 1 - c, (1 + c) * (1 - c * m1) / (1 + c * m1), 1 + c
-    strains = mean / b, jnp.log1p(depth / (1 + low)) / b, _K(m1) / F, crest / b, trough / b, _phase(m1, c)
-    return jnp.broadcast_arrays(rate * (1 + c * _excess(m1, c)), *Es, *strains)
+    mean, amplitude = mean + _steep(m1), jnp.log1p(depth / (1 + low))
+    wave = mean / b, amplitude / b, _K(m1) / F, crest / b, trough / b, _phase(m1, c)
+    return jnp.broadcast_arrays(rate * (1 + c * _excess(m1, c)), *Es, *wave)
 
 
 @jax.jit
