@@ -12,13 +12,13 @@ from .chain_wave import _numbers
 from .elliptic_integrals import _K, _sloped
 
 # of Newton's method for ln(1 - m), from a guess that is never far
-NEWTON = 8
+NEWTON = 5
 # sinh^2 at the places of the trapezoidal rule, of which the first counts half; beyond the last no integrand is left
 STEP, LAST = 0.2, 40.0
 SQUARES = np.sinh(np.arange(0, LAST, STEP)) ** 2
-# sin^2, cos^2 and weights in an angle of which ln tan is equidistant
+# sin^2, ln cos^2 and weights of angles of which ln tan is equidistant
 _W = np.arange(-56, LAST, STEP)
-ANGLES = 1 / (1 + np.exp(-2 * _W)), 1 / (1 + np.exp(2 * _W)), STEP / (2 * np.cosh(_W))
+ANGLES = 1 / (1 + np.exp(-2 * _W)), -np.logaddexp(0, 2 * _W), STEP / (2 * np.cosh(_W))
 # in place of K(1), where sech of it is no number
 FAR = 1e3
 
@@ -82,17 +82,22 @@ def _excess(m1, c):
 
         int [m/((1 + c)(1 + rho S)) - m1 S]/((1 + S)(1 + m1 S)^{1/2}) over int rho/((1 + rho S)(1 + m1 S)^{1/2})
     """
-    share, squares = 1 + c * m1, jnp.asarray(SQUARES, m1.dtype)
+    share = 1 + c * m1
 
-    def add(i, sums, weight=1.0):
-        S = squares[i]
+    def parts(S):
         root, below = jnp.sqrt(1 + m1 * S), 1 + c + share * S
-        parts = ((1 - m1) / below - m1 * S) / ((1 + S) * root), share / (below * root)
-        return tuple(total + weight * part for total, part in zip(sums, parts))
+        return jnp.stack([((1 - m1) / below - m1 * S) / ((1 + S) * root), share / (below * root)])
 
-    first = add(0, (0.0, 0.0), 0.5)
-    over, under = jax.lax.fori_loop(1, len(SQUARES), add, first)
+    over, under = _integral(parts, m1.dtype)
     return over / under - _steep(m1)
+
+
+def _integral(function, dtype):
+    """Integral of a function of sinh^2 x over x > 0, which has no poles nearer to the real axis than pi/2."""
+    # further ones would overflow in float32
+    squares = jnp.asarray(SQUARES[SQUARES < float(jnp.finfo(dtype).max) ** 0.4], dtype)
+    first = STEP / 2 * function(squares[0])
+    return jax.lax.fori_loop(1, len(squares), lambda i, total: total + STEP * function(squares[i]), first)
 
 
 def _phase(m1, c):
@@ -106,16 +111,16 @@ def _phase(m1, c):
     """
     inside, ends = (m1 != 0) & (m1 != 1), jnp.where(m1 == 0, 3 * jnp.pi / 2, jnp.pi)
     m1 = jnp.where(inside, m1, 0.5)
-    share, (low, high, weights) = 1 + c * m1, (jnp.asarray(x, m1.dtype) for x in ANGLES)
-    span = (1 + c) * m1
+    share, span, reached = 1 + c * m1, (1 + c) * m1, ANGLES[-1] > float(jnp.finfo(m1.dtype).eps) ** 2
+    low, logs, weights = (jnp.asarray(x[reached], m1.dtype) for x in ANGLES)
 
     def add(i, total):
         # share times (x - E2)/2c, (x - E1)/2(1 + c), (x + E2)/2, (E4 - x)/2c, x/(1 + c)
         a, b, d = 1 - m1 + span * low[i], 1 + c * m1 * low[i], jnp.maximum(1 - c * c * m1, 0.0) + c * span * low[i]
-        chi = 4 * jnp.sqrt(a * b * d * m1 * high[i]) / (share * (1 - c * m1 + 2 * c * m1 * low[i]))
-        return total + weights[i] * jnp.log(chi) / jnp.sqrt(a * b)
+        square = 16 * a * b * d * m1 / (share * (1 - c * m1 + 2 * c * m1 * low[i])) ** 2
+        return total + weights[i] * (jnp.log(square) + logs[i]) / (2 * jnp.sqrt(a * b))
 
-    total = jax.lax.fori_loop(0, len(ANGLES[0]), add, 0 * span)
+    total = jax.lax.fori_loop(0, len(low), add, 0 * span)
     return jnp.where(inside, jnp.pi - total * jnp.sqrt(share) / _K(m1), ends)
 
 

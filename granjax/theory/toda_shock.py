@@ -14,13 +14,14 @@ from ..entry import checked
 from ..printing import told
 from ..types import Numbers, Parameter
 from .chain_wave import _numbers, _toda_constants
-from .elliptic_functions import _jacobi, _log_theta
+from .elliptic_functions import _jacobi
 from .elliptic_integrals import _K, _RF
 from .self_similar import (
     ShockEdges,
     ShockWave,
     _complement,
     _excess,
+    _integral,
     _last,
     _modulus_of,
     _phase,
@@ -170,18 +171,19 @@ def _numbers_of(m1, c):
     return omega, F, root * (2 + root), 4 * c * (1 + c) * (1 - m1) / share
 
 
-def _strains(m1, c, F, low, depth):
-    """Mean, crest and trough."""
-    crest = jnp.log1p(low + depth)
-    return crest - 2 * _log_theta(2 * F, m1), crest, jnp.log1p(low)
+def _strains(m1, low, depth):
+    """Mean, crest and trough; the mean as an integral, of which no digits cancel where c is small."""
+    inside = jnp.where(m1 != 0, m1, 1.0)
+    mean = _integral(lambda S: jnp.log1p(low + depth / (1 + S)) / jnp.sqrt(1 + inside * S), m1.dtype) / _K(inside)
+    return jnp.where(m1 != 0, mean, 0.0), jnp.log1p(low + depth), jnp.log1p(low)
 
 
 @jax.jit
 def _edges(c, rate, b):
     m1 = jnp.where(c < 1, 0.5, _last(c))
     back = jnp.where(c < 1, 1 - c, 1 + c * _excess(m1, c))
-    _, F, low, depth = _numbers_of(m1, c)
-    mean = jnp.where(c < 1, 2 * jnp.log1p(c), _strains(m1, c, F, low, depth)[0])
+    *_, low, depth = _numbers_of(m1, c)
+    mean = jnp.where(c < 1, 2 * jnp.log1p(c), _strains(m1, low, depth)[0])
     front = jnp.sqrt(c * (1 + c)) / jnp.arcsinh(jnp.sqrt(c))
     return rate * back, rate * front, mean / b, 2 * jnp.log1p(2 * c) / b
 
@@ -190,7 +192,7 @@ def _edges(c, rate, b):
 def _modulation(m1, c, rate, b):
     m1, c = jnp.broadcast_arrays(m1, c)
     _, F, low, depth = _numbers_of(m1, c)
-    mean, crest, trough = _strains(m1, c, F, low, depth)
+    mean, crest, trough = _strains(m1, low, depth)
     Es = -(1 + c), 1 - c, (1 + c) * (1 - c * m1) / (1 + c * m1), 1 + c
     mean, amplitude = mean + _steep(m1), jnp.log1p(depth / (1 + low))
     wave = mean / b, amplitude / b, _K(m1) / F, crest / b, trough / b, _phase(m1, c)
@@ -206,7 +208,7 @@ def _modulus(s, c):
 def _shock_wave(n, t, phase, c, b):
     m1 = _complement((n - t) / (c * t), c)
     omega, F, low, depth = _numbers_of(m1, c)
-    mean, crest, trough = _strains(m1, c, F, low, depth)
+    mean, crest, trough = _strains(m1, low, depth)
     z = 2 * F * n - omega * t + _turn(phase, m1, c)
     strain = jnp.log1p(low + depth * _jacobi(z, m1)[1] ** 2)
     return jnp.broadcast_arrays(strain / b, 1 - m1, mean / b, crest / b, trough / b)
