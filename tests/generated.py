@@ -475,7 +475,7 @@ OWN = {
         "toda_periodic.lax_eigenvalues.velocity": np.zeros(3), "kdv.amplitude.speed": 1.5, "kdv.cnoidal.r1": 0.0,
         "kdv.cnoidal.r2": 0.01, "kdv.cnoidal.r3": 0.02,
         **{f"toda_shock.{name}.c": 0.5 for name in ("velocity_shock", "modulation", "modulus", "shock_wave")},
-        **{f"kdv_shock.{name}.c": 0.5 for name in ("velocity_shock", "modulation", "modulus", "shock_wave")},
+        **{f"kdv_shock.{name}.c": 0.1 for name in ("velocity_shock", "modulation", "modulus", "shock_wave")},
         "kdv_shock.modulation.m": 0.5, "kdv_shock.shock_wave.t": 10.0,
         "toda_shock.modulation.m": 0.5, "toda_shock.shock_wave.t": 10.0,
         **{f"compacton.{kind}.p": 1.5 for kind in ("nesterenko", "ahnert_pikovsky")},
