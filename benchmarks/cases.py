@@ -65,17 +65,17 @@ def _start(shape, dtype=float):
     return u, gx.State(jnp.asarray(u), jnp.zeros_like(u))
 
 
-def _compared(lattice, state, steps, rounds, peer, evaluations, arrange=lambda x: x):
+def _compared(lattice, state, steps, rounds, peer, evaluations, arrange=lambda x: x, step=STEP):
     """granjax through `simulate` and through diffrax alone, against `peer(steps)`, which returns its final u."""
-    end = run(lattice, state, CHECKED_STEPS)
+    end = run(lattice, state, CHECKED_STEPS, step)
     if end.final.u.dtype != state.u.dtype:
         raise TypeError(f"a run in {state.u.dtype} ended in {end.final.u.dtype}")
     difference = np.abs(np.asarray(end.final.u) - arrange(peer(CHECKED_STEPS))).max()
-    t1 = steps * STEP
+    t1 = steps * step
     times = alternate(
         {
-            "simulate": lambda: run(lattice, state, steps),
-            "diffeqsolve": lambda: jax.block_until_ready(_bare(lattice, state, t1, STEP)),
+            "simulate": lambda: run(lattice, state, steps, step),
+            "diffeqsolve": lambda: jax.block_until_ready(_bare(lattice, state, t1, step)),
             "numba": lambda: peer(steps),
         },
         rounds,
@@ -86,7 +86,7 @@ def _compared(lattice, state, steps, rounds, peer, evaluations, arrange=lambda x
         "ratio": times["simulate"]["ratio"], "cpu_ratio": times["simulate"]["cpu_ratio"],
         "without_record": times["diffeqsolve"]["ratio"], "without_record_cpu": times["diffeqsolve"]["cpu_ratio"],
         "ns_per_bead_force": ns, "cpu_ns_per_bead_force": cpu_ns, "seconds": times["numba"]["wall"], "steps": steps,
-        "steps_taken": int(run(lattice, state, steps).stats["steps"]), "difference": float(difference),
+        "steps_taken": int(run(lattice, state, steps, step).stats["steps"]), "difference": float(difference),
         "checked_steps": CHECKED_STEPS, "busy": times["numba"]["wall"] / times["numba"]["cpu"],
     }
 
@@ -106,6 +106,19 @@ def chain(rounds, sites, steps, dtype=float, exponent=1.5, traced=False):
         return end
 
     return _compared(lattice, state, steps, rounds, peer, sites * 11)
+
+
+def shock(rounds, sites, steps, step=0.5, c=0.1):
+    """A velocity shock in a precompressed chain, A = m = d0 = 1, free ends."""
+    lattice, state = gx.shocks.velocity_shock(gx.scenes.monomer(sites, precompression=1.0, boundary="free"), c)
+    one, start = np.float64(1), np.asarray(state.v)
+
+    def peer(steps):
+        u, v = np.zeros(sites), start.copy()
+        peers.hertz_free(u, v, steps, step, one, one, one, 1.5, one, TABLE.a, TABLE.b)
+        return u
+
+    return _compared(lattice, state, steps, rounds, peer, sites * 11, step=step)
 
 
 def lengths(rounds, lengths, steps):

@@ -32,6 +32,9 @@ CASES = {
     "N = 1000": ("chain", dict(sites=1000, steps=6000), dict(sites=1000, steps=50), ("at most", 1.25)),
     "N = 100 000": ("chain", dict(sites=100_000, steps=100), dict(sites=10_000, steps=5), ("at most", 1.2)),
     "N = 1 000 000": ("chain", dict(sites=1_000_000, steps=24), dict(sites=10_000, steps=5), ("at most", 1.1)),
+    **{f"shock, N = {n:,}".replace(",000", " 000"): (
+        "shock", dict(sites=n, steps=steps), dict(sites=n // 50, steps=5), ("at most", 1.3 if n == 100_000 else 1.4))
+       for n, steps in ((1000, 6000), (10_000, 600), (30_000, 200), (100_000, 200), (300_000, 80), (1_000_000, 24))},
     "256 dimers of 60": ("batch", dict(steps=400), dict(steps=4), ("at most", 0.9)),
     "256 dimers, adaptive": ("lanes_apart", dict(lanes=256, beads=60, end=20.0), dict(lanes=8, beads=8, end=2.0),
                              ("at most", 1.2)),

@@ -11,13 +11,13 @@ from .chain import Chain, Unfit
 
 KINDS = ("loops", "nystrom", "native", "compiled", "scipys", "taylor", "explicit")
 PACKAGES = ("numba", "scipy", "numbalsoda", "heyoka", "diffrax")
-_LOOPS = ("hertz", "power", "hertz_batch")
+_LOOPS = ("hertz", "hertz_free", "power", "hertz_batch")
 
 __all__ = ["Chain", "KINDS", "PACKAGES", "Unfit", "gather"]
 
 
 def __getattr__(name):
-    """The loops `hertz`, `power`, `hertz_batch` and the rates `hertz_rates`, loaded when first asked for."""
+    """The loops `hertz`, `hertz_free`, `power`, `hertz_batch` and the rates `hertz_rates`, loaded when first asked for."""
     if name in _LOOPS:
         return getattr(import_module(".loops", __name__), name)
     if name == "hertz_rates":

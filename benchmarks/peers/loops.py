@@ -27,17 +27,25 @@ def _power(s, p):
     return s**p
 
 
-def _make(power):
+def _make(power, walls=True):
+    """The loop of a chain between rigid walls, or with free ends that are held by F0."""
+
+    @numba.njit(inline="always")
+    def ends(u, f, A, d0, F0, p):
+        if walls:
+            zero = u.dtype.type(0)
+            f[0] = A * power(max(d0 - u[0], zero), p) - F0
+            f[u.size] = A * power(max(d0 + u[u.size - 1], zero), p) - F0
+
     @numba.njit(fastmath=True)
     def loop(u, v, steps, h, A, d0, F0, p, inverse_mass, a, b):
         """`steps` steps of length h on u, v (N,), in place; `inverse_mass` a number."""
         N, stages = u.size, a.size
         zero = u.dtype.type(0)
         f = np.zeros(N + 1, u.dtype)
-        f[0] = A * power(max(d0 - u[0], zero), p) - F0
         for i in range(1, N):
             f[i] = A * power(max(d0 + u[i - 1] - u[i], zero), p) - F0
-        f[N] = A * power(max(d0 + u[N - 1], zero), p) - F0
+        ends(u, f, A, d0, F0, p)
         for _ in range(steps):
             for j in range(stages):
                 ah, bh = a[j] * h, b[j] * h * inverse_mass
@@ -45,10 +53,9 @@ def _make(power):
                     w = v[i] + bh * (f[i] - f[i + 1])
                     v[i] = w
                     u[i] += ah * w
-                f[0] = A * power(max(d0 - u[0], zero), p) - F0
                 for i in range(1, N):
                     f[i] = A * power(max(d0 + u[i - 1] - u[i], zero), p) - F0
-                f[N] = A * power(max(d0 + u[N - 1], zero), p) - F0
+                ends(u, f, A, d0, F0, p)
             bh = b[stages] * h * inverse_mass
             for i in range(N):
                 v[i] += bh * (f[i] - f[i + 1])
@@ -58,6 +65,7 @@ def _make(power):
 
 hertz = _make(_hertz)
 power = _make(_power)
+hertz_free = _make(_hertz, walls=False)
 
 
 @numba.njit(fastmath=True)
