@@ -354,7 +354,9 @@ def _(seed):
 @also("periodic_wave", SLOW)
 def _(seed):
     law = gx.Toda(1.0 + 0.1 * seed)
-    gx.travelling.periodic_wave(law, 8.0 + seed, amplitude=0.2 + 0.1 * seed).state(9)
+    wave = gx.travelling.periodic_wave(law, 8.0 + seed, amplitude=0.2 + 0.1 * seed)
+    wave.state(9), wave.averages()
+    gx.theory.stokes.wave([1.0, 2.0 + 0.1 * seed], 0.1, 1.0, 0.5 + 0.1 * seed, 0.1).strain(0.3)
     gx.travelling.family(law, speed=[1.5 + 0.1 * seed])
 
 

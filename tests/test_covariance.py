@@ -357,7 +357,7 @@ def compare(a, b, agree, where=""):
 DECLARED = {
     "": None, "1": (0, 0, 0), "s": (0, 0, 1), "m": (0, 1, 0), "m/s": (0, 1, -1), "N": (1, 0, 0), "J": (1, 1, 0),
     "rad": (0, 0, 0), "rad/s": (0, 0, -1), "1/s": (0, 0, -1), "Hz": (0, 0, -1), "rad^2/s^2": (0, 0, -2),
-    "N s": (1, 0, 1), "J s": (1, 1, 1), "kg": (1, -1, 2), "m/s^2": (0, 1, -2), "1/cell": (0, 0, 0),
+    "N s": (1, 0, 1), "J s": (1, 1, 1), "kg": (1, -1, 2), "W": (1, 1, -1), "m/s^2": (0, 1, -2), "1/cell": (0, 0, 0),
 }
 
 
@@ -565,7 +565,7 @@ def _(s):
 @row("periodic_wave", slow=(uniform,))
 def _(s):
     found = gx.travelling.periodic_wave(s.lattice, 9.0, amplitude=s.m(0.1), mean=s.m(0.05))
-    return fields_of(found, law=None, residual=About), state(found.state(9))
+    return fields_of(found, law=None, residual=About), state(found.state(9)), fields_of(found.averages())
 
 
 @row("shock_edges", slow=(uniform,))

@@ -155,6 +155,7 @@ MAKERS = {
         **OTHER),
     "Transmission": lambda: Transmission(np.ones(3), np.ones(3), np.ones(3), 1.0, 9, 20.0),
     "Extrema": lambda: Extrema(np.ones(2), np.ones(2), np.ones(0), np.ones(0)),
+    "Averages": lambda: made("PeriodicWave").averages(),
     "FittedEdges": lambda: gx.theory.shock_edges(gx.Toda(), 0.5),
     "PeriodicWave": lambda: gx.travelling.periodic_wave(gx.Toda(), 8.0, amplitude=0.1),
     "WaveFamily": lambda: gx.travelling.WaveFamily(*np.ones((8, 3)), np.ones(1), gx.Hertz(), "So.", **OTHER),

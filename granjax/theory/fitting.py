@@ -24,7 +24,6 @@ from ..lattice import Lattice
 from ..laws import Law, Strained
 from ..outside import Outside
 from ..profiles import medium_of, wave_of
-from ..profiles.medium import one_number
 from ..results import Held, Result
 from ..types import Number, Scalar
 from .chain_wave import _sinh_less
@@ -98,8 +97,7 @@ def shock_edges(
     """
     medium = medium_of(law, mass)
     c, ahead = parameter("c", c), parameter("ahead", ahead)
-    given = one_number("c", c), one_number("ahead", ahead)
-    path = _path_to(medium.known, *given, "shock")
+    path = _path_to(medium.known, c, ahead, "shock")
     mean, sound, trailing, leading = _excesses(
         medium.law, medium.mass, c, ahead, *path.arrays, Outside(medium.law))
     speeds, front = [sound * (1 + trailing), sound * (1 + leading)], (None, None)
@@ -107,7 +105,7 @@ def shock_edges(
     strong = not path.growth < BINARY - 1
     if strong or wave:
         guess = max(0.8 * path.behind, 1.05 * path.sound) if strong else float(jax.lax.stop_gradient(speeds[1]))
-        *front, told = _front(medium, c, ahead, given, path.sound, guess)
+        *front, told = _front(medium, c, ahead, path, guess)
         sentences.append(told)
     else:
         sentences.append("wave=True tells how far to trust them elsewhere.")
@@ -136,14 +134,14 @@ def _excesses(law, mass, c, ahead, width, nodes, weights, close, outside):
     return ahead + width, _speed_of(low / mass), -jnp.expm1(log), _sinh_less(twice) / twice
 
 
-def _front(medium, c, ahead, given, sound, guess):
+def _front(medium, c, ahead, path, guess):
     """Speed and amplitude of the solitary wave whose beads reach 4c, with derivatives, and how well it is known.
 
     By secants for the logarithm of the velocity over that of the speed above sound's.
     """
-    own = medium if given[1] == 0 and not traced(ahead) else medium._replace(law=Strained(medium.law, ahead))
-    side = "compression" if given[0] > 0 else "tension"
-    wanted, points = PEAK * abs(given[0]), []
+    own = medium if path.ahead == 0 and not traced(ahead) else medium._replace(law=Strained(medium.law, ahead))
+    sound, side = path.sound, "compression" if path.c > 0 else "tension"
+    wanted, points = PEAK * abs(path.c), []
     try:
         for _ in range(SECANTS):
             velocity, amplitude = _wave(own.known, guess, side)

@@ -12,6 +12,7 @@ from ..laws import Law
 from ..outside import Outside
 from ..printing import told
 from ..profiles import Medium
+from ..profiles.medium import one_number
 from ..types import Numbers
 
 # arguments of a law in one program; nodes of a panel, and of the rule that it is checked by; panels towards either end
@@ -28,12 +29,14 @@ _EPS = np.finfo(float).eps
 
 
 class Path(NamedTuple):
-    """From the strain ahead to the one behind, `width` further: nodes and weights on (0, 1), and what is there.
+    """From the strain `ahead` to the one behind, `width` further: nodes and weights on (0, 1), and what is there.
 
     `sound`, `behind`: V_+ and V_- [1/s]; `growth`: V_-/V_+ - 1 with its digits; `close`: whether it takes an integral
     of F'' to have them; `error`: relative, of `width` and `growth`.
     """
 
+    c: float
+    ahead: float
     width: float
     nodes: np.ndarray
     weights: np.ndarray
@@ -105,7 +108,7 @@ def _quadrature(law: Law, mass: float, ahead: float, width: float) -> tuple:
         if level == 0:
             whole = np.abs(fine).sum(-1)
         bad = (apart > 8 * _EPS * whole[:, None]).any(0) & (level < HALVINGS - 1)
-        bad &= np.isfinite(apart).all(0)
+        bad &= np.isfinite(apart).all(0) & (ends[:, 1] - ends[:, 0] > 8 * _EPS * ends[:, 1])
         # the worst ones alone, so that a law that is rough everywhere ends
         if bad.sum() > MOST:
             bad[np.argsort(-(apart / np.maximum(whole, 1e-300)[:, None]).max(0))[MOST:]] = False
@@ -120,11 +123,12 @@ def _quadrature(law: Law, mass: float, ahead: float, width: float) -> tuple:
         return nodes, weights, first, second, apart / whole + 4 * _EPS
 
 
-def _path_to(medium: Medium, c: float, ahead: float, kind: str | None = None) -> Path:
+def _path_to(medium: Medium, c: Any, ahead: Any, kind: str | None = None) -> Path:
     """The path of a velocity 2c; of a given `kind`, "shock" or "fan", or of either.
 
     **Raises** ValueError where the law has no such state, makes the other kind of wave of that c, or bends both ways.
     """
+    c, ahead = one_number("c", c), one_number("ahead", ahead)
     law, mass, side = medium.law, float(medium.mass), 1 if c > 0 else -1
     if c == 0:
         refuse("c", "a number other than zero", "0", "Without a jump of the velocity the chain stays at rest.")
@@ -148,7 +152,7 @@ def _path_to(medium: Medium, c: float, ahead: float, kind: str | None = None) ->
     with np.errstate(divide="ignore"):
         growth = np.expm1(np.log1p(np.divide(summed if close else direct, low)) / 2)
     error = max(errors[0], errors[1] if close else rough, 8 * _EPS)
-    return Path(width, nodes, weights, np.sqrt(low / mass), np.sqrt(high / mass), growth, close, float(error))
+    return Path(c, ahead, width, nodes, weights, np.sqrt(low / mass), np.sqrt(high / mass), growth, close, float(error))
 
 
 def _at_rest(law, ahead):

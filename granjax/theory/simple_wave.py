@@ -23,7 +23,6 @@ from ..lattice import Lattice
 from ..laws import Law
 from ..outside import Outside
 from ..profiles import medium_of
-from ..profiles.medium import one_number
 from ..types import Numbers, Parameter, Scalar
 from .simple_states import _path_to, _slopes_at, _width_of
 
@@ -45,7 +44,7 @@ def mean(law: Law | Lattice, c: Scalar, mass: Scalar = 1.0, *, ahead: Scalar = 0
     """
     medium = medium_of(law, mass)
     c, ahead = parameter("c", c), parameter("ahead", ahead)
-    path = _path_to(medium.known, one_number("c", c), one_number("ahead", ahead))
+    path = _path_to(medium.known, c, ahead)
     return _mean(medium.law, medium.mass, c, ahead, *path.arrays[:3], Outside(medium.law))
 
 
@@ -70,21 +69,20 @@ def fan(
     known = concrete(jax.lax.stop_gradient(speed))
     if known is None:
         refuse("speed", "speeds that are known", "ones that jax.jit or jax.vmap traces", "jax.grad may go through it.")
-    before = one_number("ahead", ahead)
-    path = _path_to(medium.known, one_number("c", c), before, "fan")
-    share = _solved(medium.known, before, path, np.abs(known).ravel())
+    path = _path_to(medium.known, c, ahead, "fan")
+    share = _solved(medium.known, path, np.abs(known).ravel())
     inside = (np.abs(known) <= path.sound) & (np.abs(known) >= path.behind)
     behind = jnp.asarray(np.abs(known) < path.behind)
     return _fan(medium.law, medium.mass, c, ahead, speed, jnp.asarray(path.width * share.reshape(known.shape)),
                 jnp.asarray(inside), behind, *path.arrays[:3], Outside(medium.law))
 
 
-def _solved(medium, ahead, path, speeds):
+def _solved(medium, path, speeds):
     """Share of the way from the strain ahead to the one behind, at which sound is so fast, by halving."""
     low, high = np.zeros(len(speeds)), np.ones(len(speeds))
     for _ in range(HALVINGS):
         middle = (low + high) / 2
-        slower = _slopes_at(medium.law, ahead + path.width * middle)[0] < float(medium.mass) * speeds**2
+        slower = _slopes_at(medium.law, path.ahead + path.width * middle)[0] < float(medium.mass) * speeds**2
         low, high = np.where(slower, low, middle), np.where(slower, middle, high)
     return (low + high) / 2
 

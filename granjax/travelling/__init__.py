@@ -1,5 +1,6 @@
 """Waves that travel along a lattice without changing their shape."""
 
+from .averages import Averages
 from .cells import CellWave, Resonator, cell_wave, tail_free, tail_free_stiffness
 from .closed_forms import ClosedForms, closed_forms
 from .collisions import Collision, collide
@@ -12,7 +13,7 @@ from .stability import ring, stability, wave_orbit
 from .wave import Wave
 
 __all__ = [
-    "CellWave", "ClosedForms", "Collision", "LongWave", "PeriodicWave", "Reflection", "Resonator", "SpectralStrain",
-    "Wave", "WaveFamily", "cell_wave", "closed_forms", "collide", "family", "long_wave", "periodic_wave", "reflect",
-    "ring", "solitary_wave", "stability", "tail_free", "tail_free_stiffness", "wave_orbit",
+    "Averages", "CellWave", "ClosedForms", "Collision", "LongWave", "PeriodicWave", "Reflection", "Resonator",
+    "SpectralStrain", "Wave", "WaveFamily", "cell_wave", "closed_forms", "collide", "family", "long_wave",
+    "periodic_wave", "reflect", "ring", "solitary_wave", "stability", "tail_free", "tail_free_stiffness", "wave_orbit",
 ]

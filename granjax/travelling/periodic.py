@@ -15,8 +15,10 @@ from ..profiles.medium import one_number, values
 from ..profiles.periodic import FourierShape, train
 from ..results import Held, Result
 from ..types import Count, Number, Numbers, Parameter, Scalar
+from .averages import Averages, averages_of
 
-TABLE = 129
+# points of the table; points of an average for each harmonic
+TABLE, AVERAGED = 129, 4
 
 
 class PeriodicWave(Result):
@@ -77,6 +79,14 @@ class PeriodicWave(Result):
         """
         xi = np.arange(whole("sites", sites, 2)) - centre
         return State(self.displacement(xi), self.velocity(xi))
+
+    def averages(self) -> Averages:
+        """Mean strain, force, energy, action and their fluxes over a wavelength, for modulation theory."""
+        c, length = float(self.speed), float(self.wavelength)
+        points = AVERAGED * (len(self._shape.wavenumbers) + 1)
+        error = max(float(self.error / self.amplitude), points**0.5 * np.finfo(float).eps)
+        origin = {"_mark": self._mark, "_space": self._space}
+        return averages_of(self._shape, self.law, float(self.mass), c, length, points, error, origin)
 
 
 @checked
