@@ -58,3 +58,33 @@ def test_energy_that_a_drive_brings_is_noticed_and_the_run_taken_again():
     run = gx.simulate(lattice, gx.states.rest(lattice), 60.0, save_at=121)
     h_omega = float(run.stats["step"]) * highest_frequency(lattice, np.asarray(run.us))
     assert "taken again" in run.choice and h_omega <= 1.1 * STEP_FRACTION
+
+
+MAGNETS = gx.Lattice(np.ones(N), gx.Bond(gx.Shift(1, "free"), gx.PowerLaw(0.05, -4.0, 0.05)))
+PROBLEMS = {
+    "Toda parts": (TODA, lambda: gx.shocks.velocity_shock(TODA, -2.0)),
+    "Toda piston": (TODA, lambda: gx.shocks.piston(TODA, 10.0)),
+    "Toda drawn": (TODA, lambda: gx.shocks.piston(TODA, -4.0)),
+    "Toda held": (TODA, lambda: gx.shocks.step(TODA, 0.0, 4.0)),
+    "magnets part": (MAGNETS, lambda: gx.shocks.velocity_shock(MAGNETS, -0.1)),
+    "magnets piston": (MAGNETS, lambda: gx.shocks.piston(MAGNETS, 2.0)),
+    "granular held": (LOADED, lambda: gx.shocks.step(LOADED, 0.6)),
+    "granular piston": (LOADED, lambda: gx.shocks.piston(LOADED, 0.6)),
+    "vacuum piston": (VACUUM, lambda: gx.shocks.piston(VACUUM, 0.6)),
+    "FPUT held": (FPUT, lambda: gx.shocks.step(FPUT, 0.0, 0.4)),
+}
+
+
+@pytest.mark.parametrize("case", [x if x == "Toda parts" else pytest.param(
+    x, marks=pytest.mark.slow) for x in PROBLEMS])
+def test_what_extends_only_is_not_taken_to_be_pressed_together(case):
+    """Rarefactions, pistons and held steps: the same, until their waves come to an end of the chain."""
+    lattice, make = PROBLEMS[case]
+    problem = make()
+    run = problem.run(save_at=41)
+    us = np.asarray(run.us)
+    y = np.asarray(problem.strain(us))
+    if problem.kind == "piston":
+        y = np.append(y, 2 * float(problem.c) * np.asarray(run.ts) - us[:, 0])
+    reached = 2 * float(jnp.max(lattice.terms[0].law.derivative(jnp.asarray(y)))) ** 0.5
+    assert STEP_FRACTION / 3 <= float(run.stats["step"]) * reached <= 1.1 * STEP_FRACTION

@@ -14,6 +14,7 @@ import inspect
 import math
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -31,6 +32,8 @@ POWER_STEPS, FEW_STEPS = 40, 12
 SAMPLES = 257
 # lengths of a bond from which energy may gather in one
 NEIGHBOURHOOD = 16
+# of speeds, over the largest one, that count as none
+ROUNDING = 1e-12
 # where contacts open all over a lattice, the order of every method is 5/2: shorter steps
 OPENING = 2.0
 
@@ -74,17 +77,20 @@ def gathered_frequency(
         force = jnp.maximum(force, driven.force)
         displacement, speed = jnp.maximum(displacement, driven.displacement), jnp.maximum(speed, driven.speed)
     heaviest = jnp.max(jnp.stack([jnp.max(m) for m in jax.tree.leaves(lattice.mass)]))
-    most, whole = _gathered(lattice, state, ts, neighbourhood)
+    most, whole, stored = _gathered(lattice, state, ts, neighbourhood)
     spread = jnp.any(whole > 2 * most)
-    energy = most + 2 * heaviest * speed**2
-    reach = Reach(energy, 2 * force, 4 * displacement / _sites(lattice), ts, state.u)
+    energy, share = most + 2 * heaviest * speed**2, displacement / _sites(lattice)
+    sides = _sides(lattice, state, ts) if neighbourhood < NEIGHBOURHOOD else jnp.ones(2, bool)
+    on_side = sides.reshape((2,) + (1,) * len(lattice.lanes))
+    reach = Reach(jnp.where(on_side, energy, stored), 2 * force, jnp.where(sides, share, 0), neighbourhood, ts, state.u)
     bound = _bound(lattice, [reach] * len(lattice.terms))
     known = not lattice.reads_time and all(term.span() is not None for term in lattice.terms)
-    beyond = jnp.any(whole > 1.01 * most) if known and not softens(lattice) else jnp.ones((), bool)
+    beyond = jnp.any(whole > 1.01 * most) | ~jnp.all(sides) if known and not softens(lattice) else jnp.ones((), bool)
     contacts = [c.law for term in lattice.terms for c in term.compressions(ts[0], state.u) if c.place != "site"]
     if contacts:
+        both = eqx.tree_at(lambda r: r.energy, reach, jnp.broadcast_to(energy, reach.energy.shape))
         # for a cheap scene the search takes longer than all else
-        opens = jax.lax.cond(spread, lambda: jnp.any(jnp.stack([reach.opens(law) for law in contacts])), lambda: spread)
+        opens = jax.lax.cond(spread, lambda: jnp.any(jnp.stack([both.opens(law) for law in contacts])), lambda: spread)
         bound = jnp.where(opens, OPENING, 1.0).astype(bound.dtype) * bound
     return jnp.stack([bound, beyond.astype(bound.dtype)])
 
@@ -97,7 +103,8 @@ def linear_frequency(lattice: Lattice, power_steps: Count = POWER_STEPS) -> Numb
     `power_steps`: how close; none gives a bound all the same.
     """
     zero = jnp.zeros((), lattice.dtype)
-    reach = Reach(jnp.zeros(lattice.lanes, lattice.dtype), zero, zero, zero[None], lattice.zeros())
+    none = jnp.zeros((2, *lattice.lanes), lattice.dtype)
+    reach = Reach(none, zero, jnp.zeros(2, lattice.dtype), 1, zero[None], lattice.zeros())
     return _bound(lattice, [reach] * len(lattice.terms), power_steps)
 
 
@@ -134,8 +141,57 @@ def _sites(lattice):
     return sum(math.prod(shape) for shape in jax.tree.leaves(lattice.sites, is_leaf=lambda x: isinstance(x, tuple)))
 
 
+def _sides(lattice, state, ts):
+    """Whether bonds may be extended, and pressed together, by more than what they hold of energy at the start.
+
+    Where all bonds of a chain open, or all close, they go on so until the waves come back from a free end: a shock
+    presses together, a rarefaction extends. A rule of thumb, which the look at the end of a run corrects.
+    """
+    both = jnp.ones(2, bool)
+    plain = lattice.fields is None and lattice.axes == 1 and lattice.dimension is None
+    if not plain or any(term.span() is None or max(term.span(), default=0) > 1 for term in lattice.terms):
+        return both
+    u, v = state
+    extend = press = jnp.zeros((), bool)
+    squared, size = jnp.zeros((), lattice.dtype), ROUNDING * jnp.max(jnp.abs(v))
+    for term in lattice.terms:
+        reads = term.dependence(lattice)
+        contacts = term.compressions(ts[0], u)
+        if not contacts:
+            if reads.displacement or reads.time:
+                return both
+            continue
+        # a site that is tied down swings back at once, and where stiffness changes in time energy does
+        if any(c.place == "site" for c in contacts) or len(term.energy_times(lattice, ts)) > 1:
+            return both
+
+        def rates(t, term=term):
+            squeezed = lambda t, u: [c.compression for c in term.compressions(t, u)]
+            found = jax.jvp(squeezed, (t, u), (jnp.ones_like(t), v))[1]
+            return jnp.stack([jnp.min(x) for x in found]).min(), jnp.stack([jnp.max(x) for x in found]).max()
+
+        low, high = jax.lax.map(rates, ts) if reads.time else rates(ts[0])
+        extend, press = extend | (jnp.min(low) < -size), press | (jnp.max(high) > size)
+        stiffness = [jnp.max(jnp.abs(c.law.derivative(c.compression))) for c in contacts]
+        squared = jnp.maximum(squared, jnp.stack(stiffness).max() / jnp.min(lattice.mass))
+    coming = jnp.sqrt(squared) * (ts[-1] - ts[0]) < _way(lattice, v, size)
+    return jnp.where(coming, jnp.stack([extend, press]), both)
+
+
+def _way(lattice, v, size):
+    """Sites from where a chain moves to the nearest free end of it."""
+    count, held = v.shape[0], {side for term in lattice.terms for side in term.walls()}
+    ways = [jnp.asarray(count)]
+    for side, x in (("left", v), ("right", v[::-1])):
+        if side not in held:
+            moves = jnp.abs(x - x[:1]) > size
+            moves = moves.any(tuple(range(1, moves.ndim))) if moves.ndim > 1 else moves
+            ways.append(jnp.where(moves.any(), jnp.argmax(moves), count))
+    return jnp.stack(ways).min()
+
+
 def _gathered(lattice, state, ts, neighbourhood):
-    """The most energy that a neighbourhood holds at the start, and what the whole lattice holds, per lane."""
+    """The most energy that a neighbourhood holds at the start, what the whole holds, and the first without speeds."""
     u, v = state
     spans = [term.span() for term in lattice.terms]
     one_shape = lattice.fields is None or len(set(lattice.sites.values())) == 1
@@ -147,21 +203,26 @@ def _gathered(lattice, state, ts, neighbourhood):
                 lambda t, term=term: term.energy(t, u))
             parts.append(jax.tree.map(lambda e: jnp.max(e, axis=0), jax.vmap(energy)(term.energy_times(lattice, ts))))
     lanes = len(lattice.lanes)
-    arrays = [jnp.maximum(x, 0) for part in parts for x in jax.tree.leaves(part)]
+    energies = [[jnp.maximum(x, 0) for x in jax.tree.leaves(part)] for part in parts]
+    moving, held = energies[0], [x for part in energies[1:] for x in part]
+    none = jnp.zeros(lattice.lanes, lattice.dtype)
     if not local:
-        whole = sum(x.sum(tuple(range(x.ndim - lanes))) for x in arrays)
-        whole = whole + jnp.zeros(lattice.lanes, lattice.dtype)
-        return whole, whole
+        moves, holds = (sum((x.sum(tuple(range(x.ndim - lanes))) for x in own), none) for own in (moving, held))
+        return moves + holds, moves + holds, holds
     shape = next(iter(lattice.sites.values())) if lattice.fields else lattice.sites
-    total = jnp.zeros(shape + lattice.lanes, lattice.dtype)
-    for x in arrays:
-        total = total + (x.sum(lattice.axes) if x.ndim > total.ndim else x)
     axes = tuple(range(lattice.axes))
-    whole = total.sum(axes)
-    for axis in axes:
-        width = neighbourhood * max([1, *(span[axis] for span in spans if span)])
-        total = _window(total, axis, width)
-    return jnp.max(total, axis=axes), whole
+
+    def most(arrays):
+        total = jnp.zeros(shape + lattice.lanes, lattice.dtype)
+        for x in arrays:
+            total = total + (x.sum(lattice.axes) if x.ndim > total.ndim else x)
+        whole = total.sum(axes)
+        for axis in axes:
+            width = neighbourhood * max([1, *(span[axis] for span in spans if span)])
+            total = _window(total, axis, width)
+        return jnp.max(total, axis=axes), whole
+
+    return *most(moving + held), most(held)[0]
 
 
 def _window(x, axis, width):

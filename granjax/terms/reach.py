@@ -21,13 +21,16 @@ CLOSED_FRACTION = 0.05
 class Reach(eqx.Module):
     """What a motion may reach.
 
-    **Fields:** `energy`: of one bond or site [J], shape of the lanes. `force`, `displacement`: what a drive pushes with
-    and a wall moves by. `ts`: times at which changing parameters are looked at. `u`: displacements at the start.
+    **Fields:** `energy`: of one bond or site [J], (2,) and lanes: what may extend it, and what may press it together.
+    `force`: what a drive pushes with. `displacement` (2,): what a wall that moves leaves to each bond, to extend it and
+    to press it together, and `width`: the bonds whose energy of that may gather in one. `ts`: times at which changing
+    parameters are looked at. `u`: displacements at the start.
     """
 
     energy: jax.Array
     force: jax.Array
     displacement: jax.Array
+    width: float
     ts: jax.Array
     u: object
     __repr__ = told
@@ -44,14 +47,21 @@ class Reach(eqx.Module):
         return jnp.any(jnp.stack([jnp.min(s) <= 0 for s in overlaps if s is not None] or [jnp.zeros((), bool)]))
 
     def _ends(self, law):
-        like = jax.eval_shape(lambda e: law.force(e) + 0 * self.energy, jnp.zeros_like(self.energy))
+        like = jax.eval_shape(lambda e: law.force(e) + 0 * self.energy[0], jnp.zeros_like(self.energy[0]))
         zero = jnp.zeros(like.shape, like.dtype)
 
-        def reachable(x):
-            within = (law.energy(x) <= self.energy) & (self.energy > 0)
-            return within | (jnp.abs(law.force(x)) <= self.force) & (self.force > 0) | (jnp.abs(x) <= self.displacement)
+        def end(side, sign):
+            energy, share = self.energy[side], self.displacement[side]
+            shared = self.width * law.energy(sign * share)
 
-        return furthest(reachable, zero, -1.0), furthest(reachable, zero, 1.0)
+            def reachable(x):
+                stored = law.energy(x)
+                within = (stored <= energy) & (energy > 0) | (stored <= shared) & (share > 0)
+                return within | (jnp.abs(law.force(x)) <= self.force) & (self.force > 0)
+
+            return furthest(reachable, zero, sign)
+
+        return end(0, -1.0), end(1, 1.0)
 
 
 class Reached(eqx.Module):
