@@ -21,10 +21,11 @@ The dispersive shock of a law beside that of Toda's chain, which needs no long w
     import numpy as np
     K2, K3, K4 = gx.laws.taylor(gx.Hertz(precompression=1.0))
     strength, rate = gx.theory.toda.matched(K2, K3)
-    n, t, c = np.arange(300.0), 200.0, 0.2
+    n, t, c = np.arange(200, 270) + 0.5, 200.0, 0.2
     kdv = gx.theory.kdv.shock_wave(n, t, c, K2, K3)
     toda = gx.theory.toda.shock_wave(n, t, c, strength=strength, rate=rate)
-    gx.plots.profile(n, np.stack([kdv.strain, toda.strain]).T, x_label="contact", y_label="strain")
+    strains = np.stack([kdv.strain, toda.strain], -1)
+    gx.plots.profile(n, strains, labels=["KdV", "Toda"], inset="none", x_label="contact")
 
 Source: D. J. Korteweg, G. de Vries, Phil. Mag. 39, 422 (1895); N. J. Zabusky, M. D. Kruskal, Phys. Rev. Lett. 15, 240
 (1965); for chains G. Friesecke, R. L. Pego, Nonlinearity 12, 1601 (1999).

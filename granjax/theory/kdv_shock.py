@@ -122,8 +122,8 @@ def _scaled(c, K2, K3, mass):
 
 def _strains(m1):
     """Mean, crest and trough over C."""
-    share = jnp.where(m1 != 0, _E(m1) / _K(jnp.where(m1 != 0, m1, 1.0)), 0.0)
-    return 2 * share - m1, 2 - m1, m1
+    inside = jnp.where(m1 != 0, m1, 1.0)
+    return jnp.where(m1 != 0, 2 * _E(inside) / _K(inside) - m1, 0.0), 2 - m1, m1
 
 
 @jax.jit
@@ -148,5 +148,5 @@ def _shock_wave(n, t, phase, C, unit):
     m1 = _complement(x / (C * t), 0 * (x * C))
     z = 2 * jnp.sqrt(C) * (x - C * (2 - m1) / 3 * t) + _turn(phase, m1, 0 * m1)
     strain = m1 + 2 * (1 - m1) * _jacobi(z, m1)[1] ** 2
-    mean, crest, trough = (unit * C * x for x in (_strains(m1)))
+    mean, crest, trough = (unit * C * x for x in _strains(m1))
     return jnp.broadcast_arrays(unit * C * strain, 1 - m1, mean, crest, trough)
