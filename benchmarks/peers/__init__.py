@@ -17,7 +17,7 @@ __all__ = ["Chain", "KINDS", "PACKAGES", "Unfit", "gather"]
 
 
 def __getattr__(name):
-    """The loops `hertz`, `hertz_free`, `power`, `hertz_batch` and the rates `hertz_rates`, loaded when first asked for."""
+    """The loops of `_LOOPS` and the rates `hertz_rates`, loaded when first asked for."""
     if name in _LOOPS:
         return getattr(import_module(".loops", __name__), name)
     if name == "hertz_rates":

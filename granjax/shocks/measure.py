@@ -166,7 +166,7 @@ def _measured(profile, problem, medium, theory, points):
     local = local._replace(mean=profile.sign * local.mean)
     edge, edge_error = _edge(places / middle, local, height, middle)
     seen = Seen(places, middle, xi, tau, strains[..., :-1], local)
-    fit = modulated(theory, medium, profile.ahead, plateau.mean, seen)
+    fit = modulated(theory, medium, profile.ahead, plateau.mean if plateau.wide else np.nan, seen)
     return dict(
         time=time, ahead=profile.ahead, sound=sound, mean=plateau.mean, mean_error=plateau.error,
         window=plateau.window, leading_speed=speed, leading_error=speed_error, leading_place=lead, amplitude=height,
@@ -208,11 +208,15 @@ def _leading(profile):
 
 
 class Plateau(NamedTuple):
-    """Weighted mean of the strain over a window of places, and how far that of a smaller one is from it."""
+    """Weighted mean of the strain over a window of places, and how far that of a smaller one is from it.
+
+    `wide`: whether linear waves leave it as even as a mean over many of them asks for.
+    """
 
     mean: float
     error: float
     window: np.ndarray
+    wide: bool
 
 
 def _plateau(problem, profile, medium, lead):
@@ -220,13 +224,19 @@ def _plateau(problem, profile, medium, lead):
     mean = _hann(profile, np.array([-1.0, 1.0]) * NEAR * lead * profile.time)
     for _ in range(ROUNDS):
         sound, behind = _speeds(medium, profile.ahead, mean)
-        own = max(2 * sound - behind, NEAR * lead)
+        wide = 2 * sound - behind > NEAR * lead
+        own = 2 * sound - behind if wide else 2 * NEAR * lead
         # the other half of a piston's plateau would be its mirror image
         other = -behind if problem.kind == "strain" else -own
         ends = profile.time * np.array([other, own])
         inner, less = ((ends.mean() + share * (ends - ends.mean())) for share in (0.5, 0.4))
         mean = _hann(profile, inner)
-    return Plateau(mean, abs(mean - _hann(profile, less)) + 1e-15 * abs(mean), inner)
+    error = abs(mean - _hann(profile, less)) + 1e-15 * abs(mean)
+    if not wide:
+        # waves may be there that swing from bond to bond
+        there = profile.strain[(profile.places > inner[0]) & (profile.places < inner[1])]
+        error += float(np.std(there) / np.sqrt(len(there)))
+    return Plateau(mean, error, inner, wide)
 
 
 def _hann(profile, window):
