@@ -504,6 +504,7 @@ ALSO = {
     "identify.law.law": {"": {"stiffness": 1.0}},
     "states.solitons.toda_soliton": {"": {"k": 1.0}, "k": {}, "speed": {}, "amplitude": {}},
     "states.solitons.kdv_soliton": {"": {"amplitude": 0.3}, "speed": {}, "amplitude": {}},
+    "shocks.fronts.dissipative_front": {"": {"behind": 1.0}, "behind": {}, "piston": {}},
     "theory.kdv.soliton": {"": {"amplitude": 0.1}, "amplitude": {}, "speed": {}},
     "theory.toda.wavenumber": {"": {"speed": 1.5}, "speed": {}, "amplitude": {}, "energy": {}},
     "travelling.solitary.solitary_wave": {"": {"speed": 1.2}, "speed": {}, "amplitude": {}, "energy": {}},
@@ -551,7 +552,8 @@ BLANK = (
     "plots.orbits.branch", "plots.orbits.breather", "plots.orbits.floquet_circle", "plots.orbits.hysteresis",
     "plots.precision.work_precision", "plots.waves.dispersion", "studies.resonance.finite.refine",
     "plots.travelling.reflection", "plots.travelling.wave", "plots.travelling.wave_errors",
-    "plots.travelling.wave_family", "shocks.measure.measure",
+    "plots.travelling.front", "plots.travelling.wave_family", "shocks.measure.measure",
+    *(f"shocks.front.DissipativeFront.{name}" for name in ("strain", "velocity", "displacement", "state")),
     "travelling.collisions.collide", "travelling.reflection.reflect", "travelling.stability.ring",
     "travelling.stability.stability", "travelling.wave.Wave.floquet",
     *(f"travelling.{kind}.{name}" for kind in ("cells.public.CellWave", "periodic.PeriodicWave", "wave.Wave")

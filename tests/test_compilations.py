@@ -351,6 +351,13 @@ def _(seed):
     own.velocity_step(n, 3.0 + seed, 0.1, 1.0 + 0.1 * seed), own.strain_step(n, 3.0 + seed, 0.1 * seed)
 
 
+@also("dissipative_front", SLOW)
+def _(seed):
+    for law in (gx.Hertz(1.0 + 0.1 * seed), gx.Toda(1.0 + 0.1 * seed)):
+        front = gx.shocks.dissipative_front(law, 1.0 + 0.01 * seed, dashpot=0.5 + 0.01 * seed)
+        front.strain(0.3 + seed), front.velocity(0.2), front.displacement(0.2), front.state(9, 4.0 + seed), repr(front)
+
+
 @also("periodic_wave", SLOW)
 def _(seed):
     law = gx.Toda(1.0 + 0.1 * seed)

@@ -575,6 +575,12 @@ def _(s):
     return fields_of(found), length(own.mean(s.lattice, s.speed(0.1))), length(fan)
 
 
+@row("dissipative_front", slow=(uniform,))
+def _(s):
+    found = gx.shocks.dissipative_front(s.lattice, s.m(0.3), s.m(0.02), dashpot=s.w(0.3, 1, -1, 1))
+    return fields_of(found, law=None, residual=About), state(found.state(9))
+
+
 @row("wave_family", slow=(uniform,))
 def _(s):
     sound = gx.linear.sound_speed(s.lattice)

@@ -118,6 +118,7 @@ MAKERS = {
     "Trace": lambda: measures.velocity_trace(T, np.ones((33, 2)), 0, sampling=5.0),
     "Spectrum": lambda: measures.spectrum(np.ones((33, N)), 0.1),
     "Spectrogram": lambda: measures.spectrogram(np.ones(33), 0.1, 0.9),
+    "DissipativeFront": lambda: gx.shocks.dissipative_front(gx.Hertz(), 1.0, dashpot=1.0),
     "Derivative": lambda: gx.derivative(lambda x, step: {"a": x["a"] ** 2, "b": x["a"].sum()}, {"a": jnp.ones(2)}, 0.1),
     "Root": lambda: newton(lambda x, _: x**2 - 2, np.ones(1)),
     "Curve": lambda: continuation(lambda x, p, _: x - p, np.zeros(1), 0.0, points=3),

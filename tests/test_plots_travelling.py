@@ -56,6 +56,17 @@ def test_a_family_over_its_speed():
     assert plots.wave_family(family, quantity="width").get_ylabel() == "width"
 
 
+def test_a_front_with_its_tails():
+    front = gx.shocks.dissipative_front(gx.Hertz(), 1.0, dashpot=1.0)
+    ax = plots.front(front, units="scaled")
+    line, dots = ax.lines[:2]
+    np.testing.assert_allclose(line.get_ydata(), front.strain(line.get_xdata()))
+    assert ax.get_ylabel() == "strain (scaled)" and "contacts" in ax.get_xlabel() and len(ax.child_axes) == 2
+    for tail, rate in zip(ax.child_axes, (front.decay_behind, -front.decay_ahead)):
+        x, y = tail.lines[1].get_data()
+        assert abs(np.log(y[-1] / y[0]) / (x[-1] - x[0]) / rate - 1) < 1e-9
+
+
 def test_errors_over_speed():
     record = ClosedForms(np.array([2.0, 1.1]), np.array(1.0), np.ones(2), np.array([0.5, 0.1]), np.array([0.4, 0.0]),
                          np.zeros(2))
@@ -70,6 +81,7 @@ def test_errors_over_speed():
 @pytest.mark.parametrize(("call", "said"), [
     (lambda toda: plots.wave(3), "wave_record: expected a record with xi, strain, velocity, speed"),
     (lambda toda: plots.wave(toda, beside={"x": np.ones(3)}), r"strains at wave_record.xi, shape \(257,\), got shape"),
+    (lambda toda: plots.front(3), "record: expected a front"),
     (lambda toda: plots.wave_family(3), "a family of waves"),
     (lambda toda: plots.wave_family(toda, quantity="mass"), "quantity: expected one of"),
     (lambda toda: plots.wave_errors(3), "record: expected a record with speed"),

@@ -21,11 +21,11 @@ from .histories import space_time, traces
 from .orbits import branch, breather, floquet_circle, hysteresis, strain_map
 from .precision import work_precision
 from .style import COLOURS, drawn, figure, save, style
-from .travelling import reflection, wave, wave_errors, wave_family
+from .travelling import front, reflection, wave, wave_errors, wave_family
 from .waves import dispersion
 
 __all__ = [
     "COLOURS", "branch", "breather", "cell_wave", "corner", "dispersion", "drawn", "figure", "fit", "floquet_circle",
-    "hysteresis", "law", "profile", "reflection", "resonance_map", "save", "space_time", "strain_map", "style",
+    "front", "hysteresis", "law", "profile", "reflection", "resonance_map", "save", "space_time", "strain_map", "style",
     "traces", "transmission", "wave", "wave_errors", "wave_family", "work_precision",
 ]

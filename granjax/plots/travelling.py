@@ -1,4 +1,4 @@
-"""Travelling waves: a profile with its slope, how far closed forms are from it, and what a wall sends back."""
+"""Travelling waves: a profile with its slope, how far closed forms are from it, what a wall sends back; fronts."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -13,9 +13,10 @@ from ..units import UnitsOrWords
 from .arrays import having, numbers
 from .curves import profile
 from .quantities import Axis, drawn_in, quantity, scaled_by, units_of
-from .style import COLOURS, AxesOrNone, axes_or_new
+from .style import COLOURS, FAINT, AxesOrNone, axes_or_new
 
-# of a family, and the unit of its numbers in SI
+# of e that a front's tails are drawn over; what is drawn of a family, and the unit of its numbers in SI
+POWERS = 8.0
 MEASURED = {"energy": "J", "amplitude": "m", "momentum": "N s", "compression": "m", "width": ""}
 
 
@@ -58,6 +59,58 @@ def wave(
         x_label=r"place $\xi = n - c\,t$ (contacts)", y_label="strain",
         units=units if units is not None else units_of(wave_record),
     )
+
+
+@checked
+def front(record: Any, ax: AxesOrNone = None, *, units: UnitsOrWords = None) -> Axes:
+    """Strain of a front over the place, the lattice's contacts as dots, both far states, and both tails in insets.
+
+    **Arguments:** `record`: anything with `xi` (X,), `strain(xi)`, `behind`, `ahead`, `decay_behind`, `decay_ahead`,
+    `wavenumber_behind` and `kind`, such as the result of `gx.shocks.dissipative_front`. `units`: `"um"`, as in
+    `granjax.plots`.
+
+    **Returns:** the Axes; `ax.child_axes[0]` shows how far the strain is from that behind over the places, on a
+    logarithmic axis, and the slope at which it falls, `ax.child_axes[1]` the same ahead.
+    **Raises** ValueError for a record without these.
+    """
+    having("record", record, "a front", "xi", "strain", "behind", "ahead", "decay_behind", "decay_ahead",
+           "wavenumber_behind", "kind")
+    end = np.abs(numbers("record.xi", record.xi, 1)).max()
+    # as far ahead as behind: room for the insets
+    xi = np.linspace(-end, end, 2 * len(record.xi))
+    y, behind, ahead = (np.asarray(x, float) for x in (record.strain(xi), record.behind, record.ahead))
+    by_x, by_y = drawn_in(units, units_of(record), Axis(r"place $\xi = n - s\,t$ (contacts)", xi), Axis("strain", y))
+    ax = axes_or_new(ax, 6.4, 4.0)
+    nodes = np.arange(np.ceil(-end), np.floor(end) + 1)
+    ax.plot(xi, scaled_by(y, by_y.factor), color=COLOURS[0])
+    ax.plot(nodes, scaled_by(np.asarray(record.strain(nodes)), by_y.factor), "o", color=COLOURS[2], ms=4, mec="white",
+            mew=0.5, label="contacts")
+    for level in (behind, ahead):
+        ax.axhline(scaled_by(level, by_y.factor), color=FAINT, lw=0.8, ls=":", zorder=0)
+    rates = float(record.decay_behind), float(record.decay_ahead)
+    name = (rf"behind: $\lambda$ = {rates[0]:.4g}" + rf", $k$ = {float(record.wavenumber_behind):.4g}"
+            * (record.kind == "oscillatory"), rf"ahead: $\mu$ = {rates[1]:.4g}")
+    for k, (level, rate, side) in enumerate(((behind, rates[0], xi < 0), (ahead, -rates[1], xi > 0))):
+        small = ax.inset_axes([0.07 + 0.55 * k, 0.16 + 0.38 * k, 0.36, 0.36])
+        side &= np.abs(rate * xi) < POWERS
+        x, d = xi[side], scaled_by(np.abs(y - level)[side], by_y.factor)
+        _tail(small, x, d, rate, name[k])
+    ax.set_xlabel(by_x.label)
+    ax.set_ylabel(by_y.label)
+    ax.set_xlim(-end, end)
+    return ax
+
+
+def _tail(ax, x, d, rate, name):
+    """What is left of a far state, and the slope at which its envelope falls."""
+    ax.semilogy(x, np.where(d > 0, d, np.nan), color=COLOURS[0], lw=1.0)
+    line = np.exp(rate * x)
+    ax.semilogy(x, line * np.nanmax((d / line)[np.abs(rate * x) > np.abs(rate * x).max() / 2]), "--",
+                color=COLOURS[1], lw=1.0)
+    ax.set_ylim(0.3 * d[d > 0].min() if (d > 0).any() else None, 3 * d.max())
+    ax.set_title(name, fontsize=8)
+    ax.tick_params(labelsize=7)
+    ax.patch.set_alpha(0.9)
 
 
 @checked

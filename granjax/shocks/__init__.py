@@ -1,12 +1,17 @@
-"""Dispersive shocks: the scenes that make them, what is measured of them, and what is kept along them."""
+"""Dispersive shocks: the scenes that make them, what is measured of them, and what is kept along them.
+
+And the stationary fronts of chains with dashpots.
+"""
 
 from .balances import Balances, balances
+from .front import DissipativeFront
+from .fronts import dissipative_front
 from .history import SpaceTime, space_time
 from .measure import Shock, measure
 from .riemann import Riemann
 from .scenes import impacts, piston, step, velocity_shock
 
 __all__ = [
-    "Balances", "Riemann", "Shock", "SpaceTime", "balances", "impacts", "measure", "piston", "space_time", "step",
-    "velocity_shock",
+    "Balances", "DissipativeFront", "Riemann", "Shock", "SpaceTime", "balances", "dissipative_front", "impacts",
+    "measure", "piston", "space_time", "step", "velocity_shock",
 ]

@@ -1,0 +1,143 @@
+r"""How a front in a chain with dashpots falls to the states that it joins: roots of its characteristic equation.
+
+With lengths in contacts, kappa = K/(m s^2) of one side and zeta = eta/(m s), a small e^{lambda x} obeys
+
+    kappa - zeta lambda = g(lambda),  g = (lambda/2)^2/sinh(lambda/2)^2,
+
+which is m s^2 lambda^2 = 4 sinh(lambda/2)^2 (K - eta s lambda). Behind the front kappa > 1 and Re lambda > 0, ahead of
+it kappa < 1 and Re lambda < 0.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import brentq
+
+# of 1 - (x/sinh x)^2 in powers of x^2, and below which |x| they are taken
+_SERIES = (0.0, 1 / 3, -1 / 15, 2 / 189, -1 / 675, 2 / 10395, -1382 / 58046625, 4 / 1403325, -3617 / 10854718875)
+NEAR = 0.3
+# real parts that are looked through one after the other; starts across each, and how far apart along the imaginary axis
+REACHES, ACROSS, APART = (1.5, 3.0, 6.0), 12, 0.3
+STEPS, CONVERGED, REAL = 30, 1e-10, 1e-7
+BISECTIONS, POLISH = 16, 20
+# lambda at which g'' = 0
+TOP = 2.34694130416726903
+
+
+class Critical(NamedTuple):
+    """zeta at which the approach turns monotone, its derivative in kappa, and whether two real roots meet there."""
+
+    zeta: float
+    slope: float
+    double: bool
+
+
+def lack(root):
+    """1 - g, of real or complex numbers."""
+    x = np.asarray(root) / 2
+    near = np.abs(x) < NEAR
+    with np.errstate(all="ignore"):
+        far = np.where(near, 1.0, x)
+        return np.where(near, np.polyval(_SERIES[::-1], x * x), 1 - (far / np.sinh(far)) ** 2)
+
+
+def lack_slope(root):
+    """d(1 - g)/d lambda."""
+    x = np.asarray(root) / 2
+    near = np.abs(x) < NEAR
+    powers = [k * c for k, c in enumerate(_SERIES)][1:]
+    with np.errstate(all="ignore"):
+        far = np.where(near, 1.0, x)
+        g = (far / np.sinh(far)) ** 2
+        return np.where(near, x * np.polyval(powers[::-1], x * x), g * (1 / np.tanh(far) - 1 / far))
+
+
+def ahead(short: float, zeta: float) -> float:
+    """The decay rate ahead of the front, from 1 - kappa > 0."""
+    return brentq(lambda rate: float(lack(rate)) - short + zeta * rate, 0.0, short / zeta, xtol=1e-300, rtol=1e-15)
+
+
+def behind(excess: float, zeta: float) -> complex:
+    """The root of least real part behind the front, from kappa - 1 > 0: the slowest decay, as rate + i wave number."""
+    real, pair = _real(excess, zeta), _pair(excess, zeta)
+    return complex(real) if pair is None or pair.real >= real else pair
+
+
+def _real(excess, zeta):
+    """The least of the real roots, of which there are one or three."""
+    end = (1 + excess) / zeta
+    places = np.append(0.0, np.geomspace(1e-8, 1.0 + 1e-9, 600) * end)
+    below = excess + lack(places) - zeta * places <= 0
+    k = int(np.argmax(below))
+    return brentq(lambda x: excess + float(lack(x)) - zeta * x, places[k - 1], places[k], xtol=1e-300, rtol=1e-15)
+
+
+def _pair(excess, zeta):
+    """The complex root of least real part, where one is found below the real root; `None` where there is none."""
+    real = _real(excess, zeta)
+    for reach in REACHES:
+        found = _complex(excess, zeta, min(reach, real))
+        found = found[found.real < min(reach, real)]
+        if len(found):
+            return complex(found[np.argmin(found.real)])
+        if real < reach:
+            break
+    return None
+
+
+def _complex(excess, zeta, reach):
+    """Roots in the upper half plane to which Newton's method leads from real parts below a reach."""
+    square = np.cosh(reach / 2) ** 2
+    # |lambda|^2 = 4 |sinh^2| |kappa - zeta lambda|; those near 2 pi i k, k > 1, decay faster than that of k = 1
+    bound = 2 * square * zeta + 2 * np.sqrt(square**2 * zeta**2 + square * (1 + excess)) + APART
+    width = min(APART, bound / ACROSS, 10 * np.sqrt(excess) / ACROSS)
+    highest = min(bound, 2 * np.sqrt(1 + excess) + 4 * np.pi)
+    heights = np.append(np.arange(width, 10 * np.sqrt(excess), width), np.arange(APART, highest, APART))
+    near = 2j * np.pi * np.arange(1, 5)
+    z = np.append(near + np.sqrt(near**2 / (1 + excess - zeta * near)),
+                  reach * np.geomspace(1e-3, 0.95, ACROSS)[:, None] + 1j * heights)
+    with np.errstate(all="ignore"):
+        for _ in range(STEPS):
+            z = z - (excess + lack(z) - zeta * z) / (lack_slope(z) - zeta)
+        left = np.abs(excess + lack(z) - zeta * z)
+    size = excess + zeta * np.abs(z)
+    return z[np.isfinite(z) & (left < CONVERGED * size) & (z.imag > REAL * np.abs(z)) & (z.real > 0)]
+
+
+def critical(excess: float) -> Critical:
+    """The damping at which the approach behind turns from oscillatory to monotone.
+
+    Weak fronts: two real roots meet, zeta = (kappa - g)/lambda is least at lambda. Where kappa is above 1.18772 no two
+    meet, and the pair that oscillates decays as fast as the real root that takes over.
+    """
+
+    def over(root):
+        # zero where (kappa - g)/lambda is least or largest
+        return excess + float(lack(root) - root * lack_slope(root))
+
+    # kappa there is largest where g'' = 0
+    if over(TOP) < 0:
+        root = brentq(over, 0.0, TOP, xtol=1e-300, rtol=1e-15)
+        return Critical((excess + float(lack(root))) / root, 1 / root, True)
+    low = high = 0.3
+    while _pair(excess, high) is not None:
+        low, high = high, 2 * high
+    while _pair(excess, low) is None:
+        low, high = low / 2, low
+    for _ in range(BISECTIONS):
+        middle = (low + high) / 2
+        low, high = (middle, high) if _pair(excess, middle) is not None else (low, middle)
+    return _crossing(excess, low)
+
+
+def _crossing(excess, zeta):
+    """Newton's method for a real root a and a pair a +- i b of one zeta."""
+    a, b = _real(excess, zeta), _pair(excess, zeta).imag
+    for _ in range(POLISH):
+        z = a + 1j * b
+        first, second = excess + float(lack(a)) - zeta * a, excess + complex(lack(z)) - zeta * z
+        slopes = float(lack_slope(a)) - zeta, complex(lack_slope(z)) - zeta
+        matrix = np.array([[slopes[0], 0.0, -a], [slopes[1].real, -slopes[1].imag, -a],
+                           [slopes[1].imag, slopes[1].real, -b]])
+        a, b, zeta = np.array([a, b, zeta]) - np.linalg.solve(matrix, [first, second.real, second.imag])
+    return Critical(float(zeta), float(-np.linalg.solve(matrix, [1.0, 1.0, 0.0])[2]), False)

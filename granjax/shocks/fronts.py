@@ -1,0 +1,246 @@
+"""`dissipative_front`: the front that a step becomes in a chain with dashpots."""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.optimize import brentq
+
+from ..checks import positive, refuse, traced
+from ..entry import checked
+from ..lattice import Lattice
+from ..laws import Law, Strained
+from ..outside import Outside
+from ..profiles import Medium, medium_of, tails
+from ..profiles import front as solver
+from ..profiles.front import FrontShape
+from ..profiles.medium import fine_force, one_number, values
+from ..types import Scalar
+from .front import DissipativeFront
+
+# places of the table, powers of e that it reaches, most contacts behind; strains looked at between both states
+TABLE, REACH, LONGEST, BETWEEN = 513, 8.0, 300.0, 1023
+# how often the highest place is looked at closer, places each time
+CLOSER, AROUND = 5, 33
+# relative differences of stiffness from the chord: what counts as one, and what a front needs to be known
+ROUNDING, LEAST = 1e-12, 1e-5
+# binary orders of magnitude in which a strain is looked for, places in each
+ORDERS, EACH = 200, 4
+
+
+class _Step(NamedTuple):
+    """Both sides of a front: K/(m s^2) - 1 behind, 1 - K/(m s^2) ahead, the force's jump, the strain's, zeta."""
+
+    excess: Any
+    short: Any
+    force: Any
+    jump: Any
+    speed: Any
+    zeta: Any
+
+
+@checked
+def dissipative_front(
+    law: Law | Lattice, behind: Scalar | None = None, ahead: Scalar = 0.0, *, dashpot: Scalar,
+    piston: Scalar | None = None, mass: Scalar = 1.0,
+) -> DissipativeFront:
+    r"""The stationary front of a chain of equal masses, laws and dashpots between neighbours, exact on the lattice.
+
+    m u_n'' = F(y_{n-1}) - F(y_n) + eta (y'_{n-1} - y'_n), y_n = u_n - u_{n+1}, has waves y(n - s t) that join two
+    uniform strains. Momentum gives s = ([F]/(m [y]))^{1/2}. Small e^{lambda xi} beside either state obey m s^2 lambda^2
+    = 4 sinh(lambda/2)^2 (K - eta s lambda). Weak fronts come to rest behind without oscillating where eta exceeds the
+    value at which two real roots meet, eta s = (m s^2 (K - m s^2)/3)^{1/2} in the limit; where K exceeds 1.18772 m s^2
+    behind, no two meet, and a pair that oscillates decays slower than the real root below `critical`, faster above.
+    The profile is Newton's on the equation's integrated form, followed from a larger damping; a front of a small one is
+    a long train of waves, and needs about 1/eta places.
+
+    **Arguments:**
+
+    - `law`: any law, from equilibrium (a precompression is the law's own), and with it `mass`; or a chain `Lattice` of
+      equal masses and bonds to the next site, whose walls and boundary do not count and whose units the result has.
+    - `behind`, `ahead`: strains, positive in compression. Instead of `behind`, `piston`: velocity of the beads behind
+      [m/s], s (behind - ahead). A law that stiffens has fronts with behind > ahead, one that softens the others.
+    - `dashpot`: eta > 0 between neighbours [N s/m], the `coefficient` of `gx.Dashpot`.
+
+    **Returns:** `DissipativeFront`. Hertz (A = m = 1) from 0 to 1: s = 1, critical 0.394869; at eta = 0.3 it overshoots
+    by 0.0136.
+
+    **Raises** ValueError where there is no such front: without dissipation; where it is not faster than sound ahead and
+    slower than sound behind (Lax), as for a linear law; where the law crosses its chord between both states; where
+    stiffness and chord differ by less than 1e-5; where a damping is so small that no profile is found; for a lattice
+    that is no uniform chain, a batch, both or none of `behind` and `piston`.
+    Source: G. B. Whitham, Linear and Nonlinear Waves (Wiley 1974), 4.3 and 13.15; A. Molinari, C. Daraio, Phys. Rev. E
+    80, 056602 (2009); E. B. Herbold, V. F. Nesterenko, Phys. Rev. E 75, 021304 (2007).
+    """
+    if (behind is None) == (piston is None):
+        refuse("behind, piston", "exactly one of them", "none" if behind is None else "both")
+    medium = medium_of(law, mass)
+    remedy = "Without one a step becomes a dispersive shock, which gx.theory.shock_edges describes."
+    positive("dashpot", dashpot, remedy)
+    given = behind, ahead, piston, dashpot
+    known = [one_number(*x) for x in zip(("behind", "ahead", "piston", "dashpot"), given)]
+    plain = _from_ahead(medium.known, known[1])
+    jump = _jump(plain, known[2]) if behind is None else known[0] - known[1]
+    step = _checked_step(plain, jump, known)
+    critical, behind_root = tails.critical(step.excess), tails.behind(step.excess, step.zeta)
+    trial = _trials(step)
+    front = _solved(plain.law, step, trial, critical)
+    return _recorded(medium, given, step, front, critical, behind_root)
+
+
+def _from_ahead(medium, ahead):
+    return Medium(Strained(medium.law, jnp.asarray(ahead, float)), medium.mass, medium.origin)
+
+
+def _jump(medium, piston):
+    """The strain whose front has beads of that velocity behind: [F] [y] = m piston^2."""
+    if piston == 0:
+        refuse("piston", "a velocity that is not zero", "0")
+    wanted, side = float(medium.mass) * piston**2, np.sign(piston)
+    strains = side * 2.0 ** (np.arange(-ORDERS * EACH, ORDERS * EACH + 1) / EACH)
+    with np.errstate(all="ignore"):
+        reached = values(medium.law, strains)[0] * strains >= wanted
+    k = int(np.argmax(reached))
+    if not reached.any() or k == 0:
+        refuse("piston", "a velocity that some strain of the law has", f"{piston:g}",
+               "There the force ends, or does not grow.")
+
+    def over(e):
+        return values(medium.law, np.array([e]))[0][0] * e / wanted - 1
+
+    return brentq(over, strains[k - 1], strains[k], xtol=1e-300, rtol=4 * np.finfo(float).eps)
+
+
+def _checked_step(medium, jump, given):
+    """Both sides of the front in known numbers. **Raises** ValueError where there is no front between them."""
+    behind, ahead, _, dashpot = given
+    if not jump or behind is not None and abs(jump) <= ROUNDING * abs(ahead):
+        refuse("behind", "another strain than ahead", f"{behind:g}", "A front joins two.")
+    mass, law = float(medium.mass), medium.law
+    force, slope, _ = values(law, np.array([jump, 0.0]))
+    chord = force[0] / jump
+    if not (np.isfinite(chord) and chord > 0 and np.isfinite(slope).all()):
+        refuse("behind", "a strain to which the law's force grows from that ahead, both stiff by finite amounts",
+               f"forces that differ by {force[0]:g} and stiffness {slope[0]:g} behind, {slope[1]:g} ahead")
+    excess, short, speed = slope[0] / chord - 1, 1 - slope[1] / chord, np.sqrt(chord / mass)
+    sound = ", ".join(f"{name} {np.sqrt(max(k, 0.0) / mass):.6g}" for name, k in zip(("behind", "ahead"), slope))
+    if not (excess > ROUNDING and short > ROUNDING):
+        other = "below" if jump > 0 else "above"
+        refuse("behind", "a strain whose front is faster than sound ahead and slower than sound behind",
+               f"the speed {speed:.6g} and sound {sound}",
+               f"Such a step spreads out as it runs; of this law there may be fronts from strains {other} that ahead.")
+    if not (excess > LEAST and short > LEAST):
+        refuse("behind", f"a strain whose stiffness differs from the chord's by a part in {1 / LEAST:.0e} or more",
+               f"differences of {excess:.1e} and {short:.1e}",
+               "Such a front is as wide as that, a solution of the equation of Korteweg, de Vries and Burgers.")
+    z = np.arange(1, BETWEEN + 1) / (BETWEEN + 1)
+    if not (values(law, jump * z)[0] / force[0] < z).all():
+        refuse("behind", "a strain between which and that ahead the force stays on one side of its chord",
+               "one that crosses it", "Such a step falls apart into several waves.")
+    return _Step(excess, short, float(force[0]), jump, float(speed), dashpot / (mass * float(speed)))
+
+
+def _trials(step):
+    def trial(zeta):
+        return solver.Trial(zeta, tails.behind(step.excess, zeta), tails.ahead(step.short, zeta))
+
+    return trial
+
+
+def _solved(law, step, trial, critical):
+    def force(z):
+        F, slope, _ = values(law, step.jump * z)
+        return F / step.force, slope * (step.jump / step.force)
+
+    with np.errstate(all="ignore"):
+        shape, residual = solver.followed(force, trial, step.zeta, critical.zeta)
+        found = solver.finished(force, trial(step.zeta), shape) if residual < solver.CONVERGED else None
+    if found is None or not found.residual < solver.CONVERGED:
+        refuse("dashpot", "one whose front is found", f"{step.zeta / critical.zeta:.2g} of the critical one",
+               "Of a smaller damping the train of waves behind is longer, and may reach where the law ends.")
+    return found
+
+
+def _recorded(medium, given, known_step, front, critical, root):
+    behind, ahead, piston, dashpot = (None if x is None else jnp.asarray(x, float) for x in given)
+    law, mass, free = Strained(medium.law, ahead), medium.mass, traced((medium, given))
+    jump = behind - ahead if behind is not None else _implicit_jump(law, mass, known_step.jump, piston)
+    step = _sides(law, mass, jump, dashpot, Outside(law)) if free else _Step(*map(jnp.asarray, known_step))
+    z = jnp.asarray(solver.padded(front))
+    if free:
+        z = z.at[: len(front.z)].set(_implicit(front, law, step, known_step))
+    shape = _whole(law, mass, step.speed, dashpot, ahead, step.jump, z, jnp.asarray(float(front.centre)),
+                   jnp.asarray(front.apart), Outside(law))
+    root, rate, limit = _rates(step, known_step, critical, root)
+    top = _top(front)
+    overshoot = jnp.sign(known_step.jump) * (shape.at("strain", top) - ahead - step.jump)
+    above = solver.smoothed_at(front, np.array([top]))[0] - 1 > 2 * front.error
+    reaches = (REACH / float(jax.lax.stop_gradient(x)) for x in (jnp.real(root), rate))
+    xi = np.linspace(-min(LONGEST, next(reaches)), next(reaches), TABLE)
+    kind = "oscillatory" if known_step.zeta < critical.zeta else "monotone"
+    error = abs(known_step.jump) * max(front.error, np.finfo(float).eps / min(known_step.excess, known_step.short))
+    return DissipativeFront(
+        speed=step.speed, behind=ahead + step.jump, ahead=ahead, piston=step.speed * step.jump, dashpot=dashpot,
+        critical=limit * mass * step.speed, kind=kind, decay_behind=jnp.real(root), wavenumber_behind=jnp.imag(root),
+        decay_ahead=rate, overshoot=overshoot if above else jnp.zeros(()),
+        power=step.speed * (step.force * step.jump / 2 - law.energy(step.jump)), residual=jnp.asarray(front.residual),
+        error=jnp.asarray(error), law=medium.law, mass=mass, xi=xi, strains=shape.at("strain", xi),
+        velocities=shape.at("velocity", xi), _shape=shape, **medium.origin,
+        outcome=f"Found to {error / abs(known_step.jump):.1e} of its jump; {kind}, with "
+                f"{known_step.zeta / critical.zeta:.4g} of the critical dashpot.")
+
+
+def _rates(step, known, critical, root):
+    """The root behind, the rate ahead and the critical zeta, with the derivatives of what they solve."""
+    more, less, zeta = step.excess - known.excess, step.short - known.short, step.zeta - known.zeta
+    rate = tails.ahead(known.short, known.zeta)
+    steep = complex(tails.lack_slope(root)) - known.zeta, float(tails.lack_slope(rate)) + known.zeta
+    return root - (more - root * zeta) / steep[0], rate + (less - rate * zeta) / steep[1], \
+        critical.zeta + critical.slope * more
+
+
+def _top(front):
+    """Where the front is highest."""
+    x, width = front.places[np.argmax(front.z)], front.apart
+    for _ in range(CLOSER):
+        near = x + width * np.linspace(-1, 1, AROUND)
+        x, width = near[np.argmax(solver.smoothed_at(front, near))], 2 * width / AROUND
+    return float(x)
+
+
+@eqx.filter_jit
+def _sides(law, mass, jump, dashpot, outside):
+    """Of a law measured from the strain ahead."""
+    force = fine_force(law, jump)
+    chord = force / jump
+    speed = jnp.sqrt(chord / mass)
+    return _Step(law.derivative(jump) / chord - 1, 1 - law.derivative(jnp.zeros(())) / chord, force, jump, speed,
+                 dashpot / (mass * speed))
+
+
+@eqx.filter_jit
+def _whole(law, mass, speed, dashpot, ahead, jump, z, centre, apart, outside):
+    return FrontShape.of(law, mass, speed, dashpot, ahead, jump, z, centre, apart)
+
+
+def _implicit_jump(law, mass, jump, piston):
+    """The strain of a piston's front with its derivative."""
+    left = fine_force(law, jnp.asarray(jump)) * jump - mass * piston**2
+    slope = jax.lax.stop_gradient(fine_force(law, jnp.asarray(jump)) + jump * law.derivative(jnp.asarray(jump)))
+    return jump - (left - jax.lax.stop_gradient(left)) / slope
+
+
+def _implicit(front, law, step, known):
+    """z, whose derivatives are those of the equations at fixed z over -Jacobian."""
+    z, kernels = jnp.asarray(front.z), solver.Kernels.of(front.apart)
+    gap = solver.ordered(_gap(law, step, z, kernels, Outside(law)), z, front.centre)
+    slope = values(jax.lax.stop_gradient(law), known.jump * front.z)[1] * (known.jump / known.force)
+    # what is left of the equations stays as it was found
+    return z - solver.solved(front, slope, known.zeta, gap - jax.lax.stop_gradient(gap))
+
+
+@eqx.filter_jit
+def _gap(law, step, z, kernels, outside):
+    return kernels.gap(z, fine_force(law, step.jump * z) / step.force, step.zeta)
