@@ -118,6 +118,7 @@ def values(law: Law, e: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]
                  for x in zip(*parts))
 
 
+@checked
 def one_number(argument: str, x: Any) -> float | None:
     """A known number behind what may be differentiated; `None` for `None`."""
     if x is None:
