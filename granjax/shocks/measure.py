@@ -106,8 +106,8 @@ class Profile(NamedTuple):
 
     @property
     def extreme(self):
-        """The strain that is farthest from that ahead."""
-        return float(self.sign * np.max(self.sign * self.strain))
+        """The strain of the shock that is farthest from that ahead."""
+        return float(self.sign * np.max(self.sign * self.strain[self.places > 0]))
 
 
 @checked
@@ -177,7 +177,7 @@ def _measured(profile, problem, medium, theory, points):
 
 
 def _profile(run, problem, side):
-    """The last state, mirrored where the shock runs to the left. **Raises** ValueError where its end is not at rest."""
+    """The last state, mirrored of a shock to the left. **Raises** ValueError where nothing is quiet before it."""
     strain = np.asarray(problem.strain(run.final.u), float)
     time, velocity = float(np.asarray(run.ts)[-1]), np.asarray(run.final.v, float)
     places = np.arange(len(strain)) - float(problem.centre)
@@ -187,19 +187,23 @@ def _profile(run, problem, side):
         strain, velocity, places = np.append(own, strain), np.append(speed, velocity), np.append(places[0] - 1, places)
     if side == "left":
         strain, velocity, places = strain[::-1], -velocity[::-1], -places[::-1]
-    jump, end = np.ptp(strain), strain[-EVEN:]
-    ahead = float(end[-1])
-    if not jump > 0 or np.ptp(end) > QUIET * jump or len(strain) < 4 * EVEN:
-        refuse("run", "a shock with quiet bonds before it", f"strains of {end.min():g} to {end.max():g} at the {side} "
-               f"end, of {strain.min():g} to {strain.max():g}", "A longer chain, or a shorter run; problem.until().")
-    sign = 1.0 if strain.max() - ahead > ahead - strain.min() else -1.0
-    return Profile(time, places, strain, velocity, ahead, sign)
+    first = np.asarray(problem.strain(problem.state.u), float)[-1 if side == "right" else 0]
+    even = np.abs(strain - first) <= QUIET * np.ptp(strain)
+    quiet = np.flatnonzero((np.convolve(even, np.ones(EVEN), "valid") == EVEN) & (places[: 1 - EVEN] > 0))
+    if not np.ptp(strain) > 0 or not quiet.size or quiet[0] < 4 * EVEN:
+        refuse("run", "a shock with quiet bonds before it", f"strains from {strain.min():g} to {strain.max():g} up to the "
+               f"{side} end, where {first:g} was", "A longer chain, or a shorter run; problem.until().")
+    # what comes from the end, where the chain is held there, stays beyond
+    last = quiet[-1] + EVEN
+    behind = strain[(places > 0) & (places <= NEAR * places[quiet[0]] + EVEN)].mean()
+    sign = float(np.sign(behind - first))
+    return Profile(time, places[:last], strain[:last], velocity[: last + 1], float(first), sign)
 
 
 def _leading(profile):
     """The bond of the first crest from the right. **Raises** ValueError where there is none."""
     x = profile.sign * (profile.strain - profile.ahead)
-    top = np.flatnonzero((x[1:-1] > x[:-2]) & (x[1:-1] >= x[2:]) & (x[1:-1] > CREST * x.max())) + 1
+    top = np.flatnonzero((x[1:-1] > x[:-2]) & (x[1:-1] >= x[2:]) & (x[1:-1] > CREST * x[profile.places > 0].max())) + 1
     top = top[profile.places[top] > 0]
     if not top.size:
         refuse("run", "a shock, whose leading crest is the first of many", "a front without a crest",
