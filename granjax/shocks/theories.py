@@ -89,10 +89,12 @@ def modulated(theory: str, medium: Medium, ahead: float, mean: float, seen: Seen
     own, none = THEORIES[theory], np.full(seen.places.shape, np.nan)
     K2, K3, _ = (float(x) for x in taylor(Strained(medium.law, jnp.asarray(ahead))))
     told = lambda why: Modulated(np.nan, none, none, none, none, none, f"Not compared with {own.name}: {why}")
+    if not (np.isfinite(K2) and K2 > 0 and np.isfinite(K3)):
+        return told("the chain ahead has no sound.")
     if not np.isfinite(mean):
         return told("its waves come so near to the step that there is no plateau to match.")
-    if not (np.isfinite(K2) and K2 > 0 and np.isfinite(K3) and K3 * (mean - ahead) > 0):
-        return told("the chain ahead has no sound, or K3 there is not of the sign of the jump.")
+    if not K3 * (mean - ahead) > 0:
+        return told("K3 ahead is not of the sign of the jump.")
     constants = {name: float(x) for name, x in own.constants(K2, K3, float(medium.mass)).items()}
     c = float(own.c(mean - ahead, **constants))
     try:
