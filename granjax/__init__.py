@@ -93,7 +93,7 @@ Measurements and design
     Design              what it returns
     smooth_peak         a maximum that differentiates
 Theory and studies
-    theory              closed forms: envelopes (nls), Toda, KdV, compactons, elliptic functions
+    theory              closed forms: envelopes (nls), Toda, KdV, compactons, elliptic functions, shocks, Stokes waves
     travelling          solitary waves, and waves of dimers and of beads with resonators; collisions, reflection
     shocks              dispersive shocks: strain steps, velocity shocks, pistons, impacts
     Resonator           a mass on a spring in every bead
