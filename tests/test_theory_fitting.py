@@ -80,6 +80,21 @@ def test_a_solitary_wave_is_nearer_to_a_granular_front():
     assert found.wave_speed == pytest.approx(1.19286468, abs=1e-6) and "wave" in found.outcome
 
 
+@pytest.mark.study
+def test_edges_beside_a_simulated_granular_shock():
+    chain = gx.Lattice(1.0, gx.Bond(gx.Shift(1, "free"), GRANULAR), sites=1101)
+    problem = gx.shocks.velocity_shock(chain, 0.5)
+    seen = [gx.shocks.measure(problem.run(t)) for t in (200.0, 400.0)]
+    found = shock_edges(chain, 0.5, wave=True)
+    # the crest's speed nears that of the edge like 1/t
+    speed, height = (2 * getattr(seen[1], x) - getattr(seen[0], x) for x in ("leading_speed", "amplitude"))
+    assert found.wave_speed == pytest.approx(speed, rel=1e-3) and found.amplitude == pytest.approx(height, rel=5e-3)
+    apart = float(found.wave_speed - found.leading_speed)
+    assert abs(found.leading_speed - speed) == pytest.approx(apart, rel=0.1)
+    assert found.mean == pytest.approx(seen[1].mean, rel=1e-3)
+    assert abs(found.trailing_speed - seen[1].trailing_speed) < seen[1].trailing_error + 0.01
+
+
 def test_a_shock_ahead_of_which_there_is_no_sound():
     found = shock_edges(gx.Hertz(), 0.5)
     assert np.isnan(found.trailing_speed) and found.leading_speed == found.wave_speed
