@@ -8,8 +8,8 @@ from jax.custom_derivatives import SymbolicZero
 
 # duplications until the arguments of an integral agree to 1e-3, were they 1e300 apart; means until two numbers are one
 DUPLICATIONS, MEANS = 18, 14
-# z for which atan(z)/z is summed, and the terms of the sum
-SMALL, SERIES = 0.02, 10
+# where the series of atan ends, counted down from zero, and its terms
+SMALL, SERIES = 0.1, 12
 
 
 # ------------------------------------------------------------------------------------- Carlson's integrals, of squares
@@ -91,12 +91,23 @@ def _series(E2, E3, E4, E5):
 
 
 def _arc(e):
-    """R_C(1, 1 + e) = atan(e^{1/2})/e^{1/2}, e > -1."""
-    near = jnp.abs(e) < SMALL
-    sum_ = sum((-e) ** k / (2 * k + 1) for k in range(SERIES))
-    up, down = jnp.where(near | (e < 0), 1.0, e), jnp.where(near | (e > 0), -0.5, e)
-    up, down = jnp.sqrt(up), jnp.sqrt(-down)
-    return jnp.where(near, sum_, jnp.where(e > 0, jnp.arctan(up) / up, jnp.arctanh(down) / down))
+    """R_C(1, 1 + e) = atan(e^{1/2})/e^{1/2}, -1 < e <= 1.
+
+    Without XLA's atan, which jaxlib 0.10.2 gets wrong in arrays of 50 and more (jax issue 39352), nor its artanh, which
+    is right to 3e-14.
+    """
+    near, factor = e > -SMALL, 1.0
+    up, down = jnp.where(near, e, 0.0), jnp.where(near, -0.5, e)
+    for _ in range(2):
+        root = 1 + jnp.sqrt(1 + up)
+        factor, up = 2 * factor / root, up / (root * root)
+    sum_ = factor * sum((-up) ** k / (2 * k + 1) for k in range(SERIES))
+    return jnp.where(near, sum_, jnp.arcsinh(jnp.sqrt(-down / (1 + down))) / jnp.sqrt(-down))
+
+
+def _arctan(x):
+    half = x / (1 + jnp.sqrt(1 + x * x))
+    return 2 * half * _arc(half * half)
 
 
 # ------------------------------------------------------------------------------------------------------------ integrals
@@ -187,6 +198,6 @@ def _third(n, s, c, d, m1):
     first = s * _RF(c, d, 1.0)
     p = jnp.sqrt(c * c + jnp.where(below, m1 / (1 - v), 1 - n) * s * s)
     other = first + jnp.where(below, (m - v) / (1 - v), n) / 3 * s**3 * _RJ(c, d, 1.0, p)
-    angle = jnp.arctan(jnp.sqrt(-v * (m - v) / (1 - v)) * s * c / d)
+    angle = _arctan(jnp.sqrt(-v * (m - v) / (1 - v)) * s * c / d)
     turned = (-v * m1 / (1 - v) * other + m * first) / (m - v) + jnp.sqrt(-v / ((m - v) * (1 - v))) * angle
     return jnp.where(below, turned, other)
