@@ -20,12 +20,14 @@ from .fits import corner, fit, law
 from .histories import space_time, traces
 from .orbits import branch, breather, floquet_circle, hysteresis, strain_map
 from .precision import work_precision
+from .shocks import modulation, shock, shock_core, shock_map
 from .style import COLOURS, drawn, figure, save, style
 from .travelling import front, reflection, wave, wave_errors, wave_family
 from .waves import dispersion
 
 __all__ = [
     "COLOURS", "branch", "breather", "cell_wave", "corner", "dispersion", "drawn", "figure", "fit", "floquet_circle",
-    "front", "hysteresis", "law", "profile", "reflection", "resonance_map", "save", "space_time", "strain_map", "style",
-    "traces", "transmission", "wave", "wave_errors", "wave_family", "work_precision",
+    "front", "hysteresis", "law", "modulation", "profile", "reflection", "resonance_map", "save", "shock", "shock_core",
+    "shock_map", "space_time", "strain_map", "style", "traces", "transmission", "wave", "wave_errors", "wave_family",
+    "work_precision",
 ]

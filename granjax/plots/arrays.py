@@ -23,7 +23,7 @@ def numbers(argument: str, x: Any, ndim: int | None = None, finite: bool = True)
         # what is masked is a gap, as NaN is
         array = real(argument, x.astype(float).filled(np.nan) if isinstance(x, np.ma.MaskedArray) else x)
     if ndim is not None and array.ndim != ndim:
-        names = {1: "one row, shape (N,)", 2: "frames of sites, shape (T, N)"}
+        names = {0: "one number", 1: "one row, shape (N,)", 2: "frames of sites, shape (T, N)"}
         refuse(argument, names.get(ndim, f"{ndim} axes"), f"shape {array.shape}")
     return array
 

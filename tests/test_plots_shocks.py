@@ -1,0 +1,187 @@
+"""Pictures of dispersive shocks: edges, waves, modulation, maps, in scaled numbers and in SI."""
+
+from typing import NamedTuple
+
+import matplotlib
+
+matplotlib.use("Agg")
+
+import matplotlib.pyplot as plt  # noqa: E402
+import numpy as np  # noqa: E402
+import pytest  # noqa: E402
+
+import granjax as gx  # noqa: E402
+from granjax import plots  # noqa: E402
+from granjax.theory import kdv, toda  # noqa: E402
+
+C, TIME = 0.3, 60.0
+NAN = float("nan")
+
+
+class Seen(NamedTuple):
+    """As much of a `Shock` as pictures need, in SI."""
+
+    s: np.ndarray = np.array([0.8e5, 1.0e5])
+    m: np.ndarray = np.array([0.2, 0.7])
+    means: np.ndarray = np.array([5e-7, 4e-7])
+    amplitudes: np.ndarray = np.array([2e-7, NAN])
+    wavelengths: np.ndarray = np.array([5.0, 7.0])
+    speeds_of_m: np.ndarray = np.array([0.79e5, 1.02e5])
+    theory: str = "toda"
+    trailing_speed: float = 0.7e5
+    leading_speed: float = 1.2e5
+    mean: float = 5e-7
+    amplitude: float = 9e-7
+    ahead: float = 1e-7
+    units: str = "SI"
+
+
+class Map(NamedTuple):
+    """As much of a `SpaceTime` as pictures need."""
+
+    strain: np.ndarray
+    ts: np.ndarray
+    places: np.ndarray
+    units: str | None = None
+
+
+@pytest.fixture(scope="module")
+def places():
+    return np.arange(100) + 0.5
+
+
+@pytest.fixture(scope="module")
+def strain(places):
+    return np.asarray(toda.shock_wave(places, TIME, C).strain)
+
+
+@pytest.fixture(scope="module")
+def run():
+    problem = gx.shocks.velocity_shock(gx.scenes.toda(61, boundary="free"), C)
+    return problem, problem.run(20.0)
+
+
+@pytest.fixture(autouse=True)
+def closed():
+    yield
+    plt.close("all")
+
+
+def written(ax):
+    return " | ".join(text.get_text().strip() for text in ax.texts)
+
+
+def test_a_run_knows_its_places_and_its_time(run):
+    problem, known = run
+    ax = plots.shock(known)
+    n, y = ax.lines[0].get_data()
+    np.testing.assert_allclose(y, problem.strain(known.final.u))
+    np.testing.assert_allclose(n, -n[::-1])
+    assert ax.get_xlabel().startswith("bond") and ax.get_ylabel() == "strain (scaled)"
+    over = plots.shock(known, over="speed").lines[0].get_xdata()
+    np.testing.assert_allclose(over, n / 20.0)
+    bare = gx.simulate(*problem, 20.0)
+    np.testing.assert_allclose(plots.shock(bare, problem=problem).lines[0].get_ydata(), y, atol=1e-12)
+
+
+@pytest.mark.parametrize("over", ["place", "speed"])
+def test_edges_mean_and_amplitude_are_where_the_theory_has_them(strain, places, over):
+    edges = toda.velocity_shock(C)
+    ax = plots.shock(strain, edges, places=places, time=TIME, over=over)
+    unit = TIME if over == "place" else 1.0
+    assert sorted(line.get_xdata()[0] for line in ax.lines[1:]) == pytest.approx(
+        [unit * float(edges.trailing_speed), unit * float(edges.leading_speed)])
+    assert written(ax) == "trailing edge | leading edge | mean 0.5247 |  | amplitude 0.94"
+    (plateau,) = ax.collections
+    np.testing.assert_allclose(plateau.get_segments()[0][:, 1], float(edges.mean))
+
+
+def test_a_shock_to_the_left_without_a_trailing_edge(strain, places):
+    edges = toda.ShockEdges(NAN, -1.2, 0.5, 0.9)
+    ax = plots.shock(strain[::-1], edges, places=-places[::-1], time=TIME)
+    assert written(ax) == "leading edge | mean 0.5 |  | amplitude 0.9"
+    assert ax.get_xlim()[0] < -1.2 * TIME
+
+
+def test_a_rarefaction_shock_has_its_crest_below(strain, places):
+    ax = plots.shock(-strain, toda.ShockEdges(0.7, 1.2, -0.5, 0.9), places=places, time=TIME)
+    arrow = next(text for text in ax.texts if text.arrow_patch is not None)
+    assert arrow.xyann[1] == pytest.approx(-0.9)
+
+
+def test_dots_of_a_zoom_lie_on_their_spline_and_on_what_is_beside(strain, places):
+    window = (50.0, 70.0)
+    ax = plots.shock_core(strain, window, places=places)
+    dots, spline = ax.lines
+    assert dots.get_xdata().min() >= 50 and dots.get_xdata().max() <= 70
+    np.testing.assert_allclose(np.interp(dots.get_xdata(), *spline.get_data()), dots.get_ydata(), atol=1e-12)
+    fine = np.linspace(40, 80, 401)
+    beside = {"Toda": (fine, np.asarray(toda.shock_wave(fine, TIME, C).strain)), "zero": (fine, 0 * fine)}
+    ax = plots.shock_core(strain, window, places=places, beside=beside)
+    np.testing.assert_allclose(np.interp(dots.get_xdata(), *ax.lines[1].get_data()), dots.get_ydata(), atol=0.02)
+    assert [text.get_text() for text in ax.get_legend().get_texts()] == ["lattice", "Toda", "zero"]
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_edges_run_over_the_map(places, sign):
+    ts = np.linspace(0, TIME, 13)
+    record = Map(np.where(places < ts[:, None], sign * 0.5, 0.0), ts, places)
+    edges = {"KdV": kdv.velocity_shock(0.3, 1.0, 0.5), "none": toda.ShockEdges(NAN, 1.2, 0.5, 0.9)}
+    ax = plots.shock_map(record, edges=edges)
+    trailing, leading, other = ax.lines
+    np.testing.assert_allclose(trailing.get_data(), (0.7 * ts, ts))
+    np.testing.assert_allclose(leading.get_data(), (1.2 * ts, ts))
+    assert trailing.get_linestyle() == leading.get_linestyle() == "-" and other.get_linestyle() == "--"
+    assert ax.get_xlim() == pytest.approx((0, 100)) and ax.get_ylabel() == "time"
+    again = plots.shock_map(record.strain, ts=ts, places=places, limit=0.4)
+    assert again.images[0].norm.vmax - again.images[0].norm.vmin == pytest.approx(0.4)
+
+
+@pytest.mark.parametrize("quantity", ["m", "mean", "amplitude", "wavelength"])
+def test_modulation_beside_a_theory(quantity):
+    m = np.linspace(0.05, 0.95, 7)
+    theory = kdv.modulation(m, 3e-3, 1e8, 2e13, 1e-2)
+    beside = {"KdV": (theory.speed, m) if quantity == "m" else theory}
+    ax = plots.modulation(Seen(), quantity=quantity, beside=beside)
+    assert len(ax.lines) == 2 + (quantity == "m") and ax.get_xlabel().endswith("(1/ms)")
+    assert ("µm" in ax.get_ylabel() or "nm" in ax.get_ylabel()) == (quantity in ("mean", "amplitude"))
+    assert np.all(np.diff(ax.lines[-1].get_xdata()) >= 0)
+
+
+def test_si_and_the_words_that_are_asked_for(places):
+    seen, ts = Seen(), np.linspace(0, 1e-3, 9)
+    record = Map(1e-7 + 4e-7 * (places < 1e5 * ts[:, None]), ts, places, "SI")
+    ax = plots.shock(record, seen)
+    assert ax.get_ylabel() == "strain (nm)" and "mean 500 nm" in written(ax) and "amplitude 900 nm" in written(ax)
+    assert "mean 0.5 µm" in written(plots.shock(record, seen, units="um"))
+    assert plots.shock(record, seen, over="speed", units="1/s").get_xlabel().endswith("(1/s)")
+    drawn = plots.shock_map(record, edges={"seen": seen}, units=("ms", "um"))
+    assert drawn.get_ylabel() == "time (ms)"
+    np.testing.assert_allclose(drawn.lines[0].get_data(), (0.7e5 * ts, 1e3 * ts))
+    assert plots.shock_core(record, (10, 30), units="um").get_ylabel() == "strain (µm)"
+
+
+@pytest.mark.parametrize(("call", "said"), [
+    (lambda y, n: plots.shock(y, over="time"), "over: expected one of"),
+    (lambda y, n: plots.shock(y, over="speed"), "time: expected that of the strains"),
+    (lambda y, n: plots.shock(y, toda.velocity_shock(C)), "time: expected"),
+    (lambda y, n: plots.shock(y, 3, time=1.0), "shock: expected a Shock, or anything with trailing_speed"),
+    (lambda y, n: plots.shock(np.stack([y, y])), "one row"),
+    (lambda y, n: plots.shock(y, places=n[:5]), "places: expected 100 numbers"),
+    (lambda y, n: plots.shock(y[:3]), "4 bonds or more"),
+    (lambda y, n: plots.shock(y, time=-1.0), "time"),
+    (lambda y, n: plots.shock(Map(y[None], [1.0], n, "scaled"), Seen()), "shock: expected one in scaled numbers"),
+    (lambda y, n: plots.shock_core(y, (3.0, 5.0)), "window: expected 4 bonds or more"),
+    (lambda y, n: plots.shock_core(y, (1, 2, 3)), "window: expected a pair"),
+    (lambda y, n: plots.shock_core(y, (1, 20), beside={"a": y}), "a pair, places and strains"),
+    (lambda y, n: plots.shock_map(y[None]), "a SpaceTime"),
+    (lambda y, n: plots.shock_map(y[None], ts=[1.0, 2.0], places=n), "ts: expected 1 numbers"),
+    (lambda y, n: plots.shock_map(y[None], ts=[1.0], places=n, edges={"a": 3}), "edges of a shock"),
+    (lambda y, n: plots.modulation(3), "shock: expected a Shock"),
+    (lambda y, n: plots.modulation(Seen(), quantity="speed"), "quantity: expected one of"),
+    (lambda y, n: plots.modulation(Seen(), beside={"a": ([1, 2], [1, 2, 3])}), "as many values as speeds"),
+    (lambda y, n: plots.modulation(Seen(), units="kg"), "kg"),
+])
+def test_what_is_refused(strain, places, call, said):
+    with pytest.raises(ValueError, match=said):
+        call(strain, places)
