@@ -194,23 +194,44 @@ def test_every_impact_gives_its_momentum():
     assert np.expm1(y) == pytest.approx(0.6, rel=0.02)
 
 
+def test_dashpots_and_rings():
+    """Dashpots wash the front out, which `until` knows; a ring is cut, with one stiffness less."""
+    dash = gx.Lattice(np.ones(60), (gx.Bond(gx.Shift(1, "free"), gx.Toda()), gx.Dashpot(gx.Shift(1, "free"), 0.5)))
+    problem = gx.shocks.step(dash, 0.3)
+    y = np.asarray(problem.strain(problem.run(tolerance=1e-9).us))[0]
+    assert np.abs(y[:2] - 0.3).max() < 1e-12 and np.abs(y[-2:]).max() < 1e-12 and 0.1 < y[29] < 0.2
+    assert problem.until() < gx.shocks.step(gx.scenes.toda(60), 0.3).until()
+    ring = gx.scenes.monomer(40, stiffness=np.linspace(1, 2, 40), precompression=1.0, boundary="periodic")
+    cut = gx.shocks.velocity_shock(ring, 0.1).lattice.terms[0]
+    assert np.array_equal(cut.law.stiffness, np.linspace(1, 2, 40)[:-1]) and cut.next_neighbours()[1] == "free"
+
+
+def mapped(problem, sites):
+    """A map, its numbers checked against a run that saves all."""
+    found = gx.shocks.space_time(problem, 20.0, 6, sites)
+    wanted = np.asarray(problem.strain(problem.run(20.0, save_at=6).us))[:, found.bonds]
+    assert np.abs(found.strain - wanted).max() < 1e-11 and np.ptp(wanted) > 0.2
+    return found
+
+
 def test_a_map_is_what_the_run_shows():
-    for problem, sites in ((gx.shocks.step(hertz(101), 0.5, 0.1), 20), (gx.shocks.piston(hertz(101), 0.4), [0, 1, 99])):
-        found = gx.shocks.space_time(problem, 20.0, 6, sites)
-        run = problem.run(20.0, save_at=6)
-        wanted = np.asarray(problem.strain(run.us))[:, found.bonds]
-        assert np.abs(found.strain - wanted).max() < 1e-11 and np.ptp(wanted) > 0.2
-        assert np.array_equal(found.bonds, np.arange(0, 100, 5) if sites == 20 else sites)
-        assert np.array_equal(found.places, found.bonds - float(problem.centre))
-        data = found.to_xarray()
-        assert data.strain.dims == ("time", "bond") and data.kind == problem.kind
-    many = jax.vmap(lambda c: gx.shocks.velocity_shock(gx.scenes.toda(60), c), out_axes=-1)(jnp.asarray([0.1, 0.2]))
-    found = gx.shocks.space_time(many, 5.0, 3, 10, step=0.2)
-    assert found.strain.shape == (3, 10, 2) and found.energy_error.shape == (2,) and found.step <= 0.2
+    problem = gx.shocks.step(hertz(101), 0.5, 0.1)
+    found = mapped(problem, 20)
+    assert np.array_equal(found.bonds, np.arange(0, 100, 5)) and np.array_equal(found.places, found.bonds - 49.5)
+    data = found.to_xarray()
+    assert data.strain.dims == ("time", "bond") and data.kind == "strain"
     for wrong, said in (({"frames": 1}, "frames: expected"), ({"sites": [100]}, "sites: expected how many bonds"),
                         ({"save_at": 3}, "keyword: expected one of 'step'"), ({"frames": 10**13}, "GB of memory")):
         with pytest.raises(ValueError, match=said):
             gx.shocks.space_time(problem, 20.0, **wrong)
+
+
+@pytest.mark.slow
+def test_maps_of_a_piston_and_of_a_batch():
+    assert mapped(gx.shocks.piston(hertz(101), 0.4), [0, 1, 99]).bonds.tolist() == [0, 1, 99]
+    many = jax.vmap(lambda c: gx.shocks.velocity_shock(gx.scenes.toda(101), c), out_axes=-1)(jnp.asarray([0.1, 0.2]))
+    found = mapped(many, 10)
+    assert found.strain.shape == (6, 10, 2) and found.energy_error.shape == (2,) and found.places.shape == (10, 2)
 
 
 MILLION = """
@@ -229,20 +250,23 @@ def test_a_million_sites_need_less_than_two_gigabytes():
     assert float(found.stdout) < 2
 
 
-def test_a_batch_is_one_problem():
-    cs, lefts = jnp.asarray([0.1, 0.2]), jnp.asarray([0.2, 0.4])
+BATCHES = {
+    "velocity": (gx.shocks.velocity_shock, [0.1, 0.2]),
+    "step": (lambda chain, y: gx.shocks.step(chain, y, 0.1), [0.2, 0.4]), "piston": (gx.shocks.piston, [0.2, 0.4]),
+}
+
+
+@pytest.mark.parametrize("kind", ["velocity", *(pytest.param(k, marks=pytest.mark.slow) for k in ("step", "piston"))])
+def test_a_batch_is_one_problem(kind):
+    make, values = BATCHES[kind]
     chain = gx.scenes.toda(101)
-    many = jax.vmap(lambda c: gx.shocks.velocity_shock(chain, c), out_axes=-1)(cs)
-    steps = jax.vmap(lambda y: gx.shocks.step(chain, y, 0.1), out_axes=-1)(lefts)
-    pistons = jax.vmap(lambda c: gx.shocks.piston(chain, 2 * c), out_axes=-1)(cs)
-    alone = [gx.shocks.velocity_shock(chain, 0.2), gx.shocks.step(chain, 0.4, 0.1), gx.shocks.piston(chain, 0.4)]
-    for batch, one in zip((many, steps, pistons), alone):
-        assert batch.until().shape == (2,) and batch.until()[1] == pytest.approx(float(one.until()), rel=1e-12)
-        run, single = batch.run(20.0, step=0.1), one.run(20.0, step=0.1)
-        assert batch.strain(run.us).shape == (1, 100, 2)
-        assert np.abs(batch.strain(run.us)[..., 1] - one.strain(single.us)).max() < 1e-13
-    given = gx.shocks.velocity_shock(many.lattice, np.array([0.1, 0.2]))
-    assert np.array_equal(given.state.v, many.state.v)
+    batch, one = jax.vmap(lambda x: make(chain, x), out_axes=-1)(jnp.asarray(values)), make(chain, values[1])
+    assert batch.until().shape == (2,) and batch.until()[1] == pytest.approx(float(one.until()), rel=1e-12)
+    run, single = batch.run(20.0, step=0.1), one.run(20.0, step=0.1)
+    assert batch.strain(run.us).shape == (1, 100, 2)
+    assert np.abs(batch.strain(run.us)[..., 1] - one.strain(single.us)).max() < 1e-13
+    if kind == "velocity":
+        assert np.array_equal(make(batch.lattice, np.array(values)).state.v, batch.state.v)
 
 
 def test_a_step_differentiates():

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -20,19 +21,21 @@ from ..types import Displacements, Number, Numbers, Scalar
 SAMPLES, NODES = 33, 32
 _PLACES, _WEIGHTS = np.polynomial.legendre.leggauss(NODES)
 # how far a linear front, Ai(z) with z = (n - s t)/(s t/8)^{1/3}, reaches ahead: it is below 1e-16 from z = 14 on; and
-# sites besides
-AIRY, SITES = 7, 4
+# sites besides; and where dashpots wash it out, exp(-n^2/(2 nu t)) is from n = VISCOUS (nu t)^{1/2} on
+AIRY, SITES, VISCOUS, HALVINGS = 7, 4, 8.6, 60
 
 
 class Jolt(eqx.Module):
     """What sends a shock into a medium: its law, the least mass, and pairs of a strain and the velocity it jumps by.
 
     A velocity is that of beads against the medium ahead, in which the strain is; its sign is that of the compression.
+    `spread`: what dashpots between neighbours add, their coefficient over the mass.
     """
 
     law: Law
     mass: Number
     into: tuple
+    spread: Number
     __repr__ = told
 
 
@@ -89,7 +92,8 @@ class Riemann(eqx.Module):
         **Raises** ValueError for a chain with other bonds than to the next site.
         """
         if self._jolt is None:
-            refuse("t1", "the time of a chain of bonds to the next site alone", "other bonds as well", "Give t1.")
+            refuse("t1", "a time, for a chain of other forces than those of bonds to the next site", "None",
+                   "How fast they carry is not known here.")
         centre, last = self.centre + 0.5, self.lattice.shape[0] - 1
         room = jnp.minimum(centre, last - centre) if self.kind in ("velocity", "strain") else last + 0.0 * centre
         return _until(self._jolt, room, len(self.lattice.lanes))
@@ -127,10 +131,16 @@ def _until(jolt, room, lanes):
         squared = _stiffest(jolt.law, strain, jolt.mass * velocity**2, jnp.sign(velocity)) / jolt.mass
         # of bonds that differ the stiffest
         fastest = jnp.maximum(fastest, squared.max(0) if squared.ndim > lanes else squared)
-    # s t + AIRY (s t)^{1/3} = room: one real root
-    p, q = AIRY / 3, jnp.maximum(room - SITES, 0) / 2
-    root = 2 * p**0.5 * jnp.sinh(jnp.arcsinh(q / p**1.5) / 3)
-    return root**3 / jnp.sqrt(fastest)
+    speed, room = jnp.sqrt(fastest), jnp.maximum(room - SITES, 0) + 0 * fastest
+    latest = jnp.minimum(room / speed, (room / VISCOUS) ** 2 / jolt.spread)
+
+    def halve(_, ends):
+        low, high = ends
+        t = (low + high) / 2
+        near = speed * t + AIRY * jnp.cbrt(speed * t) + VISCOUS * jnp.sqrt(jolt.spread * t) < room
+        return jnp.where(near, t, low), jnp.where(near, high, t)
+
+    return jnp.where(jnp.isfinite(latest), jax.lax.fori_loop(0, HALVINGS, halve, (0 * latest, latest))[0], latest)
 
 
 def _stiffest(law, strain, work, sign):

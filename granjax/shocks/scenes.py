@@ -17,6 +17,7 @@ from ..states.places import chain_only, inside
 from ..strains import Shift
 from ..terms import Bond, Breaks, Drive, Wall
 from ..terms.reach import furthest
+from ..terms.tracing import traced
 from ..types import Count, Number, Parameter
 from .riemann import Jolt, Riemann, simple_wave_velocity
 
@@ -119,8 +120,8 @@ def step(lattice: Lattice, left: Parameter, right: Parameter = 0.0, *, centre: C
         found = term.next_neighbours()
         if found is not None:
             terms.append(Bond(Shift(1, "fixed"), Strained(_alike(found[0], lanes), strain, reference)))
-        elif term.dependence(lattice).displacement or term.dependence(lattice).time:
-            refuse("lattice", f"{CHAIN}, and damping", f"terms[{i}] ({type(term).__name__})",
+        elif traced(term, lattice)[1].displacement or term.dependence(lattice).time:
+            refuse("lattice", f"{CHAIN}, damping and dashpots", f"terms[{i}] ({type(term).__name__})",
                    "The far states must be at rest at their strains.")
         else:
             terms.append(term)
@@ -131,7 +132,7 @@ def step(lattice: Lattice, left: Parameter, right: Parameter = 0.0, *, centre: C
     velocity = simple_wave_velocity(law, _least(chain), right, left)
     zeros = chain.zeros()
     return Riemann(chain, State(zeros, zeros), left - right, jnp.asarray(centre - 0.5, float), strain[1:-1], "strain",
-                   Jolt(law, _least(chain), ((right, velocity), (left, -velocity))))
+                   Jolt(law, _least(chain), ((right, velocity), (left, -velocity)), _spread(lattice)))
 
 
 @checked
@@ -139,7 +140,8 @@ def piston(lattice: Lattice, speed: Parameter) -> Riemann:
     r"""A piston that moves into a chain at rest from the left: a `Wall` with w(t) = speed t and the chain's own law.
 
     It is one half of a velocity shock with c = speed/2, seen by an observer who rests: u_n + 2c t of the sites right of
-    one that stays at rest, to rounding. A negative speed draws it out.
+    one that stays at rest, to rounding (dashpots between the sites have no part in the piston's contact). A negative
+    speed draws it out.
 
     **Arguments:** `lattice`: a chain; bonds to walls are taken off and a ring is cut, the right end is free.
     `speed` [m/s], a number or one per lane. **Returns:** `Riemann`, with c = speed/2; the piston's contact is bond -1,
@@ -192,15 +194,15 @@ def impacts(
     if none is not None and np.any(none):
         refuse("impulse", "an impulse other than zero", show(concrete(impulse)))
     count = math.inf if count is None else whole("count", count, 1)
-    chain = _opened(lattice)
+    free = _opened(lattice)
     pulses = Pulses(*(x.astype(lattice.dtype) for x in (impulse, interval, duration)),
                     jnp.asarray(count, lattice.dtype))
     breaks = Breaks(jnp.stack([jnp.zeros_like(pulses.duration), pulses.duration]), pulses.interval)
-    chain = _with(chain, (*chain.terms, Drive(pulses, 0, breaks=breaks)))
+    chain = _with(free, (*free.terms, Drive(pulses, 0, breaks=breaks)))
     zeros, law, mass = chain.zeros(), _law(chain), _least(chain)
     single, steady = impulse / mass, _steady_velocity(law, mass, impulse / interval)
     return Riemann(chain, State(zeros, zeros), impulse, jnp.asarray(-1.0), 0.0, "impacts",
-                   Jolt(law, mass, ((0.0, 2 * jnp.sign(impulse) * jnp.maximum(jnp.abs(single), jnp.abs(steady))),)))
+                   _jolt(free, [(0.0, 2 * jnp.sign(impulse) * jnp.maximum(jnp.abs(single), jnp.abs(steady)))]))
 
 
 def _with(lattice, terms):
@@ -274,9 +276,21 @@ def _least(lattice):
 
 def _jolt(lattice, into):
     """What the step sends out; `None` for a chain of other bonds as well."""
-    if any(term.next_neighbours() is None and term.dependence(lattice).displacement for term in lattice.terms):
+    others = [term for term in lattice.terms if term.next_neighbours() is None]
+    if len(others) == len(lattice.terms) or any(traced(term, lattice)[1].displacement for term in others):
         return None
-    return Jolt(_law(lattice), _least(lattice), tuple(into))
+    return Jolt(_law(lattice), _least(lattice), tuple(into), _spread(lattice))
+
+
+def _spread(lattice):
+    """The force of a site's unit of velocity on its neighbours over the mass, of dashpots; zero without."""
+    v = lattice.zeros()
+    v, found = v.at[v.shape[0] // 2].set(1), jnp.zeros(lattice.lanes)
+    for term in lattice.terms:
+        if term.next_neighbours() is None and traced(term, lattice)[1].velocity:
+            pulls = jnp.abs(term.force(0.0, 0 * v, v, lattice.mass)) / _least(lattice)
+            found = found + jnp.where(v == 0, pulls, 0).max(0)
+    return found
 
 
 def _refuse_ends(lattice, state):

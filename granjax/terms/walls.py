@@ -86,7 +86,7 @@ class Wall(Term):
 
     def _put(self, value, u):
         x = jnp.zeros_like(get(u, self.field))
-        return put(x.at[0 if self.side == "left" else -1].set(value), self.field)
+        return put(x.at[0 if self.side == "left" else -1].set(jnp.asarray(value).astype(x.dtype)), self.field)
 
     def compressions(self, t, u):
         return (Compression(self.law, jnp.asarray(self.compression(t, u))[None], "wall"),)
