@@ -1,5 +1,9 @@
 """Dispersive-shock fitting, simple waves, the shock of a linear chain: closed forms, published numbers, simulations."""
 
+import os
+import subprocess
+import sys
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -206,6 +210,17 @@ def test_what_makes_no_such_shock_is_refused(law, c, more, said):
         shock_edges(law, c, **more)
 
 
+@pytest.mark.slow
+def test_edges_in_short_numbers():
+    code = ("import granjax as gx; f = gx.theory.shock_edges(gx.Toda(), 0.5); print(float(f.leading_speed), "
+            "float(f.error), float(gx.theory.linear_shock.velocity_step(0, 5.0, 1.0)))")
+    told = subprocess.run([sys.executable, "-c", code], env=os.environ | {"JAX_ENABLE_X64": "0"}, capture_output=True,
+                          text=True, timeout=120, check=True).stdout
+    speed, error, y = map(float, told.split())
+    assert speed == pytest.approx(1.31519072, rel=1e-6) and 1e-7 < error < 1e-5
+    assert y == pytest.approx(2.0470771, rel=1e-5)
+
+
 def test_edges_are_found_outside_of_compiled_functions():
     with pytest.raises(ValueError, match="known"):
         jax.jit(lambda c: shock_edges(GRANULAR, c).mean)(0.1)
@@ -258,6 +273,8 @@ def test_linear_shocks_broadcast_and_differentiate():
     n, t, K = np.arange(-6, 6)[:, None, None], np.array([0.0, 1.0, 5.0])[:, None], np.array([1.0, 2.0])
     whole = linear_shock.velocity_step(n, t, 0.3, K)
     assert whole.shape == (12, 3, 2) and not np.any(whole[:, 0])
+    assert linear_shock.strain_step(n, [], 1.0).shape == (12, 1, 0)
+    assert linear_shock.velocity_step([], 2.0, 1.0).size == 0
     one = linear_shock.velocity_step(n[:, 0, 0], 5.0, 0.3, 2.0)
     np.testing.assert_allclose(whole[:, 2, 1], one, atol=1e-15)
 

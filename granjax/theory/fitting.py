@@ -8,6 +8,10 @@ strain y [sites/s], V_+ ahead of the shock and V_- behind it,
 
 Exact of the Toda chain, and near elsewhere; `wave=True` asks a solitary wave for a second opinion of s_+.
 
+    law = gx.Hertz(precompression=1.0)
+    edges = gx.theory.shock_edges(law, 0.2)
+    fan = gx.theory.simple_wave.fan([0.9, 1.0, 1.1], law, -0.2)
+
 Source: G. A. El, Chaos 15, 037103 (2005); G. A. El, M. A. Hoefer, Physica D 333, 11 (2016).
 """
 

@@ -86,7 +86,7 @@ def _at(n, x, kind):
     # axes along which x varies lead
     x = x.reshape((1,) * (len(shape) - x.ndim) + x.shape)
     axes = sorted(range(len(shape)), key=lambda k: x.shape[k] == 1)
-    bonds = jnp.transpose(jnp.broadcast_to(n, shape), axes).reshape(x.size, -1)
+    bonds = jnp.transpose(jnp.broadcast_to(n, shape), axes).reshape(x.size, int(np.prod(shape)) // max(x.size, 1))
     found = _transformed(bonds, x.reshape(-1), points, kind)
     return jnp.transpose(found.reshape([shape[k] for k in axes]), np.argsort(axes))
 
@@ -94,9 +94,9 @@ def _at(n, x, kind):
 @partial(jax.jit, static_argnums=(2, 3))
 def _transformed(bonds, x, points, kind):
     k = np.arange(points)
-    # as right near pi as it is near 0; there a number whose square is one still
+    # as right near pi as it is near 0; there next to nothing, in float32 too
     sine, turn = np.sin(np.pi / points * np.minimum(k, points - k)), np.exp(-1j * np.pi / points * k)
-    sine[0] = 1e-100
+    sine[0] = 1e-30
 
     def velocity(x):
         # int_0^x J_{2n}(2s) ds, n from 0 to half of the points

@@ -19,13 +19,12 @@ from ..types import Numbers
 CHUNK, FINE, COARSE, GRADED = 4096, 16, 11, (60, 50)
 # halvings of a panel that does not settle, panels that are halved at a time
 HALVINGS, MOST = 40, 64
-# binary orders of magnitude of the strain that are looked through, strains in each
-ORDERS, EACH = 400, 2
+# binary orders of magnitude of the strain that are looked through, short of the largest number; strains in each
+ORDERS, SHORT, EACH = 400, 12, 2
 STEPS = 100
 # share of the largest change of slope that counts as one the other way
 BENT = 1e-9
 _RULES = [np.polynomial.legendre.leggauss(count) for count in (FINE, COARSE)]
-_EPS = np.finfo(float).eps
 
 
 class Path(NamedTuple):
@@ -54,6 +53,11 @@ class Path(NamedTuple):
         nodes, weights = np.full(count, 0.5), np.zeros(count)
         nodes[: len(self.nodes)], weights[: len(self.nodes)] = self.nodes, self.weights
         return tuple(jnp.asarray(x, float) for x in (self.width, nodes, weights, self.close))
+
+
+def _rounding():
+    """The rounding of the numbers that a law is evaluated in."""
+    return float(jnp.finfo(jnp.result_type(float)).eps)
 
 
 @eqx.filter_jit
@@ -107,8 +111,8 @@ def _quadrature(law: Law, mass: float, ahead: float, width: float) -> tuple:
         apart = np.abs(fine - coarse)
         if level == 0:
             whole = np.abs(fine).sum(-1)
-        bad = (apart > 8 * _EPS * whole[:, None]).any(0) & (level < HALVINGS - 1)
-        bad &= np.isfinite(apart).all(0) & (ends[:, 1] - ends[:, 0] > 8 * _EPS * ends[:, 1])
+        bad = (apart > 8 * _rounding() * whole[:, None]).any(0) & (level < HALVINGS - 1)
+        bad &= np.isfinite(apart).all(0) & (ends[:, 1] - ends[:, 0] > 8 * _rounding() * ends[:, 1])
         # the worst ones alone, so that a law that is rough everywhere ends
         if bad.sum() > MOST:
             bad[np.argsort(-(apart / np.maximum(whole, 1e-300)[:, None]).max(0))[MOST:]] = False
@@ -120,7 +124,7 @@ def _quadrature(law: Law, mass: float, ahead: float, width: float) -> tuple:
     nodes, weights, first, second = (np.concatenate([x[k].ravel() for x in kept]) for k in range(4))
     apart = np.concatenate([x[4] for x in kept], 1).sum(1)
     with np.errstate(invalid="ignore", divide="ignore"):
-        return nodes, weights, first, second, apart / whole + 4 * _EPS
+        return nodes, weights, first, second, apart / whole + 4 * _rounding()
 
 
 def _path_to(medium: Medium, c: Any, ahead: Any, kind: str | None = None) -> Path:
@@ -147,11 +151,11 @@ def _path_to(medium: Medium, c: Any, ahead: Any, kind: str | None = None) -> Pat
                f"an inflection near {turn:.4g}", f"What starts there is no single {kind}, but several waves.")
     high = float(_slopes_at(law, np.array([ahead + width]))[0][0])
     direct, summed = high - low, width * weights @ bend
-    rough = 2 * _EPS * (high + low) / abs(direct) if direct else np.inf
+    rough = 2 * _rounding() * (high + low) / abs(direct) if direct else np.inf
     close = bool(low > 0 and not rough < errors[1])
     with np.errstate(divide="ignore"):
         growth = np.expm1(np.log1p(np.divide(summed if close else direct, low)) / 2)
-    error = max(errors[0], errors[1] if close else rough, 8 * _EPS)
+    error = max(errors[0], errors[1] if close else rough, 8 * _rounding())
     return Path(c, ahead, width, nodes, weights, np.sqrt(low / mass), np.sqrt(high / mass), growth, close, float(error))
 
 
@@ -167,7 +171,8 @@ def _at_rest(law, ahead):
 
 def _scan(law, ahead, side):
     """Distances from the strain ahead over all orders of magnitude, with F' and F'' there, as far as the law goes."""
-    strains = 2.0 ** (np.arange(-ORDERS * EACH, ORDERS * EACH + 1) / EACH)
+    orders = min(ORDERS, jnp.finfo(jnp.result_type(float)).maxexp - SHORT)
+    strains = 2.0 ** (np.arange(-orders * EACH, orders * EACH + 1) / EACH)
     first, second = _slopes_at(law, ahead + side * strains)
     begin = int(np.argmax(np.isfinite(first)))
     lost = ~np.isfinite(first[begin:])
@@ -205,7 +210,7 @@ def _width(law, mass, ahead, side, jump, strains, first):
         found = _quadrature(law, mass, ahead, side * at)
         speed = np.sqrt(found[2] / mass)
         gap = at * (found[1] @ speed) - jump
-        if np.isfinite(gap) and abs(gap) <= 2 * _EPS * jump or high - low <= 2 * _EPS * high:
+        if np.isfinite(gap) and abs(gap) <= 2 * _rounding() * jump or high - low <= 2 * _rounding() * high:
             break
         if gap < 0:
             low = at
