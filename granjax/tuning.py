@@ -5,7 +5,8 @@ all cores gets slower (benchmarks/flags.py). XLA reads them once, before JAX's f
 
 - `xla_cpu_small_while_loop_byte_threshold`, an extra option of the backend: a loop becomes one native function instead
   of a dispatch per operation. Such a loop runs on one thread; cores are used through devices.
-- `xla_cpu_prefer_vector_width=512` on processors with AVX-512.
+- `xla_cpu_prefer_vector_width=512` on processors with AVX-512. With it jaxlib 0.10.2 gets the arctan of arrays wrong
+  (jax issue 39352): there it is taken of two arguments, which it gets right.
 
 The square root of a contact's force has two forms (`root_by_products`), chosen by the processor.
 """
@@ -26,6 +27,7 @@ LOOPS = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=100
 WIDTH = "--xla_cpu_prefer_vector_width=512"
 # JAX from this version on has not been tried: XLA ends a process for a flag that it does not know
 UNTRIED = (0, 13)
+WRONG_ARCTAN = "0.10.2"
 
 
 class Tuning(NamedTuple):
@@ -94,6 +96,25 @@ def _started():
     from jax._src import xla_bridge
 
     return xla_bridge.backends_are_initialized()
+
+
+def _mend_arctan():
+    """Have the arctan of one argument taken of two, x and 1, where wide vectors get it wrong."""
+    import jaxlib
+
+    if jaxlib.__version__ != WRONG_ARCTAN or "prefer_vector_width" not in os.environ.get("XLA_FLAGS", ""):
+        return
+    import jax.numpy as jnp
+    from jax import lax
+    from jax.interpreters import mlir
+
+    def arctan(x):
+        if jnp.iscomplexobj(x):
+            return -1j * lax.atanh(1j * x)
+        # a 1 that no compiler knows, which would make one argument of it again
+        return lax.atan2(x, jnp.where(x == x, jnp.ones_like(x), x))
+
+    mlir.register_lowering(lax.atan_p, mlir.lower_fun(arctan, multiple_results=False), platform="cpu")
 
 
 def tune() -> Tuning:
@@ -204,6 +225,7 @@ def prepare_import() -> None:
         jax.config.update("jax_enable_x64", True)
     if os.environ.get("GRANJAX_TUNE", "1") != "0":
         tune()
+        _mend_arctan()
 
 
 @cache

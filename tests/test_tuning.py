@@ -5,6 +5,9 @@ import os
 import subprocess
 import sys
 
+import jax
+import jax.numpy as jnp
+import numpy as np
 import pytest
 
 import granjax as gx
@@ -173,3 +176,17 @@ def test_a_folder_that_is_no_path_is_refused():
     for folder in (3, ["a"], object()):
         with pytest.raises(ValueError, match="folder: expected a string, a path or None, got"):
             gx.tuning.keep_compiled(folder)
+
+
+@pytest.mark.parametrize(("dtype", "rtol"), [("float64", 1e-15), ("float32", 1e-6), ("complex128", 1e-14)])
+def test_arctan_of_arrays_is_right(dtype, rtol):
+    # jaxlib 0.10.2 is wrong in vectors of eight numbers, from some 50 on
+    x = np.linspace(-5, 5, 203).astype(dtype)
+    x = x * (1 + 0.3j) if dtype[0] == "c" else np.append(x, [np.inf, -np.inf, np.nan]).astype(dtype)
+    for arctan in (jnp.arctan, jax.jit(jnp.arctan), jax.jit(jax.vmap(jnp.arctan))):
+        np.testing.assert_allclose(np.asarray(arctan(x)), np.arctan(x), rtol=rtol)
+
+
+def test_arctan_of_arrays_has_its_slope():
+    x = np.linspace(-5, 5, 203)
+    np.testing.assert_allclose(jax.jit(jax.vmap(jax.grad(jnp.arctan)))(x), 1 / (1 + x**2), rtol=1e-14)

@@ -192,7 +192,7 @@ def _profile(run, problem, side):
     quiet = np.flatnonzero((np.convolve(even, np.ones(EVEN), "valid") == EVEN) & (places[: 1 - EVEN] > 0))
     if not np.ptp(strain) > 0 or not quiet.size or quiet[0] < 4 * EVEN:
         got = f"strains from {strain.min():g} to {strain.max():g} up to the {side} end, where {first:g} was"
-        refuse("run", "a shock with quiet bonds before it", got, "A longer chain, or a shorter run; problem.until().")
+        refuse("run", "a shock with quiet bonds before it", got, "A longer chain, or a shorter run; problem.horizon().")
     # what comes from the end, where the chain is held there, stays beyond
     last = quiet[-1] + EVEN
     behind = strain[(places > 0) & (places <= NEAR * places[quiet[0]] + EVEN)].mean()
