@@ -103,6 +103,12 @@ def table():
     return measure([Ladder("method", "step", [0.08, 0.01, 0.001], call)], (np.ones(1), np.ones(1)), 1e-12, 1)
 
 
+@functools.cache
+def planar():
+    xi = np.linspace(-6, 6, 61)
+    return identify.planar_ode(xi, 1.5 / np.cosh(xi / 2) ** 2, degree=2)
+
+
 # made in less than a second, or once for several; where that would take long, of numbers without meaning
 MAKERS = {
     "Run": run, "Branch": branch, "Fit": fitted, "Attractor": settled, "Way": way, "Sweep": sweep, "ForceLaw": law,
@@ -119,6 +125,7 @@ MAKERS = {
     "Spectrum": lambda: measures.spectrum(np.ones((33, N)), 0.1),
     "Spectrogram": lambda: measures.spectrogram(np.ones(33), 0.1, 0.9),
     "DissipativeFront": lambda: gx.shocks.dissipative_front(gx.Hertz(), 1.0, dashpot=1.0),
+    "PlanarODE": lambda: planar(), "PlanarOrbit": lambda: planar().homoclinic(),
     "Derivative": lambda: gx.derivative(lambda x, step: {"a": x["a"] ** 2, "b": x["a"].sum()}, {"a": jnp.ones(2)}, 0.1),
     "Root": lambda: newton(lambda x, _: x**2 - 2, np.ones(1)),
     "Curve": lambda: continuation(lambda x, p, _: x - p, np.zeros(1), 0.0, points=3),

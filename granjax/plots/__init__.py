@@ -16,7 +16,7 @@ be told apart by colour-blind eyes.
 
 from .cells import cell_wave, resonance_map
 from .curves import profile, transmission
-from .fits import corner, fit, law
+from .fits import corner, fit, law, planar
 from .histories import space_time, traces
 from .orbits import branch, breather, floquet_circle, hysteresis, strain_map
 from .precision import work_precision
@@ -27,7 +27,7 @@ from .waves import dispersion
 
 __all__ = [
     "COLOURS", "branch", "breather", "cell_wave", "corner", "dispersion", "drawn", "figure", "fit", "floquet_circle",
-    "front", "hysteresis", "law", "modulation", "profile", "reflection", "resonance_map", "save", "shock", "shock_core",
-    "shock_map", "space_time", "strain_map", "style", "traces", "transmission", "wave", "wave_errors", "wave_family",
-    "work_precision",
+    "front", "hysteresis", "law", "modulation", "planar", "profile", "reflection", "resonance_map", "save", "shock",
+    "shock_core", "shock_map", "space_time", "strain_map", "style", "traces", "transmission", "wave", "wave_errors",
+    "wave_family", "work_precision",
 ]

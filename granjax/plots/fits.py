@@ -1,4 +1,4 @@
-"""Fits: data beside the fitted signals, corner plots of what is known, identified laws with their bands."""
+"""Fits: data beside the fitted signals, corner plots of what is known, laws with their bands, phase planes."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -250,3 +250,45 @@ def _ellipses(ax, centre, matrix):
         ax.add_patch(Ellipse(centre, sigma * width, sigma * height, angle=angle, fc=COLOURS[0], alpha=alpha, lw=0))
         ax.add_patch(Ellipse(centre, sigma * width, sigma * height, angle=angle, fill=False, ec=COLOURS[0], lw=1.0))
     ax.plot(*centre, ".", color=COLOURS[0], ms=4)
+
+
+@checked
+def planar(record: Any, ax: AxesOrNone = None, *, units: UnitsOrWords = None) -> Axes:
+    """Phase plane of a planar equation: the measured wave, its homoclinic and periodic orbit, and the equilibria.
+
+    **Arguments:** `record`: anything with `strains`, `slopes`, `window` (P,), `equilibria`, `homoclinic()` and
+    `periodic()`, such as the result of `gx.identify.planar_ode`. `units`: `"um"`, as in `granjax.plots`.
+
+    **Returns:** the Axes; `ax.lines`: the orbits that there are, the windows of the data, saddles and centres.
+    **Raises** ValueError for a record without these.
+    """
+    having("record", record, "a planar equation", "strains", "slopes", "window", "equilibria", "homoclinic", "periodic")
+    y, slope = numbers("record.strains", record.strains, 1), numbers("record.slopes", record.slopes, 1)
+    by_x, by_y = drawn_in(units, units_of(record), Axis("strain", y), Axis("slope of the strain", slope, "m"))
+    if ax is None:
+        import matplotlib.pyplot as plt
+
+        with style():
+            ax = plt.subplots(figsize=(5.2, 4.2), layout="constrained")[1]
+    for name, tone in (("homoclinic", COLOURS[1]), ("periodic", COLOURS[0])):
+        try:
+            orbit = getattr(record, name)()
+        except ValueError:
+            orbit = None
+        if orbit is not None:
+            table = np.asarray(orbit.strains)
+            steep = scaled_by(np.gradient(table, orbit.xi), by_y.factor)
+            ax.plot(scaled_by(table, by_x.factor), steep, color=tone, lw=1.2, label=f"{name} orbit")
+    for k in np.unique(record.window):
+        own = record.window == k
+        ax.plot(scaled_by(y[own], by_x.factor), scaled_by(slope[own], by_y.factor), "o", ms=3, color=COLOURS[2],
+                label=None if k else "measured wave")
+    for kind, mark in (("saddle", "x"), ("centre", "+")):
+        at = np.array([point.strain for point in record.equilibria if point.kind == kind])
+        near = at[np.abs(at - y.mean()) < 1.5 * np.ptp(y)] if at.size else at
+        ax.plot(scaled_by(near, by_x.factor), np.zeros(len(near)), mark, color=COLOURS[6], ms=8, label=kind)
+    ax.axhline(0.0, color=FAINT, lw=0.6, zorder=0)
+    ax.set_xlabel(by_x.label)
+    ax.set_ylabel(by_y.label)
+    ax.legend(frameon=False, fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
+    return ax

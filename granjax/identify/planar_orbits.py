@@ -1,0 +1,106 @@
+"""Orbits of y'' = f(y) for a polynomial f, by quadrature: p^2/2 = G(y) - G(end), G' = f, less both ends."""
+
+from typing import Any, ClassVar
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Float
+from numpy.polynomial import polynomial
+
+from ..entry import checked
+from ..results import Held, Result
+from ..types import Parameter
+
+# pieces of half of an orbit, their nodes, steps of Newton's method for a place; end of a homoclinic orbit, table
+PIECES, NODES, STEPS, END, TABLE = 64, 16, 40, 24.0, 513
+_T, _W = np.polynomial.legendre.leggauss(NODES)
+
+
+class PlanarOrbit(Result):
+    """An orbit of a planar equation y'' = f(y), a crest or its trough at xi = 0, beside the measured wave.
+
+    **Fields:** `kind`: "homoclinic" or "periodic". `crest`, `trough`: highest and lowest strain [m]; a homoclinic orbit
+    falls to one of them. `wavelength` (infinite of a homoclinic orbit), `energy`: y'^2/2 - int_0^y f [m^2]. `decay`:
+    rate of a homoclinic orbit's tail. `distance`: rms of the measured wave less the orbit, over the wave about the
+    highest crest, at the best place [m]; `shift`: that place. `xi`, `strains`: a table; `strain(xi)` gives any place.
+    """
+
+    held: ClassVar[dict[str, Held]] = {
+        "crest": Held("", "m"), "trough": Held("", "m"), "distance": Held("", "m"), "xi": Held("xi", "1"),
+        "strains": Held("xi", "m"),
+    }
+    kind: str = eqx.field(static=True)
+    crest: float
+    trough: float
+    wavelength: float
+    energy: float
+    decay: float | None
+    distance: float
+    shift: float
+    xi: Float[np.ndarray, " xi"]
+    strains: Float[np.ndarray, " xi"]
+    outcome: str = eqx.field(static=True)
+    _way: Any = eqx.field(kw_only=True, repr=False)
+
+    @checked
+    def strain(self, xi: Parameter) -> Float[np.ndarray, "..."]:
+        """Strain at places xi, of any shape [m]."""
+        return self._way(np.asarray(xi, float))
+
+
+class Way:
+    """An orbit as a function of place: y(s) at x(s), both known, s by Newton's method.
+
+    A periodic one has y = middle + half cos s, a homoclinic one y = low + height/cosh(s)^2; both s' are smooth.
+    """
+
+    def __init__(self, f: np.ndarray, start: float, end: float, homoclinic: bool):
+        self.start, self.end, self.homoclinic = start, end, homoclinic
+        # G(y) - G(end) over the factors of its ends
+        G = polynomial.polyint(f)
+        G[0] -= polynomial.polyval(end, G)
+        rest = G
+        for root in (end, end, start) if homoclinic else (end, start):
+            rest = polynomial.polydiv(rest, [-root, 1.0])[0]
+        # of a homoclinic orbit (y - end)^2 (start - y) q, of a periodic one (y - end)(start - y) q
+        self.rest = -rest
+        self.edges = np.linspace(0, END if homoclinic else np.pi, PIECES + 1)
+        width = self.edges[1]
+        parts = self.rate(self.edges[:-1, None] + width * (1 + _T) / 2) @ _W * width / 2
+        self.places = np.append(0.0, np.cumsum(parts))
+
+    def y(self, s: Any) -> Any:
+        """Strain by s."""
+        if self.homoclinic:
+            return self.end + (self.start - self.end) / np.cosh(np.minimum(np.abs(s), 300)) ** 2
+        return (self.start + self.end) / 2 + (self.start - self.end) / 2 * np.cos(s)
+
+    def rate(self, s: Any) -> Any:
+        """dx/ds."""
+        q = 2 * polynomial.polyval(self.y(s), self.rest)
+        with np.errstate(all="ignore"):
+            return 2 / np.sqrt(q * (self.start - self.end)) if self.homoclinic else 1 / np.sqrt(q)
+
+    @property
+    def wavelength(self) -> float:
+        """Of a periodic orbit."""
+        return 2 * float(self.places[-1])
+
+    def __call__(self, x: Any) -> Any:
+        """Strain by place."""
+        x = np.abs(x)
+        if not self.homoclinic:
+            x = np.abs((x + self.wavelength / 2) % self.wavelength - self.wavelength / 2)
+        k = np.clip(np.searchsorted(self.places, x, "right") - 1, 0, PIECES - 1)
+        low, width = self.edges[k], self.edges[1]
+        s = low + np.minimum((x - self.places[k]) / self.rate(low), width)
+        for _ in range(STEPS):
+            half = (s - low) / 2
+            over = self.places[k] + half * (self.rate(low[..., None] + half[..., None] * (1 + _T)) @ _W) - x
+            step = over / self.rate(s)
+            s = np.clip(s - step, low, low + width)
+            if np.abs(step).max(initial=0.0) < 1e-15 * self.edges[-1]:
+                break
+        if self.homoclinic:
+            s = np.where(x > self.places[-1], END + (x - self.places[-1]) / self.rate(np.asarray(END)), s)
+        return self.y(s)
