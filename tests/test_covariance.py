@@ -604,7 +604,9 @@ def shock(problem, s):
 
 @row("velocity_shock", uniform, foreign)
 def _(s):
-    problem = gx.shocks.velocity_shock(s.lattice, s.speed(near(s.rng, 0.2)))
+    # between two sites, further from the ends than forces reach
+    middle = (s.lattice.shape[0] - 1) / 2
+    problem = gx.shocks.velocity_shock(s.lattice, s.speed(near(s.rng, 0.2)), centre=middle)
     return [shock(problem, s), speed(problem.c), duration(problem.until() if s.lattice.terms[1:] == () else s.s(1.0))]
 
 
