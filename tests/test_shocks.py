@@ -110,6 +110,8 @@ def test_toda_shocks_converge_to_the_theory(c, early, late):
     assert np.all(np.abs(late.speeds_of_m - late.s) < 2e-3)
     for shock in (early, late):
         assert abs(shock.trailing_speed - theory.trailing_speed) < shock.trailing_error
+    known = gx.theory.toda.modulation(gx.theory.toda.modulus(late.s, c), c).phase
+    assert np.abs(np.angle(np.exp(1j * (late.phases - np.asarray(known)))))[1:].max() < 0.03
     # the leading crest rises to s_+; what remains of the core after the fit of the phase falls like 1/t
     left = [theory.leading_speed - x.leading_speed for x in (early, late)]
     assert 0 < left[1] < left[0] / 3

@@ -7,9 +7,10 @@ from .balances import Balances, balances
 from .front import DissipativeFront
 from .fronts import dissipative_front
 from .history import SpaceTime, space_time
-from .measure import Shock, measure
+from .measure import measure
 from .riemann import Riemann
 from .scenes import impacts, piston, step, velocity_shock
+from .shock import Shock
 
 __all__ = [
     "Balances", "DissipativeFront", "Riemann", "Shock", "SpaceTime", "balances", "dissipative_front", "impacts",
