@@ -26,11 +26,6 @@ LABELS = [
     "fig1.2", "fig1.3", "fig1.4", "fig1.5", "fig2.2", "fig2.3", "fig2.4", "fig2.5", "breather.1", "breather.2",
     "breather.3", "DSW.1", "DSW.2", "DSW.3", "DSW.4", "DSW.5",
 ]
-MADE = (
-    "fig1.2", "fig1.3", "fig1.4", "fig1.5", "fig2.2", "fig2.3", "fig2.4", "fig2.5", "breather.1", "breather.2",
-    "breather.3",
-)
-
 _computed = {}
 
 
@@ -82,17 +77,15 @@ def draw_line(plots, figure, data):
 
 def test_the_registry_has_the_sixteen_figures_in_order():
     assert list(reproduce.figures()) == LABELS
-    assert reproduce.made() == MADE
     for label, figure in reproduce.figures().items():
-        assert figure.label == label
-        assert isinstance(figure, reproduce.Figure if label in MADE else reproduce.Awaited)
+        assert figure.label == label and isinstance(figure, reproduce.Figure)
 
 
-def test_the_listing_says_what_is_made_and_what_is_chosen():
+def test_the_listing_says_what_is_chosen():
     lines = reproduce.listing().splitlines()
     for label in LABELS:
         (own,) = [text for text in lines if text.startswith(label + " ")]
-        assert ("not yet" in own) == (label not in MADE)
+        assert own.endswith(reproduce.figure(label).title)
     assert any("radius = 0.009525 m" in text for text in lines)
 
 
@@ -104,15 +97,8 @@ def test_an_unknown_figure_meets_the_nearest(label, message):
         reproduce.figure(label)
 
 
-@pytest.mark.parametrize("label", [label for label in LABELS if label not in MADE])
-def test_a_figure_that_is_not_made_yet_says_so(label, tmp_path):
-    with pytest.raises(ValueError, match=f"{label} is not made yet: it needs "):
-        reproduce.run([label], tmp_path / "out", plots=gx.plots)
-    assert not (tmp_path / "out").exists()
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("label", MADE)
+@pytest.mark.parametrize("label", LABELS)
 def test_the_number_is_the_expected_one_and_every_axis_of_the_picture_labelled(label, data_of):
     figure = reproduce.figure(label)
     assert figure.number(data_of(label)) == pytest.approx(figure.expected, abs=figure.tolerance, rel=0)

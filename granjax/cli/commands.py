@@ -91,7 +91,7 @@ def _parser():
     reproduce = commands.add_parser("reproduce", help=text, description=text)
     reproduce.add_argument("figures", nargs="*", metavar="FIGURE", help="labels such as fig2.2")
     reproduce.add_argument("--list", action="store_true", help="list the figures and stop")
-    reproduce.add_argument("--all", action="store_true", help="all figures that are made")
+    reproduce.add_argument("--all", action="store_true", help="all figures")
     reproduce.add_argument("--check", action="store_true", help="compare the numbers; exit code 1 where one disagrees")
     reproduce.add_argument(
         "--out", metavar="DIR", help="folder for pictures and data (default: current folder; none with --check)"

@@ -6,8 +6,8 @@ does not state is chosen here, said to be so, and can be set.
 `figures()` is the registry; `listing()` a table of it; `run(labels, out, plots=granjax.plots)` makes them.
 """
 
-from .figure import Awaited, Choice, Figure
+from .figure import Choice, Figure
 from .making import Made, one_by_one, run
-from .registry import figure, figures, listing, made
+from .registry import figure, figures, listing
 
-__all__ = ["Awaited", "Choice", "Figure", "Made", "figure", "figures", "listing", "made", "one_by_one", "run"]
+__all__ = ["Choice", "Figure", "Made", "figure", "figures", "listing", "one_by_one", "run"]

@@ -57,16 +57,6 @@ class Figure:
         return values
 
 
-@checked
-@dataclass(frozen=True)
-class Awaited:
-    """A figure of the review that is not made yet: `needs` says what for."""
-
-    label: str
-    title: str
-    needs: str
-
-
 def _read(name, value, default):
     kind = type(default)
     if isinstance(value, kind) and not isinstance(value, bool):

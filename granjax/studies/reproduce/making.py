@@ -14,7 +14,7 @@ from ...entry import checked
 from ...files import folder, netcdf, rescue, target
 from ...results import Result
 from .figure import Figure
-from .registry import figure, made
+from .registry import figure, figures
 
 PICTURE, DATA = ".png", ".nc"
 
@@ -55,7 +55,7 @@ def run(
 
     **Arguments:**
 
-    - `labels`: labels such as `"fig1.3"`, one or several; `None` for all that are made.
+    - `labels`: labels such as `"fig1.3"`, one or several; `None` for all.
     - `out`: folder for pictures and data, made where it is missing; `None` writes nothing.
     - `check`: compare the number with the expected value. A figure that fails does not stop the others.
     - `plots`: the module that draws, `granjax.plots`; needed where `out` is given.
@@ -63,8 +63,8 @@ def run(
       figure asked for that has the parameter.
 
     **Returns:** a list of `Made`, one per label; after `check` all is well where none has `passed is False`.
-    **Raises** ValueError for an unknown label (suggesting the nearest), a figure that is not made yet, a parameter
-    that none of the figures has, or a folder that cannot be written.
+    **Raises** ValueError for an unknown label (suggesting the nearest), a parameter that none of the
+    figures has, or a folder that cannot be written.
     """
     return list(one_by_one(labels, out, check, plots, overrides))
 
@@ -93,7 +93,7 @@ def one_by_one(
 
 def _labels(labels):
     if labels is None:
-        return made()
+        return list(figures())
     if isinstance(labels, (str, Figure)):
         labels = (labels,)
     return [label.label if isinstance(label, Figure) else label for label in labels]

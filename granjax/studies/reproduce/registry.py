@@ -1,21 +1,13 @@
-"""The review's sixteen figures by their labels: those that are made, and those that wait for a capability."""
+"""The review's sixteen figures by their labels."""
 
-from ...checks import one_of, refuse
+from ...checks import one_of
 from ...entry import checked
-from . import breather_figures, dimer_pulse, dimer_transmission, monomer_pulse, solitary
-from .figure import Awaited, Figure
+from . import breather_figures, dimer_pulse, dimer_transmission, monomer_pulse, shock_figures, solitary
+from .figure import Figure
 
-_MADE = (
+_FIGURES = (
     *solitary.FIGURES, *monomer_pulse.FIGURES, *dimer_transmission.FIGURES, *dimer_pulse.FIGURES,
-    *breather_figures.FIGURES,
-)
-
-_AWAITED = (
-    Awaited("DSW.1", "Dispersive shock from a step", "dispersive shocks"),
-    Awaited("DSW.2", "Two zooms into the dispersive shock", "dispersive shocks"),
-    Awaited("DSW.3", "Granular velocity shock and its KdV prediction", "dispersive shocks"),
-    Awaited("DSW.4", "Granular velocity shock and its Toda approximation", "dispersive shocks"),
-    Awaited("DSW.5", "Edges of the granular velocity shock, KdV and Toda", "dispersive shocks"),
+    *breather_figures.FIGURES, *shock_figures.FIGURES,
 )
 
 _LABELS = (
@@ -23,39 +15,27 @@ _LABELS = (
     "breather.1", "breather.2", "breather.3", "DSW.1", "DSW.2", "DSW.3", "DSW.4", "DSW.5",
 )
 
-_BY_LABEL = {figure.label: figure for figure in (*_AWAITED, *_MADE)}
+_BY_LABEL = {figure.label: figure for figure in _FIGURES}
 
 
-def figures() -> dict[str, Figure | Awaited]:
-    """A dict from label to `Figure`, or to `Awaited` where it is not made yet, in the order of the review."""
+def figures() -> dict[str, Figure]:
+    """A dict from label to `Figure`, in the order of the review."""
     return {label: _BY_LABEL[label] for label in _LABELS}
 
 
 @checked
 def figure(label: str) -> Figure:
-    """The figure of a label. **Raises** ValueError for an unknown label, naming the nearest, or one not made yet."""
-    found = _BY_LABEL[one_of("label", label, _LABELS)]
-    if isinstance(found, Awaited):
-        refuse("label", f"one that is made ({', '.join(made())})", repr(label),
-               f"{label} is not made yet: it needs {found.needs}.")
-    return found
-
-
-def made() -> tuple[str, ...]:
-    """Labels of the figures that are made, in the order of the review."""
-    return tuple(label for label in _LABELS if isinstance(_BY_LABEL[label], Figure))
+    """The figure of a label. **Raises** ValueError for an unknown label, naming the nearest."""
+    return _BY_LABEL[one_of("label", label, _LABELS)]
 
 
 def listing() -> str:
-    """A table of all figures as text: label, whether it is made, title, what it chooses."""
+    """A table of all figures as text: label, title, what it chooses."""
     lines = []
     for label, found in figures().items():
-        if isinstance(found, Awaited):
-            lines.append(f"{label:<11}not yet  {found.title} (needs {found.needs})")
-            continue
-        lines.append(f"{label:<11}made     {found.title}")
+        lines.append(f"{label:<11}{found.title}")
         for name, choice in found.chosen.items():
-            lines.append(f"{'':20}{name} = {choice.value}{_unit(choice)}, {choice.about}")
+            lines.append(f"{'':11}  {name} = {choice.value}{_unit(choice)}, {choice.about}")
     return "\n".join(lines)
 
 
