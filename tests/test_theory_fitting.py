@@ -84,6 +84,20 @@ def test_a_solitary_wave_is_nearer_to_a_granular_front():
     assert found.wave_speed == pytest.approx(1.19286468, abs=1e-6) and "wave" in found.outcome
 
 
+@pytest.mark.slow
+def test_the_front_of_a_strained_chain_and_its_derivative():
+    def front(x):
+        found = shock_edges(gx.Hertz(1.0, 1.0), x[0], ahead=x[1], wave=True)
+        return jnp.stack([found.wave_speed, found.amplitude])
+
+    x, h = jnp.array([0.3, 0.05]), 1e-3
+    # the chain that is compressed by as much more
+    other = shock_edges(gx.Hertz(1.0, 1.05**1.5), 0.3, wave=True)
+    np.testing.assert_allclose(front(x), [other.wave_speed, other.amplitude], rtol=1e-9)
+    central = jnp.stack([front(x + h * e) - front(x - h * e) for e in np.eye(2)], 1) / (2 * h)
+    np.testing.assert_allclose(jax.jacrev(front)(x), central, rtol=1e-4)
+
+
 @pytest.mark.study
 def test_edges_beside_a_simulated_granular_shock():
     chain = gx.Lattice(1.0, gx.Bond(gx.Shift(1, "free"), GRANULAR), sites=1101)
