@@ -187,6 +187,11 @@ def test_numbers_of_other_units_and_of_the_mirror():
     assert np.abs(si.strain(x) / L - front.strain(x)).max() < 1e-12
     lattice = gx.Lattice(1.3, gx.Bond(gx.Shift(1, "free"), law), sites=5)
     assert dissipative_front(lattice, behind, ahead, dashpot=eta).strain(0.3) == front.strain(0.3)
+    damped = gx.Lattice(1.3, (*lattice.terms, gx.Dashpot(gx.Shift(1, "fixed"), np.full(6, eta))), sites=5)
+    assert dissipative_front(damped, behind, ahead).strain(0.3) == front.strain(0.3)
+    for wrong, given in ((damped, eta), (lattice, None)):
+        with pytest.raises(ValueError, match="dashpot: expected one, of the lattice or given here"):
+            dissipative_front(wrong, behind, ahead, dashpot=given)
     # x -> -x of the law: the same front in tension
     one = dissipative_front(gx.Polynomial(1.0, 0.5), 0.3, dashpot=0.2)
     other = dissipative_front(gx.Polynomial(1.0, -0.5), -0.3, dashpot=0.2)

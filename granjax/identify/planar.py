@@ -215,6 +215,11 @@ def planar_ode(
 
     **Returns:** `PlanarODE`, which does not differ between units: of a y and b xi it is that of y and xi, converted.
     It is not differentiated.
+
+        wave = gx.travelling.periodic_wave(gx.Toda(), 8.0, amplitude=0.2)
+        found = gx.identify.planar_ode(wave.xi, wave.strains, degree=4)
+        print(found, found.homoclinic(), found.periodic(crest=0.2))
+
     **Raises** ValueError for data that do not rise and fall, too few points, places that do not increase.
     Source: C. Chong, M. Herrmann, P. G. Kevrekidis, Physica D 442, 133533 (2022).
     """

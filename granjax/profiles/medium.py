@@ -13,7 +13,7 @@ from ..lattice import Lattice
 from ..laws import Law
 from ..outside import Outside
 from ..printing import told
-from ..types import Numbers, Scalar
+from ..types import Number, Numbers, Scalar
 
 # arguments that a law is evaluated at in one program, nodes of the mean of a stiffness, units of rounding
 CHUNK, MEAN, ROUNDING = 8192, 8, 16
@@ -56,12 +56,12 @@ def medium_of(law: Law | Lattice, mass: Scalar = 1.0) -> Medium:
         if lattice.lanes:
             refuse("law", "one lattice", f"a batch of shape {lattice.lanes}", "Look for the wave of each in a loop.")
         law, origin = law_between(lattice, wanted), lattice.origin
-        mass = _single("law", "masses", lattice.mass)
+        mass = single("law", "masses", lattice.mass)
     else:
         origin, mass = {}, positive("mass", mass)
         if mass.shape:
             refuse("mass", "one number", f"shape {mass.shape}", "All sites are alike.")
-    law = jax.tree.map(lambda x: _single("law", "parameters", x) if eqx.is_inexact_array(x) else x, law)
+    law = jax.tree.map(lambda x: single("law", "parameters", x) if eqx.is_inexact_array(x) else x, law)
     return Medium(law, mass, origin)
 
 
@@ -81,7 +81,8 @@ def law_between(lattice: Lattice, wanted: str) -> Law:
     return sum(own[1:], own[0])
 
 
-def _single(argument, what, x):
+@checked
+def single(argument: str, what: str, x: Any) -> Number:
     """One number out of equal ones, in the default type."""
     values = concrete(jax.lax.stop_gradient(x))
     if np.ndim(x) == 0:

@@ -16,7 +16,7 @@ from ..outside import Outside
 from ..profiles import Medium, medium_of, tails
 from ..profiles import front as solver
 from ..profiles.front import FrontShape
-from ..profiles.medium import fine_force, one_number, values
+from ..profiles.medium import fine_force, one_number, single, values
 from ..types import Scalar
 from .front import DissipativeFront
 
@@ -43,7 +43,7 @@ class _Step(NamedTuple):
 
 @checked
 def dissipative_front(
-    law: Law | Lattice, behind: Scalar | None = None, ahead: Scalar = 0.0, *, dashpot: Scalar,
+    law: Law | Lattice, behind: Scalar | None = None, ahead: Scalar = 0.0, *, dashpot: Scalar | None = None,
     piston: Scalar | None = None, mass: Scalar = 1.0,
 ) -> DissipativeFront:
     r"""The stationary front of a chain of equal masses, laws and dashpots between neighbours, exact on the lattice.
@@ -62,10 +62,17 @@ def dissipative_front(
       equal masses and bonds to the next site, whose walls and boundary do not count and whose units the result has.
     - `behind`, `ahead`: strains, positive in compression. Instead of `behind`, `piston`: velocity of the beads behind
       [m/s], s (behind - ahead). A law that stiffens has fronts with behind > ahead, one that softens the others.
-    - `dashpot`: eta > 0 between neighbours [N s/m], the `coefficient` of `gx.Dashpot`.
+    - `dashpot`: eta > 0 between neighbours [N s/m], the `coefficient` of `gx.Dashpot`; `None`: that of the lattice.
 
     **Returns:** `DissipativeFront`. Hertz (A = m = 1) from 0 to 1: s = 1, critical 0.394869; at eta = 0.3 it overshoots
-    by 0.0136.
+    by 0.0136. Just below `critical` a strong front's oscillation may be too small to be seen: `overshoot` tells.
+
+        import diffrax
+
+        front = gx.shocks.dissipative_front(gx.Hertz(), piston=1.0, dashpot=0.3)
+        bonds = gx.Shift(1, "free")
+        chain = gx.Lattice(1.0, (gx.Bond(bonds, gx.Hertz()), gx.Dashpot(bonds, 0.3)), sites=60)
+        run = gx.simulate(chain, front.state(60, 20.0), 5.0, solver=diffrax.Dopri8(), tolerance=1e-8)
 
     **Raises** ValueError where there is no such front: without dissipation; where it is not faster than sound ahead and
     slower than sound behind (Lax), as for a linear law; where the law crosses its chord between both states; where
@@ -76,6 +83,7 @@ def dissipative_front(
     """
     if (behind is None) == (piston is None):
         refuse("behind, piston", "exactly one of them", "none" if behind is None else "both")
+    law, dashpot = _with_dashpot(law, dashpot)
     medium = medium_of(law, mass)
     remedy = "Without one a step becomes a dispersive shock, which gx.theory.shock_edges describes."
     positive("dashpot", dashpot, remedy)
@@ -88,6 +96,20 @@ def dissipative_front(
     trial = _trials(step)
     front = _solved(plain.law, step, trial, critical)
     return _recorded(medium, given, step, front, critical, behind_root)
+
+
+def _with_dashpot(law, dashpot):
+    """The law, or the lattice without its dashpots, and the dashpot between neighbours."""
+    own = None
+    if isinstance(law, Lattice):
+        found = [term.next_dashpots() for term in law.terms]
+        rest = tuple(term for term, one in zip(law.terms, found) if one is None)
+        if len(rest) < len(found):
+            own = sum(single("law", "dashpots", one) for one in found if one is not None)
+            law = eqx.tree_at(lambda x: x.terms, law, rest)
+    if (own is None) == (dashpot is None):
+        refuse("dashpot", "one, of the lattice or given here", "none" if own is None else "both")
+    return law, own if dashpot is None else dashpot
 
 
 def _from_ahead(medium, ahead):

@@ -175,6 +175,10 @@ class Term(Dimensional):
         """(law, boundary) of bonds from each site of a chain to the next, which have a fast kernel, or `None`."""
         return None
 
+    def next_dashpots(self) -> Any:
+        """The coefficient of linear dashpots from each site of a chain to the next, or `None`."""
+        return None
+
     def walls(self) -> tuple[str, ...]:
         """The ends of a chain that the term ties to a wall: of "left" and "right"."""
         return ()

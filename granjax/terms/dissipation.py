@@ -98,6 +98,9 @@ class Dashpot(_Viscous):
     def linearised(self, lattice, t, u, v):
         return wider(self) if self.strain_map.linear else super().linearised(lattice, t, u, v)
 
+    def next_dashpots(self):
+        return None if self.strain_map.next_neighbours() is None else self.coefficient
+
 
 class ViscousContact(_Viscous):
     r"""Viscoelastic contacts: force -(de/du)^T c [d0 + e]_+^q de/dt.
