@@ -29,6 +29,8 @@ DEEP, BEYOND = 38.0, 4.0
 NEWTON, SETTLED, CONVERGED, LEAST_SHARE = 30, 1e-15, 1e-9, 1e-2
 # of the damping from one front to the next, and the least such change; most places
 CHANGE, LEAST_CHANGE, PLACES, HALVINGS = 0.7, 0.98, 400_000, 7
+# least distance of places, and the error that is put up with there
+FINEST, KINKED = 2.0**-7, 1e-5
 
 
 def _powers():
@@ -227,8 +229,9 @@ def finished(force: Callable, found: Trial, shape: Callable) -> Front | None:
     apart, before, front = found.spacing(), np.inf, None
     while True:
         count, centre = found.layout(apart)
-        if count > PLACES:
-            return front if front is not None and front.error < FLOOR else None
+        # where a contact opens within the front it is not smooth, and its error falls slowly
+        if count > PLACES or apart < FINEST:
+            return front if front is not None and front.error < KINKED else None
         x = apart * (np.arange(count) - centre)
         z, residual = newton(force, found.zeta, apart, shape(x), centre)
         # this one's error is known to be below the change from the coarser one
