@@ -14,7 +14,6 @@ import inspect
 import math
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -79,16 +78,20 @@ def gathered_frequency(
     heaviest = jnp.max(jnp.stack([jnp.max(m) for m in jax.tree.leaves(lattice.mass)]))
     most, whole, stored = _gathered(lattice, state, ts, neighbourhood)
     spread = jnp.any(whole > 2 * most)
-    energy, share = most + 2 * heaviest * speed**2, displacement / _sites(lattice)
-    sides = _sides(lattice, state, ts) if neighbourhood < NEIGHBOURHOOD else jnp.ones(2, bool)
-    on_side = sides.reshape((2,) + (1,) * len(lattice.lanes))
-    reach = Reach(jnp.where(on_side, energy, stored), 2 * force, jnp.where(sides, share, 0), neighbourhood, ts, state.u)
+    energy = jnp.broadcast_to(most + 2 * heaviest * speed**2, (2, *lattice.lanes))
+    share = jnp.broadcast_to(displacement / _sites(lattice), 2) if lattice.reads_time else None
+    reach = both = Reach(energy, 2 * force, share, neighbourhood, ts, state.u)
+    sides = _sides(lattice, state, ts) if neighbourhood < NEIGHBOURHOOD else None
+    if sides is not None:
+        one = jnp.where(sides.reshape((2,) + (1,) * len(lattice.lanes)), energy, stored)
+        share = None if share is None else jnp.where(sides, share, 0)
+        reach = Reach(one, 2 * force, share, neighbourhood, ts, state.u)
     bound = _bound(lattice, [reach] * len(lattice.terms))
     known = not lattice.reads_time and all(term.span() is not None for term in lattice.terms)
-    beyond = jnp.any(whole > 1.01 * most) | ~jnp.all(sides) if known and not softens(lattice) else jnp.ones((), bool)
+    beyond = jnp.any(whole > 1.01 * most) if known and not softens(lattice) else jnp.ones((), bool)
+    beyond = beyond if sides is None else beyond | ~jnp.all(sides)
     contacts = [c.law for term in lattice.terms for c in term.compressions(ts[0], state.u) if c.place != "site"]
     if contacts:
-        both = eqx.tree_at(lambda r: r.energy, reach, jnp.broadcast_to(energy, reach.energy.shape))
         # for a cheap scene the search takes longer than all else
         opens = jax.lax.cond(spread, lambda: jnp.any(jnp.stack([both.opens(law) for law in contacts])), lambda: spread)
         bound = jnp.where(opens, OPENING, 1.0).astype(bound.dtype) * bound
@@ -104,7 +107,7 @@ def linear_frequency(lattice: Lattice, power_steps: Count = POWER_STEPS) -> Numb
     """
     zero = jnp.zeros((), lattice.dtype)
     none = jnp.zeros((2, *lattice.lanes), lattice.dtype)
-    reach = Reach(none, zero, jnp.zeros(2, lattice.dtype), 1, zero[None], lattice.zeros())
+    reach = Reach(none, zero, None, 1, zero[None], lattice.zeros())
     return _bound(lattice, [reach] * len(lattice.terms), power_steps)
 
 
@@ -142,15 +145,18 @@ def _sites(lattice):
 
 
 def _sides(lattice, state, ts):
-    """Whether bonds may be extended, and pressed together, by more than what they hold of energy at the start.
+    """Whether bonds may be extended, and pressed together, by more than they hold at the start; `None` for all others.
 
     Where all bonds of a chain open, or all close, they go on so until the waves come back from a free end: a shock
     presses together, a rarefaction extends. A rule of thumb, which the look at the end of a run corrects.
     """
-    both = jnp.ones(2, bool)
     plain = lattice.fields is None and lattice.axes == 1 and lattice.dimension is None
     if not plain or any(term.span() is None or max(term.span(), default=0) > 1 for term in lattice.terms):
-        return both
+        return None
+    # between two walls and in a ring what extends one bond presses others together
+    ring = any(found is not None and found[1] == "periodic" for found in (t.next_neighbours() for t in lattice.terms))
+    if ring or {side for term in lattice.terms for side in term.walls()} == {"left", "right"}:
+        return None
     u, v = state
     extend = press = jnp.zeros((), bool)
     squared, size = jnp.zeros((), lattice.dtype), ROUNDING * jnp.max(jnp.abs(v))
@@ -159,11 +165,11 @@ def _sides(lattice, state, ts):
         contacts = term.compressions(ts[0], u)
         if not contacts:
             if reads.displacement or reads.time:
-                return both
+                return None
             continue
         # a site that is tied down swings back at once, and where stiffness changes in time energy does
         if any(c.place == "site" for c in contacts) or len(term.energy_times(lattice, ts)) > 1:
-            return both
+            return None
 
         def rates(t, term=term):
             squeezed = lambda t, u: [c.compression for c in term.compressions(t, u)]
@@ -175,7 +181,7 @@ def _sides(lattice, state, ts):
         stiffness = [jnp.max(jnp.abs(c.law.derivative(c.compression))) for c in contacts]
         squared = jnp.maximum(squared, jnp.stack(stiffness).max() / jnp.min(lattice.mass))
     coming = jnp.sqrt(squared) * (ts[-1] - ts[0]) < _way(lattice, v, size)
-    return jnp.where(coming, jnp.stack([extend, press]), both)
+    return ~coming | jnp.stack([extend, press])
 
 
 def _way(lattice, v, size):

@@ -23,14 +23,14 @@ class Reach(eqx.Module):
 
     **Fields:** `energy`: of one bond or site [J], (2,) and lanes: what may extend it, and what may press it together.
     `force`: what a drive pushes with. `displacement` (2,): what a wall that moves leaves to each bond, to extend it and
-    to press it together, and `width`: the bonds whose energy of that may gather in one. `ts`: times at which changing
-    parameters are looked at. `u`: displacements at the start.
+    to press it together, `None` where nothing moves, and `width`: the bonds whose energy of that may gather in one.
+    `ts`: times at which changing parameters are looked at. `u`: displacements at the start.
     """
 
     energy: jax.Array
     force: jax.Array
-    displacement: jax.Array
-    width: float
+    displacement: jax.Array | None
+    width: int
     ts: jax.Array
     u: object
     __repr__ = told
@@ -51,12 +51,13 @@ class Reach(eqx.Module):
         zero = jnp.zeros(like.shape, like.dtype)
 
         def end(side, sign):
-            energy, share = self.energy[side], self.displacement[side]
-            shared = self.width * law.energy(sign * share)
+            energy, share = self.energy[side], None if self.displacement is None else self.displacement[side]
+            shared = None if share is None else jnp.where(share > 0, self.width * law.energy(sign * share), -1)
 
             def reachable(x):
                 stored = law.energy(x)
-                within = (stored <= energy) & (energy > 0) | (stored <= shared) & (share > 0)
+                within = (stored <= energy) & (energy > 0)
+                within = within if shared is None else within | (stored <= shared)
                 return within | (jnp.abs(law.force(x)) <= self.force) & (self.force > 0)
 
             return furthest(reachable, zero, sign)
