@@ -139,7 +139,7 @@ def test_edges_run_over_the_map(places, sign):
 
 @pytest.mark.parametrize("quantity", ["m", "mean", "amplitude", "wavelength"])
 def test_modulation_beside_a_theory(quantity):
-    m = np.linspace(0.05, 0.95, 7)
+    m = np.linspace(0.0, 1.0, 7)
     theory = kdv.modulation(m, 3e-3, 1e8, 2e13, 1e-2)
     beside = {"KdV": (theory.speed, m) if quantity == "m" else theory}
     ax = plots.modulation(Seen(), quantity=quantity, beside=beside)

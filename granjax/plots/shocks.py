@@ -232,7 +232,8 @@ def modulation(
         if not isinstance(one, (tuple, list)) or hasattr(one, "_fields"):
             having(f"beside[{name!r}]", one, "a theory's waves", "speed", field)
             one = one.speed, getattr(one, field)
-        curves[name] = _pair(f"beside[{name!r}]", one, "speeds and values", 1)
+        # where m = 1 a wavelength is infinite
+        curves[name] = _pair(f"beside[{name!r}]", one, "speeds and values", 1, finite=False)
     if any(np.shape(x) != np.shape(y) for x, y in ((s, values), *curves.values())):
         refuse("shock" if s.shape != values.shape else "beside", "as many values as speeds", "others")
     by_x, by_y = drawn_in(units, units_of(shock), Axis(SPEED, s, "1/s"), Axis(label, values, unit))
@@ -254,11 +255,11 @@ def _number(argument, x):
     return float(numbers(argument, x, 0, finite=False))
 
 
-def _pair(argument, given, what, ndim=0):
+def _pair(argument, given, what, ndim=0, finite=True):
     """Two arrays of a pair."""
     if not (isinstance(given, (tuple, list, np.ndarray)) and len(given) == 2):
         refuse(argument, f"a pair, {what}", repr(given)[:60])
-    return [numbers(argument, x, ndim) for x in given]
+    return [numbers(argument, x, ndim, finite) for x in given]
 
 
 def _profile(given, problem, places, time):
