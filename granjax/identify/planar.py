@@ -317,7 +317,7 @@ def _recorded(trains, pieces, found, degree, drift, scales):
     words = [f"Fitted to {noise:.1e} of half of crest less trough, in {len(pieces)} windows."]
     if not found.settled:
         words.append("The least squares had not settled: another degree or more windows may help.")
-    if alike > ALIKE:
+    if alike > ALIKE and noise > CLOSE:
         words.append("The residuals are no noise but what such an equation leaves out.")
     return PlanarODE(
         shift @ f, np.sqrt(np.diag(covariance)), covariance,

@@ -14,6 +14,8 @@ from scipy.interpolate import CubicSpline
 FINE, WIDTH, POWER, STEP = 24, 0.5, 6, 0.25
 # lengths of the pieces that are fitted first, and how many points one has at least
 PIECES, LEAST = (2.0, 6.0), 6
+# rms of residuals from which on another beginning is tried
+POOR = 0.05
 # steps of Levenberg and Marquardt, where they end, and what damps them at first
 STEPS, SETTLED, SLOW, FIRST, MOST = 60, 1e-13, 1e-8, 1e-3, 1e12
 _TABLEAU = diffrax.Dopri8.tableau
@@ -116,7 +118,15 @@ def fit(trains: list[Train], degree: int, drift: bool) -> Found:
 
     Long trajectories lead astray before their equation is known: those of short pieces are fitted first.
     """
-    c = first(trains, degree, drift)
+    found = _from(trains, first(trains, degree, drift), degree, drift)
+    if np.mean(found.residual**2) > POOR**2:
+        # of few points or much noise: from a harmonic oscillation, which has the wave number 1 here
+        other = _from(trains, np.append([0.0, -1.0], np.zeros(degree - 1 + drift)), degree, drift)
+        found = min(found, other, key=lambda one: one.residual @ one.residual)
+    return found
+
+
+def _from(trains, c, degree, drift):
     for piece in PIECES:
         short, heads = [], []
         for train in trains:
