@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 from scipy.interpolate import CubicSpline
 
-from ...checks import positive
+from ...checks import positive, within
 from ...lattice import Lattice
 from ...laws import Hertz, taylor
 from ...shocks import piston, space_time, step
@@ -28,9 +28,13 @@ SPARE, FINE, PHASES, SHOWN = 60, 16, 360, 26
 FRAMES, STEP = 160, 0.4
 # T_f = 1200 in the slow time t eps^3/24, eps^2 = 24 c
 TIME = 7746.0
-# where DSW.2 looks: n/t at the middle of either zoom, and bonds to its sides
-ZOOMS, ASIDE = (0.93, 1.38), 14
+# where DSW.2 looks: from the trailing edge to the leading one, and bonds to the sides; times before which no shock is
+ZOOMS, ASIDE, EARLY = (0.17, 0.85), 14, 40.0
 THEORIES = {"kdv": "KdV", "toda": "Toda"}
+
+
+def _late(time):
+    return float(within("time", time, EARLY, np.inf, open_high=True))
 
 
 def _chain(law, sites):
@@ -39,7 +43,7 @@ def _chain(law, sites):
 
 def stepped(strain: Scalar, time: Scalar) -> xr.Dataset:
     """The strain after a step from `strain` to 0 in the review's chain, A = d0 = m = 1, and the edges of its shock."""
-    return _stepped(float(positive("strain", strain)), float(positive("time", time))).copy()
+    return _stepped(float(positive("strain", strain)), _late(time)).copy()
 
 
 @lru_cache(maxsize=1)
@@ -79,7 +83,9 @@ def length(data: xr.Dataset) -> float:
 
 
 def _windows(data):
-    return [(s * data.attrs["time"] - ASIDE, s * data.attrs["time"] + ASIDE) for s in ZOOMS]
+    edges, time = _edges(data), data.attrs["time"]
+    middles = [time * (edges.trailing_speed + x * (edges.leading_speed - edges.trailing_speed)) for x in ZOOMS]
+    return [(n - ASIDE, n + ASIDE) for n in middles]
 
 
 def _edges(data):
@@ -110,7 +116,7 @@ def _granular(c, time):
 
 def collided(c: Scalar, time: Scalar) -> xr.Dataset:
     """The strain of a velocity shock at a time, and the modulated waves of KdV and Toda at the place n = t."""
-    return _collided(float(positive("c", c)), float(positive("time", time))).copy()
+    return _collided(float(positive("c", c)), _late(time)).copy()
 
 
 @lru_cache(maxsize=1)
@@ -161,7 +167,7 @@ def _draw_theory(name):
 
 def mapped(c: Scalar, time: Scalar) -> xr.Dataset:
     """The strain of every bond of a velocity shock at many times."""
-    c, time = float(positive("c", c)), float(positive("time", time))
+    c, time = float(positive("c", c)), _late(time)
     problem, _, _, attributes = _granular(c, time)
     seen = space_time(problem, time, FRAMES, np.arange(int(1.25 * time)), step=STEP)
     return xr.Dataset({"strain": (("time", "place"), seen.strain)}, {"time": seen.ts, "place": seen.places}, attributes)
