@@ -22,6 +22,8 @@ def problem_of(run: Run, problem: Riemann | None) -> Riemann:
     if not bool(run.completed):
         refuse("run", "one that completed", run.outcome)
     problem = run.__dict__.get("_problem") if problem is None else problem
+    if problem is not None and problem.kind == "impacts":
+        refuse("problem", "a step, a velocity shock or a piston", "repeated impacts", "See gx.shocks.space_time.")
     if problem is not None:
         size = np.shape(problem.state.v)
         if np.shape(run.final.v) != size:

@@ -19,12 +19,14 @@ class Shock(Result):
     - `mean`: strain of the plateau, Hann-weighted over the bonds of `window` (2,), with `mean_error` [m].
     - `leading_speed`: of the leading crest [1/s]; `amplitude`: its height above `ahead` [m]; `leading_place`: n.
     - `trailing_speed`: s where the waves' amplitude comes to zero, by a parabola through s over amplitude [1/s].
-    - Each with its `_error`: the distance from what half of the data, or another order, gives; for the trailing edge
-      the length of a wave besides.
+    - `mean_error`, `leading_speed_error`, `amplitude_error`, `trailing_speed_error`: how well each is known at this t,
+      by what half of the data, or another order, gives; for the trailing edge the length of a wave besides. What it
+      becomes as t grows is further: by about 1/t, and of the crest by less and less. NaN where nothing tells an edge.
     - `s` (W,): n/t of windows inside the shock. In each the wave nearest to the strains, whatever the law: `means`,
       `amplitudes` = crest - trough [m], `wavelengths` [bonds], `omegas` [rad/s], `misfits`: what it leaves, over the
       amplitude. NaN where fewer than two crests pass.
-    - `theory`: "toda" or "kdv", matched to the law at `ahead`, with the c [m/s] whose plateau has this mean.
+    - `theory`: "toda" or "kdv", matched to the law at `ahead`, with the c [m/s] whose plateau has this mean, NaN where
+      it has no such wave. To the left all speeds and places are below zero.
       `m` (W,): the modulation parameter whose wave is nearest to the strains, with `m_errors`; `speeds_of_m`: s that
       Whitham's theory has for it; `phases` (W,): Theta_0 with the theory's own m(s), in radians, which a velocity
       shock of Toda has in closed form, `gx.theory.toda.modulation(m, c).phase`; `theory_errors`: what then remains of
