@@ -191,8 +191,8 @@ def per_lane(argument: str, x: Any, lanes: tuple[int, ...], check: Callable = pa
     array = check(argument, x)
     if array.shape not in ((), lanes):
         wanted = "one number" + (f", or one per lane, shape {lanes}" if lanes else "")
-        remedy = ("For many at once: jax.vmap(lambda x: ..., out_axes=-1)(values), or a batch of lattices. What differs "
-                  "from site to site is written into the state.")
+        remedy = ("For many at once: jax.vmap(lambda x: ..., out_axes=-1)(values), or a batch of lattices. What "
+                  "differs from site to site is written into the state.")
         refuse(argument, wanted, f"shape {array.shape}", remedy)
     return array
 

@@ -110,7 +110,7 @@ def test_edges_beside_a_simulated_granular_shock():
     apart = float(found.wave_speed - found.leading_speed)
     assert abs(found.leading_speed - speed) == pytest.approx(apart, rel=0.1)
     assert found.mean == pytest.approx(seen[1].mean, rel=1e-3)
-    assert abs(found.trailing_speed - seen[1].trailing_speed) < seen[1].trailing_error + 0.01
+    assert abs(found.trailing_speed - seen[1].trailing_speed) < seen[1].trailing_speed_error + 0.01
 
 
 def test_a_shock_ahead_of_which_there_is_no_sound():

@@ -109,11 +109,11 @@ def _measured(profile, problem, medium, theory, points):
     fit = modulated(theory, medium, profile.ahead, plateau.mean if plateau.wide else np.nan, seen)
     return dict(
         time=time, ahead=profile.ahead, sound=sound, mean=plateau.mean, mean_error=plateau.error,
-        window=plateau.window, leading_speed=speed, leading_error=speed_error, leading_place=lead, amplitude=height,
-        amplitude_error=height_error, trailing_speed=edge, trailing_error=edge_error, c=fit.c, s=places / middle,
-        means=local.mean, amplitudes=local.amplitude, wavelengths=2 * np.pi / local.wavenumber, omegas=local.omega,
-        misfits=local.misfit, m=fit.m, m_errors=fit.m_errors, speeds_of_m=fit.speeds, phases=fit.phases,
-        theory_errors=fit.errors, outcome=_told(profile, fit, local, edge))
+        window=plateau.window, leading_speed=speed, leading_speed_error=speed_error, leading_place=lead,
+        amplitude=height, amplitude_error=height_error, trailing_speed=edge, trailing_speed_error=edge_error, c=fit.c,
+        s=places / middle, means=local.mean, amplitudes=local.amplitude, wavelengths=2 * np.pi / local.wavenumber,
+        omegas=local.omega, misfits=local.misfit, m=fit.m, m_errors=fit.m_errors, speeds_of_m=fit.speeds,
+        phases=fit.phases, theory_errors=fit.errors, outcome=_told(profile, fit, local, edge))
 
 
 def _developed(sound, behind, lead, time, mean):

@@ -36,8 +36,8 @@ class Shock(Result):
     held: ClassVar[dict[str, Held]] = {
         "time": Held("", "s"), "ahead": Held("", "m"), "sound": Held("", "1/s"), "mean": Held("", "m"),
         "mean_error": Held("", "m"), "window": Held("end", "1"), "leading_speed": Held("", "1/s"),
-        "leading_error": Held("", "1/s"), "leading_place": Held("", "1"), "amplitude": Held("", "m"),
-        "amplitude_error": Held("", "m"), "trailing_speed": Held("", "1/s"), "trailing_error": Held("", "1/s"),
+        "leading_speed_error": Held("", "1/s"), "leading_place": Held("", "1"), "amplitude": Held("", "m"),
+        "amplitude_error": Held("", "m"), "trailing_speed": Held("", "1/s"), "trailing_speed_error": Held("", "1/s"),
         "c": Held("", "m/s"), "s": Held("s", "1/s"), "means": Held("s", "m"), "amplitudes": Held("s", "m"),
         "wavelengths": Held("s", "1"), "omegas": Held("s", "rad/s"), "misfits": Held("s", "1"), "m": Held("s", "1"),
         "m_errors": Held("s", "1"), "speeds_of_m": Held("s", "1/s"), "phases": Held("s", "rad"),
@@ -50,12 +50,12 @@ class Shock(Result):
     mean_error: float
     window: Float[np.ndarray, "2"]
     leading_speed: float
-    leading_error: float
+    leading_speed_error: float
     leading_place: float
     amplitude: float
     amplitude_error: float
     trailing_speed: float
-    trailing_error: float
+    trailing_speed_error: float
     c: float
     s: Float[np.ndarray, " s"]
     means: Float[np.ndarray, " s"]
