@@ -555,6 +555,7 @@ BLANK = (
     "plots.travelling.reflection", "plots.travelling.wave", "plots.travelling.wave_errors",
     "identify.planar.PlanarODE.bend", "identify.planar.PlanarODE.periodic", "identify.planar_orbits.PlanarOrbit.strain",
     "plots.fits.planar", "plots.travelling.front", "plots.travelling.wave_family", "shocks.measure.measure",
+    "theory.stokes.StokesWave.strain",
     *(f"shocks.front.DissipativeFront.{name}" for name in ("strain", "velocity", "displacement", "state")),
     "travelling.collisions.collide", "travelling.reflection.reflect", "travelling.stability.ring",
     "travelling.stability.stability", "travelling.wave.Wave.floquet",

@@ -158,6 +158,7 @@ def test_a_front_travels_unchanged():
     assert np.abs(run.final.v - front.velocity(np.arange(100) - 40.0 - 30.0 * front.speed)).max() < 1e-8
 
 
+@pytest.mark.slow
 def test_a_velocity_step_becomes_the_front():
     """Waves between the two fronts die out as a power of time, about t^-3/2: so far from where they began."""
     front, sites, end = dissipative_front(gx.Hertz(), piston=1.0, dashpot=0.2), 2200, 1050.0
@@ -198,6 +199,7 @@ def test_numbers_of_other_units_and_of_the_mirror():
     assert one.speed == other.speed and np.array_equal(one.strain(x), -other.strain(x))
 
 
+@pytest.mark.slow
 def test_a_front_differentiates():
     def numbers(p):
         front = dissipative_front(gx.Hertz(p[0], p[1]), p[2], p[3], dashpot=p[4], mass=p[5])

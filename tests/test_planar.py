@@ -93,6 +93,7 @@ def test_the_interior_of_a_shock():
     assert found.misfit < 0.1 * np.ptp(y) and any(point.kind == "centre" for point in found.equilibria)
 
 
+@pytest.mark.slow
 def test_noise_gives_its_size_and_error_bars_that_hold():
     x, y = solved(0.3)
     rng, off = np.random.default_rng(5), []

@@ -97,6 +97,7 @@ def test_a_piston_is_half_of_a_velocity_shock():
         assert np.abs(moved - u[sites // 2 + 1 :]).max() < 1e-12
 
 
+@pytest.mark.slow
 def test_the_binary_oscillation_of_toda():
     """From c = 1 on the strain behind the shock has period two: it oscillates between two values for ever.
 
@@ -182,6 +183,7 @@ def test_the_balances_close(kind):
             gx.shocks.balances(problem, 10.0, box)
 
 
+@pytest.mark.slow
 def test_every_impact_gives_its_momentum():
     chain, impulse = gx.scenes.toda(120), 0.4
     problem = gx.shocks.impacts(chain, impulse, 5.0, 3, duration=1.0)
@@ -214,6 +216,7 @@ def mapped(problem, sites):
     return found
 
 
+@pytest.mark.slow
 def test_a_map_is_what_the_run_shows():
     problem = gx.shocks.step(hertz(101), 0.5, 0.1)
     found = mapped(problem, 20)

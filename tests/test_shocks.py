@@ -35,6 +35,7 @@ def test_a_toda_shock_is_that_of_the_theory(toda):
     np.testing.assert_allclose(shock.wavelengths, known.wavelength, rtol=0.02)
 
 
+@pytest.mark.slow
 def test_a_shock_of_a_bare_run_is_recognised(toda):
     shock = toda[1]
     chain = gx.scenes.toda(661)
@@ -60,6 +61,7 @@ def test_other_units_measure_the_same(toda):
         np.testing.assert_allclose(getattr(other, name) / unit, getattr(shock, name), rtol=1e-5, err_msg=name)
 
 
+@pytest.mark.slow
 def test_a_rarefaction_shock_is_measured_upside_down(toda):
     # the Toda chain of negative constants is the mirror image: F(e) = -a (exp(-b e) - 1)
     shock = toda[1]

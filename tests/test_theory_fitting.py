@@ -352,6 +352,7 @@ def test_the_fan_of_a_simulated_chain():
     assert np.abs(gap[within]).max() < 1.1e-2 and np.abs(gap[np.abs(s) < 0.5]).max() < 2e-2
 
 
+@pytest.mark.slow
 def test_simple_waves_differentiate():
     def both(x):
         law = gx.Hertz(x[1], x[2])

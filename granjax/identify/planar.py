@@ -251,7 +251,9 @@ def planar_ode(
 def _trains(xi, strain):
     """Pairs of places and strains."""
     def several(x):
-        return np.ndim(x) == 2 if hasattr(x, "ndim") else any(np.ndim(part) for part in x)
+        if hasattr(x, "ndim") or not isinstance(x, Sequence):
+            return np.ndim(x) == 2
+        return any(np.ndim(part) for part in x)
 
     both = several(xi), several(strain)
     if both[0] != both[1]:

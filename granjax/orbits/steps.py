@@ -21,6 +21,8 @@ from ..types import Count, Numbers, Scalar, StateLike, Times
 FINE, LEAST_STEPS = 0.3, 16
 # steps that a floating number no longer counts one by one
 UNCOUNTED = 2.0**53
+# of those that are given
+MOST = 2**31 - 1
 
 
 def fixed_step_solver(lattice: Lattice, solver: AbstractSolver | None, otherwise: AbstractSolver) -> AbstractSolver:
@@ -69,6 +71,8 @@ def flow_over(
         return Flow(jnp.asarray(default_steps(lattice, period, multiple, guess=guess)), solver)
     if whole("steps", steps, multiple) % multiple:
         refuse("steps", f"a multiple of the {multiple} segments", repr(steps))
+    if steps > MOST:
+        refuse("steps", f"a whole number up to {MOST}", repr(steps), "No period takes so many.")
     return Flow(int(steps), solver)
 
 

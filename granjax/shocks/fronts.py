@@ -83,6 +83,8 @@ def dissipative_front(
     """
     if (behind is None) == (piston is None):
         refuse("behind, piston", "exactly one of them", "none" if behind is None else "both")
+    for name, x in (("behind", behind), ("ahead", ahead), ("piston", piston)):
+        one_number(name, x)
     law, dashpot = _with_dashpot(law, dashpot)
     medium = medium_of(law, mass)
     remedy = "Without one a step becomes a dispersive shock, which gx.theory.shock_edges describes."

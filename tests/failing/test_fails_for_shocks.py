@@ -17,6 +17,7 @@ def shock():
     return run, problem, gx.theory.toda.velocity_shock(C)
 
 
+@pytest.mark.slow
 def test_the_largest_strain_on_the_lattice_is_below_the_crest(shock):
     run, problem, theory = shock
     # of the leading wave alone, which is the last one on the right
@@ -32,6 +33,7 @@ def test_the_largest_strain_on_the_lattice_is_below_the_crest(shock):
     assert crest.amplitude_error < 1e-3
 
 
+@pytest.mark.slow
 def test_the_plateau_rings_at_every_bond(shock):
     run, problem, theory = shock
     found, mean = gx.shocks.measure(run, problem), float(theory.mean)
