@@ -196,23 +196,23 @@ def chart(result, path):
     import matplotlib.pyplot as plt
 
     shown = [f for f in result["figures"] if f["value"] is not None and f["unit"] != CALL]
-    figure, axes = plt.subplots(figsize=(9, 4.5), layout="constrained")
+    figure, axes = plt.subplots(figsize=(7.5, 1 + 0.42 * len(shown)), layout="constrained")
     for i, f in enumerate(shown):
         for shift, key, colour in ((-0.2, "value", "tab:blue"), (0.2, "value_without_flags", "tab:gray")):
             if f[key] is None:
                 continue
-            axes.bar(i + shift, f[key], 0.38, color=colour)
-            axes.text(i + shift, f[key], f"{f[key]:.2f}", ha="center", va="bottom", fontsize=8)
+            axes.barh(i + shift, f[key], 0.38, color=colour)
+            axes.text(f[key], i + shift, f" {f[key]:.2f}", va="center", fontsize=8)
         if f["target"] is not None:
             limit = float(f["target"].split()[-1])
-            axes.plot([i - 0.45, i + 0.45], [limit, limit], color="tab:red", lw=2)
-            axes.text(i + 0.45, limit, f["target"], ha="right", va="bottom", fontsize=7, color="tab:red")
-    axes.axhline(1, color="black", lw=0.6, ls=":")
-    names = [f["name"] + ("\n(speed-up)" if f["name"] == "two cores" else "") for f in shown]
-    axes.set_xticks(range(len(shown)), [name.replace(", ", ",\n") for name in names], fontsize=8)
-    axes.set_ylabel("time over the numba loop's")
-    axes.bar(0, 0, color="tab:blue", label="with granjax's XLA flags")
-    axes.bar(0, 0, color="tab:gray", label="without")
+            axes.plot([limit, limit], [i - 0.45, i + 0.45], color="tab:red", lw=2)
+    axes.axvline(1, color="black", lw=0.6, ls=":")
+    names = [f["name"] + (" (speed-up)" if f["name"] == "two cores" else "") for f in shown]
+    axes.set_yticks(range(len(shown)), names, fontsize=8)
+    axes.invert_yaxis()
+    axes.set_xlabel("time over the numba loop's")
+    axes.barh(0, 0, color="tab:blue", label="with granjax's XLA flags")
+    axes.barh(0, 0, color="tab:gray", label="without")
     axes.plot([], [], color="tab:red", label="target")
     axes.legend(fontsize=8)
     machine = result["machine"]["processor"] + ("" if result["quiet"] else ", busy: numbers are not final")
