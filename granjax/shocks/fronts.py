@@ -83,14 +83,13 @@ def dissipative_front(
     """
     if (behind is None) == (piston is None):
         refuse("behind, piston", "exactly one of them", "none" if behind is None else "both")
-    for name, x in (("behind", behind), ("ahead", ahead), ("piston", piston)):
-        one_number(name, x)
+    known = [one_number(*x) for x in (("behind", behind), ("ahead", ahead), ("piston", piston))]
     law, dashpot = _with_dashpot(law, dashpot)
     medium = medium_of(law, mass)
     remedy = "Without one a step becomes a dispersive shock, which gx.theory.shock_edges describes."
     positive("dashpot", dashpot, remedy)
     given = behind, ahead, piston, dashpot
-    known = [one_number(*x) for x in zip(("behind", "ahead", "piston", "dashpot"), given)]
+    known.append(one_number("dashpot", dashpot))
     plain = _from_ahead(medium.known, known[1])
     jump = _jump(plain, known[2]) if behind is None else known[0] - known[1]
     step = _checked_step(plain, jump, known)

@@ -79,8 +79,7 @@ def space_time(
     t1 = problem.horizon() if t1 is None else t1
     solver, step, tolerance = checked_method(lattice, *(keywords.get(x) for x in ("solver", "step", "tolerance")))
     if tolerance is None:
-        step = fixed_step(lattice, state, 0.0, float(t1), step, solver, frames - 1)[0]
-        step = float(step)
+        step = float(fixed_step(lattice, state, 0.0, float(t1), step, solver, frames - 1)[0])
     ts, rows = np.linspace(0.0, float(t1), frames), []
     energy, seen = _energy(lattice, 0.0, state), _extremes(lattice, 0.0, state.u, None)
     lost = jnp.zeros_like(energy[0])

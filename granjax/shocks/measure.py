@@ -16,7 +16,7 @@ from .given import medium_before, problem_of
 from .riemann import Riemann
 from .shock import Shock
 from .theories import THEORIES, Seen, modulated
-from .windows import BEYOND, LocalWave, local_wave, windows
+from .windows import BEYOND, LocalWave, local_wave, tops, windows
 
 # share of the highest crest that the leading one has at least; of the far ends' jump that may be uneven there
 CREST, QUIET = 0.3, 1e-6
@@ -161,8 +161,8 @@ def _profile(run, problem, side):
 def _leading(profile):
     """The bond of the first crest from the right. **Raises** ValueError where there is none."""
     x = profile.sign * (profile.strain - profile.ahead)
-    top = np.flatnonzero((x[1:-1] > x[:-2]) & (x[1:-1] >= x[2:]) & (x[1:-1] > CREST * x[profile.places > 0].max())) + 1
-    top = top[profile.places[top] > 0]
+    top = tops(x)
+    top = top[(x[top] > CREST * x[profile.places > 0].max()) & (profile.places[top] > 0)]
     if not top.size:
         refuse("run", "a shock, whose leading crest is the first of many", "a front without a crest",
                "A rarefaction fan has none; a longer run has one where there is a shock.")
@@ -220,8 +220,7 @@ def _span(profile, crest, behind, trailing):
     """A time in which some waves pass at the trailing edge, and the next crest after the leading one."""
     # group speed V cos(k/2) of the linear wave on the plateau, of omega = 2 V sin(k/2)
     omega = 2 * behind * np.sqrt(max(1 - (trailing / behind) ** 2, 0.0))
-    x = profile.sign * profile.strain[:crest]
-    top = np.flatnonzero((x[1:-1] > x[:-2]) & (x[1:-1] >= x[2:])) + 1
+    top = tops(profile.sign * profile.strain[:crest])
     gap = (crest - top[-1]) * profile.time / profile.places[crest] if top.size else 0.0
     return float(max(PERIODS * 2 * np.pi / omega, APART * gap))
 

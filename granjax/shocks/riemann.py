@@ -79,8 +79,7 @@ class Riemann(eqx.Module):
         if axis < 0 or u.shape[axis] != size:
             refuse("u", f"displacements of {size} sites, then lanes {self.lattice.lanes}", f"shape {jnp.shape(u)}")
         u = jnp.asarray(u)
-        tail = jnp.take(u, jnp.arange(size - 1), axis) if isinstance(u, np.ndarray) else _cut(u, axis, 0, size - 1)
-        return tail - _cut(u, axis, 1, size) + self.rest
+        return _cut(u, axis, 0, size - 1) - _cut(u, axis, 1, size) + self.rest
 
     @checked
     def until(self) -> Number:

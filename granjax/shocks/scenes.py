@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import concrete, per_lane, positive, refuse, show, whole
+from ..checks import concrete, per_lane, positive, refuse, show, traced, whole
 from ..entry import checked
 from ..lattice import Lattice, State
 from ..laws import Strained
@@ -15,9 +15,8 @@ from ..printing import told
 from ..states import velocity_step
 from ..states.places import chain_only, inside
 from ..strains import Shift
-from ..terms import Bond, Breaks, Drive, Wall
+from ..terms import Bond, Breaks, Drive, Wall, tracing
 from ..terms.reach import furthest
-from ..terms.tracing import traced
 from ..types import Count, Number, Parameter
 from .riemann import Jolt, Riemann, simple_wave_velocity
 
@@ -122,7 +121,7 @@ def step(lattice: Lattice, left: Parameter, right: Parameter = 0.0, *, centre: C
         found = term.next_neighbours()
         if found is not None:
             terms.append(Bond(Shift(1, "fixed"), Strained(_alike(found[0], lanes), strain, reference)))
-        elif traced(term, lattice)[1].displacement or term.dependence(lattice).time:
+        elif tracing.traced(term, lattice)[1].displacement or term.dependence(lattice).time:
             refuse("lattice", f"{CHAIN}, damping and dashpots", f"terms[{i}] ({type(term).__name__})",
                    "The far states must be at rest at their strains.")
         else:
@@ -279,7 +278,7 @@ def _least(lattice):
 def _jolt(lattice, into):
     """What the step sends out; `None` for a chain of other bonds as well."""
     others = [term for term in lattice.terms if term.next_neighbours() is None]
-    if len(others) == len(lattice.terms) or any(traced(term, lattice)[1].displacement for term in others):
+    if len(others) == len(lattice.terms) or any(tracing.traced(term, lattice)[1].displacement for term in others):
         return None
     return Jolt(_law(lattice), _least(lattice), tuple(into), _spread(lattice))
 
@@ -289,7 +288,7 @@ def _spread(lattice):
     v = lattice.zeros()
     v, found = v.at[v.shape[0] // 2].set(1), jnp.zeros(lattice.lanes)
     for term in lattice.terms:
-        if term.next_neighbours() is None and traced(term, lattice)[1].velocity:
+        if term.next_neighbours() is None and tracing.traced(term, lattice)[1].velocity:
             pulls = jnp.abs(term.force(0.0, 0 * v, v, lattice.mass)) / _least(lattice)
             found = found + jnp.where(v == 0, pulls, 0).max(0)
     return found
@@ -298,7 +297,7 @@ def _spread(lattice):
 def _refuse_ends(lattice, state):
     """Refuse what acts on the ends of a chain whose halves translate."""
     for i, term in enumerate(lattice.terms):
-        if any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves((term, lattice.mass, state.v))):
+        if traced((term, lattice.mass, state.v)):
             continue
         force = np.abs(np.asarray(term.force(0.0, state.v, state.v, lattice.mass)))
         if np.any(force[[0, -1]] > ROUNDED * force.max(initial=0)):

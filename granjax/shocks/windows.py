@@ -116,6 +116,12 @@ def _guess(tau, strains):
 
 
 def _crests(tau, x):
-    top = np.flatnonzero((x[1:-1] > x[:-2]) & (x[1:-1] >= x[2:]) & (x[1:-1] > (x.max() + x.min()) / 2)) + 1
+    top = tops(x)
+    top = top[x[top] > (x.max() + x.min()) / 2]
     bend = x[top - 1] - 2 * x[top] + x[top + 1]
     return tau[top] + (tau[1] - tau[0]) * (x[top - 1] - x[top + 1]) / (2 * bend)
+
+
+def tops(x: np.ndarray) -> np.ndarray:
+    """Indices of what is higher than its neighbours."""
+    return np.flatnonzero((x[1:-1] > x[:-2]) & (x[1:-1] >= x[2:])) + 1
