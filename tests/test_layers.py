@@ -22,7 +22,7 @@ FLOORS = (
     {"linear", "measures", "states"},
     {"orbits"},
     {"breathers", "canonical", "driven", "floquet", "forced", "travelling", "shocks"},
-    {"sweep", "fit", "design", "work_precision"},
+    {"sweeps", "fit", "design", "work_precision"},
     {"identify", "studies"},
 )
 FLOOR = {name: level for level, names in enumerate(FLOORS) for name in names}

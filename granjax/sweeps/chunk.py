@@ -1,0 +1,21 @@
+"""What is computed, kept and sent at a time: the results of some lanes of a sweep."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ..printing import told as _told
+
+
+class Chunk(NamedTuple):
+    """The results of some lanes.
+
+    - `columns`: from name to an array of numbers or words, lanes first, (lanes, ...).
+    - `reasons`: a sentence for each lane that failed, "" for all others.
+    - `told`: from name to what is known of a column: its own axes ("dims"), its unit ("units").
+    """
+
+    columns: dict[str, np.ndarray]
+    reasons: list[str]
+    told: dict[str, dict]
+    __repr__ = _told
