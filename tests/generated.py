@@ -551,7 +551,7 @@ BLANK = (
     "plots.cells.cell_wave", "plots.cells.resonance_map",
     "plots.orbits.branch", "plots.orbits.breather", "plots.orbits.floquet_circle", "plots.orbits.hysteresis",
     "plots.precision.work_precision", "plots.shocks.modulation", "plots.shocks.shock", "plots.shocks.shock_core",
-    "plots.shocks.shock_map", "plots.waves.dispersion", "studies.resonance.finite.refine",
+    "plots.shocks.shock_map", "plots.sweeps.sweep", "plots.waves.dispersion", "studies.resonance.finite.refine",
     "plots.travelling.reflection", "plots.travelling.wave", "plots.travelling.wave_errors",
     "identify.planar.PlanarODE.bend", "identify.planar.PlanarODE.periodic", "identify.planar_orbits.PlanarOrbit.strain",
     "plots.fits.planar", "plots.travelling.front", "plots.travelling.wave_family", "shocks.measure.measure",

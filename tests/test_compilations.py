@@ -375,7 +375,7 @@ WITHIN = {
                     "numbers, words and Python: no program of their own"),
     **dict.fromkeys(("files", "fit.files", "reading.reader", "reading.tables"), "files, read and written by NumPy"),
     **dict.fromkeys(("plots.cells", "plots.style", "plots.curves", "plots.fits", "plots.orbits", "plots.shocks",
-                     "plots.travelling"),
+                     "plots.sweeps", "plots.travelling"),
                     "drawn by NumPy; `plots`"),
     **dict.fromkeys(("lattice.split", "lattice.tangents", "lattice.blocks", "split_system"), "`simulate`"),
     **dict.fromkeys(("studies.bright_breather", "studies.dark_breather", "studies.reproduce.registry",

@@ -22,12 +22,13 @@ from .orbits import branch, breather, floquet_circle, hysteresis, strain_map
 from .precision import work_precision
 from .shocks import modulation, shock, shock_core, shock_map
 from .style import COLOURS, drawn, figure, save, style
+from .sweeps import sweep
 from .travelling import front, reflection, wave, wave_errors, wave_family
 from .waves import dispersion
 
 __all__ = [
     "COLOURS", "branch", "breather", "cell_wave", "corner", "dispersion", "drawn", "figure", "fit", "floquet_circle",
     "front", "hysteresis", "law", "modulation", "planar", "profile", "reflection", "resonance_map", "save", "shock",
-    "shock_core", "shock_map", "space_time", "strain_map", "style", "traces", "transmission", "wave", "wave_errors",
-    "wave_family", "work_precision",
+    "shock_core", "shock_map", "space_time", "strain_map", "style", "sweep", "traces", "transmission", "wave",
+    "wave_errors", "wave_family", "work_precision",
 ]

@@ -1,0 +1,178 @@
+"""Pictures and tables of sweeps: one to three parameters, lists, words, failed lanes, units; made by hand."""
+
+import matplotlib
+
+matplotlib.use("Agg")
+
+import matplotlib.pyplot as plt  # noqa: E402
+import numpy as np  # noqa: E402
+import pytest  # noqa: E402
+import xarray  # noqa: E402
+
+import granjax as gx  # noqa: E402
+from granjax.sweeps.table import table  # noqa: E402
+
+RATIOS, LOADS = np.linspace(0.1, 1.0, 7), np.geomspace(1.0, 1000.0, 4)
+FAILED = "The motion left the law's domain."
+
+
+@pytest.fixture(autouse=True)
+def _closed():
+    yield
+    plt.close("all")
+
+
+def one():
+    reason = np.where(np.arange(7) == 2, FAILED, "")
+    force = np.where(reason == "", 1e-3 * np.arange(1.0, 8), np.nan)
+    verdict = np.array(["stable", "stable", "", "unstable", "unstable", "undecided", "stable"])
+    return xarray.Dataset(
+        {"verdict": ("ratio", verdict), "peak_force": ("ratio", force, {"units": "N"}), "reason": ("ratio", reason),
+         "multipliers": (("ratio", "multipliers_0"), np.exp(1j * np.outer(RATIOS, [1, 2])))}, {"ratio": RATIOS})
+
+
+def two(units="N"):
+    reason = np.full((7, 4), "", dtype="U40")
+    reason[1, 2] = FAILED
+    rate = np.where(reason == "", np.outer(RATIOS - 0.5, LOADS), np.nan)
+    coords = {"ratio": RATIOS, "load": ("load", LOADS, {"units": units})}
+    return xarray.Dataset({"rate": (("ratio", "load"), rate, {"units": "1/s"}), "reason": (("ratio", "load"), reason)},
+                          coords)
+
+
+def three():
+    parts = [two().assign(rate=two().rate * k) for k in (1, 2, 3)]
+    return xarray.concat(parts, "boundary").assign_coords(boundary=["free", "fixed", "ring"]).transpose(..., "boundary")
+
+
+def listed(*names):
+    draw = np.random.default_rng(0)
+    parameters = {name: ("lane", 10 ** draw.uniform(0, 3, 30), {"units": "mm/s"}) for name in names}
+    reason = np.where(np.arange(30) == 4, FAILED, "")
+    return xarray.Dataset({"peak": ("lane", np.where(reason == "", draw.uniform(size=30), np.nan), {"units": "scaled"}),
+                           "done": ("lane", np.arange(30) % 2 == 0), "reason": ("lane", reason)}, parameters)
+
+
+def legend(ax):
+    return [text.get_text() for text in ax.get_legend().get_texts()]
+
+
+def test_one_parameter_is_a_line_with_gaps_and_bands():
+    ax = gx.plots.sweep(one(), bands="verdict")
+    x, y = ax.lines[0].get_data()
+    np.testing.assert_allclose(x, RATIOS)
+    assert np.isnan(y[2]) and y[3] == pytest.approx(4.0)
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("ratio", "peak force (mN)")
+    assert {"stable", "unstable", "undecided", "failed: 1 of 7"} == set(legend(ax))
+    np.testing.assert_allclose(ax.lines[-1].get_xdata(), RATIOS[2])
+    ends = [(patch.get_x(), patch.get_x() + patch.get_width()) for patch in ax.patches]
+    np.testing.assert_allclose(ends[1], [0.475, 0.775])
+
+
+def test_words_and_axes_of_their_own():
+    assert len(gx.plots.sweep(one(), "verdict").patches) == 4
+    ax = gx.plots.sweep(one(), "multipliers")
+    assert ax.get_ylabel() == "|multipliers|" and len(ax.lines) == 3
+    np.testing.assert_allclose(ax.lines[1].get_ydata(), 1.0)
+
+
+def test_two_parameters_are_a_map_and_log_spaced_ones_a_log_axis():
+    ax = gx.plots.sweep(two(), units=("kN", "1/s"))
+    mesh = ax.collections[0]
+    np.testing.assert_allclose(np.ma.filled(mesh.get_array(), np.nan).reshape(4, 7), two().rate.values.T)
+    assert (ax.get_xscale(), ax.get_yscale()) == ("linear", "log")
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("ratio", "load (kN)")
+    edges = mesh.get_coordinates()[:, 0, 1]
+    np.testing.assert_allclose(np.sqrt(edges[1:] * edges[:-1]), LOADS * 1e-3)
+    assert mesh.norm.vmin == -mesh.norm.vmax and mesh.colorbar.ax.get_ylabel() == "rate (1/s)"
+    assert legend(ax) == ["failed: 1 of 28"]
+    np.testing.assert_allclose(np.ravel(ax.lines[0].get_data()), [RATIOS[1], LOADS[2] * 1e-3])
+
+
+def test_values_of_a_parameter_as_lines():
+    ax = gx.plots.sweep(two(), lines="load", units="1/s")
+    np.testing.assert_allclose(ax.lines[1].get_ydata(), two().rate.values[:, 1])
+    assert legend(ax)[:2] == ["load 1 N", "load 10 N"]
+    turned = gx.plots.sweep(two(), lines="ratio", units="1/s")
+    np.testing.assert_allclose(turned.lines[3].get_ydata(), two().rate.values[3])
+    assert turned.get_xscale() == "log"
+
+
+def test_rows_stand_at_their_values_whatever_their_order():
+    mixed = two().isel(ratio=[3, 0, 6, 1, 5, 2, 4])
+    a, b = (gx.plots.sweep(data).collections[0] for data in (two(), mixed))
+    np.testing.assert_array_equal(a.get_array(), b.get_array())
+    np.testing.assert_allclose(a.get_coordinates(), b.get_coordinates())
+
+
+def test_three_parameters_are_small_multiples_of_one_scale():
+    axes = gx.plots.sweep(three(), units="1/s")
+    assert [ax.get_title() for ax in axes] == [f"boundary {word}, 1 failed" for word in ("free", "fixed", "ring")]
+    assert len({ax.collections[0].norm.vmax for ax in axes}) == 1
+    np.testing.assert_allclose(np.ma.filled(axes[2].collections[0].get_array(), np.nan).reshape(4, 7),
+                               3 * two().rate.values.T)
+
+
+def test_a_list_is_dots():
+    ax = gx.plots.sweep(listed("speed"))
+    assert ax.get_xscale() == "log" and ax.get_ylabel() == "peak (scaled)" and "failed: 1 of 30" in legend(ax)
+    ax = gx.plots.sweep(listed("speed", "drop"))
+    assert len(ax.collections[0].get_offsets()) == 29
+    assert gx.plots.sweep(listed("speed", "drop", "third"), "done").shape == (3,)
+    assert [text.get_text() for text in gx.plots.sweep(listed("speed"), "done").get_yticklabels()] == ["yes", "no"]
+
+
+def test_scaled_and_unknown_units_are_said():
+    assert gx.plots.sweep(two("scaled")).get_ylabel() == "load (scaled)"
+    assert gx.plots.sweep(two("dB")).get_ylabel() == "load (dB)"
+    assert gx.plots.sweep(two("")).get_ylabel() == "load"
+
+
+def test_nothing_known_yet_and_one_value():
+    empty = two().assign(rate=two().rate * np.nan)
+    assert gx.plots.sweep(empty).collections[0].get_array().mask.all()
+    assert gx.plots.sweep(one().isel(ratio=[1])).lines[0].get_ydata() == pytest.approx(2.0)
+    assert gx.plots.drawn(gx.plots.sweep(two().isel(load=[0])), ".png", dpi=30)
+
+
+BAD = [
+    (lambda: gx.plots.sweep(one(), "peak_forc"), "name: expected one of .* Did you mean 'peak_force'"),
+    (lambda: gx.plots.sweep(np.ones(3)), "data: expected a sweep"),
+    (lambda: gx.plots.sweep(xarray.Dataset({"a": ("x", np.ones(3))})), "data: expected coordinates"),
+    (lambda: gx.plots.sweep(two(), lines="rate"), "lines: expected one of 'ratio', 'load'"),
+    (lambda: gx.plots.sweep(one(), lines="ratio"), "lines: expected None, but for a grid of two"),
+    (lambda: gx.plots.sweep(two(), bands="verdict"), "bands: expected None"),
+    (lambda: gx.plots.sweep(three(), ax=plt.subplots()[1]), "ax: expected None where the picture has 3 panels"),
+    (lambda: gx.plots.sweep(two(), units="mm"), "units: expected units of"),
+    (lambda: gx.plots.sweep(two(), scale="logarithmic"), "scale: expected one of"),
+    (lambda: gx.plots.sweep(three().expand_dims(mass=[1.0, 2.0])), "data: expected at most three parameters"),
+    (lambda: gx.plots.sweep(one().expand_dims(mass=[1.0, 2.0]), "multipliers"), "name: expected a variable with one"),
+]
+
+
+@pytest.mark.parametrize(("call", "sentence"), BAD, ids=range(len(BAD)))
+def test_what_cannot_be_drawn_meets_a_sentence(call, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        call()
+
+
+def test_a_table_has_units_and_the_reasons_of_what_failed():
+    text = table(one())
+    head, *rows = text.splitlines()
+    assert head.split() == ["ratio", "verdict", "peak_force", "[N]", "multipliers"]
+    assert rows[0].split()[:3] == ["0.1", "stable", "0.001"]
+    assert rows[6].endswith(FAILED) and rows[6].split()[0] == "0.4" and rows[7] == "7 lanes, 1 of them failed."
+    assert "shape" not in text
+
+
+def test_a_long_table_is_shortened_with_the_count():
+    text = table(two(), rows=4)
+    assert text.splitlines()[3].split() == ["..."] * 3
+    assert text.endswith("28 lanes, 1 of them failed: 23 more rows.")
+    # a parameter of the list is a column
+    assert table(listed("speed", "drop"), rows=2).splitlines()[0].split() == [
+        "speed", "[mm/s]", "drop", "[mm/s]", "peak", "[scaled]", "done"]
+    with pytest.raises(ValueError, match="rows: expected a whole number not below 2"):
+        table(two(), rows=1)
+    with pytest.raises(ValueError, match="data: expected a sweep"):
+        table(3.0)
