@@ -103,6 +103,7 @@ Theory and studies
 Pictures and files
     plots               pictures of all of it, with units
     Result              what every result is: `to_xarray`, `save`, `in_units`; `Result.load` reads a file
+    exchange            any dataset to and from .nc, .npz, .mat and .csv; arrays of files of others
 This process
     tune                XLA's flags
     clear               let go of compiled programs
@@ -183,8 +184,9 @@ if _collects:
 __version__ = "0.1.0"
 _LAZY = {
     name: f".{name}" for name in (
-        "breathers", "canonical", "continuation", "driven", "floquet", "forced", "identify", "linear", "materials",
-        "measures", "newton", "orbits", "plots", "scenes", "shocks", "states", "studies", "theory", "travelling",
+        "breathers", "canonical", "continuation", "driven", "exchange", "floquet", "forced", "identify", "linear",
+        "materials", "measures", "newton", "orbits", "plots", "scenes", "shocks", "states", "studies", "theory",
+        "travelling",
     )
 } | {"reproduce": ".studies.reproduce", "resonance": ".studies.resonance"}
 

@@ -7,16 +7,14 @@ writes by itself leaves half a file on a full disk, and HDF5 then ends the proce
 
 import contextlib
 import io
-import json
 import os
-import re
 import secrets
 import stat
 import tempfile
 import threading
 from collections import deque
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -160,61 +158,33 @@ def stop_writing(timeout: float = 0.5) -> None:
 
 
 def netcdf(data: "xarray.Dataset") -> bytes:
-    """A dataset as the bytes of a netCDF file."""
+    """A dataset as the bytes of a netCDF file, complex numbers as NAME_real and NAME_imag."""
     import h5netcdf
     from xarray.backends import H5NetCDFStore
 
     buffer = io.BytesIO()
     with h5netcdf.File(buffer, "w") as file:
-        data.dump_to_store(H5NetCDFStore(file))
+        real_parts(data).dump_to_store(H5NetCDFStore(file))
     return buffer.getvalue()
 
 
-# what a .mat file cannot say by itself, as JSON: names, axes, coordinates, types, units; letters of a name in MATLAB
-STRUCTURE, NAME = "granjax_structure", 63
+def real_parts(data: "xarray.Dataset") -> "xarray.Dataset":
+    """A dataset with complex numbers as two, NAME_real and NAME_imag, attributes too.
 
-
-def matlab(data: "xarray.Dataset") -> bytes:
-    """A dataset as the bytes of a MATLAB file (version 5): arrays by name, attributes as fields of a struct.
-
-    Names are made such as MATLAB has. A text holds what makes the same dataset of it again.
-    **Raises** ValueError for an array beyond 4 GiB.
+    **Raises** ValueError where something else is called so.
     """
-    from scipy.io import savemat
-    from scipy.io.matlab import MatWriteError
-
-    keys, attributes = _names([*map(str, data.variables), STRUCTURE, "attributes"]), _names(map(str, data.attrs))
-    variables, arrays = {}, {}
-    for name, x in data.variables.items():
-        value = np.asarray(x.values)
-        words = {"words": value.tolist()} if value.dtype.kind in "UO" else {}
-        arrays[keys[name]] = value.astype(object) if words else value
-        told = {key: _plain(a) for key, a in x.attrs.items()}
-        variables[str(name)] = {"key": keys[name], "axes": x.dims, "type": value.dtype.str, "shape": value.shape,
-                                "told": told, **words}
-    attrs = {str(key): _plain(x) for key, x in data.attrs.items()}
-    structure = {"variables": variables, "coordinates": sorted(map(str, data.coords)), "attributes": attrs}
-    arrays |= {"attributes": {attributes[key]: x for key, x in attrs.items()}, STRUCTURE: json.dumps(structure)}
-    buffer = io.BytesIO()
-    try:
-        savemat(buffer, arrays, long_field_names=True)
-    except MatWriteError as error:
-        refuse("path", "arrays that a .mat file holds", f"larger ones ({error})", "Write a .nc file.")
-    return buffer.getvalue()
-
-
-def _names(names):
-    """Names in MATLAB of names: letters, digits and underscores, a letter first, each once."""
-    found = {}
-    for name in names:
-        plain = re.sub(r"\W", "_", name, flags=re.ASCII)
-        plain = (plain if plain[:1].isalpha() else f"x_{plain}")[:NAME]
-        while plain in found.values():
-            plain = f"{plain[: NAME - 7]}_{secrets.token_hex(3)}"
-        found[name] = plain
-    return found
-
-
-def _plain(x: Any) -> Any:
-    """An attribute as JSON has it."""
-    return x.tolist() if isinstance(x, (np.ndarray, np.generic)) else x
+    variables = {name: x for name, x in data.variables.items() if x.dtype.kind == "c"}
+    attributes = {name: np.asarray(x) for name, x in data.attrs.items() if np.asarray(x).dtype.kind == "c"}
+    for name in (*variables, *attributes):
+        taken = {f"{name}_real", f"{name}_imag"} & {*data.variables, *data.attrs}
+        if taken:
+            refuse("data", f"no other {min(taken)!r} beside the complex {name!r}", "one", "Call it otherwise.")
+    if not variables and not attributes:
+        return data
+    coordinates = {*data.coords}
+    made = data.drop_vars([*variables]).assign({
+        f"{name}_{part}": (x.dims, getattr(x.values, part), x.attrs) for name, x in variables.items()
+        for part in ("real", "imag")})
+    made.attrs = {key: x for key, x in data.attrs.items() if key not in attributes} | {
+        f"{key}_{part}": getattr(x, part).tolist() for key, x in attributes.items() for part in ("real", "imag")}
+    return made.set_coords([f"{name}_{part}" for name in variables if name in coordinates for part in ("real", "imag")])

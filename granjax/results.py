@@ -10,10 +10,11 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from . import reading
+from . import exchange
 from .checks import refuse, traced
 from .entry import checked
-from .files import matlab, netcdf, target, write
+from .exchange.datasets import content, place
+from .files import write
 from .printing import text
 from .types import Values
 from .units import SCALED, SI, Units
@@ -216,32 +217,34 @@ class Result(eqx.Module):
         return dataclasses.replace(self, _mark=np.full(np.shape(0.0 if mark is None else mark), by_name.mark_of(kind)))
 
     @checked
-    def save(self, path: str | Path, *, lanes: Lanes = None) -> Path:
-        """Write `to_xarray(lanes=lanes)` to a file: netCDF (`.nc`), or MATLAB's `.mat` with the attributes in a struct.
+    def save(self, path: str | Path, *, lanes: Lanes = None, version: str | None = None) -> Path:
+        """Write `to_xarray(lanes=lanes)` to a file: netCDF `.nc`, NumPy's `.npz`, MATLAB's `.mat` or a table `.csv`.
 
-        The file is there whole or not at all, and what was there before stays where writing fails; a file that is open
-        elsewhere may be written again.
+        Complex numbers are NAME_real and NAME_imag. `version` of a `.mat` file, "5" or "7.3" (HDF5): by default 5
+        unless an array has 2 GiB or more. `gx.exchange.save` says what stands where. The file is there whole or not at
+        all, and what was there before stays where writing fails; a file that is open elsewhere may be written again.
 
-        **Returns:** the path. **Raises** ValueError for another ending, lanes that do not fit, or where nothing can be
-        written (no such folder, no right to); OSError where writing fails (a full disk).
+        **Returns:** the path. **Raises** ValueError for another ending, lanes that do not fit, what a table does not
+        hold, or where nothing can be written (no such folder, no right to); OSError where writing fails (a full disk).
         """
-        path = target("path", path)
-        ending = path.suffix.lower()
-        if ending not in (".nc", ".mat"):
-            refuse("path", "a name that ends in .nc or .mat", repr(path.name))
-        data = self.to_xarray(lanes=lanes)
-        return write(path, netcdf(data) if ending == ".nc" else matlab(data))
+        path = place(path, version)
+        return write(path, content(self.to_xarray(lanes=lanes), path.suffix.lower(), version))
 
     @staticmethod
     @checked
-    def load(path: str | Path) -> "xarray.Dataset":
-        """What `save` wrote, as netCDF or for MATLAB: the `xarray.Dataset`, in memory and the file closed.
+    def load(path: str | Path, *, lazy: bool = False, complex: bool = False) -> "xarray.Dataset":
+        """What `save` wrote, in any format: the `xarray.Dataset`, in memory and the file closed.
 
         The result itself, which may hold a lattice and functions, is not made anew: its arrays are what a file keeps.
-        It is read in a process of its own, as `gx.Traces.from_mat` does: a damaged file costs a sentence, the first one
+        `lazy=True` reads numbers when they are asked for (`.nc`, `.npz`, MATLAB's 7.3): `data.v[-1].values` of a
+        waveform of several GB costs one frame. `complex=True` joins NAME_real and NAME_imag to NAME.
+        Of a trajectory `gx.plots.space_time(data)` is a picture, `gx.states.stored(lattice, data)` the state of
+        a frame to go on from, and `gx.Traces.from_netcdf(path, ...)` (`from_npz`, `from_mat`, `from_csv`) what a fit
+        takes.
+        It is read in a process of its own: a damaged file costs a sentence, the first one
         of a session 0.6 s. **Raises** ValueError for a file that is not there, is no such one or is damaged.
         """
-        return reading.dataset(path)
+        return exchange.load(path, lazy=lazy, complex=complex)
 
 
 def _attributes(counted: by_name.Counted, unit: str) -> dict[str, str]:

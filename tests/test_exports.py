@@ -1,4 +1,4 @@
-"""Every result of the public face goes to xarray, netCDF and MATLAB, and comes back as the same Dataset."""
+"""Every result of the public face goes to xarray and to files of every format, and comes back as the same Dataset."""
 
 import functools
 import inspect
@@ -194,6 +194,7 @@ def test_every_result_of_the_face_is_here():
     assert classes().keys() <= MAKERS.keys()
 
 
+FORMATS = (("nc", None), ("npz", None), ("mat", None), ("mat", "7.3"), ("csv", None))
 # those that take a solved problem to make
 LONG = {"Run", "Fit", "Branch", "Rectifier", "ForceLaw", "Comparison"}
 
@@ -206,9 +207,9 @@ def test_a_result_goes_out_and_comes_back(name, tmp_path):
     data = result.to_xarray()
     for axis in data.dims:
         assert axis.partition("_")[0] != "site" or data[axis].values.tolist() == list(range(data.sizes[axis]))
-    for ending in ("nc", "mat"):
-        again = Result.load(result.save(tmp_path / f"{name}.{ending}"))
-        assert again.identical(data), f"{again}\n{data}"
+    for ending, version in FORMATS:
+        again = Result.load(result.save(tmp_path / f"{name}.{ending}", version=version))
+        assert again.identical(data), f"{ending} {version}: {again}\n{data}"
         assert again.attrs.keys() == data.attrs.keys()
         kinds = [{key: x.dtype.kind.replace("U", "O") for key, x in d.variables.items()} for d in (again, data)]
         assert kinds[0] == kinds[1]
@@ -255,8 +256,9 @@ def test_lanes_are_called_by_what_was_swept(lanes, named, wanted, first, tmp_pat
     assert data.peak.dims == ((*wanted, "peak_0") if first else ("peak_0", *wanted))
     for name, values in (named or {}).items():
         assert np.array_equal(data[name], values) and name in data.coords
-    for ending in ("nc", "mat"):
-        assert Result.load(run.save(tmp_path / f"run.{ending}", lanes=named)).identical(data)
+    for ending, version in FORMATS:
+        path = run.save(tmp_path / f"run.{ending}", lanes=named, version=version)
+        assert Result.load(path).identical(data), ending
     assert run.in_units("ms", lanes=named).u.dims == data.u.dims
 
 
@@ -323,8 +325,8 @@ def test_vectors_of_the_plane_and_fields_of_a_cell_are_named(tmp_path):
     data = uneven.to_xarray()
     assert data.u_core.dims == ("time", "site_core") and data.site_core.size == N - 1
     for k, run in enumerate((plane, uneven)):
-        for ending in ("nc", "mat"):
-            path = run.save(tmp_path / f"{k}.{ending}")
+        for ending, version in FORMATS:
+            path = run.save(tmp_path / f"{k}.{ending}", version=version)
             assert Result.load(path).identical(run.to_xarray())
 
 
@@ -340,11 +342,12 @@ def test_names_that_files_do_not_have(tmp_path):
     odd = {"a/b": 1.0, "2nd": np.ones(2), "x" * 80: 2.0, "x" * 80 + "y": 3.0, "\u00b5 [m]": 4.0, "outcome": "none",
            "": 5.0}
     result = Named(np.zeros(0), ["a", "", "\u00e9\u00df"], odd)
-    for ending in ("nc", "mat"):
-        again = Result.load(result.save(tmp_path / f"odd.{ending}"))
+    for ending, version in FORMATS:
+        again = Result.load(result.save(tmp_path / f"odd.{ending}", version=version))
         assert again.identical(result.to_xarray()) and again.words.values.tolist() == ["a", "", "\u00e9\u00df"]
     from scipy.io import loadmat
 
+    result.save(tmp_path / "odd.mat")
     assert loadmat(tmp_path / "odd.mat")["parameters_2nd"].tolist() == [[1.0, 1.0]]
 
 

@@ -12,7 +12,7 @@ ROOT = Path(granjax.__file__).parent
 FLOORS = (
     {"checks", "files", "interrupts", "outside", "printing", "tuning", "types"},
     {"entry", "programs", "reading", "variables"},
-    {"split_system", "units"},
+    {"exchange", "split_system", "units"},
     {"results"},
     {"laws", "strains", "materials", "solvers", "newton", "parameters", "descent", "plots"},
     {"terms", "continuation"},

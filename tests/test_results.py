@@ -43,7 +43,7 @@ def test_a_result_is_read_back_from_its_file(sample, tmp_path):
 
     matlab = loadmat(sample.save(tmp_path / "sample.mat"))
     assert np.array_equal(matlab["u_resonator"], np.ones((4, 2)))
-    with pytest.raises(ValueError, match="ends in .nc or .mat"):
+    with pytest.raises(ValueError, match="ends in .nc, .npz, .mat or .csv"):
         sample.save(tmp_path / "sample.txt")
 
 

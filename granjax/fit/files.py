@@ -116,7 +116,10 @@ def read_mat(
     """
     rate = sampling if isinstance(sampling, str) else None
     keys = _keys(velocity, displacement, force, time, rate, *(trigger[:1] if isinstance(trigger, tuple) else ()))
-    variables, others = reading.matlab(path, [key for key in keys if isinstance(key, str)])
+    variables, others = reading.arrays("matlab", path, [key for key in keys if isinstance(key, str)])
+    words = {"c": "complex", "O": "char", "U": "char"}
+    others |= {name: words[x.dtype.kind] for name, x in variables.items() if x.dtype.kind in words}
+    variables = {name: np.asarray(x, float) for name, x in variables.items() if name not in others}
 
     def column(argument, key):
         name, index = key if isinstance(key, tuple) and len(key) == 2 else (key, None)

@@ -1,4 +1,4 @@
-"""Reads MATLAB's and HDF5 files in a process of its own: `reader` runs it, nobody imports it.
+"""Reads MATLAB's, HDF5 and NumPy files in a process of its own: `reader` runs it, nobody imports it.
 
 SciPy's and HDF5's compiled readers trust the counts that a file states: a damaged one can end the process, hang it or
 ask for terabytes. Here that costs nothing. A line of JSON on standard input is a request; the answer is the length of
@@ -8,12 +8,13 @@ are the folders where modules are looked for.
 
 import contextlib
 import faulthandler
+import importlib.util
 import json
 import math
 import os
 import signal
 import sys
-import warnings
+from pathlib import Path
 
 sys.path[:] = sys.argv[1:]
 
@@ -21,9 +22,6 @@ import numpy as np  # noqa: E402
 
 # seconds for imports, from a slow disk too, and without a request until the process ends
 STARTING, IDLE = 60, 120
-NUMERIC = {"double", "single", "logical", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))}
-NO_NUMBERS = b"This is a netCDF dimension but not a netCDF variable"
-STRUCTURE = "granjax_structure"
 NOWHERE = open(os.devnull, "w")  # noqa: SIM115
 
 
@@ -49,125 +47,85 @@ def watched(seconds):
     faulthandler.dump_traceback_later(seconds, exit=True, file=NOWHERE)
 
 
-def small(count, most):
-    """Refuse more bytes than may be held."""
-    if count > most:
-        raise ValueError(f"it states {count / 2**20:.3g} MiB of numbers, more than {most / 2**20:.3g}")
+def loaded():
+    """The module beside this one that knows the formats."""
+    place = importlib.util.spec_from_file_location("granjax_formats", Path(__file__).with_name("formats.py"))
+    made = importlib.util.module_from_spec(place)
+    place.loader.exec_module(made)
+    return made
 
 
-def complete(item):
-    """Refuse a dataset of which parts were never written: HDF5 would fill them in."""
-    if item.chunks is None:
-        # words lie elsewhere
-        missing = item.id.get_storage_size() < item.size * (1 if item.dtype.kind == "O" else item.dtype.itemsize)
-    else:
-        missing = item.id.get_num_chunks() < math.prod(-(-n // c) for n, c in zip(item.shape, item.chunks))
-    if item.size and missing:
-        raise ValueError(f"numbers of {item.name!r} are not there")
+FORMATS = loaded()
 
 
-def matlab(path, names, most):
-    """{name: array} of those that are asked for, {name: what it is} of all others. "scan.gate" is a field of a struct.
+class Opened:
+    """The file that was asked for last, which may be asked for more."""
 
-    Arrays are shaped as in MATLAB.
-    """
-    import h5py
+    asked, found, closing = None, None, contextlib.ExitStack()
 
-    if not h5py.is_hdf5(path):
-        return matlab_5(path, names, most)
-    arrays, others = {}, {}
-
-    def visit(name, item):
-        if name.startswith("#") or not isinstance(item, h5py.Dataset):
-            return
-        name, word = name.replace("/", "."), item.attrs.get("MATLAB_class", b"")
-        word = word.decode("latin-1") if isinstance(word, bytes) else ""
-        if item.dtype.kind not in "fiu" or word == "char" or item.shape is None:
-            others[name] = word or f"HDF5's {item.dtype}"
-        elif name not in names:
-            others[name] = ""
-        elif "MATLAB_empty" in item.attrs:
-            arrays[name] = np.zeros((0, 0))
-        else:
-            small(8 * item.size + sum(x.nbytes for x in arrays.values()), most)
-            complete(item)
-            # MATLAB counts columns first
-            arrays[name] = np.asarray(item[()], float).T
-
-    with h5py.File(path, "r") as file:
-        file.visititems(visit)
-    return arrays, others
+    @classmethod
+    def close(cls):
+        """Let go of it."""
+        cls.asked = cls.found = None
+        cls.closing.close()
 
 
-def matlab_5(path, names, most):
-    """The same of versions 4 to 7."""
-    from scipy.io import loadmat, matlab, whosmat
-
-    # a variable that cannot be read is but a warning
-    warnings.simplefilter("error", matlab.MatReadWarning)
-    held = whosmat(path)
-    others = {name: "" if word in NUMERIC else word for name, _, word in held}
-    tops = [name for name in others if any(asked == name or asked.startswith(f"{name}.") for asked in names)]
-    small(sum(8 * math.prod(shape) for name, shape, _ in held if name in tops), most)
-    arrays = {}
-
-    def add(name, x):
-        if not isinstance(x, np.ndarray):
-            return
-        if x.dtype.names:
-            for field in x.dtype.names if x.size == 1 else ():
-                add(f"{name}.{field}", x[field].item())
-        elif x.dtype.kind in "fiu":
-            arrays[name] = np.asarray(x, float)
-            others.pop(name, None)
-        else:
-            others[name] = {"c": "complex", "U": "char", "O": "cell"}.get(x.dtype.kind, str(x.dtype))
-
-    for name, x in loadmat(path, variable_names=tops).items() if tops else ():
-        if name in tops:
-            add(name, x)
-    return arrays, others
+def opened(request):
+    """What a file holds, by its name, size and time. One that was read before and is another now is refused."""
+    found = os.stat(request["path"])
+    stamp = [found.st_size, found.st_mtime_ns, found.st_ino]
+    if request.get("stamp", stamp) != stamp:
+        raise ValueError("it is no longer the file that was opened")
+    asked = request["kind"], request["path"], stamp, request["names"], request["saved"]
+    if Opened.asked != asked:
+        Opened.close()
+        read = FORMATS.dataset if request["saved"] else getattr(FORMATS, request["kind"])
+        given = (request["kind"], request["path"]) if request["saved"] else (request["path"], request["names"])
+        Opened.found = read(*given, Opened.closing)
+        Opened.asked = asked
+    return Opened.found, stamp
 
 
-def netcdf(path, names, most):
-    """{variable: (axes, array, attributes)}, names of coordinates, attributes of the file."""
-    import h5py
-    import xarray
-
-    with h5py.File(path, "r") as file:
-        items = [x for x in file.values() if isinstance(x, h5py.Dataset) and x.shape is not None]
-        items = [x for x in items if not bytes(x.attrs.get("NAME", b"")).startswith(NO_NUMBERS)]
-        small(sum(max(x.dtype.itemsize, 8) * x.size for x in items), most)
-        for item in items:
-            complete(item)
-    data = xarray.load_dataset(path, engine="h5netcdf")
-    variables = {name: (x.dims, x.values, x.attrs) for name, x in data.variables.items()}
-    return variables, sorted(data.coords), data.attrs
+def key_of(told, shape):
+    """A key of an array: whole numbers, slices, lists of places."""
+    if told is None:
+        return (slice(None),) * len(shape)
+    return tuple(slice(*k["slice"]) if "slice" in k else np.array(k.get("at", k.get("one")), int)[()] for k in told)
 
 
-def saved(path, names, most):
-    """The same of a .mat file that `save` wrote."""
-    from scipy.io import loadmat, matlab, whosmat
+def outline(request):
+    """What a file holds: of each array its shape and type, and the numbers of those that are wanted whole."""
+    found, stamp = opened(request)
+    if request["saved"]:
+        variables, coordinates, attributes = found
+        whole = {name: not request["lazy"] or x.whole or x.dtype.kind in "OUST"
+                 for name, (_, _, x) in variables.items()}
+        FORMATS.small(sum(max(x.dtype.itemsize, 8) * math.prod(x.shape) for name, (_, _, x) in variables.items()
+                          if whole[name]), request["most"])
+        told = {name: (list(axes), dict(attrs), list(x.shape), x.dtype.str,
+                       np.asarray(x.read(key_of(None, x.shape))) if whole[name] else None)
+                for name, (axes, attrs, x) in variables.items()}
+        return told, coordinates, dict(attributes), stamp
+    parts, others = found
+    asked = {name: x for name, x in parts.items() if x.read and (request["names"] is None or name in request["names"])}
+    whole = {name: x for name, x in asked.items() if x.whole or not request["lazy"]}
+    FORMATS.small(sum(max(x.dtype.itemsize, 8) * math.prod(x.shape) for x in whole.values()), request["most"])
+    arrays = {name: np.asarray(x.read(key_of(None, x.shape))) for name, x in whole.items()}
+    told = {name: (list(x.shape), x.dtype.str, x.word, x.units, arrays.get(name)) for name, x in parts.items()}
+    return told, others, stamp
 
-    warnings.simplefilter("error", matlab.MatReadWarning)
-    held = whosmat(path)
-    if STRUCTURE not in [name for name, *_ in held]:
-        raise ValueError(f"it has no {STRUCTURE}: granjax did not write it")
-    small(sum(8 * math.prod(shape) for _, shape, _ in held), most)
-    structure = json.loads(loadmat(path, variable_names=[STRUCTURE])[STRUCTURE].item())
-    told = structure["variables"]
-    arrays = loadmat(path, variable_names=[x["key"] for x in told.values() if "words" not in x])
-    variables = {}
-    for name, x in told.items():
-        array = np.asarray(x["words"] if "words" in x else arrays[x["key"]])
-        kind = object if "words" in x else x["type"]
-        variables[name] = x["axes"], array.astype(kind).reshape(x["shape"]), attributes(x["told"])
-    return variables, structure["coordinates"], attributes(structure["attributes"])
 
-
-def attributes(told):
-    """Attributes as netCDF has them."""
-    return {name: np.asarray(x) if isinstance(x, list) else x for name, x in told.items()}
+def part(request):
+    """Some numbers of one array."""
+    found, _ = opened(request)
+    x = found[0][request["name"]]
+    x = x[2] if request["saved"] else x
+    key = key_of(request["key"], x.shape)
+    sizes = [len(range(*k.indices(n))) if isinstance(k, slice) else np.size(k) for k, n in zip(key, x.shape)]
+    count = max(x.dtype.itemsize, 8) * math.prod(sizes)
+    if count > request["most"]:
+        raise ValueError(f"{count / 2**20:.4g} MiB are asked for at once, more than {request['most'] / 2**20:.4g}")
+    return np.asarray(x.read(key))
 
 
 def packed(x, blocks):
@@ -176,7 +134,7 @@ def packed(x, blocks):
         return {"dict": [[str(name), packed(value, blocks)] for name, value in x.items()]}
     if isinstance(x, list | tuple):
         return {"list": [packed(value, blocks) for value in x]}
-    if isinstance(x, str | int | float) and not isinstance(x, np.generic):
+    if (x is None or isinstance(x, str | int | float)) and not isinstance(x, np.generic):
         return {"plain": x}
     array = np.asarray(x)
     if array.dtype.kind in "OSUT":
@@ -196,16 +154,20 @@ def answered(request):
     if request["kind"] == "netcdf":
         import h5netcdf  # noqa: F401
         import xarray  # noqa: F401
-    else:
+    elif request["kind"] == "matlab":
         import h5py  # noqa: F401
         import scipy.io  # noqa: F401
     limited(request["memory"])
     watched(request["seconds"])
-    blocks, read = [], {"netcdf": netcdf, "matlab": matlab, "saved": saved}[request["kind"]]
+    blocks, read = [], part if "name" in request else outline
     try:
-        return {"answer": packed(read(request["path"], request["names"], request["most"]), blocks)}, blocks
+        answer = {"answer": packed(read(request), blocks)}
+        if not request["lazy"]:
+            Opened.close()
+        return answer, blocks
     except Exception as error:
         # whatever it is, it is the file's: `reader` makes a sentence of it
+        Opened.close()
         return {"error": f"{type(error).__name__}: {error}".rstrip(": ")[:300]}, []
 
 

@@ -1,4 +1,4 @@
-"""Files that compiled libraries read: MATLAB's and HDF5, in a process that may be lost."""
+"""Files that compiled libraries read: MATLAB's, HDF5, NumPy's, in a process that may be lost."""
 
 import atexit
 import contextlib
@@ -13,14 +13,10 @@ import threading
 import time
 from multiprocessing.spawn import get_executable
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..checks import refuse
-
-if TYPE_CHECKING:
-    import xarray
 
 # bytes of numbers that a file may hold, in all and for each of its own (deflate shrinks zeros to a thousandth); the
 # reader's memory may grow by thrice as many, as they lie in the file, as floating numbers and turned, and by these
@@ -32,23 +28,76 @@ WORDS = 2**26
 REMEDY = "Copy or write it anew if it is damaged; arrays that are read by other means go to gx.Traces."
 
 
-def matlab(path: str | Path, names: list[str]) -> tuple[dict[str, np.ndarray], dict[str, str]]:
-    """({name: array}, {name: what it is}) of a MATLAB file: what is asked for, as numbers, and all else.
+KINDS = {".mat": ("matlab", "a .mat"), ".npz": ("npz", "an .npz"), ".nc": ("netcdf", "a netCDF")}
+FILES = {"matlab": "a MATLAB file", "npz": "an .npz file", "netcdf": "a netCDF file"}
 
-    "scan.gate" is a field of a struct; what it is is "" for numbers that were not asked for. Arrays are shaped as in
-    MATLAB. **Raises** ValueError for a file that is none, is damaged or states more than 2 GiB of numbers.
+
+class Stored:
+    """An array in a file: `shape`, `dtype`, and by a key (whole numbers, slices, lists) the numbers that it asks for.
+
+    **Raises** ValueError where the file is no longer the one that was opened, is damaged, or more than 2 GiB are asked
+    for at once.
     """
-    arrays, others = _read("matlab", path, "a MATLAB file", names)
-    return arrays, others
+
+    def __init__(self, request: dict, what: str, name: str, shape: tuple[int, ...], dtype: str):
+        self.request, self.what, self.name, self.shape = request, what, name, tuple(shape)
+        self.dtype = np.dtype(dtype)
+
+    def __len__(self) -> int:
+        return self.shape[0]
+
+    def __getitem__(self, key: object) -> np.ndarray:
+        told = [_told(k) for k in (key if isinstance(key, tuple) else (key,))]
+        told += [_told(slice(None))] * (len(self.shape) - len(told))
+        return np.asarray(_asked(self.request | {"name": self.name, "key": told}, self.what))
 
 
-def dataset(path: str | Path) -> "xarray.Dataset":
-    """The `xarray.Dataset` of a file that `save` wrote, netCDF or .mat. **Raises** ValueError as `matlab` does."""
-    import xarray
+def _told(k):
+    """A key as JSON has it."""
+    if isinstance(k, slice):
+        return {"slice": [None if x is None else int(x) for x in (k.start, k.stop, k.step)]}
+    return {"one": int(k)} if np.ndim(k) == 0 else {"at": np.asarray(k).tolist()}
 
-    kind, what = ("saved", ".mat") if os.fsdecode(path).lower().endswith(".mat") else ("netcdf", "netCDF")
-    variables, coordinates, attributes = _read(kind, path, f"a {what} file that `save` wrote", [])
-    return xarray.Dataset({k: tuple(v) for k, v in variables.items()}, attrs=attributes).set_coords(coordinates)
+
+def arrays(kind: str, path: str | Path, names: list[str] | None = None) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+    """({name: array}, {name: what it is}) of a file of arrays by name: those that are asked for, `None` all; all else.
+
+    `kind`: "matlab", "npz" or "netcdf". "scan.gate" is a field of a struct; what it is is "" for numbers that were not
+    asked for. Arrays are shaped as in MATLAB; texts and cells of words are arrays of words.
+    **Raises** ValueError for a file that is none, is damaged or states more than 2 GiB of numbers.
+    """
+    told, others, _ = _read(kind, path, FILES[kind], names)
+    left = {name: "" for name, (*_, x) in told.items() if x is None}
+    return {name: x for name, (*_, x) in told.items() if x is not None}, others | left
+
+
+def columns(
+    kind: str, path: str | Path, names: list[str],
+) -> tuple[dict[str, tuple[np.ndarray | Stored, str, str]], dict[str, str]]:
+    """The same, where numbers are read when they are asked for: {name: (array, what it is, its unit)} of all arrays.
+
+    What a MATLAB file up to version 7 holds is read at once, if it is asked for.
+    """
+    told, others, stamp = _read(kind, path, FILES[kind], names, lazy=True)
+    request = _request(kind, path, FILES[kind], names, lazy=True) | {"stamp": stamp}
+    return {name: (Stored(request, FILES[kind], name, shape, dtype) if x is None else x, word, units)
+            for name, (shape, dtype, word, units, x) in told.items()}, others
+
+
+def dataset(
+    path: str | Path, lazy: bool = False,
+) -> tuple[dict[str, tuple[list[str], dict, np.ndarray | Stored]], list[str], dict]:
+    """({variable: (axes, attributes, array)}, coordinates, attributes) of a file that `save` wrote, by its ending.
+
+    `lazy`: arrays of numbers are `Stored`. **Raises** ValueError as `arrays` does.
+    """
+    kind, what = KINDS.get(os.path.splitext(os.fsdecode(path))[1].lower(), KINDS[".nc"])
+    what = f"{what} file that `save` wrote"
+    told, coordinates, attributes, stamp = _read(kind, path, what, None, saved=True, lazy=lazy)
+    request = _request(kind, path, what, None, saved=True, lazy=True) | {"stamp": stamp}
+    found = {name: (axes, attrs, Stored(request, what, name, shape, dtype) if x is None else x)
+             for name, (axes, attrs, shape, dtype, x) in told.items()}
+    return found, coordinates, attributes
 
 
 def regular(path: str | Path, what: str) -> tuple[Path, int]:
@@ -88,12 +137,21 @@ class _Running:
     lock = threading.Lock()
 
 
-def _read(kind, path, what, names):
-    """What the other process answers. One that fails after it has read other files is not taken as this one's word."""
+def _request(kind, path, what, names, saved=False, lazy=False):
+    """What is asked of a file: its numbers may take so much memory and time."""
     path, size = regular(path, what)
-    seconds, most = SECONDS + size / RATE, min(MOST, RATIO * size)
-    request = {"kind": kind, "path": str(path.absolute()), "names": names, "seconds": seconds, "most": most,
-               "memory": MEMORY + size + 3 * most}
+    most = MOST if lazy else min(MOST, RATIO * size)
+    return {"kind": kind, "path": str(path.absolute()), "names": names, "saved": saved, "lazy": lazy, "most": most,
+            "seconds": SECONDS + size / RATE, "memory": MEMORY + size + 3 * min(MOST, RATIO * size)}
+
+
+def _read(kind, path, what, names, **how):
+    return _asked(_request(kind, path, what, names, **how), what)
+
+
+def _asked(request, what):
+    """What the other process answers. One that fails after it has read other files is not taken as this one's word."""
+    path, seconds = request["path"], request["seconds"]
     with _Running.lock:
         while True:
             _start()
@@ -105,11 +163,11 @@ def _read(kind, path, what, names):
                 late = time.monotonic() - began > seconds
                 code = _close()
             if late:
-                refuse("path", what, f"{str(path)!r}, which is not read within {seconds:.3g} s", REMEDY)
+                refuse("path", what, f"{path!r}, which is not read within {seconds:.3g} s", REMEDY)
             if not again:
-                refuse("path", what, f"{str(path)!r}, at which reading broke down (exit code {code})", REMEDY)
+                refuse("path", what, f"{path!r}, at which reading broke down (exit code {code})", REMEDY)
     if "error" in answer:
-        refuse("path", what, f"{str(path)!r}, at which reading ended with {answer['error']!r}", REMEDY)
+        refuse("path", what, f"{path!r}, at which reading ended with {answer['error']!r}", REMEDY)
     return answer["answer"]
 
 
@@ -126,6 +184,8 @@ def _start():
     # nothing that changes what Python does, but where it is
     kept = {name: x for name, x in os.environ.items() if not name.startswith("PYTHON") or name == "PYTHONHOME"}
     threads = {name: "1" for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")}
+    # a file that stays open here may be written elsewhere
+    threads["HDF5_USE_FILE_LOCKING"] = "FALSE"
     try:
         _Running.process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,

@@ -1,0 +1,134 @@
+"""Any `xarray.Dataset` to a file and back, and arrays of files of others."""
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .. import reading
+from ..checks import one_of, refuse
+from ..entry import checked
+from ..files import netcdf, real_parts, target, write
+from . import csv_table, structure
+from .by_name import matlab, npz
+
+if TYPE_CHECKING:
+    import xarray
+
+ENDINGS = (".nc", ".npz", ".mat", ".csv")
+VERSIONS = ("5", "7.3")
+
+
+@checked
+def content(data: Any, ending: str, version: str | None = None) -> bytes:
+    """A dataset as the bytes of a file with this ending: see `save`."""
+    if ending == ".nc":
+        return netcdf(data)
+    data = real_parts(data)
+    if ending == ".csv":
+        return csv_table.csv_text(data).encode()
+    return npz(data) if ending == ".npz" else matlab(data, version)
+
+
+@checked
+def place(path: str | Path, version: str | None = None) -> Path:
+    """The path of a file that can be written in one of the formats. **Raises** ValueError as `save` does."""
+    path = target("path", path)
+    ending = path.suffix.lower()
+    if ending not in ENDINGS:
+        refuse("path", "a name that ends in .nc, .npz, .mat or .csv", repr(path.name))
+    if version is not None:
+        one_of("version", version, VERSIONS)
+        if ending != ".mat":
+            refuse("version", "a name that ends in .mat", repr(path.name), "Leave version= out.")
+    return path
+
+
+@checked
+def save(data: Any, path: str | Path, *, version: str | None = None) -> Path:
+    """Write an `xarray.Dataset`: netCDF (`.nc`), NumPy (`.npz`), MATLAB (`.mat`) or a table (`.csv`).
+
+    Each holds names, axes, coordinates, units and attributes too, so that `load` makes the same dataset of it; numbers
+    come back bit by bit. Complex numbers are two variables, NAME_real and NAME_imag. The file is there whole or not at
+    all, and what was there before stays where writing fails.
+
+    - `.nc`: for long waveforms too; any software of netCDF or HDF5 reads it.
+    - `.npz`: arrays by name for `numpy.load(path, allow_pickle=False)`, all else as JSON in `granjax_structure`.
+    - `.mat`: arrays by name, attributes in a struct. `version`: "5", which every MATLAB, Octave and SciPy reads, or
+      "7.3", which is HDF5 (MATLAB from 2006 on, `h5read`); `None` takes 5 unless an array has 2 GiB or more.
+    - `.csv`: the variables as columns under their names and units, time first, then one for each site: `v_3 (m/s)`; of
+      a batch or a sweep one row for each lane (and time), with the parameters as columns. Attributes and what has no
+      place in the table stand in comments (#) below it: `pandas.read_csv(path, comment="#")`,
+      `numpy.genfromtxt(path, delimiter=",", names=True)` and `gx.Traces.from_csv` read it.
+
+    **Returns:** the path. **Raises** ValueError for another ending or version, what the format does not hold, or where
+    nothing can be written (no such folder, no right to); OSError where writing fails (a full disk).
+    """
+    import xarray
+
+    if not isinstance(data, xarray.Dataset):
+        refuse("data", "an xarray.Dataset", type(data).__name__, "result.to_xarray() is one.")
+    path = place(path, version)
+    return write(path, content(data, path.suffix.lower(), version))
+
+
+@checked
+def load(path: str | Path, *, lazy: bool = False, complex: bool = False) -> "xarray.Dataset":
+    """The `xarray.Dataset` of a file that `save` wrote, by its ending.
+
+    It is in memory and the file closed. It is read in a process of its own: a damaged file costs a sentence, the first
+    one of a session 0.6 s; at most 2 GiB of numbers.
+
+    - `lazy`: numbers are read when they are asked for, by that process: `data.v[-1].values` costs one frame of
+      a trajectory of any length, and 2 GiB may be asked for at once. Coordinates of more than 2^20 entries are not read
+      either, so that places are counted (`data.v.isel(time=slice(10, 20))`) and not looked up. The file has to stay as
+      it is: another one of its name is refused. Not for `.csv` and MATLAB's version 5, which are read whole.
+    - `complex`: NAME_real and NAME_imag, of one shape, are joined to a complex NAME.
+
+    **Raises** ValueError for a file that is not there, is no such one or is damaged.
+    """
+    import xarray
+
+    if isinstance(path, (str, os.PathLike)) and os.fsdecode(path).lower().endswith(".csv"):
+        if lazy:
+            refuse("lazy", "a .nc, .npz or .mat file", f"{os.fsdecode(path)!r}, a text, which is read whole",
+                   "Leave lazy= out, or save as .nc.")
+        variables, coordinates, attributes = csv_table.read(path)
+    else:
+        variables, coordinates, attributes = reading.dataset(path, lazy)
+    if lazy and any(isinstance(x, np.ndarray) and x.dtype.kind in "biuf" for *_, x in variables.values()):
+        refuse("lazy", "a .nc, .npz or .mat file of version 7.3",
+               f"{os.fsdecode(path)!r} of an older version, which is read whole",
+               "Leave lazy= out, or save it with version='7.3'.")
+    if complex:
+        variables, coordinates, attributes = structure.joined(variables, coordinates, attributes)
+    if lazy:
+        from .lazily import opened
+
+        return opened(variables, coordinates, attributes)
+    made = {name: (axes, x, told) for name, (axes, told, x) in variables.items()}
+    return xarray.Dataset(made, attrs=attributes).set_coords(coordinates)
+
+
+@checked
+def arrays(path: str | Path, *names: str) -> dict[str, np.ndarray | str]:
+    """Arrays by name of a file of somebody else: MATLAB's `.mat` (any version), `.npz`, netCDF, by its ending.
+
+    A field of a struct is "scan.gate"; matrices are shaped as in MATLAB, logical ones are bool, complex ones complex; a
+    char array is a text, a cell array of them an array of words. `names`: those that are read, by default all that
+    are numbers or words. No pickle is read. For columns of a text `gx.Traces.from_csv`.
+
+    **Raises** ValueError for a file that is not there, is none or is damaged, for names that are not there, and for
+    more than 2 GiB.
+    """
+    ending = os.path.splitext(os.fsdecode(path))[1].lower() if isinstance(path, (str, os.PathLike)) else ""
+    kinds = {".mat": "matlab", ".npz": "npz"}
+    found, others = reading.arrays(kinds.get(ending, "netcdf"), path, list(names) or None)
+    for name in names:
+        if name not in found and others.get(name):
+            refuse("names", "an array of numbers or words", f"{name!r}, which is {others[name]}")
+        if name not in found:
+            one_of("names", name, sorted({*found, *(other for other, kind in others.items() if not kind)}))
+    found = {name: x for name, x in found.items() if not names or name in names}
+    return {name: x.item() if x.ndim == 0 and x.dtype.kind in "OU" else x for name, x in found.items()}

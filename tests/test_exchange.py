@@ -1,0 +1,251 @@
+"""Datasets in files of every format: what other programs find in them, what comes back, what is read of others."""
+
+import json
+import zipfile
+
+import h5py
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+from scipy.io import loadmat, savemat
+
+import granjax as gx
+from granjax import exchange
+from granjax.exchange import by_name, csv_table
+from granjax.files import real_parts
+
+FORMATS = (("nc", None), ("npz", None), ("mat", "5"), ("mat", "7.3"), ("csv", None))
+over = pytest.mark.parametrize("ending, version", FORMATS, ids=lambda x: str(x))
+RNG = np.random.default_rng(3)
+F, N = 7, 3
+HARD = np.array([0.1, -0.0, np.nan, np.inf, -np.inf, 5e-324, 1.7976931348623157e308])
+
+
+def trajectory(dims=("time", "site"), **lanes):
+    """Times, displacements, velocities and what a run says of itself."""
+    shape = {"time": F, "site": N, **{name: len(x) for name, x in lanes.items()}}
+    arrays = {name: (dims, RNG.normal(size=[shape[axis] for axis in dims]), {"units": unit})
+              for name, unit in (("u", "m"), ("v", "m/s"))}
+    coords = {"time": ("time", np.arange(F) * 0.1, {"units": "s"}), "site": np.arange(N), **lanes}
+    return xr.Dataset(arrays, coords, {"units": "SI", "outcome": "Completed; \u00e9, 'so'.", "count": 3})
+
+
+def rich():
+    """Every type that is kept, complex numbers, words with delimiters, nothing, a number alone."""
+    data = trajectory()
+    more = {
+        "hard": ("time", HARD), "whole": ("time", np.arange(F) - 2**62), "far": ("time", np.full(F, 2**64 - 1, "u8")),
+        "small": ("time", RNG.normal(size=F).astype("f4")), "half": ("time", np.arange(F, dtype="f2") / 3),
+        "open": ("time", np.arange(F) > 3), "words": ("time", np.array(["a,b", '"', "\n", "#c", "", "\u00b5", "nan"])),
+        "rho": (("time", "multiplier"), RNG.normal(size=(F, 2)) * np.exp(1j)), "peak": ("peak_0", np.arange(4.0)),
+        "none": ("empty", np.zeros(0)), "alone": ((), 0.1), "big": ("time", np.arange(F, dtype=">f8") / 3),
+    }
+    more["rho"][1][0, 0] = complex(np.inf, -0.0)
+    return data.assign(more).assign_attrs(root=1 - 2j, list=np.array([1.0, 2.0]), none=np.nan)
+
+
+@over
+def test_what_is_saved_comes_back_bit_by_bit(ending, version, tmp_path):
+    data = rich()
+    path = exchange.save(data, tmp_path / f"a.{ending}", version=version)
+    again = exchange.load(path)
+    assert again.identical(real_parts(data)) and again.rho_real.dims == ("time", "multiplier")
+    assert again.attrs["root_imag"] == -2 and again.attrs["outcome"] == data.outcome
+    for name, x in real_parts(data).variables.items():
+        # netCDF has no big-endian numbers here, nor zeros' signs in words
+        same = again[name].values.astype(x.dtype) if x.dtype.kind in "biuf" else x.values
+        assert same.tobytes() == np.ascontiguousarray(x.values).tobytes(), name
+    joined = exchange.load(path, complex=True)
+    assert joined.rho.values.tobytes() == data.rho.values.tobytes() and joined.attrs["root"] == 1 - 2j
+    assert exchange.load(exchange.save(joined, path, version=version)).identical(again)
+
+
+def test_numpy_reads_an_npz_file_without_pickles(tmp_path):
+    data = rich()
+    path = exchange.save(data, tmp_path / "a.npz")
+    with np.load(path, allow_pickle=False) as file:
+        assert np.array_equal(file["u"], data.u) and file["words"].tolist() == data.words.values.tolist()
+        told = json.loads(str(file["granjax_structure"]))
+    assert told["variables"]["u"]["axes"] == ["time", "site"] and told["variables"]["v"]["told"] == {"units": "m/s"}
+    assert told["attributes"]["outcome"] == data.outcome
+    assert path.read_bytes() == exchange.save(data, tmp_path / "b.npz").read_bytes()
+
+
+def test_a_trajectory_is_a_table_that_others_read(tmp_path):
+    data = trajectory()
+    path = exchange.save(data, tmp_path / "a.csv")
+    head, *_, last = path.read_text().splitlines()
+    assert head == "time (s),u_0 (m),u_1 (m),u_2 (m),v_0 (m/s),v_1 (m/s),v_2 (m/s)"
+    assert last.startswith("# granjax_structure: ") and '# "count": 3' in path.read_text()
+    frame = pd.read_csv(path, comment="#")
+    assert frame.columns.tolist() == head.split(",")
+    np.testing.assert_allclose(frame["u_1 (m)"], data.u[:, 1], rtol=1e-15)
+    array = np.genfromtxt(path, delimiter=",", names=True)
+    assert np.array_equal(array["v_2_ms"], data.v[:, 2]) and array.shape == (F,)
+    traces = gx.Traces.from_csv(path, velocity=["v_0", "v_2"], time="time", sites=[0, 2])
+    assert np.array_equal(traces.data, data.v[:, [0, 2]]) and np.array_equal(traces.times, data.time)
+    assert traces.origin.units == "time in s (header), v_0 in m/s (header), v_2 in m/s (header)"
+    scaled = trajectory()
+    for x in (scaled.u, scaled.v, scaled.time):
+        x.attrs = {"units": "scaled", "si_units": "m"}
+    path = exchange.save(scaled, path)
+    assert path.read_text().startswith("time,u_0,u_1") and exchange.load(path).identical(scaled)
+    traces = gx.Traces.from_csv(path, displacement="u_1", sites=1)
+    assert np.array_equal(traces.data[:, 0], scaled.u[:, 1]) and "taken" in traces.origin.units
+
+
+def test_a_batch_or_a_sweep_is_a_row_for_each_lane(tmp_path):
+    ratios = np.array([0.2, 0.5])
+    data = trajectory(("time", "site", "ratio"), ratio=ratios).assign(energy=("ratio", [1.0, 2.0]))
+    path = exchange.save(data, tmp_path / "a.csv")
+    lines = path.read_text().splitlines()
+    assert lines[0].startswith("ratio,time (s),u_0 (m)") and lines[0].endswith(",energy")
+    assert lines[8].startswith("0.5,0.")
+    assert lines[1].startswith(f"0.2,0.0,{float(data.u[0, 0, 0])!r},") and exchange.load(path).identical(data)
+    over = "ratio", "load"
+    grid = xr.Dataset({"decay": (over, RNG.normal(size=(2, 3))), "reason": (over, [["", "a,b", ""]] * 2)},
+                      {"ratio": ratios, "load": ("load", [1.0, 2.0, 4.0], {"units": "N"})})
+    lines = exchange.save(grid, path).read_text().splitlines()
+    assert lines[0] == "ratio,load (N),decay,reason" and lines[2] == f'0.2,2.0,{float(grid.decay[0, 1])!r},"a,b"'
+    assert exchange.load(path).identical(grid)
+    paired = xr.Dataset({"decay": ("lane", [1.0, 2.0])}, {"ratio": ("lane", ratios)})
+    assert exchange.save(paired, path).read_text().startswith("ratio,decay\n0.2,1.0\n")
+    bare = xr.Dataset({"u": (("lane", "time", "site"), np.ones((2, F, N)))})
+    assert exchange.save(bare, path).read_text().startswith("lane,frame,u_0,u_1,u_2\n0,0,1.0,1.0,1.0\n0,1")
+    assert exchange.load(path).identical(bare)
+
+
+def test_what_no_table_holds_is_refused(tmp_path, monkeypatch):
+    data = trajectory().assign(modes=(("mode", "mode_1"), np.ones((300, 300))))
+    with pytest.raises(ValueError, match=r"a table over time, got modes over mode and mode_1 too.*data\[\['modes'\]\]"):
+        exchange.save(data, tmp_path / "a.csv")
+    monkeypatch.setattr(csv_table, "MOST", 10)
+    with pytest.raises(ValueError, match="at most 10 numbers in a .csv file"):
+        exchange.save(trajectory(), tmp_path / "a.csv")
+    days = xr.Dataset({"day": ("day", np.array(["2020-01-01"], "M8[ns]"))})
+    for ending in ("csv", "npz", "mat"):
+        with pytest.raises(ValueError, match="variables of numbers or words, got day of type datetime64"):
+            exchange.save(days, tmp_path / f"a.{ending}")
+    odd = xr.Dataset({"x": ("x", [1.0])}, attrs={"what": object()})
+    with pytest.raises(ValueError, match="attributes that are numbers"):
+        exchange.save(odd, tmp_path / "a.npz")
+    taken = xr.Dataset({"z": ("x", [1j]), "z_real": ("x", [1.0])})
+    for ending in ("nc", "csv"):
+        with pytest.raises(ValueError, match="data: expected no other 'z_real' beside the complex 'z'"):
+            exchange.save(taken, tmp_path / f"a.{ending}")
+    for keywords, path, said in (
+        ({}, "a.txt", "ends in .nc, .npz, .mat or .csv"),
+        ({"version": "6"}, "a.mat", "version: expected one of '5', '7.3'"),
+        ({"version": "7.3"}, "a.nc", "version: expected a name that ends in .mat"),
+    ):
+        with pytest.raises(ValueError, match=said):
+            exchange.save(odd, tmp_path / path, **keywords)
+    with pytest.raises(ValueError, match="data: expected an xarray.Dataset, got ndarray"):
+        exchange.save(np.ones(3), tmp_path / "a.nc")
+    assert not [*tmp_path.iterdir()]
+
+
+def test_version_7_3_is_laid_out_as_matlab_does(tmp_path, monkeypatch):
+    data = rich()
+    path = exchange.save(data, tmp_path / "a.mat", version="7.3")
+    head = path.read_bytes()[:512]
+    assert head.startswith(b"MATLAB 7.3 MAT-file") and head[124:128] == b"\x00\x02IM"
+    with h5py.File(path) as file:
+        assert file.userblock_size == 512
+        assert file["u"].shape == (N, F) and file["peak"].shape == (4, 1)
+        assert file["u"].attrs["MATLAB_class"] == b"double"
+        assert file["open"].dtype == "u1" and file["open"].attrs["MATLAB_int_decode"] == 1
+        assert file["attributes"].attrs["MATLAB_class"] == b"struct"
+        outcome = file["attributes/outcome"]
+        assert outcome.attrs["MATLAB_class"] == b"char" and outcome[()].T.tobytes().decode("utf-16-le") == data.outcome
+        fields = [b"".join(x).decode() for x in file["attributes"].attrs["MATLAB_fields"]]
+        assert fields[:3] == ["units", "outcome", "count"] and len(fields) == len(file["attributes"])
+        word = file[file["words"][0, 0]]
+        assert word.attrs["MATLAB_class"] == b"char" and word[()].tobytes().decode("utf-16-le") == "a,b"
+        assert file["none"].attrs["MATLAB_empty"] == 1
+    five = exchange.save(trajectory(), tmp_path / "b.mat")
+    assert not h5py.is_hdf5(five) and np.array_equal(loadmat(five)["time"], [np.arange(F) * 0.1])
+    monkeypatch.setattr(by_name, "MOST", 8 * F * N)
+    assert h5py.is_hdf5(exchange.save(trajectory(), five))
+
+
+def of_matlab(path, arrays):
+    """A file as MATLAB 7.3 writes it: a char array, a cell, complex, logical, a struct, an empty matrix, deflated."""
+    with h5py.File(path, "w", userblock_size=512) as file:
+        def put(name, x, kind, **more):
+            file[name] = x
+            file[name].attrs["MATLAB_class"] = np.bytes_(kind)
+            for key, value in more.items():
+                file[name].attrs[key] = value
+
+        pair = np.zeros((2, 4), [("real", "f8"), ("imag", "f8")])
+        pair["real"], pair["imag"] = arrays["z"].T.real, arrays["z"].T.imag
+        put("z", pair, "double")
+        put("note", np.frombuffer("stål".encode("utf-16-le"), "<u2")[:, None], "char", MATLAB_int_decode=2)
+        put("lines", np.array([[97, 98], [99, 100]], "<u2").T, "char", MATLAB_int_decode=2)
+        put("open", np.array([[1, 0, 1]], "u1").T, "logical", MATLAB_int_decode=1)
+        put("gone", np.array([0, 3], "u8"), "double", MATLAB_empty=1)
+        file.create_dataset("u", data=arrays["u"].T, chunks=(1, 4), compression="gzip")
+        put("count", np.array([[7]], "i4"), "int32")
+        put("scan/gate", arrays["u"][:, :1].T, "double")
+        file["scan"].attrs["MATLAB_class"] = np.bytes_("struct")
+        put("#refs#/b", np.frombuffer("PTFE".encode("utf-16-le"), "<u2")[:, None], "char")
+        put("#refs#/c", np.ones((1, 1)), "double")
+        file.create_dataset("names", data=np.array([[file["#refs#/b"].ref]] * 2, h5py.ref_dtype))
+        file.create_dataset("mixed", data=np.array([[file["#refs#/c"].ref]], h5py.ref_dtype))
+        for name in ("names", "mixed"):
+            file[name].attrs["MATLAB_class"] = np.bytes_("cell")
+    path.write_bytes(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM".ljust(388) + path.read_bytes()[512:])
+
+
+def test_arrays_of_a_user_s_own_files(tmp_path):
+    u, z = RNG.normal(size=(6, 2)), RNG.normal(size=(4, 2)) * np.exp(2j)
+    of_matlab(tmp_path / "a.mat", {"u": u, "z": z})
+    savemat(tmp_path / "b.mat", {
+        "u": u, "z": z, "note": "stål", "open": np.array([[True, False, True]]), "count": np.int32(7),
+        "scan": {"gate": u[:, :1]}, "names": np.array([["PTFE", "PTFE"]], object)})
+    names = "u", "z", "note", "open", "count", "scan.gate", "names"
+    for path in ("a.mat", "b.mat"):
+        found = exchange.arrays(tmp_path / path, *names)
+        assert [*found] == [*found] and np.array_equal(found["u"], u) and found["z"].tobytes("F") == z.tobytes("F")
+        assert found["note"] == "stål"
+        assert found["open"].tolist() == [[True, False, True]] and found["open"].dtype == bool
+        assert found["count"].item() == 7 and np.array_equal(found["scan.gate"], u[:, :1])
+        assert found["names"].ravel().tolist() == ["PTFE", "PTFE"]
+        with pytest.raises(ValueError, match="names: expected one of .*'count'"):
+            exchange.arrays(tmp_path / path, "counts")
+    assert exchange.arrays(tmp_path / "a.mat", "gone", "lines")["lines"].tolist() == ["ab", "cd"]
+    with pytest.raises(ValueError, match="mixed.* that are no words"):
+        exchange.arrays(tmp_path / "a.mat")
+    with pytest.raises(ValueError, match="velocity: expected a variable of real numbers, got 'z', which is complex"):
+        gx.Traces.from_mat(tmp_path / "a.mat", velocity="z", sampling=1.0, sites=[0, 1])
+    np.savez_compressed(tmp_path / "c.npz", u=u, z=z, note="stål")
+    found = exchange.arrays(tmp_path / "c.npz")
+    assert np.array_equal(found["u"], u) and np.array_equal(found["z"], z) and found["note"] == "stål"
+    xr.Dataset({"u": (("t", "n"), u)}).to_netcdf(tmp_path / "d.nc", engine="h5netcdf")
+    assert np.array_equal(exchange.arrays(tmp_path / "d.nc")["u"], u)
+
+
+class Trap:
+    """What runs code where a pickle is read."""
+
+    def __reduce__(self):
+        return (open, ("caught", "w"))
+
+
+def test_no_pickle_is_read(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    np.savez("a.npz", trap=np.array([Trap()], object), u=np.ones(3))
+    assert [*exchange.arrays("a.npz")] == ["u"]
+    for ask in (lambda: exchange.arrays("a.npz", "trap"), lambda: exchange.load("a.npz")):
+        with pytest.raises(ValueError, match="a pickled object, which is not read|granjax did not write it"):
+            ask()
+    good = exchange.save(trajectory(), "b.npz")
+    with zipfile.ZipFile(good) as file, zipfile.ZipFile("c.npz", "w") as other:
+        for name in file.namelist():
+            kept = zipfile.ZipFile("a.npz").read("trap.npy") if name == "u.npy" else file.read(name)
+            other.writestr(name, kept)
+    with pytest.raises(ValueError, match="path: expected an .npz file that `save` wrote"):
+        exchange.load("c.npz")
+    assert not (tmp_path / "caught").exists()
