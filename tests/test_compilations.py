@@ -376,7 +376,7 @@ WITHIN = {
     **dict.fromkeys(("exchange.datasets", "files", "fit.files", "reading.reader", "reading.tables"),
                     "files, read and written by NumPy"),
     **dict.fromkeys(("plots.cells", "plots.style", "plots.curves", "plots.fits", "plots.orbits", "plots.shocks",
-                     "plots.sweeps", "plots.travelling"),
+                     "plots.travelling"),
                     "drawn by NumPy; `plots`"),
     **dict.fromkeys(("lattice.split", "lattice.tangents", "lattice.blocks", "split_system"), "`simulate`"),
     **dict.fromkeys(("studies.bright_breather", "studies.dark_breather", "studies.reproduce.registry",
