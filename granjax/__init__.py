@@ -102,6 +102,7 @@ Theory and studies
     reproduce           figures of a review, each with a number
 Pictures and files
     plots               pictures of all of it, with units
+    explore             sliders and a map that follows them, in a notebook
     Result              what every result is: `to_xarray`, `save`, `in_units`; `Result.load` reads a file
     exchange            any dataset to and from .nc, .npz, .mat and .csv; arrays of files of others
 This process
@@ -196,7 +197,7 @@ __all__ = [
     "Pairs", "Peak", "Polynomial", "PowerLaw", "RKN1210", "RKN86", "Record", "Resonator", "Result", "Reversible", "Run",
     "SRKN11b", "SRKN14a", "SRKN6b", "Shift", "Sine", "SofroniouSpaletta10", "Spline", "State", "StrainMap", "Stretch",
     "Term", "Toda", "Traces", "Units", "VelocityVerlet", "ViscousContact", "Wall", "WorkPrecision", "Yielding", "clear",
-    "derivative", "design", "fit", "laws", "simulate", "smooth_peak", "solvers", "strains", "terms", "tune",
+    "derivative", "design", "explore", "fit", "laws", "simulate", "smooth_peak", "solvers", "strains", "terms", "tune",
     "vector_field", "work_precision", *_LAZY,
 ]
 
@@ -207,6 +208,10 @@ def __getattr__(name):
         import importlib
 
         return importlib.import_module(_LAZY[name], __name__)
+    if name == "explore":
+        from .notebook import explore
+
+        return explore
     if name == "Resonator":
         from .travelling import Resonator
 

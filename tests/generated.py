@@ -51,7 +51,7 @@ from granjax.work_precision import Ladder
 # what is no part of the face, by the beginning of its name, and why
 NOT_FACE = {
     "entry.": "the same",
-    "cli.": "is given text by the shell",
+    "cli.": "is given text by the shell", "notebook.": "asked by notebooks alone: tests/test_explore.py",
     "descent.": "a part of `fit` and `design`", "parameters.": "a part of `fit` and `design`",
     "printing.": "what prints: its input is anything", "variables.": "what names the arrays of results",
     "files.": "what writes", "reading.": "what reads", "interrupts.": "what answers Ctrl-C",

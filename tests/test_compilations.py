@@ -385,6 +385,7 @@ WITHIN = {
                     "studies of minutes, made of what is called here"),
 }
 UNCALLED = {
+    "explore": "in tests/test_explore.py, as a notebook does",
     "cell_of": "`bright_guess`", "edge_of": "`breather`", "edges_beside": "`bright_guess`",
     "supports_bright": "`bright_guess`", "checked_optimiser": "`fit`", "descend": "`fit`", "design": "`design_bounds`",
     "prepared": "`fit`", "decide": "`floquet`", "product_multipliers": "`floquet`, NumPy",

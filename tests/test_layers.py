@@ -26,8 +26,8 @@ FLOORS = (
     {"identify", "studies"},
 )
 FLOOR = {name: level for level, names in enumerate(FLOORS) for name in names}
-# the face, and the command line that stands on it
-ABOVE = {"__init__", "__main__", "cli"}
+# the face, and what stands on it: the command line, notebooks
+ABOVE = {"__init__", "__main__", "cli", "notebook"}
 
 FILES = sorted(ROOT.rglob("*.py"))
 IDS = [str(path.relative_to(ROOT)) for path in FILES]

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm, Normalize, TwoSlopeNorm
 from matplotlib.ticker import MaxNLocator
@@ -67,7 +68,7 @@ def space_time(
         low = float(within("floor", floor, 0, 1, open_low=True, open_high=True)) * top
         data, norm, map_name, label = np.maximum(np.abs(data), low), LogNorm(low, top), "magma", _size(label)
     else:
-        norm, map_name = _linear(data, top)
+        norm, map_name = colours_of(data, top)
     image = _draw(ax, x, y, data, norm, map_name)
     ax.set_xlabel(site_label)
     ax.set_ylabel(by_time.label)
@@ -96,7 +97,7 @@ def _limit(data, limit):
     return float(seen.max()) if seen.size and seen.max() > 0 else 1.0
 
 
-def _linear(data, top):
+def colours_of(data: Float[np.ndarray, "T N"], top: Scalar) -> tuple[Normalize, str]:
     """Norm and map: a diverging map about zero where both signs matter."""
     low = np.nanmin(data) if np.isfinite(data).any() else 0.0
     high = np.nanmax(data) if np.isfinite(data).any() else 1.0

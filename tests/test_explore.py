@@ -1,0 +1,185 @@
+"""Sliders and their map, without a notebook: what moves, what is refused, what is compiled; the rest in a kernel."""
+
+import io
+import sys
+
+import jax
+import matplotlib
+
+matplotlib.use("Agg")
+
+import numpy as np  # noqa: E402
+import pytest  # noqa: E402
+from PIL import Image  # noqa: E402
+
+import granjax as gx  # noqa: E402
+from granjax.notebook import explorer as module  # noqa: E402
+
+ipywidgets = pytest.importorskip("ipywidgets")
+_heard = []
+
+
+def _hear(event, seconds, **named):
+    if event == "/jax/core/compile/backend_compile_duration":
+        _heard.append(named.get("fun_name"))
+
+
+jax.monitoring.register_event_duration_secs_listener(_hear)
+
+
+@pytest.fixture
+def notebook(monkeypatch):
+    """As in a kernel: widgets that are shown."""
+    monkeypatch.setattr(module, "_widgets", lambda: ipywidgets)
+
+
+def shown(explorer):
+    return np.asarray(explorer.image.get_array())
+
+
+def picture(explorer):
+    return np.asarray(Image.open(io.BytesIO(explorer.widget.children[-2].value)))
+
+
+def dimer(ratio, precompression):
+    return gx.scenes.dimer(8, ratio, precompression=precompression)
+
+
+@pytest.fixture
+def explorer(notebook):
+    return gx.explore(dimer, 6.0, frames=12)
+
+
+def test_the_map_follows_and_nothing_compiles(explorer):
+    assert explorer.values == {"ratio": 0.5, "precompression": 0.0, "amplitude": 1.0}
+    np.testing.assert_allclose(shown(explorer), explorer.run.vs)
+    image, before, heard = explorer.image, picture(explorer), len(_heard)
+    for values in ({"ratio": 0.3}, {"precompression": 0.5, "amplitude": 0.1}, {"precompression": 0.0, "ratio": 1.0}):
+        explorer.move(**values)
+        now = explorer.values
+        assert values.items() <= now.items() and len(_heard) == heard and explorer.image is image
+        chain = dimer(now["ratio"], now["precompression"])
+        run = gx.simulate(chain, gx.states.impact(chain, now["amplitude"]), 6.0, save_at=12)
+        heard = len(_heard)
+        np.testing.assert_allclose(shown(explorer), run.vs, atol=1e-9 * now["amplitude"])
+        np.testing.assert_allclose(explorer.lattice.mass, chain.mass)
+        assert image.norm.vmax == pytest.approx(np.abs(run.vs).max())
+    assert picture(explorer).shape == before.shape and (picture(explorer) != before).any()
+    # as a front end does: a slider's value is set
+    explorer.sliders["ratio"].value = 0.25
+    np.testing.assert_allclose(explorer.lattice.mass[1], 0.25)
+    assert min(explorer.seconds.values()) > 0
+
+
+def test_it_reads_well(explorer):
+    text = repr(explorer)
+    assert "mass ratio      0.5, from 0.05 to 1" in text and "Completed at t = 6" in text
+    bundle = explorer._repr_mimebundle_()
+    assert {"application/vnd.jupyter.widget-view+json", "image/png", "text/plain"} <= bundle.keys()
+    assert [slider.description for slider in explorer.sliders.values()] == [
+        "mass ratio", "precompression", "impact velocity"]
+
+
+def test_what_is_refused_is_said_below_the_map(notebook):
+    def scene(ratio, share=1.0):
+        if share > 2:
+            raise ZeroDivisionError("no share")
+        return dimer(ratio, 0.0)
+
+    explorer = gx.explore(scene, 6.0, ratio=(0.5, 1.4), frames=12)
+    explorer.move(ratio=0.9)
+    last = shown(explorer)
+    for values, sentence in (({"ratio": 1.2}, "ratio: expected numbers in (0, 1], got 1.2."),
+                             ({"ratio": 0.9, "share": 3.0}, "ZeroDivisionError: no share")):
+        explorer.move(**values)
+        assert explorer.said.startswith(sentence) and sentence.split(",")[0] in explorer.widget.children[-1].value
+        assert explorer.image.get_alpha() < 0.5
+        np.testing.assert_array_equal(shown(explorer), last)
+        with pytest.raises(RuntimeError, match="The present values have no run"):
+            explorer.run
+    explorer.move(share=1.0)
+    assert explorer.said.startswith("Completed") and explorer.image.get_alpha() == 1
+
+
+def test_runs_that_stop_are_said(notebook, monkeypatch):
+    explorer = gx.explore(dimer, 6.0, frames=12)
+    monkeypatch.setattr(explorer._scenery, "_most", 20)
+    explorer.move(precompression=0.8, amplitude=10.0, ratio=0.05)
+    assert explorer.said.startswith("Stopped before t1 = 6:") and np.isnan(shown(explorer)[-1]).all()
+
+
+def test_a_lattice_in_si(notebook):
+    chain = gx.scenes.beads(["steel 316", "PTFE"], 9.5e-3, cells=4, precompression=20.0)
+    explorer = gx.explore(chain, quantity="force", frames=12, units="ms")
+    assert explorer.values["precompression"] == pytest.approx(20.0)
+    assert explorer.sliders["precompression"].description == "precompression (N)"
+    assert explorer.sliders["amplitude"].description == "impact velocity (m/s)"
+    light = float(chain.mass.min() / chain.mass.max())
+    assert explorer.values["ratio"] == pytest.approx(light)
+    axes = explorer.image.axes
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("contact", "time (ms)")
+    explorer.move(precompression=40.0, ratio=0.5)
+    np.testing.assert_allclose(shown(explorer)[0], 40.0)
+    assert explorer.image.colorbar.ax.get_ylabel() == "contact force (N)"
+    np.testing.assert_allclose(explorer.lattice.mass.min() / explorer.lattice.mass.max(), 0.5)
+    np.testing.assert_allclose(chain.mass, gx.scenes.beads(["steel 316", "PTFE"], 9.5e-3, cells=4).mass)
+
+
+def test_states_whole_numbers_and_fixed_arguments(notebook):
+    explorer = gx.explore(gx.scenes.monomer, 3.0, sites=(4, 9), precompression=1.0, frames=8, quantity="u",
+                          state=lambda lattice: gx.states.rest(lattice)._replace(u=0.1 * np.arange(lattice.sites[0])))
+    assert explorer.values == {"sites": 4, "amplitude": 1.0}
+    explorer.move(sites=7, amplitude=2.0)
+    assert shown(explorer).shape == (8, 7) and explorer.image.get_extent()[:2] == [-0.5, 6.5]
+    np.testing.assert_allclose(shown(explorer)[0], 0.2 * np.arange(7))
+    np.testing.assert_allclose(explorer.state.u, 0.2 * np.arange(7))
+
+    def pair(p):
+        chain = gx.scenes.monomer(4, precompression=p["load"])
+        return chain, gx.states.impact(chain, 0.5)
+
+    explorer = gx.explore(pair, 3.0, load=(0.01, 100), frames=8, quantity=lambda t, y, lattice: y.v**2)
+    assert explorer.values == {"load": pytest.approx(1.0)}
+    assert shown(explorer)[0].max() == pytest.approx(0.25) and np.shape(explorer.run.vs) == (8, 4)
+
+
+
+BAD = [
+    (lambda: gx.explore(gx.scenes.dimer), "sites: expected a range or a value"),
+    (lambda: gx.explore(dimer, ration=(0.1, 1)), "parameter: expected one of .* Did you mean 'ratio'"),
+    (lambda: gx.explore(dimer(0.5, 0.0), load=(0.1, 1)), "parameter: expected one of 'ratio', 'precompression'"),
+    (lambda: gx.explore(dimer, ratio=(1.0, 0.1)), "ratio: expected two finite numbers"),
+    (lambda: gx.explore(dimer, ratio=(1.0, 2.0, 3.0)), "ratio: expected a range"),
+    (lambda: gx.explore(dimer, ratio=(0, 1.0, "log")), "ratio: expected two finite numbers.* above zero"),
+    (lambda: gx.explore(dimer, ratio=("a", "b")), "ratio: expected real numbers"),
+    (lambda: gx.explore(dimer, quantity="w"), "quantity: expected one of"),
+    (lambda: gx.explore(dimer, quantity=lambda t, y, lattice: y.v[0], frames=8), "quantity: expected a number for"),
+    (lambda: gx.explore(dimer, -1.0), "t1: expected numbers above zero"),
+    (lambda: gx.explore(dimer, frames=1), "frames: expected a whole number not below 2"),
+    (lambda: gx.explore(lambda load=0.0: load), "load: expected a range or a value"),
+    (lambda: gx.explore(lambda load=1.0: load), "scene: expected a function that returns a Lattice"),
+    (lambda: gx.explore(lambda: dimer(0.5, 0.0)), "scene: expected a function of named numbers"),
+    (lambda: gx.explore(dimer, ratio=1.5, frames=8), "ratio: expected numbers in"),
+    (lambda: gx.explore(jax.vmap(lambda r: dimer(r, 0.0), out_axes=-1)(np.array([0.1, 0.2]))), "one lattice at a time"),
+    (lambda: gx.explore(gx.scenes.monomer(4), 1.0, state=gx.states.rest), "step: expected a time step"),
+]
+
+
+@pytest.mark.parametrize(("call", "sentence"), BAD, ids=range(len(BAD)))
+def test_what_cannot_be_explored_meets_a_sentence(notebook, call, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        call()
+
+
+def test_a_value_beyond_a_slider_is_refused(explorer):
+    for values in ({"ratio": 2.0}, {"ratio": "a"}, {"rato": 0.5}):
+        with pytest.raises(ValueError, match="expected"):
+            explorer.move(**values)
+
+
+def test_without_a_notebook_it_says_what_to_install(monkeypatch):
+    with pytest.raises(ImportError, match=r"expected a notebook.*pip install 'granjax\[notebook\]'"):
+        gx.explore(dimer)
+    monkeypatch.setitem(sys.modules, "ipywidgets", None)
+    with pytest.raises(ImportError, match=r"expected ipywidgets, got none.*pip install 'granjax\[notebook\]'"):
+        gx.explore(dimer)
