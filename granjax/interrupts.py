@@ -138,11 +138,11 @@ def _hears():
     return _is_main() and signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
-class _Aside(threading.Thread):
+class Aside(threading.Thread):
     """A thread for what knows nothing of signals. It may be left at work."""
 
-    def __init__(self, work):
-        super().__init__(name="granjax: compiling", daemon=True)
+    def __init__(self, work, name="granjax: compiling"):
+        super().__init__(name=name, daemon=True)
         self.work, self.done, self.found, self.error = work, threading.Event(), None, None
 
     def run(self):
@@ -156,7 +156,7 @@ class _Aside(threading.Thread):
 
 def _aside(work):
     """What a function returns or raises, from a thread of its own, while Ctrl-C is heard in this one."""
-    thread = _Aside(work)
+    thread = Aside(work)
     thread.start()
     while not thread.done.wait(LOOK):
         pass
@@ -236,7 +236,7 @@ def _unfinished(x):
 
 
 def _at_work():
-    return any(isinstance(thread, _Aside) for thread in threading.enumerate()) or any(map(_unfinished, _left))
+    return any(isinstance(thread, Aside) for thread in threading.enumerate()) or any(map(_unfinished, _left))
 
 
 def _is_main():

@@ -21,7 +21,7 @@ import sys
 from collections.abc import Callable
 from functools import cache, wraps
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 LOOPS = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=100000000000"
 WIDTH = "--xla_cpu_prefer_vector_width=512"
@@ -229,7 +229,8 @@ def prepare_import() -> None:
 
 
 @cache
-def _pools():
+def pools() -> Any:
+    """The libraries whose threads can be limited: `pools().limit(limits=1)`, a context."""
     from threadpoolctl import ThreadpoolController
 
     return ThreadpoolController()
@@ -240,7 +241,7 @@ def one_thread(function: Callable) -> Callable:
 
     @wraps(function)
     def limited(*arguments, **keywords):
-        with _pools().limit(limits=1):
+        with pools().limit(limits=1):
             return function(*arguments, **keywords)
 
     return limited
