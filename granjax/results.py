@@ -13,7 +13,7 @@ import numpy as np
 from . import exchange
 from .checks import refuse, traced
 from .entry import checked
-from .exchange.datasets import content, place
+from .exchange.formats import content, place
 from .files import write
 from .printing import text
 from .types import Values

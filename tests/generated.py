@@ -54,7 +54,9 @@ NOT_FACE = {
     "cli.": "is given text by the shell", "notebook.": "asked by notebooks alone: tests/test_explore.py",
     "descent.": "a part of `fit` and `design`", "parameters.": "a part of `fit` and `design`",
     "printing.": "what prints: its input is anything", "variables.": "what names the arrays of results",
-    "files.": "what writes", "reading.": "what reads", "interrupts.": "what answers Ctrl-C",
+    "files.": "what writes", "exchange.formats.": "what writes", "exchange.by_name.": "what writes",
+    "exchange.csv_table.": "what writes", "exchange.structure.": "what writes", "exchange.lazily.": "what reads",
+    "reading.": "what reads", "interrupts.": "what answers Ctrl-C",
     "profiles.": "what `solitary_wave` asks, which has looked at everything",
     "programs.": "what compiles: what it is given is anything",
     "outside.": "for functions of the user's alone",
@@ -376,7 +378,15 @@ def folder():
     made = tempfile.TemporaryDirectory()
     np.savetxt(Path(made.name) / "file.csv", np.column_stack([times(), histories()]), delimiter=",")
     scipy.io.savemat(Path(made.name) / "file.mat", {"t": times(), "v": histories()[:, 0]})
+    gx.exchange.save(frames(), Path(made.name) / "saved.nc")
     return made
+
+
+def frames():
+    """A run's dataset."""
+    import xarray
+
+    return xarray.Dataset({name: (("time", "site"), histories()) for name in "uv"}, {"time": ("time", times())})
 
 
 def file(name):
@@ -486,7 +496,11 @@ OWN = {
     "shocks.balances.balances.box": lambda: (1, 3), "shocks.history.space_time.problem": shock,
     "terms.base.Term.force.mass": lambda: 1.0,
     "lattice.model.Lattice.total.parts": lambda: [np.zeros(5)],
-    "fit.files.read_csv.path": lambda: file("file.csv"), "fit.files.read_mat.path": lambda: file("file.mat"),
+    "fit.files.read_csv.path": lambda: file("file.csv"),
+    "states.stored.stored.data": frames, "exchange.datasets.save.data": frames,
+    "exchange.datasets.save.path": lambda: file("new.nc"),
+    "exchange.datasets.load.path": lambda: file("saved.nc"), "exchange.datasets.arrays.path": lambda: file("file.mat"),
+    "fit.files.read_arrays.path": lambda: file("file.mat"),
     "identify.law.law.scene": lambda: lambda law, others=None: gx.Lattice(
         np.ones(SITES), gx.Bond(gx.Shift(1, "fixed"), law)),
     "lattice.tangents.variational.y": lambda: tuple((np.zeros(SITES), np.zeros((SITES, 2))) for _ in "uv"),
@@ -497,7 +511,7 @@ OWN = {
 # given beside the argument that is replaced, by the callable and the argument; "" for every other
 ALSO = {
     "fit.files.read_csv": {"": {"velocity": 1, "sites": 2}, "displacement": {"sites": 2}, "force": {"contacts": 2}},
-    "fit.files.read_mat": {"": {"velocity": "v", "time": "t", "sites": 2}, "displacement": {"time": "t", "sites": 2},
+    "fit.files.read_arrays": {"": {"velocity": "v", "time": "t", "sites": 2}, "displacement": {"time": "t", "sites": 2},
                            "force": {"time": "t", "contacts": 2}},
     "fit.traces.Traces": {"": {"velocity": np.zeros((FRAMES, 2)), "sites": [1, 2]}, "displacement": {"sites": [1, 2]},
                           "force": {"contacts": [1, 2]}, "contacts": {"force": np.zeros((FRAMES, 2))}},

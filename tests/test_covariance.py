@@ -8,7 +8,7 @@ of the scene shows at once, however small.
 
 import re
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -26,6 +26,7 @@ from test_vocabulary import ALL
 
 import granjax as gx
 from granjax.orbits import default_steps, shifts
+from granjax.results import Held, Result
 from granjax.units import Units
 
 SITES = 6
@@ -410,10 +411,28 @@ def row(name, *scenes, agree=AGREE, marks=(), slow=(), binary=AGREE_BINARY):
 CHAINS = (closed, mixed, foreign, lanes)
 AUTONOMOUS = (closed, dimer, uniform, pairs, foreign, fields, plane)
 
+def frames(s):
+    """A dataset of two frames, as a run of the lattice is saved."""
+    y = gx.states.random(s.lattice, 3, s.m(0.1), s.speed(0.2))
+    ts = np.array([s.s(0.0), s.s(1.0)])
+    twice = jax.tree.map(lambda x: np.stack([x, x]), y)
+    return Frames(ts, *twice, **s.lattice.origin).to_xarray()
+
+
+class Frames(Result):
+    held: ClassVar = {"ts": Held("time", "s", "time"), "us": Held("time site", "m", "u"),
+                      "vs": Held("time site", "m/s", "v")}
+    ts: object
+    us: object
+    vs: object
+    outcome: str = "Saved."
+
+
 # states
 row("rest", *EVERY)(lambda s: state(gx.states.rest(s.lattice)))
 row("impact", *CHAINS, slow=(fields,))(lambda s: state(gx.states.impact(s.lattice, s.speed(0.3), 2)))
 row("random", *EVERY)(lambda s: state(gx.states.random(s.lattice, 3, s.m(0.1), s.speed(0.2))))
+row("stored", *EVERY)(lambda s: state(gx.states.stored(s.lattice, frames(s), 0)))
 row("thermal", *EVERY)(lambda s: state(gx.states.thermal(s.lattice, s.joule(0.1), 4)))
 row("strain_step", *CHAINS)(lambda s: state(gx.states.strain_step(s.lattice, s.m(0.1), s.m(-0.02))))
 row("velocity_step", *CHAINS)(lambda s: state(gx.states.velocity_step(s.lattice, s.speed(0.1))))

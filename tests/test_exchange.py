@@ -1,9 +1,15 @@
 """Datasets in files of every format: what other programs find in them, what comes back, what is read of others."""
 
+import io
 import json
+import struct
+import subprocess
+import sys
 import zipfile
 
+import h5netcdf
 import h5py
+import jax
 import numpy as np
 import pandas as pd
 import pytest
@@ -249,3 +255,146 @@ def test_no_pickle_is_read(tmp_path, monkeypatch):
     with pytest.raises(ValueError, match="path: expected an .npz file that `save` wrote"):
         exchange.load("c.npz")
     assert not (tmp_path / "caught").exists()
+
+
+# ------------------------------------------------------------------------------------------------ a run that was saved
+
+
+def test_a_run_that_was_saved_is_drawn_and_goes_on(tmp_path):
+    import matplotlib.pyplot as plt
+
+    chain = gx.scenes.monomer(N, precompression=1.0).counted_in("SI")
+    run = gx.simulate(chain, gx.states.impact(chain, velocity=0.1), 1.0, step=0.05, save_at=F)
+    for ending, version in FORMATS:
+        data = gx.Result.load(run.save(tmp_path / f"a.{ending}", version=version), lazy=ending == "nc")
+        y = gx.states.stored(chain, data)
+        np.testing.assert_array_equal(y.u, run.us[-1])
+        np.testing.assert_array_equal(y.v, run.vs[-1])
+    np.testing.assert_array_equal(gx.states.stored(chain, data, 2).v, run.vs[2])
+    on = gx.simulate(chain, y, 1.0, step=0.05)
+    whole = gx.simulate(chain, gx.states.impact(chain, velocity=0.1), 2.0, step=0.05)
+    np.testing.assert_allclose(on.us[-1], whole.us[-1], atol=1e-14)
+    ax, same = gx.plots.space_time(data), gx.plots.space_time(run)
+    assert ax.get_ylabel() == same.get_ylabel() == "time (s)"
+    np.testing.assert_array_equal(ax.images[0].get_array(), same.images[0].get_array())
+    assert gx.plots.space_time(data, quantity="u", units="ms").get_ylabel() == "time (ms)"
+    plt.close("all")
+    with pytest.raises(ValueError, match="run_or_array: expected a run with u"):
+        gx.plots.space_time(data.drop_vars("u"), quantity="u")
+    for wrong, chain_, frame, said in (
+        (data.drop_vars("v"), chain, -1, "data: expected a dataset with v over time, got .*u"),
+        (data, chain, F, f"frame: expected one of {F} frames"),
+        (data, gx.scenes.monomer(N + 1).counted_in("SI"), -1, "data.u"),
+        (data, gx.scenes.monomer(N).counted_in("scaled"), 0, "numbers in scaled, as those of the lattice, got .* SI"),
+        (3, chain, -1, "data: expected a dataset with u over time, got int"),
+    ):
+        with pytest.raises(ValueError, match=said):
+            gx.states.stored(chain_, wrong, frame)
+
+
+def test_fields_vectors_and_lanes_come_back_as_states():
+    cell = gx.Lattice({"bead": 1.0, "core": 0.5}, (gx.Bond(gx.Shift(1, "periodic", "bead"), gx.Linear(1.0)),), sites=4)
+    y = gx.states.random(cell, 2)
+    data = xr.Dataset({name: (("time", "field", "site"), np.stack([np.stack([*x.values()])] * 2)) for name, x in (
+        ("u", y.u), ("v", y.v))}, {"field": [*y.u]})
+    again = gx.states.stored(cell, data)
+    assert again.u.keys() == y.u.keys() and all(np.array_equal(again.v[key], y.v[key]) for key in y.v)
+    u = RNG.normal(size=(3, F, N))
+    chains = jax.vmap(lambda k: gx.scenes.monomer(N, stiffness=k), out_axes=-1)(np.ones(3))
+    data = xr.Dataset({name: (("ratio", "time", "site"), u) for name in "uv"})
+    np.testing.assert_array_equal(gx.states.stored(chains, data, 1).u, u[:, 1].T)
+
+
+# --------------------------------------------------------------------------------------------------------------- lazily
+
+
+LAZY = (("nc", None), ("npz", None), ("mat", "7.3"))
+
+
+@pytest.mark.parametrize("ending, version", LAZY)
+def test_what_is_read_lazily_is_what_is_there(ending, version, tmp_path):
+    data = trajectory(("time", "site", "lane"), lane=np.arange(4)).assign(
+        rho=(("site", "lane"), RNG.normal(size=(N, 4)) * 1j), words=("site", ["a", "b", "c"]),
+        open=("lane", [True] * 4),
+        alone=((), 2.5), none=("empty", np.zeros(0)))
+    path = exchange.save(data, tmp_path / f"a.{ending}", version=version)
+    found = exchange.load(path, lazy=True, complex=True)
+    assert not any(found[name].variable._in_memory for name in ("u", "v", "rho"))
+    rng = np.random.default_rng(5)
+    for _ in range(40):
+        key = []
+        for n in data.u.shape:
+            at = int(rng.integers(-n, n))
+            key.append([at, slice(None), slice(None, None, -1), slice(at, None, 2), rng.integers(0, n, 3),
+                        np.arange(n) > 1, slice(2, 2)][rng.integers(7)])
+        np.testing.assert_array_equal(found.u[tuple(key)].values, data.u[tuple(key)].values, strict=True)
+        one = dict(zip(("site", "lane"), key[1:]))
+        np.testing.assert_array_equal(found.rho.isel(one).values, data.rho.isel(one).values, strict=True)
+    assert found.sel(time=0.3, method="nearest").u.load().identical(data.sel(time=0.3, method="nearest").u)
+    assert float(found.u.mean()) == float(data.u.mean()) and found.load().identical(data)
+    found = exchange.load(path, lazy=True)
+    exchange.save(data.isel(time=slice(3)), path, version=version)
+    with pytest.raises(ValueError, match="it is no longer the file that was opened"):
+        found.u.values
+    found = exchange.load(path, lazy=True)
+    path.unlink()
+    with pytest.raises(ValueError, match="path: expected an? .* file that `save` wrote"):
+        found.u.values
+    for ending, said in (("csv", "a text, which is read whole"), ("mat", "of an older version, which is read whole")):
+        whole = exchange.save(data, tmp_path / f"b.{ending}")
+        with pytest.raises(ValueError, match=f"lazy: expected a .nc, .npz or .mat file.*{said}"):
+            exchange.load(whole, lazy=True)
+
+
+def sparse(folder):
+    """Files of 3 GiB each of which little is on the disk: a waveform `v` of two sensors, its times in the first."""
+    count = 2**27
+    with h5netcdf.File(folder / "a.nc", "w") as file:
+        file.dimensions = {"time": count, "site": 2}
+        for name, axes in (("v", ("time", "site")), ("time", ("time",))):
+            file.create_variable(name, axes, "f8")[-4:] = np.ones((4, 2)[: len(axes)])
+    with h5py.File(folder / "a.mat", "w", userblock_size=512) as file:
+        file.create_dataset("v", (2, count), "f8")[:, -4:] = 1.0
+    head = io.BytesIO()
+    np.lib.format.write_array_header_1_0(head, {"descr": "<f8", "fortran_order": False, "shape": (count, 2)})
+    size = len(head.getvalue()) + 16 * count
+    with (folder / "a.npz").open("wb") as file:
+        file.write(struct.pack("<4s5H3I2H", b"PK\3\4", 20, 0, 0, 0, 33, 0, size, size, 5, 0))
+        file.write(b"v.npy" + head.getvalue())
+        file.seek(16 * count - 32, 1)
+        file.write(np.ones(4).tobytes())
+        place = file.tell()
+        file.write(struct.pack("<4s6H3I5H2I", b"PK\1\2", 20, 20, 0, 0, 0, 33, 0, size, size, 5, 0, 0, 0, 0, 0, 0))
+        file.write(b"v.npy")
+        file.write(struct.pack("<4s4H2IH", b"PK\5\6", 0, 0, 1, 1, file.tell() - place, place, 0))
+    assert all(path.stat().st_blocks * 512 < 2**26 for path in folder.iterdir())
+
+
+MEASURED = """
+import resource, sys
+import granjax as gx
+from granjax import exchange
+from granjax.reading import reader
+
+folder, before = sys.argv[1], resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+data = exchange.load(folder + "/a.nc", lazy=True)
+assert data.sizes["time"] == 2**27 and data.v[-3:].values.tolist() == [[1, 1]] * 3, data
+assert data.v[::2**25, 1].values.tolist() == [0] * 4 and float(data.time[-1]) == 1
+for read, ending in ((gx.Traces.from_netcdf, "nc"), (gx.Traces.from_npz, "npz"), (gx.Traces.from_mat, "mat")):
+    end = (2**27 - 4) / 1e6
+    traces = read(f"{folder}/a.{ending}", velocity=("v", 1), sites=3, sampling=1e6, start=end - 5e-7)
+    assert traces.data.tolist()[-2:] == [[1], [1]] and 4 <= len(traces.times) <= 5, traces
+after = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+with open(f"/proc/{reader._Running.process.pid}/status") as file:
+    other = next(int(line.split()[1]) for line in file if line.startswith("VmHWM"))
+print((after - before) / 1024, other / 1024)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="sparse files, and what a process has held")
+def test_a_waveform_of_gigabytes_costs_what_is_looked_at(tmp_path):
+    sparse(tmp_path)
+    ran = subprocess.run([sys.executable, "-c", MEASURED, str(tmp_path)], capture_output=True, text=True)
+    assert ran.returncode == 0, ran.stderr
+    ours, reader = map(float, ran.stdout.split())
+    assert ours < 100 and reader < 400, ran.stdout

@@ -3,9 +3,12 @@
 import h5py
 import numpy as np
 import pytest
+import xarray as xr
 from scipy.io import savemat
 
-from granjax.fit.files import read_csv, read_mat
+from granjax import exchange
+from granjax.fit import Traces, waveforms
+from granjax.fit.files import read_arrays, read_csv
 
 T = np.arange(40) * 1e-4
 VOLTS = np.stack([np.sin(900 * T), np.cos(700 * T)], axis=1)
@@ -79,18 +82,18 @@ def test_both_kinds_of_matlab_files(tmp_path, version):
             file["scan/gate"], file["scan/flipped"] = GATE[None], VOLTS
             file["note"] = "steel"
         path.write_bytes(b"MATLAB 7.3 MAT-file".ljust(512) + path.read_bytes()[512:])
-    both = read_mat(path, velocity="data", time="t", sites=[2, 5], gain=[0.125, 0.025])
+    both = read_arrays(path, velocity="data", time="t", sites=[2, 5], gain=[0.125, 0.025])
     np.testing.assert_array_equal(both.times, T)
     np.testing.assert_array_equal(both.data, SIGNALS)
-    one = read_mat(path, velocity=("scan.flipped", 1), sampling="Fs", sites=5, trigger=("scan.gate", 2.5))
+    one = read_arrays(path, velocity=("scan.flipped", 1), sampling="Fs", sites=5, trigger=("scan.gate", 2.5))
     np.testing.assert_allclose(one.times, T[20:] - 1.95e-3, atol=1e-18)
     np.testing.assert_array_equal(one.data, VOLTS[20:, 1:])
     with pytest.raises(ValueError, match="time: expected where the times are"):
-        read_mat(path, velocity="data", sites=[2, 5])
+        read_arrays(path, velocity="data", sites=[2, 5])
     with pytest.raises(ValueError, match="velocity: expected one of .*'data'"):
-        read_mat(path, velocity="dat", sampling=1e4, sites=[2, 5])
+        read_arrays(path, velocity="dat", sampling=1e4, sites=[2, 5])
     with pytest.raises(ValueError, match="velocity: expected a column from 0 to 1, got 2"):
-        read_mat(path, velocity=("data", 2), sampling=1e4, sites=[2, 5])
+        read_arrays(path, velocity=("data", 2), sampling=1e4, sites=[2, 5])
 
 
 @pytest.mark.parametrize("message, keywords", [
@@ -149,3 +152,54 @@ def test_a_sensor_that_is_silent_before_the_trigger_or_overflows_is_refused(tmp_
         read_csv(path, **asked)
     with pytest.raises(ValueError, match="gain: expected numbers that keep the data finite.*scan.csv"):
         read_csv(path, **asked | {"velocity": ["two", "two"]}, gain=[1.0, 1.7e308])
+
+
+@pytest.mark.parametrize("block", [3, 2**20])
+def test_every_format_gives_the_same_window(tmp_path, monkeypatch, block):
+    """Whatever is read at once, and however it is stored: short blocks, samples in rows or columns, deflated."""
+    monkeypatch.setattr(waveforms, "BLOCK", block)
+    data = xr.Dataset({"v": (("t", "site"), 1e3 * BURST, {"units": "mm/s"}), "gate": ("t", GATE)},
+                      {"t": ("t", 1e3 * T, {"units": "ms"})})
+    matrix = {"v_mm_s": 1e3 * BURST, "gate": GATE, "t_ms": 1e3 * T}
+    savemat(tmp_path / "a.mat", matrix)
+    np.savez_compressed(tmp_path / "b.npz", **matrix | {"v_mm_s": np.asfortranarray(1e3 * BURST)})
+    np.savez(tmp_path / "c.npz", **matrix | {"v_mm_s": np.asfortranarray(1e3 * BURST)})
+    write(tmp_path / "d.csv", ["t (ms),gate,a (mm/s),b (mm/s)"], [1e3 * T, GATE, 1e3 * BURST])
+    for name, version in (("e.nc", None), ("f.npz", None), ("g.mat", "7.3"), ("h.mat", "5")):
+        exchange.save(data, tmp_path / name, version=version)
+    asked = {"trigger": ("gate", 2.5), "start": -2e-4, "stop": 1e-3, "baseline": True, "sites": [0, 1]}
+    found = [Traces.from_csv(tmp_path / "d.csv", velocity=["a", "b"], time="t", **asked)]
+    for name in "abcefgh":
+        (path,) = tmp_path.glob(f"{name}.*")
+        bare = name in "abc"
+        found.append({".nc": Traces.from_netcdf, ".npz": Traces.from_npz, ".mat": Traces.from_mat}[path.suffix](
+            path, velocity="v_mm_s" if bare else "v", time="t_ms" if bare else "t", **asked))
+    for traces in found:
+        np.testing.assert_array_equal(traces.times, found[0].times)
+        np.testing.assert_array_equal(traces.data, found[0].data)
+        np.testing.assert_array_equal(traces.sigma, found[0].sigma)
+    assert len(found[0].times) == 12
+    np.testing.assert_allclose(found[0].data, BURST[18:30] - BURST[:18].mean(axis=0), rtol=1e-12)
+    sampled = read_arrays(tmp_path / "c.npz", velocity=("v_mm_s", 1), sampling=1e4, start=5e-4, stop=1e-3, sites=1)
+    np.testing.assert_array_equal(sampled.times, np.arange(5, 11) / 1e4)
+    rare = np.where(np.arange(40) == 30, 1.0, np.nan)
+    rare[2] = 0.0
+    np.savez(tmp_path / "i.npz", gate=rare, v=BURST)
+    asked = {"velocity": "v", "sampling": 1e4, "sites": [0, 1]}
+    crossed = read_arrays(tmp_path / "i.npz", trigger=("gate", 0.5), sigma=1.0, **asked)
+    np.testing.assert_allclose(crossed.times, np.arange(16, 40) / 1e4 - 1.6e-3, atol=1e-15)
+    with pytest.raises(ValueError, match="trigger: expected a level that 'gate' crosses, from 0 to 1, got 3"):
+        read_arrays(tmp_path / "i.npz", trigger=("gate", 3.0), **asked)
+    np.savez(tmp_path / "i.npz", t=np.where(np.arange(40) == 33, T[20], T), v=BURST)
+    with pytest.raises(ValueError, match="time: expected times that rise.*i.npz"):
+        read_arrays(tmp_path / "i.npz", velocity="v", time="t", sites=[0, 1])
+
+
+def test_a_short_run_of_many_sites_is_not_taken_for_a_long_one_of_few(tmp_path):
+    u = np.random.default_rng(1).normal(size=(4, 9))
+    data = xr.Dataset({"u": (("time", "site"), u, {"units": "scaled"})}, {"time": ("time", np.arange(4.0))})
+    for ending, version in (("nc", None), ("npz", None), ("mat", "7.3"), ("mat", "5")):
+        path = exchange.save(data, tmp_path / f"a.{ending}", version=version)
+        traces = Traces.from_mat(path, displacement=[("u", 7), ("u", 2)], time="time", sites=[7, 2])
+        np.testing.assert_array_equal(traces.data, u[:, [7, 2]])
+        assert "taken" in traces.origin.units

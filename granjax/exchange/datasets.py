@@ -9,41 +9,12 @@ import numpy as np
 from .. import reading
 from ..checks import one_of, refuse
 from ..entry import checked
-from ..files import netcdf, real_parts, target, write
+from ..files import write
 from . import csv_table, structure
-from .by_name import matlab, npz
+from .formats import content, place
 
 if TYPE_CHECKING:
     import xarray
-
-ENDINGS = (".nc", ".npz", ".mat", ".csv")
-VERSIONS = ("5", "7.3")
-
-
-@checked
-def content(data: Any, ending: str, version: str | None = None) -> bytes:
-    """A dataset as the bytes of a file with this ending: see `save`."""
-    if ending == ".nc":
-        return netcdf(data)
-    data = real_parts(data)
-    if ending == ".csv":
-        return csv_table.csv_text(data).encode()
-    return npz(data) if ending == ".npz" else matlab(data, version)
-
-
-@checked
-def place(path: str | Path, version: str | None = None) -> Path:
-    """The path of a file that can be written in one of the formats. **Raises** ValueError as `save` does."""
-    path = target("path", path)
-    ending = path.suffix.lower()
-    if ending not in ENDINGS:
-        refuse("path", "a name that ends in .nc, .npz, .mat or .csv", repr(path.name))
-    if version is not None:
-        one_of("version", version, VERSIONS)
-        if ending != ".mat":
-            refuse("version", "a name that ends in .mat", repr(path.name), "Leave version= out.")
-    return path
-
 
 @checked
 def save(data: Any, path: str | Path, *, version: str | None = None) -> Path:

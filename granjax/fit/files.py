@@ -1,7 +1,8 @@
-"""Traces from files: comma-separated values and MATLAB's, as vibrometers and oscilloscopes write them."""
+"""Traces from files: columns of a text, as vibrometers and oscilloscopes write them, and arrays by their names."""
 
 import contextlib
 import dataclasses
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -9,13 +10,15 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from .. import reading
-from ..checks import is_whole, one_of, parameter, positive, refuse, show
+from ..checks import is_whole, one_of, parameter, refuse, show
 from ..entry import checked
 from ..types import Count, Parameter, Scalar
-from ..units import UnitsOrWords
+from ..units import SCALED, UnitsOrWords
 from .columns import in_si, names_of, refuse_unused, said, unit_of
 from .traces import KINDS, Origin, Traces
+from .waveforms import MOST_QUIET, Waveform, clock, trigger_time
 
+KINDS_OF = {".npz": "npz", ".nc": "netcdf", ".nc4": "netcdf", ".cdf": "netcdf"}
 # by index, by name, or both
 Column: TypeAlias = int | str | tuple[str, int]
 # samples before the trigger from which on their standard deviation is taken, and the share of them that counts:
@@ -62,7 +65,7 @@ def read_csv(
     - `start`, `stop`: first and last time that is kept [s], from the trigger on; `start=None` is 0 with a trigger, else
       everything.
     - `sigma`: as in `Traces`, in SI. `None` with a trigger and at least 16 samples before it: their standard deviation,
-      per sensor, the last tenth of them left out. Else unknown.
+      per sensor, the last tenth of them left out, and all but the last 2^24 of a long record. Else unknown.
     - `baseline`: subtract the mean of the same samples, per sensor: a recorder's direct offset. Needs a trigger.
     - `delimiter` of the columns, `decimal` mark, lines of `header`: what the file does not tell. Where `header` is
       given, words in columns that are not asked for, by index, do not matter.
@@ -83,8 +86,8 @@ def read_csv(
 
     def column(argument, key):
         if isinstance(key, str):
-            return table.numbers[:, _named(argument, key, table.names)]
-        return table.numbers[:, _index(argument, key, table.numbers.shape[1], ", or its name")]
+            return Waveform(table.numbers, 0, _named(argument, key, table.names))
+        return Waveform(table.numbers, 0, _index(argument, key, table.numbers.shape[1], ", or its name"))
 
     with _naming(path):
         return _traces(column, (velocity, displacement, force), time, sampling, (units, called), gain, trigger, start,
@@ -92,7 +95,7 @@ def read_csv(
 
 
 @checked
-def read_mat(
+def read_arrays(
     path: str | Path, *, velocity: Column | Sequence[Column] | None = None,
     displacement: Column | Sequence[Column] | None = None, force: Column | Sequence[Column] | None = None,
     time: Column | None = None, sampling: Scalar | str | None = None, units: UnitsOrWords = None,
@@ -100,55 +103,67 @@ def read_mat(
     start: Scalar | None = None, stop: Scalar | None = None, sigma: Parameter | None = None, baseline: bool = False,
     **where: object,
 ) -> Traces:
-    r"""`Traces` from a MATLAB file, up to version 7 (SciPy) or 7.3 (h5py), with at most 2 GiB of numbers.
+    r"""`Traces` from a file of arrays by name: MATLAB's (any version), NumPy's `.npz` or netCDF, by the file's ending.
 
-    It is read in a process of its own, so that a damaged one costs a sentence and not the session: 0.4 s for the first
-    file, milliseconds for those that follow within two minutes, at most 10 s and 1 s for 10 MB.
+    Of a long waveform the window from `start` to `stop` is read, and what a trigger, noise and rising times ask for a
+    block at a time, so that memory holds what is kept (at most 2 GiB); MATLAB's versions up to 7 and deflated `.npz`
+    are read whole. It is read in a process of its own, so that a damaged one costs a sentence and not the session:
+    0.4 s for the first file, milliseconds for those that follow within two minutes, at most 10 s and 1 s for 10 MB.
 
     **Arguments:** as in `read_csv`, but a column is a variable by its name, "scan.velocity" for a field of a struct; or
-    a pair (name, index) for one column of a matrix. A matrix alone is one column per sensor; its longer axis is time.
-    `sampling` may be a name too, such as "Fs". One of `time` and `sampling` is needed. Units are read from the names of
-    variables, "t_us", "velocity_mm_s".
+    a pair (name, index) for one column of a matrix. A matrix alone is one column per sensor. Time is its axis of the
+    same name as that of `time`, or "time", where the file names axes (netCDF, what `save` wrote), else the longer one.
+    `sampling` may be a name too, such as "Fs". One of `time` and `sampling` is needed. Units are read from the
+    attribute `units`, or the names of variables, "t_us", "velocity_mm_s".
 
     **Returns:** `Traces`. **Raises** ValueError, which names the file, for one that cannot be read, a variable that is
     not there or holds no real numbers, and as `read_csv` does. Typical:
-    `read_mat("scan.mat", velocity="data", sites=[2, 5], sampling="Fs", gain=0.125, trigger=1e-3)`.
+    `read_arrays("scan.mat", velocity="data", sites=[2, 5], sampling="Fs", gain=0.125, trigger=1e-3)`; of a run,
+    `gx.Traces.from_netcdf("run.nc", velocity=[("v", 2), ("v", 5)], sites=[2, 5], time="time")`.
     """
     rate = sampling if isinstance(sampling, str) else None
     keys = _keys(velocity, displacement, force, time, rate, *(trigger[:1] if isinstance(trigger, tuple) else ()))
-    variables, others = reading.arrays("matlab", path, [key for key in keys if isinstance(key, str)])
-    words = {"c": "complex", "O": "char", "U": "char"}
-    others |= {name: words[x.dtype.kind] for name, x in variables.items() if x.dtype.kind in words}
-    variables = {name: np.asarray(x, float) for name, x in variables.items() if name not in others}
+    ending = os.path.splitext(os.fsdecode(path))[1].lower() if isinstance(path, (str, os.PathLike)) else ""
+    columns, others = reading.columns(KINDS_OF.get(ending, "matlab"), path, [x for x in keys if isinstance(x, str)])
+    others |= {name: x.word for name, x in columns.items() if x.word}
+    stamped = columns[time].axes[:1] if isinstance(time, str) and time in columns else ()
 
     def column(argument, key):
         name, index = key if isinstance(key, tuple) and len(key) == 2 else (key, None)
         if not isinstance(name, str):
             refuse(argument, "the name of a variable, or (name, column)", repr(key))
-        if name not in variables:
-            if name in others:
-                refuse(argument, "a variable of real numbers", f"{name!r}, which is {others[name] or 'none'}")
-            one_of(argument, name, sorted({*variables, *(other for other, kind in others.items() if not kind)}))
-        x = variables[name]
-        x = x[:, None] if x.ndim == 1 else x
-        if x.ndim != 2 or not x.size:
-            refuse(argument, "a vector or a matrix", f"{name} of shape {x.shape}")
-        x = x if x.shape[0] >= x.shape[1] else x.T
-        if index is None:
-            return x[:, 0] if x.shape[1] == 1 else x
-        return x[:, _index(argument, index, x.shape[1])]
+        if name in others:
+            refuse(argument, "a variable of real numbers", f"{name!r}, which is {others[name] or 'none'}")
+        if name not in columns:
+            one_of(argument, name, sorted(columns.keys() - others.keys()))
+        found = _waveform(argument, name, columns[name], stamped)
+        return found if index is None else found._replace(index=_index(argument, index, found.width))
 
     def called(key):
-        return [(key[0] if isinstance(key, tuple) else key).rpartition(".")[2]]
+        name = key[0] if isinstance(key, tuple) else key
+        unit = columns[name].units
+        return [f"[{unit}]"] * (unit not in ("", SCALED)) + [name.rpartition(".")[2]]
 
     with _naming(path):
         if rate is not None:
-            sampling = column("sampling", rate)
-            if sampling.size != 1:
-                refuse("sampling", "one number", f"{rate} of shape {sampling.shape}")
-            sampling = sampling.item()
+            found = column("sampling", rate)
+            if found.length * found.width != 1:
+                refuse("sampling", "one number", f"{rate} of shape {found.shape}")
+            sampling = found.rows(0, 1).item()
         return _traces(column, (velocity, displacement, force), time, sampling, (units, called), gain, trigger, start,
                        stop, sigma, baseline, where | {"origin": Origin(str(path))})
+
+
+def _waveform(argument, name, column, stamped):
+    """An array of a file as columns of samples."""
+    shape = column.array.shape
+    if not 1 <= len(shape) <= 2 or 0 in shape:
+        refuse(argument, "a vector or a matrix", f"{name} of shape {shape}")
+    along = [axis for axis in (*stamped, "time") if axis in column.axes]
+    axis = column.axes.index(along[0]) if along else int(len(shape) == 2 and shape[0] < shape[1])
+    # a vector of MATLAB's is a matrix
+    single = len(shape) == 2 and shape[1 - axis] == 1
+    return Waveform(column.array, axis, 0 if single else None)
 
 
 def _keys(*asked):
@@ -176,104 +191,77 @@ def _traces(column, data, time, sampling, units, gain, trigger, start, stop, sig
     ((kind, keys),) = given
     units, called = units
     keys = keys if isinstance(keys, list) else [keys]
-    data = [column(kind, key) for key in keys]
-    if len({len(x) for x in data}) != 1:
-        refuse(kind, "one column or more, equally long", f"lengths {[len(x) for x in data]}")
-    data = np.column_stack(data)
-    # an infinite sample is beyond the recorder's range: nothing is known of it
-    data = np.where(np.isfinite(data), data, np.nan)
-    if len(data) < 2:
-        refuse(kind, "at least two samples", f"{len(data)}")
-    times, reads = _times(column, time, sampling, len(data), units, called)
+    waves = [column(kind, key) for key in keys]
+    count = waves[0].length if waves else 0
+    if len({wave.length for wave in waves}) != 1:
+        refuse(kind, "one column or more, equally long", f"lengths {[wave.length for wave in waves]}")
+    if count < 2:
+        refuse(kind, "at least two samples", f"{count}")
+    stamps = column("time", time) if sampling is None and time is not None else None
+    times, reads = clock(stamps, sampling, count, units, called(time) if stamps is not None else [])
     own = {str(key): unit_of(kind, kind, called(key), units, gain is not None) for key in keys}
     refuse_unused(units, [*reads.values(), *own.values()])
-    data, gain = _in_si(kind, data, [own[str(key)] for key in keys], gain)
     where["origin"] = dataclasses.replace(where["origin"], units=said(reads | own))
-    if not isinstance(gain, str):
-        factor = np.asarray(parameter("gain", gain))
-        if factor.shape not in ((), (data.shape[1],)):
-            refuse("gain", f"a number, or one for each of {data.shape[1]} sensors", f"shape {factor.shape}")
-        with np.errstate(over="ignore"):
-            scaled, gain = data * factor, 1.0
-        if np.isinf(scaled).any():
-            refuse("gain", "numbers that keep the data finite", show(factor))
-        data = scaled
+    each = [own[str(key)] for key, wave in zip(keys, waves) for _ in range(wave.width)]
+    left = _left(gain, len(each))
+
+    def signal(first, last):
+        return _in_si(kind, np.column_stack([wave.rows(first, last) for wave in waves]), each, gain)
+
+    signal(0, 1)
     quiet, asked = None, {"trigger": trigger, "start": start, "stop": stop}
+    zero = 0.0
     if trigger is not None:
-        zero = _trigger(column, trigger, times)
-        before = np.searchsorted(times, zero)
-        times, start = times - zero, 0.0 if start is None else start
-        quiet = data[: int(QUIET * before)] if before >= LEAST_NOISE else None
+        pair = isinstance(trigger, (tuple, list)) and len(trigger) == 2
+        zero = trigger_time(trigger, column("trigger", trigger[0]) if pair else None, times)
+        before = times.below(zero)
+        start = 0.0 if start is None else start
+        if before >= LEAST_NOISE and (baseline or sigma is None):
+            quiet = signal(max(0, int(QUIET * before) - MOST_QUIET), int(QUIET * before))
     if baseline:
         if quiet is None:
             refuse("baseline", f"at least {LEAST_NOISE} samples before a trigger", "fewer", "Give trigger=.")
         if not np.isfinite(quiet).any(axis=0).all():
             refuse("baseline", "samples of every sensor before the trigger", "none of one")
-        data = data - np.nanmean(quiet, axis=0)
     if sigma is None and quiet is not None:
         known = np.isfinite(quiet).sum(axis=0) > 1
         sigma = np.where(known, np.nanstd(np.where(known, quiet, 0.0), axis=0, ddof=1), np.nan)
         if not (sigma > 0).all():
             refuse("sigma", "noise before the trigger", f"standard deviations {show(sigma)}", "Give sigma=.")
     window = -np.inf if start is None else start, np.inf if stop is None else stop
-    kept = (times >= window[0]) & (times <= window[1])
-    if kept.sum() < 2:
+    first, last = times.below(window[0], zero), times.below(window[1], zero, reached=True)
+    if last - first < 2:
         given = ", ".join(name for name, x in asked.items() if x is not None)
-        refuse(given, f"a window with two samples, within {times[0]:g} ... {times[-1]:g} s" + (
+        ends = times.at(0, 1)[0] - zero, times.at(count - 1, count)[0] - zero
+        refuse(given, f"a window with two samples, within {ends[0]:g} ... {ends[1]:g} s" + (
             " from the trigger on" if trigger is not None else ""), f"{window[0]:g} ... {window[1]:g} s")
-    if np.ndim(sigma) == 2 and len(sigma) == len(data):
-        sigma = np.asarray(sigma)[kept]
-    return Traces(times[kept], sigma=sigma, gain=gain, **{kind: data[kept]}, **where)
+    data = signal(first, last)
+    data = data - np.nanmean(quiet, axis=0) if baseline else data
+    if np.ndim(sigma) == 2 and len(sigma) == count:
+        sigma = np.asarray(sigma)[first:last]
+    return Traces(times.at(first, last) - zero, sigma=sigma, gain=left, **{kind: data}, **where)
+
+
+def _left(gain, count):
+    """The gain that is left to a fit, where the numbers of the file are turned into SI by one."""
+    if gain is None or isinstance(gain, str):
+        return 1.0 if gain is None else gain
+    if np.asarray(parameter("gain", gain)).shape not in ((), (count,)):
+        refuse("gain", f"a number, or one for each of {count} sensors", f"shape {np.shape(gain)}")
+    return 1.0
 
 
 def _in_si(kind, data, reads, gain):
-    """The data and the gain that is left, where the sensors' units have been put in."""
-    widths = data.shape[1] // len(reads)  # a matrix is several sensors of one name
-    each = [read for read in reads for _ in range(widths)]
-    gains = gain if np.ndim(gain) == 1 and len(gain) == len(each) else [gain] * len(each)
-    done = [in_si(kind, data[:, k], *both) for k, both in enumerate(zip(each, gains))]
-    left = gain if gain is not None else 1.0
-    return np.column_stack([x for x, _ in done]), left
-
-
-def _times(column, time, sampling, count, units, called):
-    """The times [s], and how they were read."""
-    if sampling is not None:
-        return np.arange(count) / float(positive("sampling", sampling, "It is in samples per second.")), {}
-    if time is None:
-        refuse("time", "where the times are, or sampling=", "None")
-    times = column("time", time)
-    if times.shape != (count,):
-        refuse("time", f"{count} times", f"shape {times.shape}")
-    if not np.isfinite(times).all():
-        refuse("time", "a time in every row", f"none in {np.count_nonzero(~np.isfinite(times))} of {count}",
-               "Give sampling= where rows are equally spaced.")
-    if not (np.diff(times) > 0).all():
-        refuse("time", "times that rise", show(times), "Give sampling= where too few digits were written.")
-    read = unit_of("time", "time", called(time), units)
-    return times * read.unit.size, {"time": read}
-
-
-def _trigger(column, trigger, times):
-    """The time of the trigger."""
-    pair = isinstance(trigger, (tuple, list))
-    time = parameter("trigger", trigger[-1] if pair and trigger else trigger)
-    if time.ndim or pair and len(trigger) != 2:
-        refuse("trigger", "a time, or a pair (column, level)", repr(trigger))
-    if not pair:
-        return float(time)
-    x, level = column("trigger", trigger[0]), float(time)
-    if x.shape != times.shape:
-        refuse("trigger", "one channel", f"shape {x.shape}")
-    known = np.flatnonzero(np.isfinite(x))
-    above = x[known] > level
-    if not known.size or (above == above[0]).all():
-        span = f", from {x[known].min():g} to {x[known].max():g}" if known.size else ""
-        refuse("trigger", f"a level that {trigger[0]!r} crosses{span}", f"{level:g}")
-    k = int(np.argmax(above != above[0]))
-    last, first = known[k - 1], known[k]
-    part = (level - x[last]) / (x[first] - x[last])
-    return float(times[last] + part * (times[first] - times[last]))
+    """The data in SI, where the sensors' units and the gain have been put in."""
+    each = gain if np.ndim(gain) == 1 else [gain] * len(reads)
+    done = [in_si(kind, data[:, k], *both) for k, both in enumerate(zip(reads, each))]
+    data = np.column_stack([x for x, _ in done])
+    factors = [1.0 if isinstance(x, str) else x for _, x in done]
+    with np.errstate(over="ignore"):
+        scaled = data * np.asarray(factors)
+    if np.isinf(scaled).any():
+        refuse("gain", "numbers that keep the data finite", show(np.asarray(factors)))
+    return scaled
 
 
 def _index(argument, key, count, otherwise=""):

@@ -1,6 +1,6 @@
 """What the plots are given, as NumPy arrays of known shape."""
 
-from typing import Any, TypeAlias
+from typing import Any, ClassVar, TypeAlias
 
 import jax
 import numpy as np
@@ -45,9 +45,30 @@ def rising(argument: str, x: Any, size: int) -> Float[np.ndarray, " size"]:
     return x
 
 
+class _Stored:
+    """A run that was saved, as one: `ts`, `us`, `vs` of a dataset with `time`, `u`, `v`, read when they are drawn."""
+
+    names: ClassVar = {"ts": "time", "us": "u", "vs": "v"}
+
+    def __init__(self, data):
+        self.data = data
+
+    def __getattr__(self, name):
+        key = self.names.get(name, "")
+        if key not in self.data:
+            raise AttributeError(name)
+        return self.data[key].values
+
+
+def is_stored(x: Any) -> bool:
+    """Whether it is a dataset of a run, as `gx.Result.load` gives it: `time`, and `u` or `v`."""
+    held = getattr(x, "data_vars", ())
+    return "time" in getattr(x, "variables", ()) and ("u" in held or "v" in held)
+
+
 def is_run(x: Any) -> bool:
-    """Whether it is a run: anything with ts, us and vs."""
-    return all(hasattr(x, name) for name in ("ts", "us", "vs"))
+    """Whether it is a run: anything with ts, us and vs, or a dataset of one."""
+    return is_stored(x) or all(hasattr(x, name) for name in ("ts", "us", "vs"))
 
 
 def history(run_or_array: Any, quantity: Any, ts: Any) -> tuple[Any, Float[np.ndarray, "T N"]]:
@@ -57,11 +78,12 @@ def history(run_or_array: Any, quantity: Any, ts: Any) -> tuple[Any, Float[np.nd
             refuse("quantity", "nothing beside an array, which is the quantity", repr(quantity)[:60],
                    "Give the array alone, or a run and quantity='u', 'v' or an array.")
         return ts, numbers("run_or_array", run_or_array, 2, finite=False)
-    run = run_or_array
+    run = _Stored(run_or_array) if is_stored(run_or_array) else run_or_array
     ts = run.ts if ts is None else ts
     if isinstance(quantity, str):
         if quantity not in ("u", "v"):
             refuse("quantity", "'u', 'v', or an array (T, N)", repr(quantity))
+        having("run_or_array", run, f"a run with {quantity}", f"{quantity}s")
         data = run.us if quantity == "u" else run.vs
         if isinstance(data, dict):
             names = ", ".join(map(repr, data))

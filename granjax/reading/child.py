@@ -110,8 +110,10 @@ def outline(request):
     asked = {name: x for name, x in parts.items() if x.read and (request["names"] is None or name in request["names"])}
     whole = {name: x for name, x in asked.items() if x.whole or not request["lazy"]}
     FORMATS.small(sum(max(x.dtype.itemsize, 8) * math.prod(x.shape) for x in whole.values()), request["most"])
+    parts = FORMATS.named(parts) if request["lazy"] else parts
     arrays = {name: np.asarray(x.read(key_of(None, x.shape))) for name, x in whole.items()}
-    told = {name: (list(x.shape), x.dtype.str, x.word, x.units, arrays.get(name)) for name, x in parts.items()}
+    told = {name: (list(x.shape), x.dtype.str, x.word, x.units, list(x.axes), arrays.get(name))
+            for name, x in parts.items()}
     return told, others, stamp
 
 
@@ -121,11 +123,14 @@ def part(request):
     x = found[0][request["name"]]
     x = x[2] if request["saved"] else x
     key = key_of(request["key"], x.shape)
+    key = tuple(int(k) % n if np.ndim(k) == 0 and not isinstance(k, slice) else k for k, n in zip(key, x.shape))
     sizes = [len(range(*k.indices(n))) if isinstance(k, slice) else np.size(k) for k, n in zip(key, x.shape)]
     count = max(x.dtype.itemsize, 8) * math.prod(sizes)
     if count > request["most"]:
         raise ValueError(f"{count / 2**20:.4g} MiB are asked for at once, more than {request['most'] / 2**20:.4g}")
-    return np.asarray(x.read(key))
+    # a number beside a list would turn the axes round
+    found = np.asarray(x.read(tuple(k if isinstance(k, slice) or np.ndim(k) else slice(k, k + 1) for k in key)))
+    return found[tuple(slice(None) if isinstance(k, slice) or np.ndim(k) else 0 for k in key)]
 
 
 def packed(x, blocks):

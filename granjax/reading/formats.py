@@ -24,7 +24,7 @@ RATIO = 1100
 class Part(NamedTuple):
     """An array in a file: shape, type, a function of a key that reads some of it, what it is there, its unit.
 
-    `read=None` where it was not asked for; `whole`: it is in memory already.
+    `read=None` where it was not asked for; `whole`: it is in memory already; `axes`: their names, if it has such.
     """
 
     shape: tuple[int, ...]
@@ -33,6 +33,7 @@ class Part(NamedTuple):
     word: str = ""
     units: str = ""
     whole: bool = False
+    axes: tuple[str, ...] = ()
 
 
 def small(count, most):
@@ -152,7 +153,7 @@ def _matlab_5(path, names):
         else:
             others[name] = word
     tops = [name for name, *_ in held
-            if names is None or any(asked == name or asked.startswith(f"{name}.") for asked in names)]
+            if names is None or any(asked == name or asked.startswith(f"{name}.") for asked in [*names, STRUCTURE])]
     small(sum(8 * math.prod(shape) for name, shape, _ in held if name in tops), RATIO * os.path.getsize(path))
 
     logical = {name for name, _, word in held if word == "logical"}
@@ -246,8 +247,20 @@ def netcdf(path, names, closing):
     parts = {}
     for name, x in variables.items():
         word = {"O": "char", "U": "char", "S": "char", "c": "complex"}.get(x.dtype.kind, "")
-        parts[name] = Part(x.shape, x.dtype, _of(x), word, str(x.attrs.get("units", "")))
+        parts[name] = Part(x.shape, x.dtype, _of(x), word, str(x.attrs.get("units", "")), axes=x.dims)
     return parts, {}
+
+
+def named(parts):
+    """The same parts with units and names of axes, where `save` has written them."""
+    if STRUCTURE not in parts or parts[STRUCTURE].read is None:
+        return parts
+    told_by = told(str(parts[STRUCTURE].read(())))["variables"].values()
+    known = {x["key"]: (str(x["told"].get("units", "")), tuple(x["axes"])) for x in told_by}
+    for key, (units, axes) in known.items():
+        fits = key in parts and len(axes) == len(parts[key].shape)
+        parts = parts | {key: parts[key]._replace(units=units, axes=axes if fits else ())} if key in parts else parts
+    return parts
 
 
 def _of(x):

@@ -13,6 +13,7 @@ import threading
 import time
 from multiprocessing.spawn import get_executable
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -40,7 +41,7 @@ class Stored:
     """
 
     def __init__(self, request: dict, what: str, name: str, shape: tuple[int, ...], dtype: str):
-        self.request, self.what, self.name, self.shape = request, what, name, tuple(shape)
+        self.request, self.what, self.name, self.shape = request, what, name, shape
         self.dtype = np.dtype(dtype)
 
     def __len__(self) -> int:
@@ -50,6 +51,15 @@ class Stored:
         told = [_told(k) for k in (key if isinstance(key, tuple) else (key,))]
         told += [_told(slice(None))] * (len(self.shape) - len(told))
         return np.asarray(_asked(self.request | {"name": self.name, "key": told}, self.what))
+
+
+class Column(NamedTuple):
+    """An array of a file: what it is there ("" for real numbers), its unit, names of its axes ("" and none unknown)."""
+
+    array: np.ndarray | Stored
+    word: str
+    units: str
+    axes: tuple[str, ...]
 
 
 def _told(k):
@@ -73,15 +83,16 @@ def arrays(kind: str, path: str | Path, names: list[str] | None = None) -> tuple
 
 def columns(
     kind: str, path: str | Path, names: list[str],
-) -> tuple[dict[str, tuple[np.ndarray | Stored, str, str]], dict[str, str]]:
-    """The same, where numbers are read when they are asked for: {name: (array, what it is, its unit)} of all arrays.
+) -> tuple[dict[str, "Column"], dict[str, str]]:
+    """The same, where numbers are read when they are asked for: {name: column} of all arrays.
 
     What a MATLAB file up to version 7 holds is read at once, if it is asked for.
     """
     told, others, stamp = _read(kind, path, FILES[kind], names, lazy=True)
     request = _request(kind, path, FILES[kind], names, lazy=True) | {"stamp": stamp}
-    return {name: (Stored(request, FILES[kind], name, shape, dtype) if x is None else x, word, units)
-            for name, (shape, dtype, word, units, x) in told.items()}, others
+    return {name: Column(Stored(request, FILES[kind], name, tuple(shape), dtype) if x is None else x, word, units,
+                         tuple(axes))
+            for name, (shape, dtype, word, units, axes, x) in told.items()}, others
 
 
 def dataset(
@@ -95,7 +106,7 @@ def dataset(
     what = f"{what} file that `save` wrote"
     told, coordinates, attributes, stamp = _read(kind, path, what, None, saved=True, lazy=lazy)
     request = _request(kind, path, what, None, saved=True, lazy=True) | {"stamp": stamp}
-    found = {name: (axes, attrs, Stored(request, what, name, shape, dtype) if x is None else x)
+    found = {name: (axes, attrs, Stored(request, what, name, tuple(shape), dtype) if x is None else x)
              for name, (axes, attrs, shape, dtype, x) in told.items()}
     return found, coordinates, attributes
 

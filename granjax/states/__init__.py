@@ -7,4 +7,5 @@ from .modes import normal_mode, sine_mode
 from .simple import impact, random, rest, thermal
 from .solitons import kdv_soliton, toda_soliton
 from .steps import strain_step, velocity_step
+from .stored import stored
 from .waves import solitary_wave, wave_packet
