@@ -92,6 +92,9 @@ Measurements and design
     design              parameters that minimise an objective
     Design              what it returns
     smooth_peak         a maximum that differentiates
+Sweeps
+    sweep               a function of parameters over a grid, a list or a random design; kept, resumed, on many machines
+    sweeps              designs (`paired`, `random`), `read` of a store, what `sweep` returns
 Theory and studies
     theory              closed forms: envelopes (nls), Toda, KdV, compactons, elliptic functions, shocks, Stokes waves
     travelling          solitary waves, and waves of dimers and of beads with resonators; collisions, reflection
@@ -186,10 +189,12 @@ __version__ = "0.1.0"
 _LAZY = {
     name: f".{name}" for name in (
         "breathers", "canonical", "continuation", "driven", "exchange", "floquet", "forced", "identify", "linear",
-        "materials", "measures", "newton", "orbits", "plots", "scenes", "shocks", "states", "studies", "theory",
+        "materials", "measures", "newton", "orbits", "plots", "scenes", "shocks", "states", "studies", "sweeps",
+        "theory",
         "travelling",
     )
 } | {"reproduce": ".studies.reproduce", "resonance": ".studies.resonance"}
+_WITHIN = {"Resonator": ".travelling", "explore": ".notebook", "sweep": ".sweeps"}
 
 __all__ = [
     "Arrival", "Bond", "Breaks", "Damping", "Dashpot", "Derivative", "Design", "Drag", "Drive", "Fit", "Flow",
@@ -197,8 +202,8 @@ __all__ = [
     "Pairs", "Peak", "Polynomial", "PowerLaw", "RKN1210", "RKN86", "Record", "Resonator", "Result", "Reversible", "Run",
     "SRKN11b", "SRKN14a", "SRKN6b", "Shift", "Sine", "SofroniouSpaletta10", "Spline", "State", "StrainMap", "Stretch",
     "Term", "Toda", "Traces", "Units", "VelocityVerlet", "ViscousContact", "Wall", "WorkPrecision", "Yielding", "clear",
-    "derivative", "design", "explore", "fit", "laws", "simulate", "smooth_peak", "solvers", "strains", "terms", "tune",
-    "vector_field", "work_precision", *_LAZY,
+    "derivative", "design", "explore", "fit", "laws", "simulate", "smooth_peak", "solvers", "strains", "sweep", "terms",
+    "tune", "vector_field", "work_precision", *_LAZY,
 ]
 
 
@@ -208,14 +213,11 @@ def __getattr__(name):
         import importlib
 
         return importlib.import_module(_LAZY[name], __name__)
-    if name == "explore":
-        from .notebook import explore
+    if name in _WITHIN:
+        import importlib
 
-        return explore
-    if name == "Resonator":
-        from .travelling import Resonator
 
-        return Resonator
+        return getattr(importlib.import_module(_WITHIN[name], __name__), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

@@ -65,6 +65,9 @@ NOT_FACE = {
     "lattice.model.Lattice.sum_forces": "a part of `force`, inside of a loop", "terms.reach.": "asked by terms alone",
     "lattice.model.Lattice.total": "a part of `force`, inside of a loop",
     "units.names.": "asked by results and plots, whose units= is a part of the face",
+    **dict.fromkeys(("sweeps.chunk.", "sweeps.dataset.", "sweeps.executors.", "sweeps.function.", "sweeps.identity.",
+                     "sweeps.plan.", "sweeps.points.Points", "sweeps.points.points_of", "sweeps.result.known",
+                     "sweeps.result.S", "sweeps.store.", "sweeps.task.", "flow.lifted."), "a part of `sweep`"),
     "tuning.keep_compiled": "sets where JAX keeps its programs, for the whole process",
     "tuning.one_thread": "a decorator of the library's own",
     "tuning.prepare_import": "called by the import, without an argument",
@@ -434,6 +437,9 @@ VALID = {
 }
 # of one callable: `function.argument`
 OWN = {
+    "sweeps.sweep.sweep.parameters": lambda: {"x": [1.0, 2.0]}, "sweeps.sweep.sweep.units": lambda: {"x": "m"},
+    "sweeps.sweep.sweep.function": lambda: lambda x: x, "sweeps.points.paired.parameters": lambda: {"x": [1.0, 2.0]},
+    "sweeps.points.random.bounds": lambda: {"x": (0.0, 1.0)}, "sweeps.sweep.read.store": lambda: file("none.nc"),
     "scenes.chains.pattern.masses": lambda: [1.0, 0.5], "scenes.chains.defects.masses": lambda: {2: 0.5},
     "orbits.guesses.sites.single_site.sites": lambda: [2], "orbits.forced_branch.forced_branch.start": lambda: 0.8,
     "orbits.forced_branch.forced_branch.until": lambda: 0.9, "identify.wall.wall_modulus.start": lambda: 1e9,

@@ -226,6 +226,17 @@ def _(seed):
     return orbit.run(16), orbit.harmonics(2), orbit.amplitude, orbit.rms_velocity, orbit.energy_input, repr(orbit)
 
 
+def wall_force(ratio, site):
+    chain = gx.scenes.dimer(5, ratio=ratio)
+    run = gx.simulate(chain, gx.states.impact(chain), 4.0, record={"force": gx.Peak(gx.measures.contact_force)})
+    return {"force": run.recorded["force"][site], "error": run.record_error["force"][site]}
+
+
+@also("sweep of a function", SLOW)
+def _(seed):
+    gx.sweep(wall_force, {"ratio": [0.3, 0.5 + 0.1 * seed, 0.9], "site": [2, 4 - seed]}, progress=False)
+
+
 @also("sweep of amplitudes", SLOW)
 def _(seed):
     make = Shaken(chain(0), jnp.asarray(0.05 + 0.01 * seed), jnp.asarray(0.25 + 0.01 * seed))
@@ -385,6 +396,7 @@ WITHIN = {
                     "studies of minutes, made of what is called here"),
 }
 UNCALLED = {
+    "paired": "NumPy", "read": "a file", "table": "NumPy",
     "explore": "in tests/test_explore.py, as a notebook does",
     "cell_of": "`bright_guess`", "edge_of": "`breather`", "edges_beside": "`bright_guess`",
     "supports_bright": "`bright_guess`", "checked_optimiser": "`fit`", "descend": "`fit`", "design": "`design_bounds`",

@@ -302,10 +302,12 @@ def test_an_annotation_that_says_nothing_lets_everything_through():
 
 # inside of the library, called by the command line or before JAX is there, and what refuses itself
 INSIDE = {"checks", "cli", "descent", "entry", "files", "interrupts", "outside", "printing", "programs", "reading",
-          "split_system", "tuning", "variables"}
+          "split_system", "tuning", "variables",
+          *(f"sweeps.{x}" for x in ("chunk", "dataset", "executors", "function", "identity", "plan", "store", "task")),
+          "flow.lifted", "flow.method"}
 # classes that only the library makes
-MADE = {"Function", "InUnits", "Motion", "Problem", "Reach", "Reached", "Riemann", "Shooting",
-        "UnitCell"}
+MADE = {"Function", "InUnits", "Motion", "Problem", "Points", "Reach", "Reached", "Riemann", "Scene",
+        "Shooting", "Sweep", "UnitCell"}
 
 
 def open_entries():
@@ -313,7 +315,8 @@ def open_entries():
     for value in (value for module in NAMES for value in public(module) if callable(value)):
         entry = value.__init__ if inspect.isclass(value) else value
         made = inspect.isclass(value) and (issubclass(value, (Result, tuple)) or value.__name__ in MADE)
-        if made or value.__module__.split(".")[1] in INSIDE or getattr(entry, "is_checked", False):
+        within = {value.__module__.split(".")[1], value.__module__.removeprefix("granjax.")} & INSIDE
+        if made or within or getattr(entry, "is_checked", False):
             continue
         if inspect.signature(value).parameters:
             yield f"{value.__module__}.{value.__qualname__}"

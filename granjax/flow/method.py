@@ -157,14 +157,15 @@ def passed(solver: diffrax.AbstractSolver | type, run: Run, step: Number) -> Any
     return omega if step * omega > PASSED * min(STEP_FRACTION, refused_from(solver) or STEP_FRACTION) else None
 
 
-def _useless(step, t0, t1):
+def useless(step: Any, t0: Any, t1: Any) -> bool:
+    """Whether a step is none, or one of which a run has more than anybody waits for; not where that is traced."""
     if traced((step, t0, t1)):
         return False
-    return not np.isfinite(step) or (t1 - t0) / step > MOST_STEPS
+    return bool(not np.isfinite(step) or (t1 - t0) / step > MOST_STEPS)
 
 
 def _refuse_useless(step, t0, t1):
-    if _useless(step, t0, t1):
+    if useless(step, t0, t1):
         refuse(
             "step", "a time step", "None",
             f"The bound on the stiffness at this energy asks for steps of {step:.1e}: no useful one (a law without a "
@@ -182,7 +183,7 @@ def _bound(lattice, state, t0, t1):
         if isinstance(found, jax.core.Tracer):  # plain numbers inside a transformation of something else
             return frequency_bound(lattice, state, *span), False
         bound, beyond = np.asarray(found).tolist()
-        if not bound > 0 or not _useless(STEP_FRACTION / bound, t0, t1):
+        if not bound > 0 or not useless(STEP_FRACTION / bound, t0, t1):
             break
     return bound, bool(beyond)
 

@@ -17,6 +17,15 @@ from ..variables import Layout
 COMPLETED, NOT_FINITE, TOO_MANY_STEPS, STEP_TOO_SMALL, FAILED, NOTHING = range(6)
 # how far beyond touch, over how far it came from rest, a contact is certainly open
 OPENED = 0.05
+# what has become of a run, by its code
+WHY = {
+    NOT_FINITE: "The state is not finite: the motion left the law's domain, or the step is too long.",
+    TOO_MANY_STEPS: "Stopped at the most steps allowed; give max_steps= or a looser tolerance.",
+    STEP_TOO_SMALL: "Stopped: the tolerance asks for steps below what the floating type resolves.",
+    FAILED: "The solver reported a failure.",
+    NOTHING: "Nothing was integrated: t1 is not after t0, the step or the tolerance is not above zero, or one of them "
+             "is no finite number.",
+}
 
 
 class Run(Result):
@@ -108,16 +117,12 @@ class Run(Result):
         worst = code.max()
         t = float(np.max(np.asarray(self.ts)[..., -1]))
         steps = int(np.max(np.asarray(self.stats["steps"]), where=code == worst, initial=0))
-        sentence = {
+        sentence = WHY | {
             COMPLETED: f"Completed at t = {t:g} after {steps} steps.",
-            NOT_FINITE: f"The state is not finite{self._where()}: "
-                        "the motion left the law's domain, or the step is too long.",
-            TOO_MANY_STEPS: f"Stopped after {steps} steps, the most allowed; give max_steps= or a looser tolerance.",
-            STEP_TOO_SMALL: "Stopped: the tolerance asks for steps below what the floating type resolves.",
-            FAILED: "The solver reported a failure.",
-            NOTHING: "Nothing was integrated: t1 is not after t0, the step or the tolerance is not above zero, or one "
-                     "of them is no finite number.",
-        }[int(worst)]
+            NOT_FINITE: WHY[NOT_FINITE].replace(":", f"{self._where()}:", 1),
+            TOO_MANY_STEPS: WHY[TOO_MANY_STEPS].replace("at the most steps", f"after {steps} steps, the most", 1),
+        }
+        sentence = sentence[int(worst)]
         if code.ndim and worst:
             first = ", ".join(map(str, np.unravel_index(np.argmax(code), code.shape)))
             sentence = f"{np.count_nonzero(code)} of {code.size} lanes did not complete. Lane {first}: {sentence}"

@@ -22,6 +22,7 @@ from .dispatch import facts
 from .inputs import checked_records, checked_save_at, checked_state, checked_times, held_frames
 from .integrate import integrate
 from .lanes import apart
+from .lifted import lift
 from .march import in_pieces, march, refuse_endless
 from .method import checked_method, doubts, fixed_step, linear_bound, number, passed
 from .opening import approach
@@ -92,6 +93,10 @@ def simulate(
     """
     for name in misspelt:
         one_of("keyword", name, KEYWORDS)
+    above = lift()
+    if above is not None:
+        given = t0, solver, step, tolerance, save_at, record, adjoint, progress, throw, max_steps
+        return above(simulate, lattice, state, t1, dict(zip(KEYWORDS, given)))
     state = checked_state(lattice, state)
     t0, t1 = checked_times(t0, t1)
     dtype = facts(lattice).dtype

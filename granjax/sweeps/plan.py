@@ -1,0 +1,189 @@
+"""How a sweep is gone about: compiled or not, in what order, in which chunks."""
+
+from collections.abc import Callable
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..flow.lifted import Asked, ErrorsRead, asking, quietly, scene_of
+from ..flow.method import checked_method, fixed_step, useless
+from ..outside import Outside
+from ..programs import wait
+from . import function as called
+from .points import Points
+from .task import EACH, LANES, VMAP, How, Task, groups, program
+
+# numbers of all sites and lanes of a chunk, and its lanes: those whose arrays stay in a core's own cache
+CACHED, LEAST, MOST = 2**17, 8, 64
+# lanes of a chunk that no run takes long of; chunks of what is called lane by lane
+PLAIN, CHUNKS = 4096, 1024
+# costs that differ by less are alike
+ALIKE = 1.05
+
+
+class Plan(NamedTuple):
+    """How lanes are computed, so many at a time, in which order, `None` for that of the design."""
+
+    how: How
+    chunk: int
+    order: np.ndarray | None
+
+
+def planned(function: Callable, points: Points, lanes: bool | None, chunk: int | None) -> Plan:
+    """The plan of a sweep. **Raises** what the function raises where it is of no use for any lane."""
+    names = tuple(points.axes)
+    keywords = called.by_keywords(function, names)
+    how = How(EACH) if lanes is False else _how(function, points)
+    values = points.values(np.arange(points.count))
+    if how.kind == EACH:
+        return Plan(how, chunk or max(1, -(-points.count // CHUNKS)), None)
+    costs, sites = _costs(function, keywords, how, values, points.count)
+    if costs is None:
+        return Plan(how, chunk or min(PLAIN, points.count), None)
+    # what no program of many lanes could do, or what it would not notice
+    alone = ~np.isfinite(costs) | useless_count(costs)
+    alone[_refused(function, keywords, points)] = True
+    how = how._replace(apart=tuple(map(int, np.flatnonzero(alone))))
+    known = costs[~alone]
+    varied = known.size and known.max() > ALIKE * known.min()
+    order = np.argsort(np.where(alone, np.inf, -costs), kind="stable") if varied or alone.any() else None
+    return Plan(how, chunk or _chunk(sites, points.count), order)
+
+
+def plan_of(identity: dict) -> Plan:
+    """The plan that a store was begun with."""
+    how, order = identity["how"], identity["order"]
+    how = How(how["kind"], tuple(how["static"]), how["errors"], tuple(how["apart"]))
+    return Plan(how, identity["chunk"], None if order is None else np.array(order, int))
+
+
+def parts_of(points: Points, plan: Plan) -> list[np.ndarray]:
+    """Numbers of the lanes of each chunk: such as share a program."""
+    order = np.arange(points.count) if plan.order is None else plan.order
+    alone = np.zeros(points.count, bool)
+    alone[list(plan.how.apart)] = True
+    values, parts = points.values(np.arange(points.count)), []
+    for group in groups(values, plan.how.static, order[~alone[order]]):
+        parts += [group[i : i + plan.chunk] for i in range(0, len(group), plan.chunk)]
+    return parts + [np.array([lane]) for lane in order[alone[order]]]
+
+
+def _chunk(sites, count):
+    least = LEAST if sites * LEAST <= CACHED else 1
+    return int(min(np.clip(CACHED // max(sites, 1), least, MOST), -(-count // LEAST) * LEAST))
+
+
+def _how(function, points):
+    """Compiled with lanes last where that can be, by `jax.vmap` where only that can, else called for each lane."""
+    kinds = {name: x.dtype.kind for name, x in points.axes.items()}
+    words = tuple(name for name, kind in kinds.items() if kind in "Ub")
+    whole = tuple(name for name, kind in kinds.items() if kind in "iuUb")
+    for static in dict.fromkeys((words, whole)):
+        for kind in (LANES, VMAP):
+            for errors in (False, True):
+                found = _fits(function, points, How(kind, static, errors))
+                if found is not ErrorsRead:
+                    break
+            if found is None:
+                return How(kind, static, errors)
+    return How(EACH)
+
+
+def _fits(function, points, how):
+    """`None` where a program can be made of a function, else why not."""
+    task = Task(function, tuple(points.axes), how, 2)
+    values = points.values(np.zeros(2, int))
+    shapes = {name: jax.ShapeDtypeStruct(x.shape, x.dtype) for name, x in values.items() if name not in how.static}
+    if not shapes:
+        return ValueError
+    try:
+        program.eval_shape(task.known(values), Outside((function,)), shapes)
+    except ErrorsRead:
+        return ErrorsRead
+    except Exception as error:
+        # whatever it is: the function is called lane by lane then, and says it where it stands
+        return type(error)
+    return None
+
+
+@partial(jax.jit, static_argnums=0)
+def _steps(known, outside, values):
+    """About how many steps of a lattice's own the first run of each lane takes."""
+
+    def one(values):
+        try:
+            with asking():
+                called.call(known.function, {**dict(known.static), **values}, known.keywords)
+        except Asked as asked:
+            with quietly():
+                return _steps_of(*asked.scene)
+        return jnp.nan
+
+    return jax.vmap(one)(values)
+
+
+def _steps_of(lattice, state, t1, keywords):
+    solver, step, tolerance = checked_method(lattice, *(keywords[name] for name in ("solver", "step", "tolerance")))
+    t0 = keywords["t0"]
+    if tolerance is None and step is not None:
+        return (t1 - t0) / jnp.asarray(step)
+    steps = (t1 - t0) / jnp.asarray(fixed_step(lattice, state, t0, t1, None, solver, 1)[0])
+    # adaptive steps need no bound
+    return steps if tolerance is None else jnp.clip(jnp.nan_to_num(steps, nan=1.0), 1.0, 1e6)
+
+
+def _costs(function, keywords, how, values, count):
+    """Steps of each lane (n,) and sites of the largest scene; `None`, 0 for what runs nothing."""
+    task = Task(function, tuple(values), how, count)
+    sites = 0
+    costs = np.full(count, np.nan)
+    for lanes in groups(values, how.static, np.arange(count)):
+        first = {name: x[lanes[0]].item() for name, x in values.items()}
+        scene = _scene(function, first, keywords)
+        if scene is not None:
+            sites = max(sites, sum(x.size for x in jax.tree.leaves(scene[1][0])))
+        here = {name: x[lanes] for name, x in values.items()}
+        arrays = {name: x for name, x in here.items() if name not in how.static}
+        try:
+            costs[lanes] = np.asarray(wait(_steps(task.known(here), Outside((function,)), arrays)))
+        except Exception:
+            # no cost is known: then lanes are taken as they come
+            costs[lanes] = 1.0 if scene is not None else np.nan
+    return (costs, sites) if sites else (None, 0)
+
+
+def _scene(function, values, keywords):
+    """What a lane runs, `None` where it runs nothing or is refused."""
+    try:
+        return scene_of(called.call, function, values, keywords)
+    except Exception:
+        return None
+
+
+def useless_count(steps: np.ndarray) -> np.ndarray:
+    """Whether so many steps are of no use."""
+    return np.array([useless(1.0 / n, 0.0, 1.0) if np.isfinite(n) and n > 0 else True for n in steps])
+
+
+def _refused(function, keywords, points):
+    """Numbers of lanes whose scenes are refused, which a compiled program does not notice.
+
+    What is refused is looked for at the ends of each parameter first, and at every lane where one of these is.
+    """
+    values = points.values(np.arange(points.count))
+    ends = {int(f(x)) for x in values.values() if x.dtype.kind != "U" for f in (np.argmin, np.argmax)} | {0}
+    if not any(_is_refused(function, keywords, points.at(lane)) for lane in ends):
+        return np.zeros(0, int)
+    bad = [lane for lane in range(points.count) if _is_refused(function, keywords, points.at(lane))]
+    return np.array(bad, int)
+
+
+def _is_refused(function, keywords, values):
+    try:
+        scene_of(called.call, function, values, keywords)
+    except Exception:
+        return True
+    return False

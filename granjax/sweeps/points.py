@@ -1,0 +1,152 @@
+"""Where a sweep looks: a grid, a list, a random design."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from ..checks import described, is_whole, positive, refuse, whole
+from ..entry import checked
+from ..printing import called, numbers
+from ..types import Count, Seed, Values
+
+LANE = "lane"
+# names that the results of a sweep have
+TAKEN = {LANE, "reason", "outcome"}
+
+
+class Points:
+    """The lanes of a sweep, in order.
+
+    - `design`: `"grid"`, all combinations, the last parameter running fastest; or `"list"`, one value of each a lane.
+    - `axes`: {name: values}, of a grid the coordinates along each axis, of a list one value a lane.
+    - `shape`, `dims`: of the results; `count`: how many lanes there are.
+    """
+
+    def __init__(self, axes: dict[str, np.ndarray], design: str):
+        self.axes, self.design = axes, design
+        sizes = tuple(len(x) for x in axes.values())
+        self.shape = sizes if design == "grid" else sizes[:1]
+        self.dims = tuple(axes) if design == "grid" else (LANE,)
+        self.count = int(np.prod(self.shape, dtype=np.int64))
+
+    def values(self, lanes: np.ndarray) -> dict[str, np.ndarray]:
+        """The parameters of some lanes, by their numbers (n,)."""
+        if self.design == "list":
+            return {name: x[lanes] for name, x in self.axes.items()}
+        places = np.unravel_index(lanes, self.shape)
+        return {name: x[place] for (name, x), place in zip(self.axes.items(), places)}
+
+    def at(self, lane: int) -> dict[str, Any]:
+        """The parameters of one lane as Python's numbers and words."""
+        return {name: x.item() for name, x in self.values(np.array([lane])).items()}
+
+    def __repr__(self) -> str:
+        return called(self.design, {name: f"{numbers(x)} ({len(x)})" for name, x in self.axes.items()})
+
+
+Parameters: TypeAlias = Mapping[str, Any] | Sequence[Mapping[str, Any]] | Points
+"""What a sweep varies: {name: values} for all combinations, a list of dicts, or what `paired` and `random` give."""
+
+
+def points_of(parameters: Parameters) -> Points:
+    """The points that a user has asked for. **Raises** ValueError where that says none."""
+    if isinstance(parameters, Points):
+        return parameters
+    if isinstance(parameters, Mapping):
+        axes = {_name(name): _row(name, x) for name, x in parameters.items()}
+        if not axes:
+            refuse("parameters", 'names and values, such as {"ratio": [0.5, 0.6]}', "none")
+        return Points(axes, "grid")
+    rows = list(parameters)
+    if not rows or not all(isinstance(row, Mapping) for row in rows):
+        refuse("parameters", "a dict from names to values, or a list of dicts", described(parameters))
+    if any(row.keys() != rows[0].keys() for row in rows):
+        odd = next(i for i, row in enumerate(rows) if row.keys() != rows[0].keys())
+        refuse("parameters", f"{', '.join(rows[0])} in every dict", f"{', '.join(rows[odd]) or 'none'} in number {odd}")
+    return paired({name: [row[name] for row in rows] for name in rows[0]})
+
+
+@checked
+def paired(parameters: dict[str, Values]) -> Points:
+    """Lists side by side: the first lane has the first value of each, and so on; a row of a table is a lane.
+
+    **Arguments:** `parameters`: {name: values}, all of one length: numbers or words.
+    **Returns:** what `gx.sweep` takes. **Raises** ValueError for lists of several lengths, empty ones, other values.
+    """
+    axes = {_name(name): _row(name, x) for name, x in parameters.items()}
+    lengths = {name: len(x) for name, x in axes.items()}
+    if not axes or len(set(lengths.values())) != 1:
+        got = ", ".join(f"{name} of {n}" for name, n in lengths.items()) or "none"
+        refuse("parameters", "lists of one length", got, "A dict given to gx.sweep itself means all combinations.")
+    return Points(axes, "list")
+
+
+@checked
+def random(bounds: dict[str, tuple], count: Count, *, seed: Seed = 0) -> Points:
+    """A random design: `count` lanes, spread more evenly between bounds than chance does (scrambled Sobol points).
+
+    **Arguments:** `bounds`: {name: (low, high)}, or (low, high, "log") for even spreading over decades; two whole
+    numbers give whole numbers, both ends included. `count`: lanes; powers of two are spread best. `seed`: equal ones
+    give equal designs.
+
+    **Returns:** what `gx.sweep` takes. **Raises** ValueError for bounds that are no such pair.
+    Source: Sobol points as in `scipy.stats.qmc`.
+    """
+    import warnings
+
+    from scipy.stats import qmc
+
+    count = whole("count", count, 1)
+    seed = whole("seed", seed, 0, "Equal seeds give equal draws.")
+    if not bounds:
+        refuse("bounds", '{name: (low, high)}, such as {"ratio": (0.1, 1.0)}', "none")
+    with warnings.catch_warnings():
+        # of a number of points that is no power of two
+        warnings.simplefilter("ignore", UserWarning)
+        unit = qmc.Sobol(len(bounds), seed=seed).random(count)
+    return Points({_name(name): _between(name, pair, x) for (name, pair), x in zip(bounds.items(), unit.T)}, "list")
+
+
+def _between(name, pair, x):
+    scale = pair[2] if len(pair) == 3 else "linear"
+    if len(pair) not in (2, 3) or scale not in ("linear", "log"):
+        refuse(f"bounds[{name!r}]", '(low, high) or (low, high, "log")', repr(pair))
+    low, high = pair[:2]
+    for end in (low, high):
+        if not isinstance(end, (int, float, np.number)) or isinstance(end, bool) or not np.isfinite(end):
+            refuse(f"bounds[{name!r}]", "two finite numbers", repr(pair))
+    if not low < high:
+        refuse(f"bounds[{name!r}]", "low below high", repr(pair))
+    if scale == "log":
+        positive(f"bounds[{name!r}]", low)
+        return np.exp(np.log(low) + x * (np.log(high) - np.log(low)))
+    if is_whole(low) and is_whole(high):
+        return np.minimum(low + np.floor(x * (high - low + 1)).astype(int), high)
+    return low + x * (high - low)
+
+
+def _name(name):
+    if not isinstance(name, str) or not name.isidentifier():
+        refuse("parameters", "names that a function's arguments can have", repr(name))
+    if name in TAKEN:
+        refuse("parameters", f"other names than {', '.join(sorted(TAKEN))}", repr(name), "These are a sweep's own.")
+    return name
+
+
+def _row(name, x):
+    """Values as a NumPy array (n,) of numbers or words."""
+    try:
+        x = np.asarray(list(x) if isinstance(x, range) else x)
+    except (TypeError, ValueError):
+        refuse(f"parameters[{name!r}]", "a row of numbers or words", described(x))
+    if x.dtype == object and x.ndim == 1 and all(isinstance(word, str) for word in x):
+        x = x.astype(str)
+    if x.ndim != 1 or not x.size or x.dtype.kind not in "biufU":
+        refuse(f"parameters[{name!r}]", "a row of numbers or words", f"{x.dtype} of shape {x.shape}",
+               "A number that all lanes share belongs into the function; of several arrays sweep their number.")
+    if x.dtype.kind == "f":
+        x = x.astype(float)
+        if not np.isfinite(x).all():
+            refuse(f"parameters[{name!r}]", "finite numbers", described(x))
+    return x.astype(np.int64) if x.dtype.kind in "iu" else x
