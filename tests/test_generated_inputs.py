@@ -45,7 +45,7 @@ def check_valid(some):
     """With no argument replaced a call comes as far as computing: what is refused is refused for its own sake."""
     found = {target.key: trial(Case(target, "", "None")) for target in some}
     assert {key for key, x in found.items() if x is None} <= {*BLANK}
-    wrong = {key: x.told for key, x in found.items() if x and (x.kind != "accepted" or key in BLANK)}
+    wrong = {key: x.told for key, x in found.items() if x and (x.kind == "accepted") == (key in BLANK)}
     assert not wrong, wrong
 
 
