@@ -29,8 +29,8 @@ INSTALL = "pip install 'granjax[notebook]'"
 # what a function of the user's may raise for the values of its sliders
 FAILURES = (ArithmeticError, AssertionError, AttributeError, LookupError, NameError, OSError, RuntimeError, TypeError,
             ValueError)
-# steps of a slider; size of the picture [inch], dots per inch; how much is seen of a map that is out of date
-STEPS, SIZE, DOTS, FADED = 200, (5.8, 4.3), 100, 0.25
+# steps of a slider, about; size of the picture [inch], dots per inch; how much is seen of a map that is out of date
+STEPS, SIZE, DOTS, FADED = (100, 301), (5.8, 4.3), 100, 0.25
 
 
 @checked
@@ -176,12 +176,12 @@ class Explorer:
         if span.whole:
             made = widgets.IntSlider(value=span.value, min=span.low, max=span.high, **told)
         elif span.log:
-            low, high = math.log10(span.low), math.log10(span.high)
-            made = widgets.FloatLogSlider(value=span.value, min=low, max=high, step=(high - low) / STEPS,
+            low, high, value = map(math.log10, (span.low, span.high, span.value))
+            made = widgets.FloatLogSlider(value=span.value, min=low, max=high, step=_step(low, high, value),
                                           readout_format=".3g", **told)
         else:
             made = widgets.FloatSlider(value=span.value, min=span.low, max=span.high, readout_format=".3g",
-                                       step=(span.high - span.low) / STEPS, **told)
+                                       step=_step(span.low, span.high, span.value), **told)
         made.observe(self._moved, names="value")
         return made
 
@@ -241,3 +241,10 @@ class Explorer:
         content = io.BytesIO()
         Image.fromarray(np.asarray(self.figure.canvas.buffer_rgba())[..., :3]).save(content, "png", compress_level=1)
         return content.getvalue()
+
+
+def _step(low, high, value):
+    """The step of a slider on whose grid the first value lies, which a front end would else round."""
+    share = (value - low) / (high - low)
+    count = min(range(*STEPS), key=lambda n: (round(abs(share * n - round(share * n)), 6), abs(n - 200)))
+    return (high - low) / count

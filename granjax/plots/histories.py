@@ -80,7 +80,9 @@ def space_time(
     for spine in ax.spines.values():
         spine.set_visible(True)
     if colour_bar:
-        cut = ("neither", "max", "min", "both")[int(np.nanmax(data) > norm.vmax) + 2 * int(np.nanmin(data) < norm.vmin)]
+        beyond = EVEN * (norm.vmax - norm.vmin)
+        above, below = np.nanmax(data) > norm.vmax + beyond, np.nanmin(data) < norm.vmin - beyond
+        cut = ("neither", "max", "min", "both")[int(above) + 2 * int(below)]
         add_colour_bar(ax, image, label, extend=cut)
     return ax
 
