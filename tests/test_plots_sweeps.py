@@ -135,6 +135,14 @@ def test_nothing_known_yet_and_one_value():
     assert gx.plots.drawn(gx.plots.sweep(two().isel(load=[0])), ".png", dpi=30)
 
 
+def test_what_is_still_to_come_is_a_gap_and_no_failure():
+    data = two()
+    data["reason"] = data.reason.astype("U40")
+    data["reason"][:, 3] = "not computed yet"
+    assert legend(gx.plots.sweep(data)) == ["failed: 1 of 28"]
+    assert table(data).endswith("28 lanes, 1 of them failed, 7 not computed yet: 8 more rows.")
+
+
 BAD = [
     (lambda: gx.plots.sweep(one(), "peak_forc"), "name: expected one of .* Did you mean 'peak_force'"),
     (lambda: gx.plots.sweep(np.ones(3)), "data: expected a sweep"),

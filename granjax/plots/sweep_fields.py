@@ -12,7 +12,7 @@ from ..units import SCALED, SI, UnitsOrWords
 from ..units.names import known_unit
 from .quantities import Axis, Shown, drawn_in, scaled_by
 
-REASON, LANE = "reason", "lane"
+REASON, LANE, NOT_YET = "reason", "lane", "not computed yet"
 EVEN = 1e-6
 # largest over smallest value of a parameter that was drawn at random, from which on its axis is logarithmic
 WIDE = 100
@@ -53,13 +53,12 @@ def field_of(data: Any, name: str | None, units: UnitsOrWords = None) -> Field:
     values = np.asarray(x.values)
     if values.dtype.kind in "OS":
         values = values.astype(str)
-    if values.dtype.kind == "b":
-        values = np.where(values, "yes", "no")
     reason = np.asarray(data[REASON].transpose(*dims).values).astype(str) if REASON in data else np.full(
         values.shape[: len(dims)], "")
-    failed = reason != ""
-    if values.dtype.kind in "U":
-        values = np.where(failed.reshape(failed.shape + (1,) * (values.ndim - failed.ndim)), "", values)
+    failed = (reason != "") & (reason != NOT_YET)
+    if values.dtype.kind == "b":
+        known = (reason == "").reshape(reason.shape + (1,) * (values.ndim - reason.ndim))
+        values = np.where(known, np.where(values, "yes", "no"), "")
     label = f"|{_words(data, name)}|" if values.dtype.kind == "c" else _words(data, name)
     values = np.abs(values) if values.dtype.kind == "c" else values
     names = [name, *parameters]

@@ -9,7 +9,7 @@ from ..entry import checked
 from ..printing import numbers
 from ..types import Count
 
-REASON = "reason"
+REASON, NOT_YET = "reason", "not computed yet"
 # letters of a column, and of a reason
 WIDTH, SENTENCE = 18, 100
 
@@ -33,7 +33,8 @@ def table(data: Any, rows: Count = 12) -> str:
     reason = np.full(count, "")
     if REASON in data:
         reason = np.asarray(data[REASON].transpose(*dims).values).astype(str).reshape(-1)
-    good, failed = (np.flatnonzero(which) for which in (reason == "", reason != ""))
+    coming = reason == NOT_YET
+    good, failed = (np.flatnonzero(which) for which in (reason == "", (reason != "") & ~coming))
     head = [f"{name} [{unit}]" if unit else name for name, unit in ((n, _unit(data, n)) for n in columns)]
     lines, ahead = [head], []
     for which in (_few(good, rows), _few(failed, rows)):
@@ -46,6 +47,7 @@ def table(data: Any, rows: Count = 12) -> str:
     left = {"": len(good) - rows, "that failed": len(failed) - rows}
     more = [f"{n} more rows {which}".strip() for which, n in left.items() if n > 0]
     said = f"{count} lanes, {len(failed)} of them failed" if len(failed) else f"{count} lanes"
+    said += f", {np.count_nonzero(coming)} not computed yet" if coming.any() else ""
     return "\n".join(text + [f"{said}{': ' if more else ''}{', '.join(more)}."])
 
 
