@@ -141,7 +141,7 @@ def test_there_is_no_circle_within_a_folder():
 
 # a process or a thread of its own, of which every error is told to another
 ALONE = {ROOT / "reading" / "child.py", ROOT / "interrupts.py"} | {
-    ROOT / "sweeps" / name for name in ("executors.py", "plan.py", "task.py")}
+    ROOT / "sweeps" / name for name in ("executors.py", "plan.py", "task.py", "workers.py")}
 
 
 @pytest.mark.parametrize("path", FILES, ids=IDS)

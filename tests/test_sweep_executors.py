@@ -1,10 +1,13 @@
 """Chunks of a sweep on threads, processes, clusters; workers that die. The task is a fake one, of NumPy."""
 
+import multiprocessing
 import os
 import signal
+import subprocess
+import sys
 import threading
 import time
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -120,10 +123,114 @@ def test_an_executor_that_is_closed():
         list(completed(Squares(), chunks(), threads, 1))
 
 
-def test_processes_lose_no_chunk(tmp_path):
-    """One that dies in mid-chunk, one of whose chunks always kills: others stand, and it is told why."""
+def killed(executor, given, task, told=None):
+    """Chunks of which one kills its worker in mid-chunk; and, where it is told why, one that always does."""
+    found = complete(completed(task, given, executor, 1), given, without=[4] if told else [])
+    assert task.dies_once.exists()
+    if told:
+        assert found[4].reasons[0].startswith(f"A worker died at this chunk, 3 times ({told}")
+    assert os.getpid() not in {chunk.columns["process"][0] for chunk in found.values() if chunk.columns}
+
+
+def test_a_process_that_is_killed_in_mid_chunk(tmp_path):
+    killed(2, chunks(6), Squares(dies_once=tmp_path / "died"))
+
+
+@pytest.mark.slow
+def test_a_chunk_that_always_kills_its_process(tmp_path):
+    pool = ProcessPoolExecutor(2, multiprocessing.get_context("spawn"), initializer=time.sleep, initargs=(0.01,))
+    killed(pool, chunks(6), Squares(dies=[13], dies_once=tmp_path / "died"), "BrokenProcessPool")
+    # a pool that is broken already
+    complete(completed(Squares(), chunks(), pool, 1), chunks())
+
+
+@pytest.mark.slow
+def test_a_fork_is_not_made():
+    with ProcessPoolExecutor(2) as pool:
+        if pool._mp_context.get_start_method() != "fork":
+            pytest.skip("processes of this Python start afresh")
+        with pytest.warns(UserWarning, match="would be forked"):
+            complete(completed(Squares(), chunks(), pool, 1), chunks())
+
+
+SCRIPT = """
+import os, sys, time
+import numpy as np
+from granjax.sweeps import Chunk
+from granjax.sweeps.executors import completed
+
+def task(values):
+    time.sleep(PAUSE)
+    return Chunk({"y": values["x"] ** 2}, [""] * len(values["x"]), {})
+
+def main():
+    given = [(k, {"x": np.arange(3)}) for k in range(20)]
+    for number, chunk in completed(task, given, EXECUTOR, 2):
+        print(number, *chunk.columns["y"], flush=True)
+"""
+
+
+def script(tmp_path, last, executor, pause):
+    path = tmp_path / "script.py"
+    path.write_text(SCRIPT.replace("EXECUTOR", executor).replace("PAUSE", str(pause)) + last)
+    return subprocess.Popen([sys.executable, path], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+                            start_new_session=True, env={**os.environ, "PYTHONPATH": str(ROOT)})
+
+
+def test_a_script_without_a_guard_is_told(tmp_path):
+    ended = script(tmp_path, "main()", "2", 0)
+    out, err = ended.communicate(timeout=60)
+    assert ended.returncode == 1 and not out
+    assert err.count("Traceback") == 1 and 'if __name__ == "__main__":' in err.splitlines()[-1]
+
+
+def alive(group):
+    """Processes of a group that are at work."""
+    found = subprocess.run(["ps", "-A", "-o", "pgid=,stat=,pid="], capture_output=True, text=True).stdout.split("\n")
+    return [line for line in found if line.split()[:1] == [str(group)] and "Z" not in line]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "executor, key", [("None", signal.SIGINT), ("2", signal.SIGINT), ("2", signal.SIGKILL)],
+    ids=["threads, Ctrl-C", "processes, Ctrl-C", "processes, killed"],
+)
+def test_an_interrupted_sweep_ends_at_once_with_its_processes(tmp_path, executor, key):
+    running = script(tmp_path, "if __name__ == '__main__':\n    main()", executor, 3.0)
+    running.stdout.readline()  # the first chunk
+    begin = time.monotonic()
+    if key == signal.SIGINT:
+        os.killpg(running.pid, key)
+    else:
+        running.kill()
+    out, err = running.communicate(timeout=60)
+    assert running.returncode == -key, err
+    if key == signal.SIGINT:
+        assert err.splitlines()[-1] == "KeyboardInterrupt" and err.count("Traceback") == 1
+    while alive(running.pid) and time.monotonic() < begin + 2:
+        time.sleep(0.05)
+    assert not alive(running.pid)
+
+
+@pytest.fixture(scope="module")
+def client():
+    """A cluster of two processes on this machine, whose scheduler tries nothing again by itself."""
+    dask, distributed = pytest.importorskip("dask"), pytest.importorskip("distributed")
+    settings = {"distributed.scheduler.allowed-failures": 0, "distributed.worker.multiprocessing-method": "spawn"}
+    where = {"host": "127.0.0.1", "dashboard_address": None}
+    with dask.config.set(settings), distributed.LocalCluster(2, threads_per_worker=1, **where) as cluster:
+        with distributed.Client(cluster) as client:
+            yield client
+
+
+def test_a_worker_of_a_cluster_that_is_killed_in_mid_chunk(client, tmp_path):
+    killed(client.get_executor(), chunks(6), Squares(dies_once=tmp_path / "died"))
+
+
+@pytest.mark.slow
+def test_a_chunk_that_always_kills_its_worker_of_a_cluster(client, tmp_path):
     task = Squares(dies=[13], dies_once=tmp_path / "died")
-    found = complete(completed(task, chunks(8), 2, 1), chunks(8), without=[4])
-    assert (tmp_path / "died").exists()
-    assert found[4].reasons[0].startswith("The worker died at this chunk, 3 times (BrokenProcessPool")
-    assert os.getpid() not in {chunk.columns["process"][0] for k, chunk in found.items() if k != 4}
+    killed(client.get_executor(), chunks(6), task, "KilledWorker")
+    # the same sweep once more: nothing that a cluster remembers of it counts
+    task = Squares(dies_once=tmp_path / "died")
+    complete(completed(task, chunks(), client.get_executor(), 1), chunks())
