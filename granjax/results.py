@@ -13,7 +13,7 @@ import numpy as np
 from . import exchange
 from .checks import refuse, traced
 from .entry import checked
-from .exchange.formats import content, place
+from .exchange import formats
 from .files import write
 from .printing import text
 from .types import Values
@@ -227,8 +227,8 @@ class Result(eqx.Module):
         **Returns:** the path. **Raises** ValueError for another ending, lanes that do not fit, what a table does not
         hold, or where nothing can be written (no such folder, no right to); OSError where writing fails (a full disk).
         """
-        path = place(path, version)
-        return write(path, content(self.to_xarray(lanes=lanes), path.suffix.lower(), version))
+        path = formats.place(path, version)
+        return write(path, formats.content(self.to_xarray(lanes=lanes), path.suffix.lower(), version))
 
     @staticmethod
     @checked

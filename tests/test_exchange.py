@@ -20,6 +20,7 @@ import granjax as gx
 from granjax import exchange
 from granjax.exchange import by_name, csv_table
 from granjax.files import real_parts
+from granjax.reading import reader
 
 FORMATS = (("nc", None), ("npz", None), ("mat", "5"), ("mat", "7.3"), ("csv", None))
 over = pytest.mark.parametrize("ending, version", FORMATS, ids=lambda x: str(x))
@@ -56,6 +57,10 @@ def test_what_is_saved_comes_back_bit_by_bit(ending, version, tmp_path):
     data = rich()
     path = exchange.save(data, tmp_path / f"a.{ending}", version=version)
     again = exchange.load(path)
+    if ending == "csv":
+        path.write_bytes(path.read_bytes().replace(b"\n", b"\r\n"))
+        assert exchange.load(path).identical(again)
+        exchange.save(data, path)
     assert again.identical(real_parts(data)) and again.rho_real.dims == ("time", "multiplier")
     assert again.attrs["root_imag"] == -2 and again.attrs["outcome"] == data.outcome
     for name, x in real_parts(data).variables.items():
@@ -133,9 +138,18 @@ def test_what_no_table_holds_is_refused(tmp_path, monkeypatch):
     for ending in ("csv", "npz", "mat"):
         with pytest.raises(ValueError, match="variables of numbers or words, got day of type datetime64"):
             exchange.save(days, tmp_path / f"a.{ending}")
-    odd = xr.Dataset({"x": ("x", [1.0])}, attrs={"what": object()})
-    with pytest.raises(ValueError, match="attributes that are numbers"):
-        exchange.save(odd, tmp_path / "a.npz")
+    odd = xr.Dataset({"x": ("x", [1.0])})
+    stacked = xr.Dataset({"y": (("a", "b"), np.ones((2, 2)))}, {"a": [1, 2], "b": [3, 4]}).stack(ab=("a", "b"))
+    bad = object(), None, {"a": 1}, [1, [2]], 10**40
+    for ending, version in FORMATS:
+        for data, said in (
+            *((odd.assign_attrs(what=x), "attributes that are numbers") for x in bad),
+            (odd.assign(y=odd.x.assign_attrs(why=None)), "attributes that are numbers"),
+            (odd.rename(x="a/b"), "names that are words"), (odd.assign_attrs({3: 4}), "names that are words"),
+            (stacked, "coordinates of one level, got 'ab'"),
+        ):
+            with pytest.raises(ValueError, match=said):
+                exchange.save(data, tmp_path / f"a.{ending}", version=version)
     taken = xr.Dataset({"z": ("x", [1j]), "z_real": ("x", [1.0])})
     for ending in ("nc", "csv"):
         with pytest.raises(ValueError, match="data: expected no other 'z_real' beside the complex 'z'"):
@@ -222,6 +236,14 @@ def test_arrays_of_a_user_s_own_files(tmp_path):
         with pytest.raises(ValueError, match="names: expected one of .*'count'"):
             exchange.arrays(tmp_path / path, "counts")
     assert exchange.arrays(tmp_path / "a.mat", "gone", "lines")["lines"].tolist() == ["ab", "cd"]
+    (tmp_path / "e.csv").write_text("t [ms],a,a\n0,1,2\n1,3,5\n")
+    assert exchange.arrays(tmp_path / "e.csv", "T")["T"].tolist() == [0, 1]
+    found = exchange.arrays(tmp_path / "e.csv")
+    assert [*found][:2] == ["t [ms]", "a"] and [x.tolist() for x in found.values()] == [[0, 1], [1, 3], [2, 5]]
+    (tmp_path / "e.txt").write_text("0 1.5\n1 2.5\n2 3.5\n")
+    assert exchange.arrays(tmp_path / "e.txt")["1"].tolist() == [1.5, 2.5, 3.5]
+    with pytest.raises(ValueError, match="names: expected one of .*, got 'b'"):
+        exchange.arrays(tmp_path / "e.csv", "b")
     with pytest.raises(ValueError, match="mixed.* that are no words"):
         exchange.arrays(tmp_path / "a.mat")
     with pytest.raises(ValueError, match="velocity: expected a variable of real numbers, got 'z', which is complex"):
@@ -333,6 +355,8 @@ def test_what_is_read_lazily_is_what_is_there(ending, version, tmp_path):
     assert found.sel(time=0.3, method="nearest").u.load().identical(data.sel(time=0.3, method="nearest").u)
     assert float(found.u.mean()) == float(data.u.mean()) and found.load().identical(data)
     found = exchange.load(path, lazy=True)
+    reader._Running.process.kill()
+    assert np.array_equal(found.v, data.v)
     exchange.save(data.isel(time=slice(3)), path, version=version)
     with pytest.raises(ValueError, match="it is no longer the file that was opened"):
         found.u.values

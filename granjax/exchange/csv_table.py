@@ -141,8 +141,9 @@ def read(path: str | Path) -> tuple[dict[str, tuple[list[str], dict, np.ndarray]
     if size > LARGEST:
         refuse("path", WHAT, f"{str(path)!r} of {size / 2**30:.3g} GiB")
     try:
-        text = path.read_bytes().decode().replace("\r\n", "\n").rstrip("\n")
-        return _read(text)
+        text = path.read_bytes().decode()
+        # a file that was sent through Windows
+        return _read((text.replace("\r\n", "\n") if text.endswith("\r\n") else text).rstrip("\n"))
     except OSError as error:
         refuse("path", WHAT, f"{str(path)!r} ({error.strerror})")
     except (csv.Error, LookupError, TypeError, ValueError, OverflowError, RecursionError, MemoryError) as error:

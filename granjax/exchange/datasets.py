@@ -10,11 +10,13 @@ from .. import reading
 from ..checks import one_of, refuse
 from ..entry import checked
 from ..files import write
-from . import csv_table, structure
-from .formats import content, place
+from . import csv_table, formats, structure
 
 if TYPE_CHECKING:
     import xarray
+
+TEXTS = (".csv", ".txt", ".dat", ".tsv")
+
 
 @checked
 def save(data: Any, path: str | Path, *, version: str | None = None) -> Path:
@@ -40,8 +42,8 @@ def save(data: Any, path: str | Path, *, version: str | None = None) -> Path:
 
     if not isinstance(data, xarray.Dataset):
         refuse("data", "an xarray.Dataset", type(data).__name__, "result.to_xarray() is one.")
-    path = place(path, version)
-    return write(path, content(data, path.suffix.lower(), version))
+    path = formats.place(path, version)
+    return write(path, formats.content(data, path.suffix.lower(), version))
 
 
 @checked
@@ -84,16 +86,19 @@ def load(path: str | Path, *, lazy: bool = False, complex: bool = False) -> "xar
 
 @checked
 def arrays(path: str | Path, *names: str) -> dict[str, np.ndarray | str]:
-    """Arrays by name of a file of somebody else: MATLAB's `.mat` (any version), `.npz`, netCDF, by its ending.
+    """Arrays by name of a file of somebody else, by its ending: MATLAB's `.mat` (any version), `.npz`, netCDF, a text.
 
     A field of a struct is "scan.gate"; matrices are shaped as in MATLAB, logical ones are bool, complex ones complex; a
     char array is a text, a cell array of them an array of words. `names`: those that are read, by default all that
-    are numbers or words. No pickle is read. For columns of a text `gx.Traces.from_csv`.
+    are numbers or words. No pickle is read. Columns of a text (`.csv`, `.txt`, `.dat`, `.tsv`) have the names of its
+    header, or their numbers; `gx.Traces.from_csv` takes more of how they are written.
 
     **Raises** ValueError for a file that is not there, is none or is damaged, for names that are not there, and for
     more than 2 GiB.
     """
     ending = os.path.splitext(os.fsdecode(path))[1].lower() if isinstance(path, (str, os.PathLike)) else ""
+    if ending in TEXTS:
+        return _columns(path, names)
     kinds = {".mat": "matlab", ".npz": "npz"}
     found, others = reading.arrays(kinds.get(ending, "netcdf"), path, list(names) or None)
     for name in names:
@@ -103,3 +108,18 @@ def arrays(path: str | Path, *names: str) -> dict[str, np.ndarray | str]:
             one_of("names", name, sorted({*found, *(other for other, kind in others.items() if not kind)}))
     found = {name: x for name, x in found.items() if not names or name in names}
     return {name: x.item() if x.ndim == 0 and x.dtype.kind in "OU" else x for name, x in found.items()}
+
+
+def _columns(path, names):
+    """The columns of a text by name."""
+    table = reading.table(path, asked=names)
+    called = table.names[-1] if table.names else [str(k) for k in range(table.numbers.shape[1])]
+    if not names:
+        # the second column of a name has its number too
+        own = [name if name not in called[:k] else f"{name}_{k}" for k, name in enumerate(called)]
+        return {name: table.numbers[:, k] for k, name in enumerate(own)}
+    found = {name: reading.named(name, table.names or [called]) for name in names}
+    for name, places in found.items():
+        if len(places) != 1:
+            one_of("names", name, sorted({*called} - {name}))
+    return {name: table.numbers[:, places[0]] for name, places in found.items()}

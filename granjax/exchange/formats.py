@@ -7,6 +7,7 @@ from ..checks import one_of, refuse
 from ..files import netcdf, real_parts, target
 from .by_name import matlab, npz
 from .csv_table import csv_text
+from .structure import refuse_what_no_file_holds
 
 if TYPE_CHECKING:
     import xarray
@@ -17,8 +18,10 @@ VERSIONS = ("5", "7.3")
 
 def content(data: "xarray.Dataset", ending: str, version: str | None = None) -> bytes:
     """A dataset as the bytes of a file with this ending: see `save`."""
+    refuse_what_no_file_holds(data)
     if ending == ".nc":
-        return netcdf(data)
+        # how another file held the numbers is not how this one does
+        return netcdf(data.drop_encoding())
     data = real_parts(data)
     if ending == ".csv":
         return csv_text(data).encode()

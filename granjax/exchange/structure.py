@@ -18,6 +18,24 @@ STRUCTURE = "granjax_structure"
 KINDS, LARGEST = "biufUO", 8
 
 
+def refuse_what_no_file_holds(data: "xarray.Dataset") -> None:
+    """Refuse names that are no words, indices of several levels, attributes that are no numbers or words."""
+    for name in (*data.variables, *data.dims, *data.attrs):
+        if not isinstance(name, str) or not name or "/" in name and name in (*data.variables, *data.dims):
+            refuse("data", "names that are words, without a slash", repr(name), "data.rename(...) gives others.")
+    levels = [name for name, index in data.indexes.items() if getattr(index, "nlevels", 1) > 1]
+    if levels:
+        refuse("data", "coordinates of one level", f"{levels[0]!r} of several", "data.reset_index(...) makes them so.")
+    for where in (data, *data.variables.values()):
+        for name, x in where.attrs.items():
+            try:
+                kind = np.asarray(x).dtype.kind
+            except ValueError:
+                kind = "O"
+            if kind not in "biufcU":
+                refuse("data", "attributes that are numbers, words or lists of such", f"{name}={str(x)[:60]}")
+
+
 def described(data: "xarray.Dataset", names: dict[str, str]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """(the structure, {key: array}) of a dataset whose variables have these keys in the file; words are arrays of them.
 
@@ -41,15 +59,9 @@ def described(data: "xarray.Dataset", names: dict[str, str]) -> tuple[dict[str, 
 
 
 def text(structure: dict[str, Any]) -> str:
-    """The structure as one line, with a sum by which it is known to be whole.
-
-    **Raises** ValueError for attributes that are no numbers, words or lists of such.
-    """
-    try:
-        # what JSON makes of it has the sum
-        structure = json.loads(json.dumps(structure))
-    except TypeError as error:
-        refuse("path", "attributes that are numbers, words or lists of such", str(error), "A .nc file may hold it.")
+    """The structure as one line, with a sum by which it is known to be whole."""
+    # what JSON makes of it has the sum
+    structure = json.loads(json.dumps(structure))
     return json.dumps(structure | {"digest": zlib.crc32(json.dumps(structure).encode())})
 
 

@@ -224,7 +224,7 @@ def _npy(path, file, member, whole):
     start = member.header_offset + 30 + int.from_bytes(local[26:28], "little") + int.from_bytes(local[28:30], "little")
 
     def mapped(key):
-        if all(isinstance(k, slice) and k == slice(None) for k in key):
+        if all(isinstance(k, slice) and k.indices(n) == (0, n, 1) for k, n in zip(key, shape)):
             # all of it: with its check sum
             return _inflated(path, member.filename)
         x = np.memmap(path, kind, "r", start + head, shape, "F" if turned else "C")
