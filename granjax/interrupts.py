@@ -24,6 +24,7 @@ import sys
 import threading
 import time
 import weakref
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -141,7 +142,7 @@ def _hears():
 class Aside(threading.Thread):
     """A thread for what knows nothing of signals. It may be left at work."""
 
-    def __init__(self, work, name="granjax: compiling"):
+    def __init__(self, work: Callable[[], Any], name: str = "granjax: compiling"):
         super().__init__(name=name, daemon=True)
         self.work, self.done, self.found, self.error = work, threading.Event(), None, None
 

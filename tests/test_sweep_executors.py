@@ -103,8 +103,10 @@ def test_what_is_no_executor():
         def get_executor(self):
             raise AssertionError
 
-    for given, said in ((0, "not below 1"), (True, "concurrent.futures"), ("dask", "a number of processes"),
-                        (Client(), r"client.get_executor\(\)")):
+    for given, said in (
+        (0, "not below 1"), (10**6, "at most .* processes"), (True, "concurrent.futures"),
+        ("dask", "a number of processes"), (Client(), r"client.get_executor\(\)"),
+    ):
         with pytest.raises(ValueError, match="executor: expected .*" + said):
             completed(Squares(), chunks(), given, 1)
 

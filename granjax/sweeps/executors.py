@@ -47,10 +47,30 @@ def completed(
 
     **Raises** ValueError for what is no executor, a task that cannot be sent; RuntimeError where workers cannot begin.
     """
+    checked_executor(executor)
     chunks = list(chunks)
     if executor is None and (threads == 1 or len(chunks) < 2):
         return _in_turn(task, chunks)
     return _limited(_Crew(task, executor, threads, max(len(chunks), 1)), chunks)
+
+
+def checked_executor(executor: Any) -> None:
+    """Refuse what is no executor, before anything is computed.
+
+    A process that imports a script without a guard would begin the script's sweep, and touch its store. It ends here,
+    silently: where the script was started it is said why.
+    """
+    if is_whole(executor):
+        most = CROWD * (os.cpu_count() or 1)
+        if whole("executor", executor, 1) > most:
+            refuse("executor", f"at most {most} processes on {os.cpu_count()} cores", str(executor))
+    elif executor is not None and not isinstance(executor, Executor):
+        remedy = "Give None for threads, a number of processes, or a concurrent.futures.Executor."
+        if hasattr(executor, "get_executor"):
+            remedy = "Give its executor: client.get_executor()."
+        refuse("executor", "None, a whole number, or a concurrent.futures.Executor", described(executor), remedy)
+    if (is_whole(executor) or isinstance(executor, ProcessPoolExecutor)) and workers.imports_script():
+        raise SystemExit(1)
 
 
 def _in_turn(task, chunks):
@@ -107,14 +127,10 @@ class _Crew:
         if executor is None:
             executor = workers.Threads(threads)
         elif not isinstance(executor, Executor):
-            count = _count(executor) if is_whole(executor) else _no_executor(executor)
-            executor, self.own = workers.processes(min(count, most)), True
-        if isinstance(executor, ProcessPoolExecutor):
-            if workers.imports_script():
-                raise SystemExit(1)  # where the script was started it is said why
-            if workers.forks(executor):
-                warnings.warn(FORKED, stacklevel=3)
-                executor, self.own = workers.alike(executor), True
+            executor, self.own = workers.processes(min(int(executor), most)), True
+        elif isinstance(executor, ProcessPoolExecutor) and workers.forks(executor):
+            warnings.warn(FORKED, stacklevel=3)
+            executor, self.own = workers.alike(executor), True
         self.executor, self.near = executor, isinstance(executor, (workers.Threads, ThreadPoolExecutor))
         if self.near:
             self.work, self.sent = workers.near, (task, workers.float64())
@@ -193,20 +209,6 @@ class _Crew:
     def end(self):
         if self.own:
             self.executor.shutdown(wait=not self.broken)
-
-
-def _count(executor):
-    count, most = whole("executor", executor, 1), CROWD * (os.cpu_count() or 1)
-    if count > most:
-        refuse("executor", f"at most {most} processes on {os.cpu_count()} cores", str(count), "Typical: the cores.")
-    return count
-
-
-def _no_executor(executor):
-    remedy = "Give None for threads, a number of processes, or a concurrent.futures.Executor."
-    if hasattr(executor, "get_executor"):
-        remedy = "Give its executor: client.get_executor()."
-    refuse("executor", "None, a whole number, or a concurrent.futures.Executor", described(executor), remedy)
 
 
 def _workers(executor):

@@ -15,7 +15,7 @@ from ..checks import refuse, whole
 from ..entry import checked
 from ..types import Count
 from .dataset import assembled
-from .executors import completed
+from .executors import checked_executor, completed
 from .plan import parts_of, plan_of, planned
 from .points import Parameters, Points, points_of
 from .result import Sweep, known
@@ -65,6 +65,7 @@ def sweep(
     **Returns:** `Sweep`, an `xarray.Dataset`. **Raises** ValueError for parameters that the function does not take and
     for a store that is not this sweep's; RuntimeError where every lane failed.
     """
+    checked_executor(executor)
     points = points_of(parameters)
     units = _units(units)
     chunk = None if chunk is None else whole("chunk", chunk, 1)
