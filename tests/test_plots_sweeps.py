@@ -76,6 +76,13 @@ def test_words_and_axes_of_their_own():
     np.testing.assert_allclose(ax.lines[1].get_ydata(), 1.0)
 
 
+def test_errors_are_bars():
+    data = one().assign(peak_force_error=("ratio", np.full(7, 2e-4)))
+    ax = gx.plots.sweep(data, "peak_force")
+    bars = ax.collections[0].get_segments()
+    np.testing.assert_allclose(bars[0][:, 1], [0.8, 1.2])
+
+
 def test_two_parameters_are_a_map_and_log_spaced_ones_a_log_axis():
     ax = gx.plots.sweep(two(), units=("kN", "1/s"))
     mesh = ax.collections[0]

@@ -22,7 +22,7 @@ class Field(NamedTuple):
     """What is drawn of a sweep: parameters (name -> values), lanes first; what failed, and why nothing else is shown.
 
     `grid`: whether the parameters span a grid, whose axes `values` and `failed` have; else lanes lie side by side.
-    `by`: how the axis of each name is drawn; `labels`: their words.
+    `by`: how the axis of each name is drawn; `labels`: their words. `errors`: of the values, where they are known.
     """
 
     name: str
@@ -32,6 +32,7 @@ class Field(NamedTuple):
     grid: bool
     labels: dict[str, str]
     by: dict[str, Shown]
+    errors: np.ndarray | None = None
 
     def part(self, index: tuple) -> "Field":
         """The field at an index of its last parameter."""
@@ -65,7 +66,9 @@ def field_of(data: Any, name: str | None, units: UnitsOrWords = None) -> Field:
     labels = {key: _words(data, key) for key in names} | {name: label}
     counted = {key: str(data[key].attrs.get("units", "")) for key in names}
     by = _shown({name: values} | parameters, counted, labels, units)
-    return Field(name, values, failed, parameters, grid, labels, by)
+    error = f"{name}_error"
+    errors = np.asarray(data[error].transpose(*dims).values) if error in data and data[error].dims == dims else None
+    return Field(name, values, failed, parameters, grid, labels, by, errors)
 
 
 def _parameters(data):

@@ -38,7 +38,8 @@ def sweep(
     - `data`: what `gx.sweep` returns, or any `xarray.Dataset` of its form: parameters are coordinates of the dimensions
       (or all of one dimension), units the attribute `units`, failures words of a variable `reason`.
     - `name`: of the variable, by default the first that holds a number per lane. Complex numbers are drawn by modulus;
-      one parameter and an axis of the variable's own are several lines.
+      one parameter and an axis of the variable's own are several lines. A line of NAME has bars of NAME_error, where
+      the sweep holds that.
     - `lines`: a parameter of a grid whose values are a line each, in place of an axis of a map.
     - `bands`: of a line, the variable of words that colours its background, such as a verdict.
     - `scale`: of the variable, `"linear"` or `"log"`. `units`: `("kHz", "mm/s")`, as in `granjax.plots`.
@@ -106,6 +107,9 @@ def _drawn_lines(ax, field, x, order, factor, names):
     for i, label in enumerate(said):
         seen = np.where(np.isfinite(values[order, i]), values[order, i], np.nan)
         ax.plot(x[order], scaled_by(seen, factor), color=colour(i), label=label, lw=1.4, **dots)
+    if field.errors is not None and values.shape[1] == 1:
+        errors = scaled_by(np.where(np.isfinite(field.errors), np.abs(field.errors), 0.0), factor)
+        ax.errorbar(x[order], scaled_by(values[order, 0], factor), errors[order], fmt="none", ecolor=colour(0), lw=1)
 
 
 def _each(field, name):
