@@ -167,7 +167,7 @@ class Task:
         codes = np.asarray(codes)[:count].max(axis=1, initial=COMPLETED)
         columns, reasons = {}, []
         for lane in range(count):
-            here = {name: x[lane] for name, (x, _) in found.items()}
+            here = {name: x[lane : lane + 1] for name, (x, _) in found.items()}
             reasons.append(WHY[int(codes[lane])] if codes[lane] else not_finite(here))
         for name, (x, _) in found.items():
             kept = [None if codes[lane] else x[lane : lane + 1] for lane in range(count)] if codes.any() else None

@@ -1,0 +1,148 @@
+"""What a user's sweep looks like: whole scripts of fewer than 12 lines, figure included, as they stand or shorter."""
+
+import matplotlib
+
+matplotlib.use("Agg")
+
+import matplotlib.pyplot as plt  # noqa: E402
+import numpy as np  # noqa: E402
+import pytest  # noqa: E402
+
+import granjax as gx  # noqa: E402
+
+CRYSTAL = """\
+import granjax as gx, numpy as np
+
+def transmitted(first, second):
+    chain = gx.scenes.beads("steel 316", [9.5e-3, first, second], cells=14)
+    force = gx.Peak(gx.measures.contact_force)
+    run = gx.simulate(chain, gx.states.impact(chain, velocity=0.5), 3e-3, record={"force": force})
+    return run.recorded["force"][-1]
+
+radii = np.linspace(4e-3, 12e-3, 20)
+data = gx.sweep(transmitted, {"first": radii, "second": radii}, units={"first": "m", "second": "m", "transmitted": "N"})
+gx.plots.save(gx.plots.sweep(data, units="mm"), "crystal.png")
+"""
+
+BREATHERS = """\
+import granjax as gx, numpy as np
+
+def breather(ratio):
+    chain = gx.scenes.dimer(21, ratio, precompression=1.0, boundary="free")
+    orbit = gx.breathers.breather(chain, 0.97 * (3 / ratio) ** 0.5)
+    return {"energy": orbit.energy, "verdict": orbit.floquet().verdict}
+
+data = gx.sweep(breather, {"ratio": np.linspace(0.3, 0.7, 64)})
+gx.plots.save(gx.plots.sweep(data, "energy", bands="verdict"), "breathers.png")
+"""
+
+FITS = """\
+import granjax as gx, numpy as np
+
+def fitted(trace):
+    scene = lambda p: gx.scenes.monomer(8, stiffness=p["stiffness"], precompression=0.1)
+    measured = gx.Traces.from_csv(f"trace{trace}.csv", velocity=[1, 2], sites=[3, 6], sigma=0.01)
+    fit = gx.fit(scene, {"stiffness": 1.2}, measured, state=lambda p, chain: gx.states.impact(chain))
+    return {"stiffness": fit.parameters["stiffness"], "stiffness_error": fit.covariance[0, 0] ** 0.5}
+
+data = gx.sweep(fitted, {"trace": range(32)})
+gx.plots.save(gx.plots.sweep(data, "stiffness"), "fits.png")
+"""
+
+
+def lines(script):
+    return [line for line in script.splitlines() if line.strip()]
+
+
+def run(script, *shorter):
+    """What a script leaves, and that its figure is there; (from, to): what a shorter one says instead."""
+    for long, short in shorter:
+        assert long in script
+        script = script.replace(long, short)
+    space = {"__name__": "script"}
+    exec(compile(script, "script.py", "exec"), space)
+    plt.close("all")
+    return space
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_they_are_short():
+    assert all(len(lines(script)) < 12 for script in (CRYSTAL, BREATHERS, FITS))
+
+
+def check_crystal(space, folder):
+    data = space["data"]
+    assert (data.reason == "").all() and (folder / "crystal.png").stat().st_size > 5000
+    assert data.first.attrs["units"] == "m" and data.transmitted.attrs["units"] == "N"
+    # a lane is its run alone, to the error of its steps
+    at = data.isel(first=-1, second=1)
+    alone = space["transmitted"](float(at.first), float(at.second))
+    assert float(at.transmitted) == pytest.approx(float(alone), rel=1e-3)
+    lattice, state = data.scene(first=float(at.first), second=float(at.second))
+    assert float(lattice.mass[1] / lattice.mass[0]) == pytest.approx((float(at.first) / 9.5e-3) ** 3)
+    return data
+
+
+def test_radii_of_a_crystal_short(folder):
+    data = check_crystal(run(CRYSTAL, ("12e-3, 20", "12e-3, 4"), ("cells=14", "cells=3"), ("3e-3,", "5e-4,")), folder)
+    assert data.transmitted.shape == (4, 4)
+
+
+@pytest.mark.slow
+def test_radii_of_a_crystal(folder):
+    data = check_crystal(run(CRYSTAL), folder)
+    assert data.transmitted.size == 400 and data.transmitted.min() > 1e-6
+
+
+def check_breathers(space, folder):
+    data = space["data"]
+    assert (folder / "breathers.png").stat().st_size > 5000
+    good = data.isel(ratio=np.flatnonzero(data.reason == ""))
+    assert set(good.verdict.values) <= {"stable", "unstable", "undecided"}
+    assert np.isfinite(good.energy).all() and good.sizes["ratio"] > 0.9 * data.sizes["ratio"]
+    # what failed says why
+    assert all(len(str(why)) > 10 for why in data.reason.values if why)
+    return data
+
+
+@pytest.mark.slow
+def test_breathers_over_mass_ratios_short(folder):
+    check_breathers(run(BREATHERS, ("0.7, 64", "0.5, 2"), ("dimer(21", "dimer(11")), folder)
+
+
+@pytest.mark.study
+def test_breathers_over_mass_ratios(folder):
+    check_breathers(run(BREATHERS), folder)
+
+
+def measure(count, folder):
+    """Traces of chains whose stiffness rises by 0.02 from one to the next."""
+    times, draw = np.linspace(0.0, 12.0, 97), np.random.default_rng(0)
+    for k in range(count):
+        chain = gx.scenes.monomer(8, stiffness=1.0 + 0.02 * k, precompression=0.1)
+        vs = np.asarray(gx.simulate(chain, gx.states.impact(chain), 12.0, save_at=97).vs)
+        noisy = vs[:, [3, 6]] + 0.01 * draw.standard_normal((97, 2))
+        np.savetxt(folder / f"trace{k}.csv", np.column_stack([times, noisy]), delimiter=",", header="t,a,b")
+
+
+def check_fits(space, count, folder):
+    data = space["data"]
+    assert (data.reason == "").all() and data.sizes["trace"] == count and (folder / "fits.png").is_file()
+    off = (data.stiffness - 1.0 - 0.02 * data.trace) / data.stiffness_error
+    assert np.abs(off).max() < 4
+
+
+def test_fits_of_traces_short(folder):
+    measure(3, folder)
+    check_fits(run(FITS, ("range(32)", "range(3)")), 3, folder)
+
+
+@pytest.mark.slow
+def test_fits_of_traces(folder):
+    measure(32, folder)
+    check_fits(run(FITS), 32, folder)
