@@ -188,7 +188,7 @@ def said(error: BaseException) -> str:
     return text if isinstance(error, ValueError | RuntimeError) and text else f"{type(error).__name__}: {text}"
 
 
-def not_finite(columns: dict[str, np.ndarray]) -> str:
+def not_finite(columns: dict[str, np.ndarray | np.generic]) -> str:
     """The names of columns of a lane that are not finite, as a sentence; "" where all are."""
     bad = [name for name, x in columns.items() if x.dtype.kind == "f" and not np.isfinite(x).all()]
     every = [name for name in bad if not np.isfinite(columns[name]).any()]
