@@ -60,7 +60,7 @@ def _readers(x, depth) -> Iterator[Any]:
         if not _known(type(x).__module__):
             yield type(x)
         yield from _readers(list(vars(x).values()), depth - 1)
-    elif isinstance(x, functools.partial) or callable(x) and not _of_library(x):
+    elif isinstance(x, functools.partial) or callable(x) and not of_library(x):
         yield x
 
 
@@ -68,16 +68,16 @@ def _readers(x, depth) -> Iterator[Any]:
 def _methods(kind):
     """The functions that a class of the user's is made of, inherited ones included."""
     own = [klass for klass in kind.__mro__ if not _known(klass.__module__)]
-    found = [_plain(x) for klass in own for x in vars(klass).values()]
-    return tuple(x for x in found if isinstance(x, types.FunctionType) and not _of_library(x))
+    found = [plain(x) for klass in own for x in vars(klass).values()]
+    return tuple(x for x in found if isinstance(x, types.FunctionType) and not of_library(x))
 
 
-def _plain(x):
+def plain(x: Any) -> Any:
     """The function in a method, a property or a wrapper."""
     for name in ("fget", "method", "__func__", "__wrapped__"):
         inner = getattr(x, name, None) if not isinstance(x, type) else None
         if isinstance(inner, types.FunctionType):
-            return _plain(inner)
+            return plain(inner)
     return x
 
 
@@ -86,7 +86,8 @@ def _known(module):
     return str(module).partition(".")[0] in LIBRARIES
 
 
-def _of_library(x):
+def of_library(x: Any) -> bool:
+    """Whether it is of the standard library, of granjax, or of what it is made with."""
     return _known(getattr(x, "__module__", None) or getattr(type(x), "__module__", ""))
 
 
@@ -98,30 +99,38 @@ def _read(function, seen, depth):
         own = [vars(kind) for kind in function.__mro__ if not _known(kind.__module__)]
         return tuple((name, _value(x, seen, 0)) for names in own for name, x in names.items() if _is_number(x))
     if isinstance(function, types.MethodType):
-        own = _own(function.__self__, _plain(function.__func__))
+        own = _own(function.__self__, plain(function.__func__))
         return _read(function.__func__, seen, depth), _value(own, seen, max(depth - 1, 1))
-    function = _plain(function)
+    function = plain(function)
     if not isinstance(function, types.FunctionType):
         own = _value(_own(function), seen, max(depth - 1, 1))
         return own, *(_read(method, seen, depth - 1) for method in _methods(type(function)))
     code = function.__code__
     if code in seen or not depth:
         return ()
-    seen, found = seen | {code}, []
+    seen = seen | {code}
+    found = [_value(x, seen, depth - 1) for _, x in reads_of(function)]
+    return tuple(found) + ((_value(function.__defaults__, seen, depth - 1),) if function.__defaults__ else ())
+
+
+def reads_of(function: types.FunctionType) -> Iterator[tuple[str, Any]]:
+    """Dotted names and present values of what a plain function reads from outside, modules left out."""
+    code = function.__code__
     cells = dict(zip(code.co_freevars, function.__closure__ or ()))
     for name, *attributes in _names(code):
         try:
             x = cells[name].cell_contents if name in cells else function.__globals__[name]
         except (KeyError, ValueError):  # a builtin, or not bound yet
             continue
+        path = name
         for attribute in attributes:
             if isinstance(x, types.ModuleType) and not _known(x.__name__) or _holds(x, attribute):
-                x = vars(x).get(attribute)
+                x, path = vars(x).get(attribute), f"{path}.{attribute}"
             elif isinstance(x, type) and not _known(x.__module__):
                 x = next((vars(kind)[attribute] for kind in x.__mro__ if attribute in vars(kind)), x)
+                path = f"{path}.{attribute}"
         if not isinstance(x, types.ModuleType):
-            found.append(_value(x, seen, depth - 1))
-    return tuple(found) + ((_value(function.__defaults__, seen, depth - 1),) if function.__defaults__ else ())
+            yield path, x
 
 
 def _is_number(x):
@@ -134,7 +143,7 @@ def _holds(x, attribute):
 
 def _own(x, method=None):
     """The attributes of an object, less those that its call, or a method of it, writes itself."""
-    code = getattr(method or _plain(getattr(type(x), "__call__", None)), "__code__", None)
+    code = getattr(method or plain(getattr(type(x), "__call__", None)), "__code__", None)
     own = None if isinstance(x, type) else getattr(x, "__dict__", None)
     written = _stored(code)[0] if own and code else ()
     left = {path[1] for path in written if path[1:] and path[:1] == code.co_varnames[:1]}
@@ -232,10 +241,10 @@ def _value(x, seen, depth):
         return type(x), *(_value(part, seen, depth - 1) for part in x)
     if isinstance(x, dict):
         return dict, *((_value(k, seen, depth - 1), _value(part, seen, depth - 1)) for k, part in x.items())
-    if callable(x) and _of_library(x) and not isinstance(x, (eqx.Module, functools.partial)):
+    if callable(x) and of_library(x) and not isinstance(x, (eqx.Module, functools.partial)):
         return _Same(x)
     if isinstance(x, (types.FunctionType, types.MethodType, functools.partial)) or hasattr(x, "__wrapped__"):
         # a function that is made anew is another one for JAX, whatever it reads
-        return _Same(_plain(x)), _read(x, seen, depth)
+        return _Same(plain(x)), _read(x, seen, depth)
     own = _own(x)
     return _Same(x) if own is None else (type(x), _value(own, seen, depth - 1))

@@ -396,6 +396,13 @@ def file(name):
     return Path(folder().name) / name
 
 
+@functools.cache
+def kept():
+    """The store of a sweep."""
+    gx.sweep(lambda x: 2 * x, {"x": [1.0, 2.0]}, store=file("kept"), lanes=False, progress=False)
+    return file("kept")
+
+
 VALID = {
     "lattice": lattice, "state": y, "y": y, "run": run, "traces": traces, "scene": lambda: scene,
     "make": lambda: shaken, "law": lambda: gx.Hertz(1.0, 0.3), "sites": lambda: 5, "start": lambda: {"stiffness": 1.0},
@@ -439,7 +446,7 @@ VALID = {
 OWN = {
     "sweeps.sweep.sweep.parameters": lambda: {"x": [1.0, 2.0]}, "sweeps.sweep.sweep.units": lambda: {"x": "m"},
     "sweeps.sweep.sweep.function": lambda: lambda x: x, "sweeps.points.paired.parameters": lambda: {"x": [1.0, 2.0]},
-    "sweeps.points.random.bounds": lambda: {"x": (0.0, 1.0)}, "sweeps.sweep.read.store": lambda: file("none.nc"),
+    "sweeps.points.random.bounds": lambda: {"x": (0.0, 1.0)}, "sweeps.sweep.read.store": lambda: kept(),
     "scenes.chains.pattern.masses": lambda: [1.0, 0.5], "scenes.chains.defects.masses": lambda: {2: 0.5},
     "orbits.guesses.sites.single_site.sites": lambda: [2], "orbits.forced_branch.forced_branch.start": lambda: 0.8,
     "orbits.forced_branch.forced_branch.until": lambda: 0.9, "identify.wall.wall_modulus.start": lambda: 1e9,

@@ -381,7 +381,7 @@ def _(seed):
 # public functions that no row calls by name, by their modules, and why
 WITHIN = {
     **dict.fromkeys(("checks", "entry.checked", "entry.kinds", "printing", "programs", "variables", "cli.commands",
-                     "interrupts", "tuning", "materials", "canonical.scenes", "scenes.chains",
+                     "interrupts", "outside", "tuning", "materials", "canonical.scenes", "scenes.chains",
                      "work_precision.measuring", "orbits.symmetry", "laws.power"),
                     "numbers, words and Python: no program of their own"),
     **dict.fromkeys(("exchange.datasets", "files", "fit.files", "reading.reader", "reading.tables"),

@@ -6,6 +6,9 @@ import numpy as np
 
 from ..printing import told as _told
 
+# in `told` of a chunk that could not be computed where it was sent: another time it may be
+LOST = ""
+
 
 class Chunk(NamedTuple):
     """The results of some lanes.

@@ -2,11 +2,13 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import xarray
 
+from .. import exchange
 from ..checks import one_of, refuse
 from ..entry import checked
 from ..flow import Run, simulate
@@ -100,6 +102,11 @@ class Sweep(xarray.Dataset):
         """A row per lane, for reading: parameters, results, and the reason where one failed."""
         return table(self, rows)
 
+    @checked
+    def save(self, path: str | Path) -> Path:
+        """Write it to a file, `.nc`, `.npz`, `.mat` or `.csv`, as `gx.exchange.save` does."""
+        return exchange.save(self.to_xarray(), path)
+
     def to_xarray(self) -> xarray.Dataset:
         """The same as a plain `xarray.Dataset`."""
         return xarray.Dataset(self.variables).set_coords(list(self.coords)).assign_attrs(self.attrs)
@@ -117,5 +124,8 @@ def _nearest(values, x):
 def known(data: xarray.Dataset, function: Callable | None, points: Points | None) -> Sweep:
     """A dataset as a `Sweep` that knows its function."""
     found = Sweep(data.variables, attrs=data.attrs).set_coords(list(data.coords))
+    for name, x in found.variables.items():
+        if x.dtype == object:  # words that a file has held
+            found[name] = x.dims, x.values.astype(str), x.attrs
     found._function, found._points = function, points
     return found

@@ -14,11 +14,14 @@ import numpy as np
 from ..checks import refuse, whole
 from ..entry import checked
 from ..types import Count
+from .chunk import LOST
 from .dataset import assembled
 from .executors import checked_executor, completed
+from .identity import function_identity
 from .plan import parts_of, plan_of, planned
 from .points import Parameters, Points, points_of
 from .result import Sweep, known
+from .store import Store
 from .task import EACH, Task
 
 
@@ -71,38 +74,50 @@ def sweep(
     chunk = None if chunk is None else whole("chunk", chunk, 1)
     plan = planned(function, points, lanes, chunk)
     if lanes and plan.how.kind == EACH:
-        refuse("lanes", "None or False for this function", "True", "It cannot be compiled; call it lane by lane.")
-    identity, kept = _identity(function, points, plan, units), None
-    if store is not None:
-        from .store import Store
-
-        kept = Store(store, identity)
+        refuse("lanes", "None or False for this function", "True", "It cannot be compiled: it is called lane by lane.")
+    identity = _identity(function, points, plan, units)
+    if store is None:
+        return known(_computed(function, points, units, identity, None, executor, devices, progress), function, points)
+    kept = Store(store, identity)
+    try:
         if chunk is not None and kept.identity["chunk"] != chunk:
             refuse("chunk", f"{kept.identity['chunk']}, with which the store was begun", str(chunk))
-        plan = plan_of(kept.identity)
+        data = kept.result
+        if data is None:
+            data = _computed(function, points, units, kept.identity, kept, executor, devices, progress)
+    finally:
+        kept.close()
+    return known(data, function, points)
+
+
+def _computed(function, points, units, identity, kept, executor, devices, progress):
+    """The dataset, of chunks that are kept and those that are to come."""
+    plan = plan_of(identity)
     parts = parts_of(points, plan)
     task = Task(function, tuple(points.axes), plan.how, min(plan.chunk, max(map(len, parts))))
-    found = {n: kept.read(n) for n in kept.finished()} if kept is not None else {}
-    threads = _threads(devices, plan)
-    work = _OnDevices(task, threads) if executor is None and not isinstance(threads, int) else task
-    todo = [(n, _values(points, plan, part)) for n, part in enumerate(parts) if n not in found]
-    count = threads if isinstance(threads, int) else len(threads)
-    with _bar(progress, points.count, sum(len(parts[n]) for n in found)) as bar:
-        for number, result in completed(work, todo, executor, count):
-            if kept is not None:
-                kept.write(number, result)
-            found[number] = result
-            bar.update(len(parts[number]))
-    remarks = kept.remarks if kept is not None else []
-    data = assembled(found, parts, points, units, identity, remarks)
+    found = {} if kept is None else kept.chunks(list(map(len, parts)))
+    remarks = [] if kept is None else kept.remarks
     for remark in remarks:
-        warnings.warn(remark, stacklevel=2)
+        warnings.warn(remark, stacklevel=4)
+    threads = _threads(devices, plan)
+    count = threads if isinstance(threads, int) else len(threads)
+    work = task if isinstance(threads, int) or executor is not None else _OnDevices(task, threads)
+    todo = [(n, _values(points, plan, part)) for n, part in enumerate(parts) if n not in found]
+    lost = False
+    with _bar(progress, points.count, sum(len(parts[n]) for n in found)) as bar:
+        for number, chunk in completed(work, todo, executor, count):
+            lost = lost or LOST in chunk.told
+            if kept is not None and LOST not in chunk.told:
+                kept.write(number, chunk)
+            found[number] = chunk
+            bar.update(len(parts[number]))
     failed = [reason for chunk in found.values() for reason in chunk.reasons]
     if all(failed) and not any(_any_number(chunk) for chunk in found.values()):
         raise RuntimeError(f"Every lane failed. The first: {failed[0]}")
-    if kept is not None:
+    data = assembled(found, parts, points, units, identity, remarks)
+    if kept is not None and not lost:
         kept.finish(data)
-    return known(data, function, points)
+    return data
 
 
 def _any_number(chunk):
@@ -119,8 +134,6 @@ def _units(units):
 
 
 def _identity(function, points, plan, units):
-    from .identity import function_identity
-
     versions = {"granjax": sys.modules["granjax"].__version__, "jax": jax.__version__, "numpy": np.__version__,
                 "python": "{}.{}".format(*sys.version_info)}
     return {
@@ -189,15 +202,16 @@ def read(store: str | Path) -> Sweep:
 
     It does not know the function. **Raises** ValueError for what is no store of a sweep, or is damaged.
     """
-    from .store import Store
-
     kept = Store.opened(store)
     if kept.result is not None:
         return known(kept.result, None, None)
     identity = kept.identity
-    axes = {name: np.array(x["values"], x["dtype"]) for name, x in identity["parameters"].items()}
+    try:
+        axes = {name: np.array(x["values"], x["dtype"]) for name, x in identity["parameters"].items()}
+        points, plan = Points(axes, identity["design"]), plan_of(identity)
+        parts = parts_of(points, plan)
+    except (TypeError, ValueError, KeyError, IndexError) as error:
+        refuse("store", "the store of a sweep", f"{str(store)!r}, whose manifest contradicts itself ({error})")
     units = {name: x["units"] for name, x in identity["parameters"].items() if x["units"]}
-    points = Points(axes, identity["design"])
-    found = {n: kept.read(n) for n in kept.finished()}
-    parts = parts_of(points, plan_of(identity))
+    found = kept.chunks(list(map(len, parts)))
     return known(assembled(found, parts, points, units, identity, kept.remarks), None, None)

@@ -19,7 +19,7 @@ import jax
 from ..checks import refuse
 from ..interrupts import Aside
 from ..tuning import pools
-from .chunk import Chunk
+from .chunk import LOST, Chunk
 
 # tasks that a process keeps; letters of a reason
 KEPT, SENTENCE = 4, 500
@@ -45,7 +45,7 @@ def told(error: BaseException) -> str:
 
 def given_up(values: dict, reason: str) -> Chunk:
     """A chunk without columns."""
-    return Chunk({}, [reason] * (len(next(iter(values.values()))) if values else 1), {})
+    return Chunk({}, [reason] * (len(next(iter(values.values()))) if values else 1), {LOST: {}})
 
 
 class Threads(Executor):
