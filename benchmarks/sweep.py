@@ -1,0 +1,199 @@
+"""What does a sweep cost beside the runs in it, and what do more workers bring? `python benchmarks/sweep.py`
+
+Writes sweep.json and sweep.png beside this file. Dimers of 101 beads at mass ratios from 0.1 to 1, struck, to t = 400:
+
+- time per bead, lane and force evaluation of `gx.sweep` over that of a batch of 64 through `gx.simulate`, which is run
+  before and after it, and the peak of resident memory; each number of lanes in a process of its own, on all cores;
+- the same chunks by two processes and by one, by two workers of a Dask cluster and by one, by turns, started and
+  compiled before; chunks of 5 s or more. `overhead` is how much longer one worker is at it than its chunks take.
+  Workers on cores that others use, too, gain less.
+
+`--quick` is a smoke test that everything runs and agrees; it writes nothing.
+"""
+
+import argparse
+import contextlib
+import json
+import multiprocessing
+import os
+import resource
+import statistics
+import subprocess
+import sys
+import time
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from pathlib import Path
+
+import jax
+import numpy as np
+
+import granjax as gx
+from granjax.sweeps.executors import completed
+from granjax.sweeps.task import LANES, How, Task
+from granjax.work_precision import machine
+
+HERE = Path(__file__).parent
+BEADS, TIME, BATCH = 101, 400.0, 64
+SWEPT = (256, 1024, 4096)
+LOW, HIGH = 0.1, 1.0
+# lanes of a chunk, 5 s or more, and chunks of a round
+CHUNK, CHUNKS = 160, 4
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="few lanes; numbers mean nothing")
+    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--draw", action="store_true", help="only the chart, from the JSON that is there")
+    parser.add_argument("--lanes", type=int, help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.lanes:
+        print(json.dumps(cost(options.lanes, 4.0 if options.quick else TIME)))
+        return
+    if options.draw:
+        drawn(json.loads((HERE / "sweep.json").read_text()))
+        return
+    result = {**machine(), "load": os.getloadavg(), "lanes": list(costs(options))}
+    result.update(load_after=os.getloadavg(), **workers(options))
+    for row in result["lanes"]:
+        print("{lanes:5d} lanes  {seconds:7.1f} s  {nanoseconds:.2f} ns, small batch {batch:.2f}: {ratio:.2f}  "
+              "{megabytes:.0f} MB".format(**row))
+    for name, row in result["workers"].items():
+        print(f"{name}: two workers {row['gain']:.2f} times one, {row['overhead']:.1%} beside the chunks")
+    if not options.quick:
+        (HERE / "sweep.json").write_text(json.dumps(result, indent=1) + "\n")
+        drawn(result)
+
+
+def pulse(ratio, t1):
+    chain = gx.scenes.dimer(BEADS, ratio=ratio)
+    run = gx.simulate(chain, gx.states.impact(chain), t1, record={"force": gx.Peak(gx.measures.contact_force)})
+    return {"wall": run.recorded["force"][-1], "forces": run.stats["force_evaluations"]}
+
+
+def costs(options):
+    """A row for every number of lanes, from a process of its own."""
+    for lanes in (16, 32) if options.quick else SWEPT:
+        call = [sys.executable, __file__, "--lanes", str(lanes)] + ["--quick"] * options.quick
+        done = subprocess.run(call, capture_output=True, text=True, check=True)
+        yield json.loads(done.stdout.splitlines()[-1])
+
+
+def cost(lanes, t1):
+    """Seconds of processor time per bead, lane and force, of a sweep and of a small batch; peak memory."""
+    ratios = np.linspace(LOW, HIGH, lanes)
+    batch = jax.vmap(lambda x: gx.scenes.dimer(BEADS, ratio=x), out_axes=-1)(ratios[:: max(lanes // BATCH, 1)][:BATCH])
+    state, record = gx.states.impact(batch), {"force": gx.Peak(gx.measures.contact_force)}
+    function = partial(pulse, t1=t1)
+    small = []
+
+    def small_batch():
+        begin = time.process_time()
+        run = gx.simulate(batch, state, t1, record=record)
+        forces = float(run.stats["force_evaluations"])
+        small.append((time.process_time() - begin) / (BEADS * batch.lanes[0] * forces) * 1e9)
+
+    small_batch()
+    gx.sweep(function, {"ratio": ratios[:: lanes // 16]}, progress=False)  # loads what is loaded once
+    for _ in range(3):
+        small_batch()
+    begin, cpu = time.perf_counter(), time.process_time()
+    data = gx.sweep(function, {"ratio": ratios}, progress=False)
+    times = time.perf_counter() - begin, time.process_time() - cpu
+    for _ in range(3):
+        small_batch()
+    own = times[1] / (BEADS * float(data.forces.sum())) * 1e9
+    wanted = statistics.median(small[1:])
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1e6 if sys.platform == "darwin" else 1e3)
+    return {"lanes": lanes, "seconds": times[0], "processor_seconds": times[1], "nanoseconds": own, "batch": wanted,
+            "ratio": own / wanted, "megabytes": peak}
+
+
+class Timed:
+    """A task, with the seconds that it takes where it is computed."""
+
+    def __init__(self, task):
+        self.task = task
+
+    def __call__(self, values):
+        begin = time.perf_counter()
+        chunk = self.task(values)
+        seconds = np.full(len(chunk.reasons), time.perf_counter() - begin)
+        return chunk._replace(columns={**chunk.columns, "seconds": seconds})
+
+
+def workers(options):
+    """Two workers against one, of processes and of a cluster, by turns."""
+    import distributed
+
+    lanes, t1, rounds = (8, 4.0, 1) if options.quick else (CHUNK, TIME, options.rounds)
+    task = Timed(Task(partial(pulse, t1=t1), ("ratio",), How(LANES), lanes))
+    # alike, so that no worker has more to do than another
+    chunks = [(k, {"ratio": np.linspace(LOW, HIGH, lanes)}) for k in range(CHUNKS)]
+    context, found = multiprocessing.get_context("spawn"), {}
+    with contextlib.ExitStack() as stack:
+        one, two = (stack.enter_context(ProcessPoolExecutor(n, context)) for n in (1, 2))
+        local = {"threads_per_worker": 1, "host": "127.0.0.1", "dashboard_address": None}
+        cluster = stack.enter_context(distributed.LocalCluster(2, **local))
+        client = stack.enter_context(distributed.Client(cluster))
+        first = client.get_executor(workers=[next(iter(client.nthreads()))])
+        pairs = {"processes": (one, two), "cluster": (first, client.get_executor())}
+        for executor in (one, two, first, client.get_executor()):  # starts, compiles
+            walled(task, [(k, {"ratio": values["ratio"][:1]}) for k, values in chunks], executor)
+        turns = [{name: [walled(task, chunks, x) for x in pair] for name, pair in pairs.items()} for _ in range(rounds)]
+    for name in pairs:
+        own = [turn[name] for turn in turns]
+        found[name] = {
+            "gain": statistics.median(one[0] / two[0] for one, two in own), "gains": [o[0] / t[0] for o, t in own],
+            "overhead": statistics.median(one[0] / one[1] - 1 for one, _ in own),
+            "chunk_seconds": min(one[1] for one, _ in own) / CHUNKS,
+        }
+    return {"workers": found}
+
+
+def walled(task, chunks, executor):
+    """Seconds that pass, and those that the chunks take."""
+    begin = time.perf_counter()
+    found = dict(completed(task, chunks, executor))
+    passed = time.perf_counter() - begin
+    if len(found) < len(chunks) or any(any(chunk.reasons) for chunk in found.values()):
+        raise RuntimeError(f"chunks failed: {[chunk.reasons for chunk in found.values()]}")
+    return passed, sum(float(chunk.columns["seconds"][0]) for chunk in found.values())
+
+
+def drawn(result):
+    import matplotlib
+
+    matplotlib.use("Agg")
+    with gx.plots.style():
+        import matplotlib.pyplot as plt
+
+        figure, axes = plt.subplots(1, 3, figsize=(10, 3.2), layout="constrained")
+        rows, few = result["lanes"], result["workers"]
+        lanes = [row["lanes"] for row in rows]
+        axes[0].plot(lanes, [row["nanoseconds"] for row in rows], "o-", label="sweep, all cores")
+        axes[0].plot(lanes, [row["batch"] for row in rows], "s--", label=f"batch of {BATCH}, one core")
+        axes[0].set_ylabel("processor time per bead, lane and force [ns]")
+        axes[1].plot(lanes, [row["megabytes"] for row in rows], "o-")
+        axes[1].set_ylabel("peak of resident memory [MB]")
+        for ax in axes[:2]:
+            ax.set_xscale("log", base=2)
+            ax.set_xticks(lanes, [str(n) for n in lanes])
+            ax.set_xlabel("lanes")
+            ax.set_ylim(0)
+        axes[0].legend(loc="lower right")
+        for k, (name, row) in enumerate(few.items()):
+            axes[2].plot([k] * len(row["gains"]), row["gains"], "o", alpha=0.5)
+            axes[2].text(k, 0.15, f"{max(row['overhead'], 0):.1%} beside\nchunks of {row['chunk_seconds']:.0f} s",
+                         ha="center", fontsize=8)
+        axes[2].axhline(2.0, color="0.7", linewidth=1)
+        axes[2].set_xticks(range(len(few)), list(few))
+        axes[2].set_xlim(-0.6, len(few) - 0.4)
+        axes[2].set_ylim(0, 2.2)
+        axes[2].set_ylabel("two workers over one")
+        figure.savefig(HERE / "sweep.png", dpi=150)
+
+
+if __name__ == "__main__":
+    main()
