@@ -125,6 +125,7 @@ def test_a_lattice_in_si(notebook):
     np.testing.assert_allclose(chain.mass, gx.scenes.beads(["steel 316", "PTFE"], 9.5e-3, cells=4).mass)
 
 
+@pytest.mark.slow
 def test_states_whole_numbers_and_fixed_arguments(notebook):
     explorer = gx.explore(gx.scenes.monomer, 3.0, sites=(4, 9), precompression=1.0, frames=8, quantity="u",
                           state=lambda lattice: gx.states.rest(lattice)._replace(u=0.1 * np.arange(lattice.sites[0])))

@@ -19,6 +19,8 @@ SCALES = ("linear", "log")
 # values of an own axis that are lines of one picture, values of a parameter that are panels, words with a colour each
 LINES, PANELS, WORDS = 8, 16, len(COLOURS)
 GAP = "0.85"
+# letters in a row of a legend, and of what stands before each label
+ROW, HANDLE = 64, 6
 KNOWN = ("stable", "unstable", "undecided", "yes", "no")
 
 
@@ -149,8 +151,11 @@ def _crosses(ax, x, y, failed, transform=None):
 
 
 def _legend(ax):
-    if ax.get_legend_handles_labels()[0]:
-        ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, borderaxespad=0.2, frameon=False)
+    """A legend above, of so many columns that it is no wider than the Axes."""
+    said = ax.get_legend_handles_labels()[1]
+    if said:
+        columns = min(max(ROW // (HANDLE + max(map(len, said))), 1), 4)
+        ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, borderaxespad=0.2, frameon=False)
 
 
 def _colours(field, factor, scale, name="values"):
