@@ -10,10 +10,12 @@ import time
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from pathlib import Path
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax._src.config import enable_x64
 
-from granjax.sweeps import Chunk
+from granjax.sweeps import Chunk, workers
 from granjax.sweeps.executors import completed
 
 ROOT = Path(__file__).parents[1]
@@ -116,6 +118,44 @@ def test_a_task_that_cannot_be_sent():
     task.lock = threading.Lock()
     with pytest.raises(ValueError, match="function: expected one that can be sent .* leave executor=None"):
         completed(task, chunks(), 2, 1)
+
+
+def test_without_cloudpickle_it_is_said_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "cloudpickle", None)
+    complete(completed(Squares(), chunks(), Now(), 1), chunks())
+    with pytest.raises(ValueError, match="functions of notebooks: pip install .*cluster"):
+        completed(lambda values: None, chunks(), Now(), 1)
+
+
+def test_a_function_that_a_worker_does_not_find(monkeypatch):
+    content, digest = workers.packed(Squares(pause=1e-9))
+    monkeypatch.delattr(sys.modules[__name__], "Squares")
+    with pytest.raises(workers.NotThere, match="cannot load the function .* register_pickle_by_value"):
+        workers.far(content, digest, workers.setting(), chunks()[0][1], "")
+
+
+def test_other_versions_are_told():
+    class Elsewhere(Now):
+        def submit(self, fn, *args):
+            future = Future()
+            future.set_exception(workers.NotThere("a worker has jax 0.1, here 0.2."))
+            return future
+
+    with pytest.raises(workers.NotThere, match="a worker has jax .*, here 0.1. Install"):
+        workers.far(*workers.packed(Squares()), {**workers.setting(), "jax": "0.1"}, chunks()[0][1], "")
+    with pytest.raises(RuntimeError, match="executor: a worker has jax 0.1, here 0.2"):
+        list(completed(Squares(), chunks(), Elsewhere(), 1))
+
+
+def test_numbers_have_as_many_bits_wherever_they_are_computed():
+    def task(values):
+        return Chunk({"x": np.asarray(jnp.asarray(values["x"]) * 1.5)}, [""] * 3, {})
+
+    for bits in (32, 64):
+        with enable_x64(bits == 64):
+            for executor, threads in ((None, 1), (None, 2), (Now(), 1)):
+                found = dict(completed(task, chunks(), executor, threads))
+                assert {chunk.columns["x"].dtype for chunk in found.values()} == {np.dtype(f"f{bits // 8}")}
 
 
 def test_an_executor_that_is_closed():

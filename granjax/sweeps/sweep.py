@@ -5,6 +5,7 @@ import sys
 import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -104,8 +105,9 @@ def _computed(function, points, units, identity, kept, executor, devices, progre
     work = task if isinstance(threads, int) or executor is not None else _OnDevices(task, threads)
     todo = [(n, _values(points, plan, part)) for n, part in enumerate(parts) if n not in found]
     lost = False
-    with _bar(progress, points.count, sum(len(parts[n]) for n in found)) as bar:
-        for number, chunk in completed(work, todo, executor, count):
+    done = sum(len(parts[n]) for n in found)
+    with _bar(progress, points.count, done) as bar, closing(completed(work, todo, executor, count)) as results:
+        for number, chunk in results:
             lost = lost or LOST in chunk.told
             if kept is not None and LOST not in chunk.told:
                 kept.write(number, chunk)
