@@ -130,7 +130,7 @@ def test_without_cloudpickle_it_is_said_what_to_install(monkeypatch):
 def test_a_function_that_a_worker_does_not_find(monkeypatch):
     content, digest = workers.packed(Squares(pause=1e-9))
     monkeypatch.delattr(sys.modules[__name__], "Squares")
-    with pytest.raises(workers.NotThere, match="cannot load the function .* register_pickle_by_value"):
+    with pytest.raises(workers.NotThere, match="cannot load the function .*register_pickle_by_value"):
         workers.far(content, digest, workers.setting(), chunks()[0][1], "")
 
 
