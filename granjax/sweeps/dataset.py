@@ -52,7 +52,7 @@ def assembled(
         "result": "Sweep", "outcome": _outcome(points, reasons, remarks),
         "function": identity["function"].get("name", ""), **identity["versions"], "commit": _commit(), "cite": CITE,
         "sweep": json.dumps(identity),
-    }
+    } | ({"scene": identity["scene"]} if identity.get("scene") else {})
     return xarray.Dataset(variables, coordinates, attributes)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from ..outside import of_library, plain, reads_of
 
 # what is chosen for a sweep and not asked for: a store keeps its own
-CHOSEN = ("chunk", "order", "how")
+CHOSEN = ("chunk", "order", "how", "scene")
 DEPTH = 6
 # letters of a value that are written out; digits of a digest
 LONG, DIGITS = 60, 20

@@ -20,16 +20,17 @@ from .task import EACH, LANES, VMAP, How, Task, groups, program
 CACHED, LEAST, MOST = 2**17, 8, 64
 # lanes of a chunk that no run takes long of; chunks of what is called lane by lane
 PLAIN, CHUNKS = 4096, 1024
-# costs that differ by less are alike
-ALIKE = 1.05
+# costs that differ by less are alike; lanes whose costs are found at a time; most lanes that are looked at one by one
+ALIKE, ABREAST, LOOKED = 1.05, 256, 4096
 
 
 class Plan(NamedTuple):
-    """How lanes are computed, so many at a time, in which order, `None` for that of the design."""
+    """How lanes are computed, so many at a time, in which order, `None` for that of the design; the scene of the first."""
 
     how: How
     chunk: int
     order: np.ndarray | None
+    scene: str = ""
 
 
 def planned(function: Callable, points: Points, lanes: bool | None, chunk: int | None) -> Plan:
@@ -40,17 +41,23 @@ def planned(function: Callable, points: Points, lanes: bool | None, chunk: int |
     values = points.values(np.arange(points.count))
     if how.kind == EACH:
         return Plan(how, chunk or max(1, -(-points.count // CHUNKS)), None)
-    costs, sites = _costs(function, keywords, how, values, points.count)
-    if costs is None:
-        return Plan(how, chunk or min(PLAIN, points.count), None)
-    # what no program of many lanes could do, or what it would not notice
-    alone = ~np.isfinite(costs) | useless_count(costs)
+    # what no program of many lanes would notice
+    alone = np.zeros(points.count, bool)
     alone[_refused(function, keywords, points)] = True
+    if alone.all():
+        return Plan(How(EACH), chunk or max(1, -(-points.count // CHUNKS)), None)
+    costs, sites, scene = _costs(function, keywords, how, values, np.flatnonzero(~alone), points.count)
+    if sites:
+        # and what none could do
+        alone |= ~np.isfinite(costs) | useless_count(costs)
     how = how._replace(apart=tuple(map(int, np.flatnonzero(alone))))
+    if not sites:
+        order = np.argsort(alone, kind="stable") if alone.any() else None
+        return Plan(how, chunk or min(PLAIN, points.count), order)
     known = costs[~alone]
     varied = known.size and known.max() > ALIKE * known.min()
     order = np.argsort(np.where(alone, np.inf, -costs), kind="stable") if varied or alone.any() else None
-    return Plan(how, chunk or _chunk(sites, points.count), order)
+    return Plan(how, chunk or _chunk(sites, points.count), order, scene)
 
 
 def plan_of(identity: dict) -> Plan:
@@ -135,24 +142,25 @@ def _steps_of(lattice, state, t1, keywords):
     return steps if tolerance is None else jnp.clip(jnp.nan_to_num(steps, nan=1.0), 1.0, 1e6)
 
 
-def _costs(function, keywords, how, values, count):
-    """Steps of each lane (n,) and sites of the largest scene; `None`, 0 for what runs nothing."""
-    task = Task(function, tuple(values), how, count)
-    sites = 0
-    costs = np.full(count, np.nan)
-    for lanes in groups(values, how.static, np.arange(count)):
-        first = {name: x[lanes[0]].item() for name, x in values.items()}
-        scene = _scene(function, first, keywords)
+def _costs(function, keywords, how, values, lanes, count):
+    """Steps of each lane (n,), NaN for all but `lanes`; sites of the largest scene, 0 for what runs nothing; the first."""
+    task, costs, sites, text = Task(function, tuple(values), how, ABREAST), np.full(count, np.nan), 0, ""
+    for lanes in groups(values, how.static, lanes):
+        scene = _scene(function, {name: x[lanes[0]].item() for name, x in values.items()}, keywords)
         if scene is not None:
             sites = max(sites, sum(x.size for x in jax.tree.leaves(scene[1][0])))
-        here = {name: x[lanes] for name, x in values.items()}
-        arrays = {name: x for name, x in here.items() if name not in how.static}
-        try:
-            costs[lanes] = np.asarray(wait(_steps(task.known(here), Outside((function,)), arrays)))
-        except Exception:
-            # no cost is known: then lanes are taken as they come
-            costs[lanes] = 1.0 if scene is not None else np.nan
-    return (costs, sites) if sites else (None, 0)
+            text = text or repr(scene[0])
+        for i in range(0, len(lanes), ABREAST):
+            some = lanes[i : i + ABREAST]
+            here = {name: x[np.resize(some, ABREAST)] for name, x in values.items()}
+            arrays = {name: x for name, x in here.items() if name not in how.static}
+            try:
+                found = wait(_steps(task.known(here), Outside((function,)), arrays))
+            except Exception:
+                # no cost is known: then lanes are taken as they come
+                found = np.full(ABREAST, 1.0 if scene is not None else np.nan)
+            costs[some] = np.asarray(found)[: len(some)]
+    return costs, sites, text
 
 
 def _scene(function, values, keywords):
@@ -171,14 +179,23 @@ def useless_count(steps: np.ndarray) -> np.ndarray:
 def _refused(function, keywords, points):
     """Numbers of lanes whose scenes are refused, which a compiled program does not notice.
 
-    What is refused is looked for at the ends of each parameter first, and at every lane where one of these is.
+    What is refused is looked for at the ends of each parameter first; where one of these is, at every lane, or of many
+    at every value of each parameter beside those of a lane that is not.
     """
     values = points.values(np.arange(points.count))
     ends = {int(f(x)) for x in values.values() if x.dtype.kind != "U" for f in (np.argmin, np.argmax)} | {0}
-    if not any(_is_refused(function, keywords, points.at(lane)) for lane in ends):
+    refused = {lane: _is_refused(function, keywords, points.at(lane)) for lane in sorted(ends)}
+    if not any(refused.values()):
         return np.zeros(0, int)
-    bad = [lane for lane in range(points.count) if _is_refused(function, keywords, points.at(lane))]
-    return np.array(bad, int)
+    if points.count <= LOOKED or all(refused.values()):
+        return np.array([n for n in range(points.count) if _is_refused(function, keywords, points.at(n))], int)
+    good = points.at(next(lane for lane, bad in refused.items() if not bad))
+    bad = np.zeros(points.count, bool)
+    for name, x in values.items():
+        known, which = np.unique(x, return_inverse=True)
+        of_value = [_is_refused(function, keywords, {**good, name: one.item()}) for one in known]
+        bad |= np.array(of_value)[which]
+    return np.flatnonzero(bad)
 
 
 def _is_refused(function, keywords, values):

@@ -97,7 +97,7 @@ class Store:
         if found:
             few = "; ".join(found[:4]) + (f"; and {len(found) - 4} more" if len(found) > 4 else "")
             refuse("store", f"{str(self.path)!r} of this sweep", f"one of another: {few}", REMEDY)
-        self.identity = {**self.identity, **{key: stored[key] for key in CHOSEN}}
+        self.identity = {**self.identity, **{key: stored.get(key) for key in CHOSEN}}
 
     def _begin(self, manifest):
         own = [p.name for p in self.folder.iterdir() if p.name != LOCK and not PART.fullmatch(p.name)]

@@ -191,11 +191,7 @@ def said(error: BaseException) -> str:
 def not_finite(columns: dict[str, np.ndarray | np.generic]) -> str:
     """The names of columns of a lane that are not finite, as a sentence; "" where all are."""
     bad = [name for name, x in columns.items() if x.dtype.kind == "f" and not np.isfinite(x).all()]
-    every = [name for name in bad if not np.isfinite(columns[name]).any()]
-    if not bad:
-        return ""
-    names = ", ".join(bad[:4]) + (" ..." if len(bad) > 4 else "")
-    return f"Not finite: {names}." if every == bad else f"Not finite everywhere: {names}."
+    return f"Not finite: {', '.join(bad[:4])}{', ...' if len(bad) > 4 else ''}." if bad else ""
 
 
 def groups(values: dict[str, np.ndarray], static: tuple[str, ...], lanes: np.ndarray) -> Iterator[np.ndarray]:
