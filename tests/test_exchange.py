@@ -161,6 +161,11 @@ def test_what_no_table_holds_is_refused(tmp_path, monkeypatch):
     ):
         with pytest.raises(ValueError, match=said):
             exchange.save(odd, tmp_path / path, **keywords)
+    for told in ({"scale_factor": 2.0}, {"_FillValue": 1.0}, {"units": "days since 2000-01-01"}):
+        with pytest.raises(ValueError, match="attributes that do not change numbers in a .nc file, got y with"):
+            exchange.save(odd.assign(y=("x", [1.0], told)), tmp_path / "a.nc")
+    with pytest.raises(ValueError, match="data: expected what netCDF holds, got .*reserved"):
+        exchange.save(odd.assign_attrs(_NCProperties="mine"), tmp_path / "a.nc")
     with pytest.raises(ValueError, match="data: expected an xarray.Dataset, got ndarray"):
         exchange.save(np.ones(3), tmp_path / "a.nc")
     assert not [*tmp_path.iterdir()]
@@ -422,3 +427,44 @@ def test_a_waveform_of_gigabytes_costs_what_is_looked_at(tmp_path):
     assert ran.returncode == 0, ran.stderr
     ours, reader = map(float, ran.stdout.split())
     assert ours < 100 and reader < 400, ran.stdout
+
+
+# ------------------------------------------------------------------------------------------------------- any dataset
+
+AXES = {"time": 3, "site": 2, "ratio": 2, "lane": 1, "field": 2, "peak_0": 4, "empty": 0, "component": 3}
+
+
+def any_dataset(rng):
+    """A dataset of some axes, types, words, coordinates and attributes."""
+    def array(axes, kinds=("f8", "f8", "f4", "f2", "i8", "u1", "?", "c16", "U")):
+        shape = tuple(AXES[axis] for axis in axes)
+        kind = str(rng.choice(kinds))
+        if kind == "U":
+            return np.array([str(rng.choice(WORDS)) for _ in range(int(np.prod(shape)))], object).reshape(shape)
+        x = rng.normal(size=shape) * 10.0 ** rng.integers(-20, 20) if kind in ("f8", "c16") else 99 * rng.random(shape)
+        x = np.where(rng.random(shape) < 0.1, rng.choice([np.nan, np.inf, -0.0]), x) if kind == "f8" else x
+        return (x * (1 - 2j) if kind == "c16" else x).astype(kind)
+
+    data = xr.Dataset()
+    for k in range(rng.integers(1, 6)):
+        axes = [str(axis) for axis in rng.permutation(list(AXES))[: rng.integers(0, 4)]]
+        data[f"x{k}"] = axes, array(axes), {"units": "m"} if rng.integers(2) else {}
+    for axis in data.dims:
+        kind = rng.integers(4)
+        if kind:
+            data.coords[axis if kind > 1 else f"of {axis}"] = (axis, array([axis], ("f8", "i8", "c16", "U")))
+    return data.assign_attrs({"a b": str(rng.choice(WORDS)), "n": float(rng.normal()), "many": rng.normal(size=3)})
+
+
+WORDS = ["", "a", "a,b", '"', "'", "\n", "\r\n", "\r", "#", "# granjax_structure: {}", "\u00b5", "nan", "1.5", " ", "\t"]
+
+
+@pytest.mark.parametrize("seeds", [range(8), pytest.param(range(8, 400), marks=pytest.mark.study)])
+def test_any_dataset_goes_through_every_format(tmp_path, seeds):
+    for seed in seeds:
+        data = any_dataset(np.random.default_rng([7, seed]))
+        for ending, version in FORMATS:
+            path = exchange.save(data, tmp_path / f"a.{ending}", version=version)
+            assert exchange.load(path, complex=True).identical(data), (seed, ending, version)
+            if (ending, version) in LAZY:
+                assert exchange.load(path, lazy=True, complex=True).load().identical(data), (seed, ending)

@@ -41,7 +41,7 @@ def csv_text(data: "xarray.Dataset") -> str:
         refuse("path", f"at most {MOST} numbers in a .csv file", f"{sum(x.size for x in arrays.values())}",
                "Write a .nc, .npz or .mat file, or less: run.to_xarray()[['u']].")
     axes = _rows(data)
-    inside = [name for name in _ordered(data, axes) if _stands(data[name].dims, axes)]
+    inside = [name for name in _ordered(data, axes) if _stands(data[name].dims, axes, data.sizes)]
     beside = {name: x for name, x in arrays.items() if name not in inside}
     if sum(x.size for x in beside.values()) > BESIDE:
         large = max(beside, key=lambda name: beside[name].size)
@@ -62,7 +62,8 @@ def csv_text(data: "xarray.Dataset") -> str:
     for name in inside:
         told["variables"][name].pop("words", None)
     told |= {"axes": sizes, "inside": inside, "columns": len(head), "counted": counted,
-             "beside": {name: x.ravel().tolist() for name, x in beside.items() if x.dtype.kind != "O"}}
+             "beside": {name: (x.astype("u1") if x.dtype.kind == "b" else x).ravel().tolist()
+                        for name, x in beside.items() if x.dtype.kind != "O"}}
     lines = [",".join(_quoted(x) if set(x) & set(",\"'\r\n#") else x for x in head), *map(",".join, zip(*columns))]
     comments = [f"# {json.dumps({key: x}, ensure_ascii=False)[1:-1]}" for key, x in told["attributes"].items()]
     told["comments"] = len(comments) + 1
@@ -85,9 +86,10 @@ def _rows(data):
     return sorted(along, key=lambda axis: axis == "time")
 
 
-def _stands(dims, axes):
-    """Whether a variable stands in the table: over its rows, or alike in some of them."""
-    return bool(dims) and ({*axes} <= {*dims} or {*dims} <= {*axes})
+def _stands(dims, axes, sizes):
+    """Whether a variable stands in the table: over its rows, or alike in some of them, where there are any."""
+    alike = {*dims} <= {*axes} and all(sizes[axis] for axis in axes)
+    return bool(dims) and ({*axes} <= {*dims} or alike)
 
 
 def _ordered(data, axes):
@@ -146,7 +148,8 @@ def read(path: str | Path) -> tuple[dict[str, tuple[list[str], dict, np.ndarray]
         return _read((text.replace("\r\n", "\n") if text.endswith("\r\n") else text).rstrip("\n"))
     except OSError as error:
         refuse("path", WHAT, f"{str(path)!r} ({error.strerror})")
-    except (csv.Error, LookupError, TypeError, ValueError, OverflowError, RecursionError, MemoryError) as error:
+    except (AttributeError, csv.Error, LookupError, MemoryError, OverflowError, RecursionError, TypeError,
+            ValueError) as error:
         refuse("path", WHAT, f"{str(path)!r}, at which reading ended with '{type(error).__name__}: {str(error)[:200]}'",
                "gx.Traces.from_csv and gx.exchange.arrays read columns of any other.")
 
@@ -183,7 +186,7 @@ def _read(text):
     for name, x in told["variables"].items():
         if name not in variables:
             words = x.get("words")
-            array = np.array(told["beside"][name], x["type"]) if words is None else np.array([None, *words], object)[1:]
+            array = _array([*map(repr, told["beside"][name])], x["type"]) if words is None else _array(words, "O")
             variables[name] = x["axes"], structure.listed(x["told"]), array.reshape(x["shape"])
     variables = {name: variables[name] for name in told["variables"]}
     return variables, told["coordinates"], structure.listed(told["attributes"])

@@ -70,18 +70,23 @@ def load(path: str | Path, *, lazy: bool = False, complex: bool = False) -> "xar
         variables, coordinates, attributes = csv_table.read(path)
     else:
         variables, coordinates, attributes = reading.dataset(path, lazy)
+    coordinates = sorted({*coordinates, *map(str, np.atleast_1d(attributes.pop(formats.SPACED, [])))})
     if lazy and any(isinstance(x, np.ndarray) and x.dtype.kind in "biuf" for *_, x in variables.values()):
         refuse("lazy", "a .nc, .npz or .mat file of version 7.3",
                f"{os.fsdecode(path)!r} of an older version, which is read whole",
                "Leave lazy= out, or save it with version='7.3'.")
     if complex:
         variables, coordinates, attributes = structure.joined(variables, coordinates, attributes)
-    if lazy:
-        from .lazily import opened
+    try:
+        if lazy:
+            from .lazily import opened
 
-        return opened(variables, coordinates, attributes)
-    made = {name: (axes, x, told) for name, (axes, told, x) in variables.items()}
-    return xarray.Dataset(made, attrs=attributes).set_coords(coordinates)
+            return opened(variables, coordinates, attributes)
+        made = {name: (axes, x, told) for name, (axes, told, x) in variables.items()}
+        return xarray.Dataset(made, attrs=attributes).set_coords(coordinates)
+    except (AttributeError, LookupError, TypeError, ValueError) as error:
+        said = str(error)[:200]
+        refuse("path", "a file that `save` wrote", f"{os.fsdecode(path)!r}, whose parts do not fit ({said})")
 
 
 @checked

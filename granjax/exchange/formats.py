@@ -3,6 +3,8 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from ..checks import one_of, refuse
 from ..files import netcdf, real_parts, target
 from .by_name import matlab, npz
@@ -13,19 +15,42 @@ if TYPE_CHECKING:
     import xarray
 
 ENDINGS = (".nc", ".npz", ".mat", ".csv")
+SPACED = "granjax_coordinates"
 VERSIONS = ("5", "7.3")
+# attributes by which readers of netCDF turn numbers into others
+CONVENTIONS = ("_FillValue", "_Unsigned", "add_offset", "coordinates", "dtype", "missing_value", "scale_factor")
 
 
 def content(data: "xarray.Dataset", ending: str, version: str | None = None) -> bytes:
     """A dataset as the bytes of a file with this ending: see `save`."""
     refuse_what_no_file_holds(data)
     if ending == ".nc":
-        # how another file held the numbers is not how this one does
-        return netcdf(data.drop_encoding())
+        return _netcdf(data)
     data = real_parts(data)
     if ending == ".csv":
         return csv_text(data).encode()
     return npz(data) if ending == ".npz" else matlab(data, version)
+
+
+def _netcdf(data):
+    """netCDF, where numbers come back as they are."""
+    data = data.copy()
+    for name, x in [("", data), *data.variables.items()]:
+        taken = {*CONVENTIONS} & {*x.attrs} if name else ()
+        times = " since " in str(x.attrs.get("units", "")) and name and x.dtype.kind != "M"
+        if taken or times:
+            refuse("data", "attributes that do not change numbers in a .nc file", f"{name} with "
+                   f"{min(taken) if taken else 'units'}", "Call it otherwise, or write a .npz or .mat file.")
+        # netCDF has no truth
+        x.attrs |= {key: (np.asarray(a) + 0).tolist() for key, a in x.attrs.items() if np.asarray(a).dtype == bool}
+    # netCDF lists the names of coordinates between spaces
+    spaced = [name for name in data.coords if " " in name and data[name].dims != (name,)]
+    data = data.reset_coords(spaced).assign_attrs({SPACED: spaced} if spaced else {})
+    try:
+        # how another file held the numbers is not how this one does
+        return netcdf(data.drop_encoding())
+    except (AttributeError, RuntimeError, TypeError, ValueError) as error:
+        refuse("data", "what netCDF holds", str(error)[:200], "Write a .npz or .mat file.")
 
 
 def place(path: str | Path, version: str | None = None) -> Path:

@@ -25,9 +25,10 @@ class Lazy(BackendArray):
 
     def __getitem__(self, key: Any) -> np.ndarray:
         return indexing.explicit_indexing_adapter(
-            key, self.shape, indexing.IndexingSupport.OUTER_1VECTOR, self._read)
+            key, self.shape, indexing.IndexingSupport.OUTER_1VECTOR, self.read)
 
-    def _read(self, key):
+    def read(self, key: Any) -> np.ndarray:
+        """What whole numbers, slices or a list ask for."""
         return together(*(part[key] for part in self.array)) if isinstance(self.array, Pair) else self.array[key]
 
 
@@ -36,9 +37,9 @@ def opened(variables: dict, coordinates: list[str], attributes: dict) -> xarray.
     indexed, beyond, others = {}, {}, {}
     for name, (axes, told, x) in variables.items():
         own = name in coordinates and list(axes) == [name]
-        if own and isinstance(x, Stored) and x.shape[0] <= INDEXED:
-            x = x[:]
-        x = x if isinstance(x, np.ndarray) else indexing.LazilyIndexedArray(Lazy(x))
+        x = x if isinstance(x, np.ndarray) else Lazy(x)
+        if isinstance(x, Lazy):
+            x = x.read((slice(None),)) if own and x.shape[0] <= INDEXED else indexing.LazilyIndexedArray(x)
         kept = others if not own else indexed if isinstance(x, np.ndarray) else beyond
         kept[name] = xarray.Variable(axes, x, told)
     data = xarray.Dataset(others | indexed, attrs=attributes)
