@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..checks import refuse
+from ..printing import told
 
 # bytes of numbers that a file may hold, in all and for each of its own (deflate shrinks zeros to a thousandth); the
 # reader's memory may grow by thrice as many, as they lie in the file, as floating numbers and turned, and by these
@@ -60,6 +61,7 @@ class Column(NamedTuple):
     word: str
     units: str
     axes: tuple[str, ...]
+    __repr__ = told
 
 
 def _told(k):

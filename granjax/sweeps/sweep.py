@@ -144,7 +144,8 @@ def _identity(function, points, plan, units):
                        for name, x in points.axes.items()},
         "how": {**plan.how._asdict(), "static": list(plan.how.static), "apart": list(plan.how.apart)},
         "chunk": int(plan.chunk), "order": None if plan.order is None else plan.order.tolist(),
-        "scene": plan.scene, "float": str(np.result_type(jax.numpy.zeros(0).dtype)), "platform": jax.default_backend(), "versions": versions,
+        "scene": plan.scene, "float": str(jax.numpy.zeros(0).dtype), "platform": jax.default_backend(),
+        "versions": versions,
     }
 
 
