@@ -21,7 +21,8 @@ LINES, PANELS, WORDS = 8, 16, len(COLOURS)
 GAP = "0.85"
 # letters in a row of a legend, and of what stands before each label
 ROW, HANDLE = 64, 6
-KNOWN = ("stable", "unstable", "undecided", "yes", "no")
+# words that have the same colours everywhere
+KNOWN = {"stable": 0, "unstable": 1, "undecided": 3, "yes": 0, "no": 1}
 
 
 @checked
@@ -123,23 +124,25 @@ def _each(field, name):
 
 def _bands(ax, x, words, log, name):
     """Words along an axis, as bands of a colour each."""
-    found, edges = _kinds(words, name), edges_of(x, log)
+    (found, tones), edges = _kinds(words, name), edges_of(x, log)
     begin = 0
     for i in range(1, len(words) + 1):
         if i == len(words) or words[i] != words[begin]:
             if words[begin]:
-                at = found.index(words[begin])
+                tone = tones[found.index(words[begin])]
                 label = None if words[begin] in words[:begin] else words[begin]
-                ax.axvspan(edges[begin], edges[i], color=colour(at), alpha=0.18, lw=0, label=label, zorder=0)
+                ax.axvspan(edges[begin], edges[i], color=tone, alpha=0.18, lw=0, label=label, zorder=0)
             begin = i
 
 
 def _kinds(words, name):
-    """The different words, verdicts in the order of `KNOWN`, so that they have the same colours everywhere."""
-    found = sorted({str(word) for word in words.flat} - {""}, key=lambda x: (KNOWN.index(x) if x in KNOWN else 9, x))
+    """The different words and their colours: known ones in the order and the colours of `KNOWN`."""
+    order = list(KNOWN)
+    found = sorted({str(word) for word in words.flat} - {""}, key=lambda x: (order.index(x) if x in KNOWN else 9, x))
     if len(found) > WORDS:
         refuse("name", f"a variable of at most {WORDS} different words", f"{name!r}, with {len(found)}")
-    return found
+    known = KNOWN.keys() >= {*found}
+    return found, [colour(KNOWN[word] if known else i) for i, word in enumerate(found)]
 
 
 def _crosses(ax, x, y, failed, transform=None):
@@ -162,12 +165,12 @@ def _colours(field, factor, scale, name="values"):
     """Numbers to be coloured, their norm and map, and the words that they stand for."""
     values = field.values
     if values.dtype.kind == "U":
-        found = _kinds(values, field.name)
+        found, tones = _kinds(values, field.name)
         numbers = np.full(values.shape, np.nan)
         for i, word in enumerate(found):
             numbers[values == word] = i
         norm = BoundaryNorm(np.arange(len(found) + 1) - 0.5, max(len(found), 1)) if found else Normalize()
-        return numbers, norm, ListedColormap(COLOURS[: max(len(found), 1)]), found
+        return numbers, norm, ListedColormap(tones or [GAP]), found
     numbers = scaled_by(np.where(np.isfinite(values), values, np.nan).astype(float), factor)
     seen = numbers[np.isfinite(numbers)]
     if scale == "log":
@@ -271,12 +274,12 @@ def _against(field, ax, name, scale):
     by_x, by_y = field.by[name], field.by[field.name]
     x, log = places(field.parameters[name], by_x.factor, True)
     if field.values.dtype.kind == "U":
-        found = _kinds(field.values, field.name)
+        found, tones = _kinds(field.values, field.name)
         y = np.array([found.index(word) if word else np.nan for word in field.values])
         ax.set_yticks(np.arange(len(found)), found)
         ax.set_ylim(-0.5, len(found) - 0.5)
         for i in range(len(found)):
-            ax.plot(x[y == i], y[y == i], "o", ms=3.5, color=colour(i))
+            ax.plot(x[y == i], y[y == i], "o", ms=3.5, color=tones[i])
     else:
         ax.plot(x, scaled_by(np.where(np.isfinite(field.values), field.values, np.nan), by_y.factor), "o", ms=3.5,
                 color=colour(0))
