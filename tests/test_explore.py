@@ -145,6 +145,15 @@ def test_states_whole_numbers_and_fixed_arguments(notebook):
 
 
 
+@pytest.mark.slow
+def test_single_precision_and_laws_without_a_floor(notebook):
+    explorer = gx.explore(dimer(0.5, 0.1).astype(np.float32), frames=12)
+    explorer.move(ratio=0.3)
+    assert explorer.run.vs.dtype == np.float32 and explorer.said.startswith("Completed")
+    explorer = gx.explore(lambda alpha: gx.scenes.fput(8, alpha=alpha), alpha=(-1.0, 1.0), amplitude=(0.01, 0.1))
+    assert 5 < explorer._scenery.t1 < 50
+
+
 BAD = [
     (lambda: gx.explore(gx.scenes.dimer), "sites: expected a range or a value"),
     (lambda: gx.explore(dimer, ration=(0.1, 1)), "parameter: expected one of .* Did you mean 'ratio'"),

@@ -209,7 +209,9 @@ class Explorer:
         with style():
             axes = self.figure.subplots()
             run, data = self._shown.run, self._shown.data
-            space_time(run, axes, quantity=data, label=self._scenery.label, units=self._units,
+            # even in float32 too
+            times = np.linspace(0.0, self._scenery.t1, len(data))
+            space_time(run, axes, quantity=data, ts=times, label=self._scenery.label, units=self._units,
                        site_label=self._scenery.place)
         self.image = axes.images[0]
         # numbers beside the colours may grow longer than the first ones

@@ -12,7 +12,7 @@ from ..checks import described, refuse
 from ..flow import Run, simulate
 from ..flow.march import TAKES, seconds_a_step
 from ..flow.run import TOO_MANY_STEPS
-from ..flow.stiffness import frequency_bound
+from ..flow.stiffness import frequency_bound, linear_frequency
 from ..lattice import Lattice, State
 from ..solvers import SRKN11b
 from ..states.places import field_of
@@ -23,6 +23,8 @@ from .sliders import AMPLITUDE, PRECOMPRESSION, Movable, Slider
 BUDGET, ROOM = 0.1, 8
 # a wave crosses so many sites in a radian of the highest frequency, at least
 PACE = 0.25
+# over the linear frequencies, what no wave reaches
+FLOORLESS = 1e3
 # h omega of the default step
 STEP = 0.5
 MAPS = {"v": "velocity", "u": "displacement", "force": "contact force", "strain": "strain", "energy": "energy"}
@@ -82,7 +84,9 @@ class Scenery:
             self.ranges[AMPLITUDE] = Slider(LEAST, MOST, 1.0, True)
         if ours and paired and AMPLITUDE in {*self.ranges, *self._scene.fixed}:
             refuse(AMPLITUDE, "none where the scene gives its state", "one", "Let the function take it.")
-        omega = float(frequency_bound(lattice, state, 0.0, 1.0))
+        omega, linear = float(frequency_bound(lattice, state, 0.0, 1.0)), float(linear_frequency(lattice))
+        # of a law without a floor the bound says nothing
+        omega = linear if linear > 0 and not omega < FLOORLESS * linear else omega
         if self.t1 is None:
             if not (omega > 0 and math.isfinite(omega)):
                 refuse("t1", "the end of the runs", "None", "No frequency of the scene at its start says it.")
