@@ -302,3 +302,21 @@ def test_no_warning_is_left(walls):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         sweep(wall, {"ratio": RATIOS, "beads": [7, 5]})
+
+
+def test_many_lanes_are_kept_in_one_file(tmp_path):
+    """More parameters than an attribute of a netCDF file holds, and a list that the function reads."""
+    shifts = [0.1 * i for i in range(5000)]
+
+    def shifted(x, y):
+        return {"sum": x + y + shifts[3], "reason": x}
+
+    points = gx.sweeps.random({"x": (0.0, 1.0), "y": (0.0, 1.0)}, 5000)
+    data = sweep(shifted, points, store=tmp_path / "many.nc")
+    again = sweep(shifted, points, store=tmp_path / "many.nc")
+    assert again.identical(data) and (data.reason == "").all() and (data.reason_found == data.x).all()
+    with pytest.raises(ValueError, match=r"x: 5000 values, .*, the store has 5000 values"):
+        sweep(shifted, gx.sweeps.random({"x": (0.0, 1.0), "y": (0.0, 1.0)}, 5000, seed=1), store=tmp_path / "many.nc")
+    shifts[3] = 7.0
+    with pytest.raises(ValueError, match="function: it reads shifts = 5000 values"):
+        sweep(shifted, points, store=tmp_path / "many.nc")

@@ -10,7 +10,7 @@ import xarray
 
 from .chunk import Chunk
 from .function import joined
-from .points import Points
+from .points import TAKEN, Points
 
 CITE = (
     "granjax: a differentiable simulator of nonlinear lattices, The granjax developers; "
@@ -39,7 +39,7 @@ def assembled(
         dims = [f"{name}_{d}" if d in points.axes else d for d in dims]
         attrs = {k: u for k, u in told[name].items() if k != "dims"}
         attrs |= {"units": units[name]} if name in units else {}
-        key = f"{name}_found" if name in points.axes else name
+        key = f"{name}_found" if name in points.axes or name in TAKEN else name
         variables[key] = _alike((*points.dims, *dims), x, attrs) if dims == [key] else ((*points.dims, *dims), x, attrs)
     reasons = [r for n, size in enumerate(counts) for r in (found[n].reasons if n in found else [NOT_YET] * size)]
     reasons = np.array(reasons, dtype=str)[back].reshape(points.shape)
@@ -51,9 +51,15 @@ def assembled(
     attributes = {
         "result": "Sweep", "outcome": _outcome(points, reasons, remarks),
         "function": identity["function"].get("name", ""), **identity["versions"], "commit": _commit(), "cite": CITE,
-        "sweep": json.dumps(identity),
+        "sweep": json.dumps(brief(identity)),
     } | ({"scene": identity["scene"]} if identity.get("scene") else {})
     return xarray.Dataset(variables, coordinates, attributes)
+
+
+def brief(identity: dict) -> dict:
+    """What a sweep is without what its coordinates hold, and without the order of chunks: short for an attribute."""
+    told = {name: {k: v for k, v in x.items() if k != "values"} for name, x in identity["parameters"].items()}
+    return {**identity, "parameters": told, "order": None, "how": {**identity["how"], "apart": []}, "scene": ""}
 
 
 def _alike(dims, x, attrs):

@@ -14,8 +14,8 @@ from ..outside import of_library, plain, reads_of
 # what is chosen for a sweep and not asked for: a store keeps its own
 CHOSEN = ("chunk", "order", "how", "scene")
 DEPTH = 6
-# letters of a value that are written out; digits of a digest
-LONG, DIGITS = 60, 20
+# letters of a value that are written out, and entries of a list; digits of a digest
+LONG, MANY, DIGITS = 60, 16, 20
 
 
 def function_identity(function: Callable) -> dict:
@@ -69,7 +69,7 @@ def _code(code) -> Iterator[bytes]:
             yield repr(sorted(map(repr, x)) if isinstance(x, frozenset) else x).encode()
 
 
-def _value(x, path, reads, code, seen, depth):
+def _value(x, path, reads, code, seen, depth, within=False):
     """What is read from outside: numbers and words written out, arrays by a digest, functions by what they do."""
     if x is None or isinstance(x, (bool, int, float, complex, str, bytes, np.generic)):
         text = repr(x.item() if isinstance(x, np.generic) else x)
@@ -78,6 +78,10 @@ def _value(x, path, reads, code, seen, depth):
         array = np.asarray(x)
         held = array.tobytes() if array.dtype != object else repr(array.tolist()).encode()
         reads[path] = f"{array.dtype} of shape {array.shape}, {_digest(held)}"
+    elif isinstance(x, (tuple, list, set, frozenset, dict)) and depth and len(x) > MANY and not within:
+        inner = {}
+        _value(x, "", inner, code, seen, depth, within=True)
+        reads[path] = f"{len(x)} values, {_digest(repr(sorted(inner.items())).encode())}"
     elif isinstance(x, (tuple, list, set, frozenset, dict)) and depth:
         parts = x.items() if isinstance(x, dict) else enumerate(sorted(map(repr, x)) if isinstance(x, set) else x)
         for key, part in parts:

@@ -143,7 +143,7 @@ def _steps_of(lattice, state, t1, keywords):
 
 
 def _costs(function, keywords, how, values, lanes, count):
-    """Steps of each lane (n,), NaN for all but `lanes`; sites of the largest scene, 0 for what runs nothing; a scene."""
+    """Steps of each lane (n,), NaN for all but `lanes`; sites of the largest scene, 0 where nothing runs; a scene."""
     task, costs, sites, text = Task(function, tuple(values), how, ABREAST), np.full(count, np.nan), 0, ""
     for lanes in groups(values, how.static, lanes):
         scene = _scene(function, {name: x[lanes[0]].item() for name, x in values.items()}, keywords)

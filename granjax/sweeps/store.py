@@ -234,7 +234,9 @@ def _told(data: xarray.Dataset, file) -> Any:
     """What the file of a sweep says that it is of."""
     try:
         found = json.loads(data.attrs["sweep"])
-    except (KeyError, TypeError, ValueError, RecursionError):
+        for name, x in found["parameters"].items():
+            x["values"] = data[name].values.astype(x["dtype"]).tolist()
+    except (KeyError, TypeError, ValueError, AttributeError, RecursionError):
         found = None
     if not isinstance(found, dict) or not _complete(found):
         refuse("store", "the file of a sweep, or a free name", f"{str(file)!r}, which is something else", REMEDY)
