@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..checks import refuse
+from ..reading.formats import STRUCTURE
 from . import structure
 
 if TYPE_CHECKING:
@@ -24,11 +26,11 @@ def npz(data: "xarray.Dataset") -> bytes:
 
     `numpy.load(path, allow_pickle=False)` reads it; words are arrays of them.
     """
-    names = structure.keys([structure.STRUCTURE, *map(str, data.variables)], 200, r"[\x00-\x1f/\\:]|\.npy$")
+    names = structure.keys([STRUCTURE, *map(str, data.variables)], 200, r"[\x00-\x1f/\\:]|\.npy$")
     told, arrays = structure.described(data, names)
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_STORED) as file:
-        for name, x in (arrays | {structure.STRUCTURE: np.array(structure.text(told))}).items():
+        for name, x in (arrays | {STRUCTURE: np.array(structure.text(told))}).items():
             member = io.BytesIO()
             x = x.astype(str) if x.dtype.kind == "O" else x
             np.lib.format.write_array(member, np.asarray(x, order="C"), allow_pickle=False)
@@ -43,11 +45,11 @@ def matlab(data: "xarray.Dataset", version: str | None = None) -> bytes:
     Names are made such as MATLAB has; the text `granjax_structure` holds what makes the same dataset of it again.
     `version`: "5", "7.3", or `None`, which is 7.3 where an array has 2 GiB or more.
     """
-    keys = structure.keys([*map(str, data.variables), structure.STRUCTURE, "attributes"])
+    keys = structure.keys([*map(str, data.variables), STRUCTURE, "attributes"])
     told, arrays = structure.described(data, keys)
     names = structure.keys([*told["attributes"]])
     arrays |= {"attributes": {names[key]: x for key, x in told["attributes"].items()},
-               structure.STRUCTURE: structure.text(told)}
+               STRUCTURE: structure.text(told)}
     large = any(getattr(x, "nbytes", 0) >= MOST for x in arrays.values())
     return _version_7_3(arrays) if version == "7.3" or version is None and large else _version_5(arrays)
 
@@ -55,8 +57,6 @@ def matlab(data: "xarray.Dataset", version: str | None = None) -> bytes:
 def _version_5(arrays):
     from scipy.io import savemat
     from scipy.io.matlab import MatWriteError
-
-    from ..checks import refuse
 
     buffer = io.BytesIO()
     try:

@@ -12,6 +12,7 @@ import numpy as np
 
 from ..checks import refuse
 from ..reading import regular
+from ..reading.formats import STRUCTURE, listed, told
 from . import structure
 
 if TYPE_CHECKING:
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 # numbers of a text, and of what is beside the table
 MOST, BESIDE = 2**24, 2**16
 LARGEST, WHAT = 2**30, "a .csv file that `save` wrote"
-LAST = f"# {structure.STRUCTURE}: "
+LAST = f"# {STRUCTURE}: "
 # axes whose entries stand side by side
 ACROSS = re.compile(r"(.*_)?(site|field|component|word)(_\w+)?")
 NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?([eE][+-]?\d+)?|inf)|nan")
@@ -157,20 +158,20 @@ def read(path: str | Path) -> tuple[dict[str, tuple[list[str], dict, np.ndarray]
 def _read(text):
     last = text[text.rfind("\n") + 1 :]
     if not last.startswith(LAST):
-        raise ValueError(f"its last line is none of {structure.STRUCTURE}: granjax did not write it, or not to the end")
-    told = structure.told(last[len(LAST) :])
-    for _ in range(told["comments"]):
+        raise ValueError(f"its last line is none of {STRUCTURE}: granjax did not write it, or not to the end")
+    found = told(last[len(LAST) :])
+    for _ in range(found["comments"]):
         text, _, comment = text.rpartition("\n")
         if not comment.startswith("# "):
             raise ValueError(f"{comment[:40]!r} is no comment")
-    sizes = told["axes"]
+    sizes = found["axes"]
     # a word may hold the end of a line
     rows = list(csv.reader(io.StringIO(text, newline=""), strict=True))[1:]
-    if len(rows) != math.prod(sizes.values()) * bool(sizes) or any(len(row) != told["columns"] for row in rows):
-        raise ValueError(f"{len(rows)} rows, where {math.prod(sizes.values())} of {told['columns']} fields are said")
-    variables, place = {}, told["counted"]
-    for name in told["inside"]:
-        x = told["variables"][name]
+    if len(rows) != math.prod(sizes.values()) * bool(sizes) or any(len(row) != found["columns"] for row in rows):
+        raise ValueError(f"{len(rows)} rows, where {math.prod(sizes.values())} of {found['columns']} fields are said")
+    variables, place = {}, found["counted"]
+    for name in found["inside"]:
+        x = found["variables"][name]
         own = [axis for axis in sizes if axis in x["axes"]]
         others = [(axis, n) for axis, n in zip(x["axes"], x["shape"]) if axis not in sizes]
         width = math.prod(n for _, n in others)
@@ -182,14 +183,14 @@ def _read(text):
         array = array.transpose([lies.index(axis) for axis in x["axes"]])
         if list(array.shape) != x["shape"]:
             raise ValueError(f"{name} of shape {array.shape}, where {x['shape']} is said")
-        variables[name] = x["axes"], structure.listed(x["told"]), np.ascontiguousarray(array)
-    for name, x in told["variables"].items():
+        variables[name] = x["axes"], listed(x["told"]), np.ascontiguousarray(array)
+    for name, x in found["variables"].items():
         if name not in variables:
             words = x.get("words")
-            array = _array([*map(repr, told["beside"][name])], x["type"]) if words is None else _array(words, "O")
-            variables[name] = x["axes"], structure.listed(x["told"]), array.reshape(x["shape"])
-    variables = {name: variables[name] for name in told["variables"]}
-    return variables, told["coordinates"], structure.listed(told["attributes"])
+            array = _array([*map(repr, found["beside"][name])], x["type"]) if words is None else _array(words, "O")
+            variables[name] = x["axes"], listed(x["told"]), array.reshape(x["shape"])
+    variables = {name: variables[name] for name in found["variables"]}
+    return variables, found["coordinates"], listed(found["attributes"])
 
 
 def _array(fields, kind):

@@ -41,8 +41,7 @@ def _netcdf(data):
         if taken or times:
             refuse("data", "attributes that do not change numbers in a .nc file", f"{name} with "
                    f"{min(taken) if taken else 'units'}", "Call it otherwise, or write a .npz or .mat file.")
-        # netCDF has no truth
-        x.attrs |= {key: (np.asarray(a) + 0).tolist() for key, a in x.attrs.items() if np.asarray(a).dtype == bool}
+        x.attrs = {key: _attribute(np.asarray(a)) for key, a in x.attrs.items()}
     # netCDF lists the names of coordinates between spaces
     spaced = [name for name in data.coords if " " in name and data[name].dims != (name,)]
     data = data.reset_coords(spaced).assign_attrs({SPACED: spaced} if spaced else {})
@@ -51,6 +50,11 @@ def _netcdf(data):
         return netcdf(data.drop_encoding())
     except (AttributeError, RuntimeError, TypeError, ValueError) as error:
         refuse("data", "what netCDF holds", str(error)[:200], "Write a .npz or .mat file.")
+
+
+def _attribute(x):
+    """An attribute as netCDF has it, which knows no truth."""
+    return x.tolist() if x.dtype.kind == "U" else x.astype(int) if x.dtype.kind == "b" else x[()]
 
 
 def place(path: str | Path, version: str | None = None) -> Path:

@@ -1,6 +1,6 @@
-"""What `child` reads: MATLAB's files, HDF5's and NumPy's, whole or a part at a time. `child` alone loads it.
+"""What `child` reads: MATLAB's files, HDF5's and NumPy's, whole or a part at a time, in its process alone.
 
-Whatever is wrong with a file may raise anything here, or end the process.
+Whatever is wrong with a file may raise anything here, or end the process. It imports nothing of the library.
 """
 
 import json
@@ -306,12 +306,19 @@ def dataset(kind, path, closing):
     return variables, structure["coordinates"], listed(structure["attributes"])
 
 
-def told(text):
-    """The structure that a text says, if it is as it was written."""
+def told(text: str) -> dict:
+    """The structure that a text says. **Raises** ValueError where it is not as it was written."""
     structure = json.loads(text)
     digest = structure.pop("digest")
     if digest != zlib.crc32(json.dumps(structure).encode()):
         raise ValueError(f"its {STRUCTURE} has been changed")
+    variables = structure["variables"].values()
+    words = [*structure["coordinates"], *(axis for x in variables for axis in x["axes"])]
+    lists = [structure["coordinates"], *(x[key] for x in variables for key in ("axes", "shape"))]
+    dicts = [structure["attributes"], *(x["told"] for x in variables)]
+    if not (all(isinstance(x, str) for x in words) and all(isinstance(x, list) for x in lists)
+            and all(isinstance(x, dict) for x in dicts)):
+        raise ValueError(f"its {STRUCTURE} is none")
     return structure
 
 
@@ -338,6 +345,6 @@ def _shaped(part, x, kind):
     return Part(shape, dtype, read, whole=part.whole)
 
 
-def listed(attributes):
+def listed(attributes: dict) -> dict:
     """Attributes as netCDF has them."""
     return {name: np.asarray(x) if isinstance(x, list) else x for name, x in attributes.items()}
