@@ -202,6 +202,9 @@ def _array(fields, kind):
     if wrong is not None or kind.kind not in "biuf":
         raise ValueError(f"{wrong!r} is no number")
     made = np.array([float(x) if kind.kind == "f" else int(x) for x in fields], None if fields else kind)
-    if kind.kind != "f" and (made.astype(kind) != made).any():
+    with np.errstate(over="ignore"):
+        found = made.astype(kind)
+    beyond = [k for k in np.flatnonzero(np.isinf(found)) if "inf" not in fields[k]]
+    if beyond or kind.kind != "f" and (found != made).any():
         raise ValueError(f"numbers that are none of type {kind}")
-    return made.astype(kind)
+    return found
