@@ -50,6 +50,10 @@ def field_of(data: Any, name: str | None, units: UnitsOrWords = None) -> Field:
     if name is None:
         scalar = [key for key in known if data[key].ndim == len(dims)] or known
         name = next((key for key in scalar if data[key].dtype.kind in "fiuc"), scalar[0])
+    for key, x in parameters.items():
+        if not len(x) or x.dtype.kind in "fiu" and not np.isfinite(x).all():
+            got = "none" if not len(x) else f"{np.count_nonzero(~np.isfinite(x))} that are not"
+            refuse("data", f"one finite value of {key!r} or more", got)
     x = data[one_of("name", name, known)].transpose(*dims, ...)
     values = np.asarray(x.values)
     if values.dtype.kind in "OS":
@@ -146,7 +150,7 @@ def _typical(x):
 
 def _wide(x):
     """Whether numbers span more than an axis of even steps can show."""
-    return bool(len(x) > 2 and x.min() > 0 and WIDE <= x.max() / x.min() < np.inf)
+    return bool(len(x) > 2 and x.min() > 0 and WIDE * x.min() <= x.max())
 
 
 def name_axis(axis: OneAxis, x: Shaped[np.ndarray, " values"], label: str, log: bool) -> None:

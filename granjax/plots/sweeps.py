@@ -86,7 +86,7 @@ def _lines(field, ax, bands, scale):
     else:
         _drawn_lines(ax, field, x, order, by_y.factor, names)
         ax.set_ylabel(by_y.label)
-        if scale == "log":
+        if scale == "log" and (field.values > 0).any():
             ax.set_yscale("log")
     name_axis(ax.xaxis, field.parameters[names[0]], by_x.label, log)
     if len(x) > 1:
@@ -283,7 +283,7 @@ def _against(field, ax, name, scale):
     else:
         ax.plot(x, scaled_by(np.where(np.isfinite(field.values), field.values, np.nan), by_y.factor), "o", ms=3.5,
                 color=colour(0))
-        if scale == "log":
+        if scale == "log" and (field.values > 0).any():
             ax.set_yscale("log")
     ax.set_ylabel(by_y.label)
     name_axis(ax.xaxis, field.parameters[name], by_x.label, log)
