@@ -35,10 +35,10 @@ from granjax.work_precision import machine
 
 HERE = Path(__file__).parent
 BEADS, TIME, BATCH = 101, 400.0, 64
-SWEPT = (256, 1024, 4096)
+SWEPT = (512, 1024, 2048, 4096)
 LOW, HIGH = 0.1, 1.0
 # lanes of a chunk, 5 s or more, and chunks of a round
-CHUNK, CHUNKS = 160, 4
+CHUNK, CHUNKS = 1024, 4
 
 
 def main():
@@ -54,8 +54,7 @@ def main():
     if options.draw:
         drawn(json.loads((HERE / "sweep.json").read_text()))
         return
-    result = {**machine(), "load": os.getloadavg(), "lanes": list(costs(options))}
-    result.update(load_after=os.getloadavg(), **workers(options))
+    result = {**machine(), "load": os.getloadavg(), "lanes": list(costs(options)), "workers": workers(options)}
     for row in result["lanes"]:
         print("{lanes:5d} lanes  {seconds:7.1f} s  {nanoseconds:.2f} ns, small batch {batch:.2f}: {ratio:.2f}  "
               "{megabytes:.0f} MB".format(**row))
@@ -68,8 +67,8 @@ def main():
 
 def pulse(ratio, t1):
     chain = gx.scenes.dimer(BEADS, ratio=ratio)
-    run = gx.simulate(chain, gx.states.impact(chain), t1, record={"force": gx.Peak(gx.measures.contact_force)})
-    return {"wall": run.recorded["force"][-1], "forces": run.stats["force_evaluations"]}
+    run = gx.simulate(chain, gx.states.impact(chain), t1)
+    return {"energy": gx.measures.site_energy(chain, run.final)[-1], "forces": run.stats["force_evaluations"]}
 
 
 def costs(options):
@@ -84,18 +83,18 @@ def cost(lanes, t1):
     """Seconds of processor time per bead, lane and force, of a sweep and of a small batch; peak memory."""
     ratios = np.linspace(LOW, HIGH, lanes)
     batch = jax.vmap(lambda x: gx.scenes.dimer(BEADS, ratio=x), out_axes=-1)(ratios[:: max(lanes // BATCH, 1)][:BATCH])
-    state, record = gx.states.impact(batch), {"force": gx.Peak(gx.measures.contact_force)}
+    state = gx.states.impact(batch)
     function = partial(pulse, t1=t1)
     small = []
 
     def small_batch():
         begin = time.process_time()
-        run = gx.simulate(batch, state, t1, record=record)
+        run = gx.simulate(batch, state, t1)
         forces = float(run.stats["force_evaluations"])
         small.append((time.process_time() - begin) / (BEADS * batch.lanes[0] * forces) * 1e9)
 
     small_batch()
-    gx.sweep(function, {"ratio": ratios[:: lanes // 16]}, progress=False)  # loads what is loaded once
+    gx.sweep(function, {"ratio": ratios[:BATCH]}, progress=False)  # compiles, as the batch before
     for _ in range(3):
         small_batch()
     begin, cpu = time.perf_counter(), time.process_time()
@@ -149,7 +148,7 @@ def workers(options):
             "overhead": statistics.median(one[0] / one[1] - 1 for one, _ in own),
             "chunk_seconds": min(one[1] for one, _ in own) / CHUNKS,
         }
-    return {"workers": found}
+    return found
 
 
 def walled(task, chunks, executor):

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from jax._src.config import enable_x64
 
+import granjax as gx
 from granjax.sweeps import Chunk, workers
 from granjax.sweeps.executors import completed
 
@@ -276,3 +277,35 @@ def test_a_chunk_that_always_kills_its_worker_of_a_cluster(client, tmp_path):
     # the same sweep once more: nothing that a cluster remembers of it counts
     task = Squares(dies_once=tmp_path / "died")
     complete(completed(task, chunks(), client.get_executor(), 1), chunks())
+
+
+def pulse(ratio):
+    chain = gx.scenes.dimer(5, ratio=ratio)
+    run = gx.simulate(chain, gx.states.impact(chain), 2.0, solver=gx.SRKN6b())
+    return {"end": run.final.v[-1], "bead": run.final.u}
+
+
+def called(ratio):
+    return {"word": "light" if float(ratio) < 0.5 else "heavy"}  # nothing that can be traced
+
+
+@pytest.mark.slow
+def test_a_sweep_is_the_same_on_a_cluster(client, tmp_path):
+    """Bit by bit, of a function by its name and of one without; the cluster's with a store."""
+    ratios = {"ratio": np.linspace(0.2, 0.9, 6)}
+    here = gx.sweep(pulse, ratios, chunk=2, progress=False)
+    there = gx.sweep(
+        lambda ratio: pulse(ratio), ratios, chunk=2, progress=False, executor=client.get_executor(),
+        store=tmp_path / "there.nc",
+    )
+    assert np.array_equal(here.end, there.end) and np.array_equal(here.bead, there.bead)
+    assert np.array_equal(gx.sweeps.read(tmp_path / "there.nc").end, here.end)
+    words = gx.sweep(called, ratios, progress=False, executor=client.get_executor()).word
+    assert words.values.tolist() == ["light"] * 3 + ["heavy"] * 3
+
+
+@pytest.mark.slow
+def test_a_sweep_is_the_same_in_processes():
+    ratios = {"ratio": np.linspace(0.2, 0.9, 6)}
+    here, there = (gx.sweep(pulse, ratios, chunk=2, progress=False, executor=x) for x in (None, 2))
+    assert np.array_equal(here.end, there.end) and np.array_equal(here.bead, there.bead)

@@ -1,6 +1,7 @@
 """Where the chunks of a sweep are computed: threads, processes of our own, any executor; and workers that die."""
 
 import contextlib
+import math
 import os
 import time
 import uuid
@@ -18,8 +19,9 @@ from .chunk import Chunk
 
 # deaths of a worker after which a chunk is given up; those after which it is alone at work
 DEATHS, SUSPECT = 3, 2
-# chunks that are given to every worker; seconds between two looks at how many workers a cluster has
-AHEAD, RECOUNT = 2, 1.0
+# chunks that are given to every worker; seconds between two looks at how many workers a cluster has, and until it is
+# said that there is none
+AHEAD, RECOUNT, PATIENCE = 2, 1.0, 10.0
 # processes per core
 CROWD = 8
 UNGUARDED = (
@@ -123,7 +125,8 @@ class _Crew:
     """An executor, what is sent to it, and what is done where it breaks."""
 
     def __init__(self, task, executor, threads, most):
-        self.own, self.broken, self.greeted, self.counted = False, False, None, (-RECOUNT, 0)
+        self.own, self.broken, self.greeted = False, False, None
+        self.counted, self.manned = (-math.inf, 0), time.monotonic()
         if executor is None:
             executor = workers.Threads(threads)
         elif not isinstance(executor, Executor):
@@ -139,15 +142,21 @@ class _Crew:
 
     def workers(self):
         """How many chunks the executor works at, at a time. That of a cluster may change."""
-        asked, count = self.counted
-        if time.monotonic() - asked > RECOUNT:
+        (asked, count), now = self.counted, time.monotonic()
+        if now - asked > RECOUNT:
             count = _workers(self.executor)
-            self.counted = time.monotonic(), count
+            self.counted = now, count
+        if count:
+            self.manned = now
+        elif now - self.manned > PATIENCE:
+            warnings.warn("executor: the cluster has no workers; the sweep waits for some.", stacklevel=2)
+            self.manned = math.inf
         return count
 
     def takes(self, flying, waiting):
         ahead = 1 if isinstance(self.executor, workers.Threads) else AHEAD
-        return waiting and not self.broken and len(flying) < ahead * self.workers()
+        most = ahead * max(self.workers(), 1)
+        return waiting and not self.broken and len(flying) < most
 
     def send(self, flying, waiting):
         try:
@@ -215,7 +224,7 @@ def _workers(executor):
     client = getattr(executor, "_client", None)
     if client is not None:
         with contextlib.suppress(Exception):
-            return max(sum(client.nthreads().values()), 1)
+            return sum(client.nthreads().values())
     counts = (getattr(executor, name, None) for name in ("_max_workers", "num_workers"))
     return next((n for n in counts if isinstance(n, int) and n > 0), os.cpu_count() or 1)
 

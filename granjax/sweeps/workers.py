@@ -119,6 +119,8 @@ def _begin(settings, begin, given):
     """What a process of ours does first: leave Ctrl-C to the one that started it, and end when that one does."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
+    # several processes share a GPU's memory
+    os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
     for name, value in settings.items():
         jax.config.update(name, value)
     if begin is not None:
