@@ -203,3 +203,15 @@ def test_a_short_run_of_many_sites_is_not_taken_for_a_long_one_of_few(tmp_path):
         traces = Traces.from_mat(path, displacement=[("u", 7), ("u", 2)], time="time", sites=[7, 2])
         np.testing.assert_array_equal(traces.data, u[:, [7, 2]])
         assert "taken" in traces.origin.units
+    whole = data.assign_coords(site=np.arange(9))
+    part = whole.isel(site=[2, 5, 7])
+    for ending, version in (("nc", None), ("npz", None), ("mat", "7.3"), ("mat", "5")):
+        path = exchange.save(whole, tmp_path / f"a.{ending}", version=version)
+        for sites in ([7, 2], np.array([2, 2]), 5, [-1, 0], list(range(9))):
+            traces = Traces.from_mat(path, displacement="u", time="time", sites=sites)
+            np.testing.assert_array_equal(traces.data, u[:, np.atleast_1d(sites)])
+        with pytest.raises(ValueError, match="sites: expected sites of the file, .0 1 ... 7 8., got 9"):
+            Traces.from_mat(path, displacement="u", time="time", sites=[9])
+        path = exchange.save(part, path, version=version)
+        traces = Traces.from_mat(path, displacement="u", time="time", sites=[7, 2])
+        np.testing.assert_array_equal(traces.data, u[:, [7, 2]])

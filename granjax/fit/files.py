@@ -18,6 +18,8 @@ from .columns import in_si, names_of, refuse_unused, said, unit_of
 from .traces import KINDS, Origin, Traces
 from .waveforms import MOST_QUIET, Waveform, clock, trigger_time
 
+# the axis and the coordinate that name sites
+SITE = "site"
 KINDS_OF = {".npz": "npz", ".nc": "netcdf", ".nc4": "netcdf", ".cdf": "netcdf"}
 # by index, by name, or both
 Column: TypeAlias = int | str | tuple[str, int]
@@ -111,7 +113,8 @@ def read_arrays(
     0.4 s for the first file, milliseconds for those that follow within two minutes, at most 10 s and 1 s for 10 MB.
 
     **Arguments:** as in `read_csv`, but a column is a variable by its name, "scan.velocity" for a field of a struct; or
-    a pair (name, index) for one column of a matrix. A matrix alone is one column per sensor. Time is its axis of the
+    a pair (name, index) for one column of a matrix. A matrix alone is one column per sensor, of a run that was saved
+    those of `sites`. Time is its axis of the
     same name as that of `time`, or "time", where the file names axes (netCDF, what `save` wrote), else the longer one.
     `sampling` may be a name too, such as "Fs". One of `time` and `sampling` is needed. Units are read from the
     attribute `units`, or the names of variables, "t_us", "velocity_mm_s".
@@ -119,12 +122,13 @@ def read_arrays(
     **Returns:** `Traces`. **Raises** ValueError, which names the file, for one that cannot be read, a variable that is
     not there or holds no real numbers, and as `read_csv` does. Typical:
     `read_arrays("scan.mat", velocity="data", sites=[2, 5], sampling="Fs", gain=0.125, trigger=1e-3)`; of a run,
-    `gx.Traces.from_netcdf("run.nc", velocity=[("v", 2), ("v", 5)], sites=[2, 5], time="time")`.
+    `gx.Traces.from_netcdf("run.nc", velocity="v", sites=[2, 5], time="time")`.
     """
     rate = sampling if isinstance(sampling, str) else None
     keys = _keys(velocity, displacement, force, time, rate, *(trigger[:1] if isinstance(trigger, tuple) else ()))
     ending = os.path.splitext(os.fsdecode(path))[1].lower() if isinstance(path, (str, os.PathLike)) else ""
-    columns, others = reading.columns(KINDS_OF.get(ending, "matlab"), path, [x for x in keys if isinstance(x, str)])
+    names = [x for x in keys if isinstance(x, str)]
+    columns, others = reading.columns(KINDS_OF.get(ending, "matlab"), path, [*names, SITE])
     others |= {name: x.word for name, x in columns.items() if x.word}
     stamped = columns[time].axes[:1] if isinstance(time, str) and time in columns else ()
 
@@ -137,7 +141,11 @@ def read_arrays(
         if name not in columns:
             one_of(argument, name, sorted(columns.keys() - others.keys()))
         found = _waveform(argument, name, columns[name], stamped)
-        return found if index is None else found._replace(index=_index(argument, index, found.width))
+        if index is not None:
+            return found._replace(index=_index(argument, index, found.width))
+        if argument in KINDS and SITE in columns[name].axes and SITE in columns:
+            return found._replace(index=_of_sites(columns[SITE].array, where.get("sites"), found))
+        return found
 
     def called(key):
         name = key[0] if isinstance(key, tuple) else key
@@ -164,6 +172,21 @@ def _waveform(argument, name, column, stamped):
     # a vector of MATLAB's is a matrix
     single = len(shape) == 2 and shape[1 - axis] == 1
     return Waveform(column.array, axis, 0 if single else None)
+
+
+def _of_sites(labels, sites, found):
+    """Columns of the sites that are asked for, in a matrix of all sites that a file has; as it is where none are."""
+    labels = np.ravel(labels[(slice(None),) * len(labels.shape)])
+    asked = np.asarray([] if sites is None else sites)
+    if asked.ndim > 1 or asked.dtype.kind not in "iu" or found.width != labels.size or found.index is not None:
+        return found.index
+    places = []
+    for site in np.atleast_1d(asked):
+        place = [labels.size + site] if -labels.size <= site < 0 else np.flatnonzero(labels == site)
+        if len(place) != 1:
+            refuse("sites", f"sites of the file, {show(labels)}", f"{site}")
+        places.append(int(place[0]))
+    return tuple(places)
 
 
 def _keys(*asked):
@@ -225,7 +248,8 @@ def _traces(column, data, time, sampling, units, gain, trigger, start, stop, sig
             refuse("baseline", "samples of every sensor before the trigger", "none of one")
     if sigma is None and quiet is not None:
         known = np.isfinite(quiet).sum(axis=0) > 1
-        sigma = np.where(known, np.nanstd(np.where(known, quiet, 0.0), axis=0, ddof=1), np.nan)
+        with np.errstate(over="ignore"):
+            sigma = np.where(known, np.nanstd(np.where(known, quiet, 0.0), axis=0, ddof=1), np.nan)
         if not (sigma > 0).all():
             refuse("sigma", "noise before the trigger", f"standard deviations {show(sigma)}", "Give sigma=.")
     window = -np.inf if start is None else start, np.inf if stop is None else stop

@@ -15,11 +15,11 @@ BLOCK, MOST_QUIET = 2**20, 2**24
 
 
 class Waveform(NamedTuple):
-    """Columns of a file: an array, in memory or in the file, its axis of samples, the index of one column or `None`."""
+    """Columns of a file: an array, in memory or in the file, its axis of samples, which columns (`None`: all)."""
 
     array: Any
     axis: int = 0
-    index: int | None = None
+    index: int | tuple[int, ...] | None = None
 
     @property
     def length(self) -> int:
@@ -34,6 +34,8 @@ class Waveform(NamedTuple):
     @property
     def width(self) -> int:
         """How many columns."""
+        if isinstance(self.index, tuple):
+            return len(self.index)
         return 1 if self.index is not None or len(self.array.shape) == 1 else self.array.shape[1 - self.axis]
 
     def rows(self, start: int, stop: int) -> np.ndarray:
@@ -41,9 +43,13 @@ class Waveform(NamedTuple):
         if start >= stop:
             return np.zeros((0, self.width))
         rows, columns = slice(start, stop), slice(None) if self.index is None else self.index
+        if isinstance(columns, tuple):
+            # a file gives its columns once and in order
+            columns, order = np.unique(columns, return_inverse=True)
         key = rows if len(self.array.shape) == 1 else (rows, columns) if self.axis == 0 else (columns, rows)
         found = np.asarray(self.array[key], float)
         found = found.T if found.ndim == 2 and self.axis else found
+        found = found[:, order] if isinstance(self.index, tuple) else found
         return np.where(np.isfinite(found), found, np.nan).reshape(stop - start, self.width)
 
     def blocks(self) -> Iterator[tuple[int, np.ndarray]]:
