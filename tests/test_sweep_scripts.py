@@ -29,10 +29,10 @@ import granjax as gx, numpy as np
 
 def breather(ratio):
     chain = gx.scenes.dimer(21, ratio, precompression=1.0, boundary="free")
-    orbit = gx.breathers.breather(chain, 0.97 * (3 / ratio) ** 0.5)
+    orbit = gx.breathers.breather(chain, 0.988 * (3 / ratio) ** 0.5)
     return {"energy": orbit.energy, "verdict": orbit.floquet().verdict}
 
-data = gx.sweep(breather, {"ratio": np.linspace(0.3, 0.7, 64)})
+data = gx.sweep(breather, {"ratio": np.linspace(0.3, 0.6, 64)}, store="breathers.nc")
 gx.plots.save(gx.plots.sweep(data, "energy", bands="verdict"), "breathers.png")
 """
 
@@ -100,24 +100,25 @@ def test_radii_of_a_crystal(folder):
 
 
 def check_breathers(space, folder):
+    """The sweep, of which what failed says why: near 0.6 the gap is too narrow for a breather in 21 beads."""
     data = space["data"]
-    assert (folder / "breathers.png").stat().st_size > 5000
-    good = data.isel(ratio=np.flatnonzero(data.reason == ""))
-    assert set(good.verdict.values) <= {"stable", "unstable", "undecided"}
-    assert np.isfinite(good.energy).all() and good.sizes["ratio"] > 0.9 * data.sizes["ratio"]
-    # what failed says why
-    assert all(len(str(why)) > 10 for why in data.reason.values if why)
-    return data
+    assert (folder / "breathers.nc").is_file() and (folder / "breathers.png").stat().st_size > 5000
+    good = (data.reason == "").values
+    assert np.isfinite(data.energy.values[good]).all() and set(data.verdict.values[good]) <= {"stable", "unstable"}
+    assert all(str(why).startswith("Not localised") for why in data.reason.values[~good])
+    return good
 
 
 @pytest.mark.slow
 def test_breathers_over_mass_ratios_short(folder):
-    check_breathers(run(BREATHERS, ("0.7, 64", "0.5, 2"), ("dimer(21", "dimer(11")), folder)
+    assert check_breathers(run(BREATHERS, ("0.6, 64", "0.375, 2")), folder).all()
 
 
 @pytest.mark.study
 def test_breathers_over_mass_ratios(folder):
-    check_breathers(run(BREATHERS), folder)
+    space = run(BREATHERS)
+    good = check_breathers(space, folder)
+    assert good[:40].all() and not good[-1] and len(set(space["data"].verdict.values[good])) == 2
 
 
 def measure(count, folder):
