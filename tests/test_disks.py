@@ -94,12 +94,12 @@ def test_rights_of_a_new_file_are_those_of_any(tmp_path):
 
 
 def test_a_full_disk_leaves_what_was_there(tmp_path):
-    for name in ("a.nc", "a.mat"):
+    for name in ("a.nc", "a.mat", "a.npz", "a.csv"):
         SMALL.save(tmp_path / name)
     plots.save(plots.figure(1, 1), tmp_path / "a.png", dpi=20)
     before = {path: path.read_bytes() for path in tmp_path.iterdir()}
     with full_disk():
-        for name in ("a.nc", "a.mat"):
+        for name in ("a.nc", "a.mat", "a.npz", "a.csv"):
             with pytest.raises(OSError, match=rf"{name}' could not be written \(File too large\); what was there"):
                 LARGE.save(tmp_path / name)
         with pytest.raises(OSError, match="could not be written"):

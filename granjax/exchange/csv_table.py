@@ -40,14 +40,14 @@ def csv_text(data: "xarray.Dataset") -> str:
     told, arrays = structure.described(data, names)
     if sum(x.size for x in arrays.values()) > MOST:
         refuse("path", f"at most {MOST} numbers in a .csv file", f"{sum(x.size for x in arrays.values())}",
-               "Write a .nc, .npz or .mat file, or less: run.to_xarray()[['u']].")
+               "Write a .nc, .npz or .mat file, or less: gx.exchange.save(run.to_xarray()[['u']], path).")
     axes = _rows(data)
     inside = [name for name in _ordered(data, axes) if _stands(data[name].dims, axes, data.sizes)]
     beside = {name: x for name, x in arrays.items() if name not in inside}
     if sum(x.size for x in beside.values()) > BESIDE:
         large = max(beside, key=lambda name: beside[name].size)
         refuse("path", f"a table over {' and '.join(axes)}", f"{large} over {' and '.join(data[large].dims)} too",
-               f"Write a .nc, .npz or .mat file, or that alone: data[[{large!r}]].")
+               f"Write a .nc, .npz or .mat file, or that alone: gx.exchange.save(data[[{large!r}]], path).")
     sizes = {axis: data.sizes[axis] for axis in axes}
     head, columns = [], []
     for k, axis in enumerate(axes if len(axes) > 1 else ()):

@@ -41,7 +41,8 @@ def save(data: Any, path: str | Path, *, version: str | None = None) -> Path:
     import xarray
 
     if not isinstance(data, xarray.Dataset):
-        refuse("data", "an xarray.Dataset", type(data).__name__, "result.to_xarray() is one.")
+        refuse("data", "an xarray.Dataset", type(data).__name__,
+               "result.to_xarray() is one, array.to_dataset(name='u') too.")
     path = formats.place(path, version)
     return write(path, formats.content(data, path.suffix.lower(), version))
 
@@ -117,7 +118,10 @@ def arrays(path: str | Path, *names: str) -> dict[str, np.ndarray | str]:
 
 def _columns(path, names):
     """The columns of a text by name."""
-    table = reading.table(path, asked=names)
+    try:
+        table = reading.table(path, asked=names)
+    except ValueError as error:
+        raise ValueError(f"{error} gx.Traces.from_csv takes such words.") from None
     called = table.names[-1] if table.names else [str(k) for k in range(table.numbers.shape[1])]
     if not names:
         # the second column of a name has its number too
