@@ -447,7 +447,7 @@ def tried(seed, count):
 
 def test_damaged_files_are_a_sweep_or_a_sentence(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert 10 < tried(1, 300) < 200
+    assert 10 < tried(1, 200) < 150
     assert not os.listdir(tmp_path)
 
 
@@ -547,9 +547,23 @@ def test_what_an_interrupted_run_has_begun_is_not_overwritten(tmp_path, capsys, 
     assert [(o["executor"], o["chunk"], o["store"]) for o in asked] == [(2, 8, tmp_path / "map.nc")]
 
 
+def test_a_store_of_another_file_is_refused_with_the_difference(tmp_path, capsys):
+    (tmp_path / "tiny.toml").write_text(changed(TINY, "[result]", '[result]\nstore = "tiny.nc"'))
+    command = ["sweep", str(tmp_path / "tiny.toml"), "--out", str(tmp_path)]
+    assert main(command) == 0
+    data = datasets.load(tmp_path / "tiny.nc")
+    assert main(command) == 0 and datasets.load(tmp_path / "tiny.nc").identical(data)
+    capsys.readouterr()
+    for old, new, said in (("plus = 4", "plus = 5", "[run] until"), ("bond = -1}", "bond = -2}", "[record.force]")):
+        (tmp_path / "tiny.toml").write_text(changed(TINY, "[result]", '[result]\nstore = "tiny.nc"').replace(old, new))
+        assert main(command) == 2
+        told = complaints(capsys)
+        assert len(told) == 1 and said in told[0], told
+
+
 def test_lanes_that_fail_are_told_and_code_1(tmp_path, capsys):
-    text = changed(changed(TINY, "show = ", "#"), "through =", 'when = {kind = "arrival", of = "velocity", site = -1, '
-                   "threshold = 0.9}\nthrough =")
+    text = TINY.partition("through =")[0]
+    text += 'when = {kind = "arrival", of = "velocity", site = -1, threshold = 0.9}\n'
     (tmp_path / "tiny.toml").write_text(text)
     assert main(["sweep", str(tmp_path / "tiny.toml"), "--out", str(tmp_path)]) == 1
     assert "of 3 lanes are marked" in "".join(complaints(capsys))

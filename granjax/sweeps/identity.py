@@ -46,6 +46,9 @@ def _tell(function, path, reads, code, seen, depth):
         if isinstance(call, types.FunctionType) and not of_library(function):
             _tell(call, path, reads, code, seen, depth)
             _value(vars(function) if hasattr(function, "__dict__") else {}, path, reads, code, seen, depth - 1)
+        # of the library, such as the function of a file
+        for key, x in getattr(function, "reads", {}).items() if of_library(function) else ():
+            _value(x, f"{path}{key}", reads, code, seen, depth - 1)
         return
     if inner.__code__ in seen or not depth:
         return

@@ -37,7 +37,7 @@ def planned(function: Callable, points: Points, lanes: bool | None, chunk: int |
     """The plan of a sweep. **Raises** what the function raises where it is of no use for any lane."""
     names = tuple(points.axes)
     keywords = called.by_keywords(function, names)
-    how = How(EACH) if lanes is False else _how(function, points)
+    how = How(EACH) if lanes is False else _how(function, points, min(chunk or 2, points.count))
     values = points.values(np.arange(points.count))
     if how.kind == EACH:
         return Plan(how, chunk or max(1, -(-points.count // CHUNKS)), None)
@@ -63,7 +63,7 @@ def planned(function: Callable, points: Points, lanes: bool | None, chunk: int |
 def plan_of(identity: dict) -> Plan:
     """The plan that a store was begun with."""
     how, order = identity["how"], identity["order"]
-    how = How(how["kind"], tuple(how["static"]), how["errors"], tuple(how["apart"]))
+    how = How(how["kind"], tuple(how["static"]), how["errors"], tuple(how["apart"]), tuple(how["shared"]))
     return Plan(how, identity["chunk"], None if order is None else np.array(order, int))
 
 
@@ -83,28 +83,37 @@ def _chunk(sites, count):
     return int(min(np.clip(CACHED // max(sites, 1), least, MOST), -(-count // LEAST) * LEAST))
 
 
-def _how(function, points):
+def _how(function, points, width):
     """Compiled with lanes last where that can be, by `jax.vmap` where only that can, else called for each lane."""
     kinds = {name: x.dtype.kind for name, x in points.axes.items()}
     words = tuple(name for name, kind in kinds.items() if kind in "Ub")
     whole = tuple(name for name, kind in kinds.items() if kind in "iuUb")
+    shared = _shared(points)
     for static in dict.fromkeys((words, whole)):
         for kind in (LANES, VMAP):
             for errors in (False, True):
-                found = _fits(function, points, How(kind, static, errors))
+                found = _fits(function, points, How(kind, static, errors, (), shared), width)
                 if found is not ErrorsRead:
                     break
             if found is None:
-                return How(kind, static, errors)
+                return How(kind, static, errors, (), shared)
     return How(EACH)
 
 
-def _fits(function, points, how):
-    """`None` where a program can be made of a function, else why not."""
-    task = Task(function, tuple(points.axes), how, 2)
-    values = points.values(np.zeros(2, int))
-    shapes = {name: jax.ShapeDtypeStruct(x.shape, x.dtype) for name, x in values.items() if name not in how.static}
-    if not shapes:
+def _shared(points):
+    """Names of the numbers that all lanes have in common, beside others that they have not."""
+    same = [name for name, x in points.axes.items() if x.dtype.kind == "f" and (x == x[0]).all()]
+    return tuple(same) if len(same) < len(points.axes) else ()
+
+
+def _fits(function, points, how, width):
+    """`None` where a program of so many lanes can be made of a function, else why not."""
+    # as wide as a chunk that is asked for: then it is traced once
+    task = Task(function, tuple(points.axes), how, width)
+    values = points.values(np.zeros(width, int))
+    shapes = {name: jax.ShapeDtypeStruct(() if name in how.shared else x.shape, x.dtype)
+              for name, x in values.items() if name not in how.static}
+    if not any(x.shape for x in shapes.values()):
         return ValueError
     try:
         program.eval_shape(task.known(values), Outside((function,)), shapes)

@@ -206,7 +206,7 @@ def _complete(identity):
         isinstance(function.get("reads"), dict) and {"name", "code"} <= function.keys()
         and all(isinstance(x, dict) and isinstance(x.get("values"), list) and x["values"]
                 and {"dtype", "units"} <= x.keys() for x in rows)
-        and {"kind", "static", "errors", "apart"} <= how.keys() and identity["chunk"] > 0
+        and {"kind", "static", "errors", "apart", "shared"} <= how.keys() and identity["chunk"] > 0
         and (order is None or isinstance(order, list))
     )
 

@@ -142,7 +142,7 @@ def _identity(function, points, plan, units):
         "format": 1, "function": function_identity(function), "design": points.design,
         "parameters": {name: {"values": x.tolist(), "dtype": str(x.dtype), "units": units.get(name, "")}
                        for name, x in points.axes.items()},
-        "how": {**plan.how._asdict(), "static": list(plan.how.static), "apart": list(plan.how.apart)},
+        "how": {name: list(x) if isinstance(x, tuple) else x for name, x in plan.how._asdict().items()},
         "chunk": int(plan.chunk), "order": None if plan.order is None else plan.order.tolist(),
         "scene": plan.scene, "float": str(jax.numpy.zeros(0).dtype), "platform": jax.default_backend(),
         "versions": versions,

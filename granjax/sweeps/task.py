@@ -28,12 +28,14 @@ class How(NamedTuple):
       one lane after another.
     - `static`: names of parameters that are no arrays in the program, which is another one for each of their values.
     - `errors`: whether the errors of records are computed with them. `apart`: lanes that are called by themselves.
+    - `shared`: names of parameters that are one number for all lanes, such as the time at which all runs end.
     """
 
     kind: str
     static: tuple[str, ...] = ()
     errors: bool = False
     apart: tuple[int, ...] = ()
+    shared: tuple[str, ...] = ()
     __repr__ = _told
 
 
@@ -94,7 +96,7 @@ def program(known: _Known, outside: Outside, values: dict) -> tuple:
         codes = [jnp.max(code) for code in seen.codes]
         return arrays, rest, jnp.stack(codes) if codes else jnp.zeros((0,), int)
 
-    return jax.vmap(one)(values)
+    return jax.vmap(one, in_axes=({name: 0 if jnp.ndim(x) else None for name, x in values.items()},))(values)
 
 
 def _apart(found):
@@ -159,6 +161,7 @@ class Task:
         known = self.known(values)
         arrays = {name: np.concatenate([x, np.repeat(x[-1:], max(fill, 0))]) for name, x in values.items()
                   if name not in self.how.static}
+        arrays |= {name: arrays[name][0] for name in self.how.shared}
         arrays, rest, codes = wait(program(known, Outside((self.function,)), arrays))
         found = _together_again([np.asarray(x) for x in arrays], rest)
         with warnings.catch_warnings():

@@ -6,8 +6,7 @@ chain; between them (resonances) it decays fast. `oscillations` counts how often
 `resonance_map` looks at larger cells over two parameters. Mass, stiffness and striker's velocity only set the units:
 forces scale as A^(2/5) (m v^2)^(3/5).
 
-Every core that JAX shows as a device takes its share of the lanes; on CPUs their number is set before JAX's first
-computation: `jax.config.update("jax_num_cpu_devices", n)`.
+Transmissions and contact forces are the sweep of `transmission.toml` with other numbers, on every core.
 """
 
 from .decay import anti_resonance, contact_forces, decay_rate

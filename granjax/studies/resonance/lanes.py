@@ -1,30 +1,24 @@
-"""Peak contact forces of many dimer chains: lanes in chunks, chunks on devices.
+"""Peak contact forces of many dimer chains: the sweep of `transmission.toml` with other numbers.
 
-A chunk has eight lanes: one vector of float64, as fast per lane as 64 and twice as fast as 16, and its step follows
-its own stiffest lane. A call takes one chunk to every device; devices do not talk to each other, and all calls share
-one compiled program.
+A chunk has eight lanes: one vector of float64, and its step follows its own stiffest lane. All calls share one
+compiled program.
 """
 
+import copy
 from collections.abc import Iterable
 from functools import cache
+from pathlib import Path
 
-import diffrax
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax.sharding import Mesh
-from jax.sharding import PartitionSpec as Spec
 from jaxtyping import Float
 
 from ...checks import refuse, show, within
-from ...flow import Peak, simulate
-from ...measures import contact_force
-from ...programs import wait
-from ...scenes import dimer
-from ...states import impact
+from ...sweeps import sweep
+from ...sweeps.file import recipe_of, tables
 from ...types import Count, Parameter, Scalar
 
 LANES = 8
+FILE = Path(__file__).with_name("transmission.toml")
 
 
 def checked_ratios(ratios: Parameter) -> Float[np.ndarray, " n"]:
@@ -39,30 +33,24 @@ def peak_forces(
     ratios: Float[np.ndarray, " n"], beads: Count, boundary: str, bonds: tuple[int, ...], t1: Scalar,
     progress: bool = False,
 ) -> Float[np.ndarray, "bonds n"]:
-    """Largest forces of some bonds until t1, shape (bonds, n); NaN for a chunk whose run did not complete.
+    """Largest forces of some bonds until t1, shape (bonds, n); NaN for a run that did not complete.
 
     **Arguments:** `ratios` (n,), checked; `bonds`: a tuple of indices into the chain's bonds.
     """
-    order = np.argsort(ratios, kind="stable")
-    devices = tuple(jax.devices()[: -(-len(ratios) // LANES)])
-    width = LANES * len(devices)
-    # sorted, so that lanes of a chunk are about equally stiff; filled up with the softest
-    padded = np.pad(ratios[order], (0, -len(ratios) % width), mode="edge").reshape(-1, width)
-    program = _program(beads, boundary, bonds, devices)
-    done = list(map(np.asarray, _one_ahead(program, followed(padded, progress, "mass ratios"), float(t1))))
-    forces = np.empty((len(bonds), len(ratios)))
-    forces[:, order] = np.concatenate(done, axis=1)[:, : len(ratios)]
-    return forces
+    said = copy.deepcopy(_file())
+    said["scene"] |= {"sites": int(beads), "boundary": boundary}
+    said["vary"] = {"ratio": ratios.tolist(), "run.until": [float(t1)] * len(ratios)}
+    said["design"] = {"kind": "paired"}
+    said["record"] = {"force": {"kind": "peak", "of": "contact_force", "bond": list(bonds)}}
+    said["result"] = {"chunk": LANES}
+    asked = recipe_of(said)
+    data = sweep(asked.function, asked.parameters, chunk=asked.chunk, progress=progress)
+    return data["force"].values.T
 
 
-def _one_ahead(program, chunks, t1):
-    """Forces of each chunk, while the next one is at work: no more, since an interrupt leaves what has begun."""
-    coming = None
-    for chunk in chunks:
-        last, coming = coming, program(chunk, t1)
-        if last is not None:
-            yield wait(last)
-    yield wait(coming)
+@cache
+def _file():
+    return tables(FILE)
 
 
 def followed(chunks: Iterable, progress: bool, what: str) -> Iterable:
@@ -72,21 +60,3 @@ def followed(chunks: Iterable, progress: bool, what: str) -> Iterable:
     from tqdm import tqdm
 
     return tqdm(chunks, desc=what, unit="chunk", leave=False, disable=None)
-
-
-@cache
-def _program(beads, boundary, bonds, devices):
-    """The compiled program for chunks of ratios (LANES * devices,), one chunk per device."""
-    def quantity(t, y, lattice):
-        force = contact_force(lattice, y)
-        return jnp.stack([force[bond] for bond in bonds])
-
-    def forces(ratios, t1):
-        lattice = jax.vmap(lambda ratio: dimer(beads, ratio, boundary=boundary), out_axes=-1)(ratios)
-        # ForwardMode: the number of steps is not bounded, so it is no part of the program
-        run = simulate(lattice, impact(lattice), t1, record={"peak": Peak(quantity)}, adjoint=diffrax.ForwardMode())
-        return jnp.where(run.completed, run.recorded["peak"], jnp.nan)
-
-    mesh = Mesh(np.array(devices), ("lanes",))
-    specs = {"in_specs": (Spec("lanes"), Spec()), "out_specs": Spec(None, "lanes")}
-    return jax.jit(jax.shard_map(forces, mesh=mesh, check_vma=False, **specs))

@@ -17,7 +17,7 @@ from ...lattice import Lattice, State
 from ...materials import Material
 from ...units import SI
 from ..points import Points, paired, points_of, random
-from .keys import Table
+from .keys import REQUIRED, Table
 from .records import Recorded, record_of
 from .scene import (
     SCENES,
@@ -40,6 +40,7 @@ SOLVERS = ("VelocityVerlet", "SRKN6b", "SRKN11b", "SRKN14a", "KahanLi8", "Sofron
 MOST_VALUES, MOST_LANES, MOST_SEED = 1_000_000, 10_000_000, 2**32 - 1
 ENDINGS = {"store": (".nc",), "picture": (".png", ".svg", ".pdf"), "table": (".csv", ".mat", ".npz")}
 TABLES = ("title", "materials", "scene", "start", "vary", "design", "run", "record", "result")
+UNTIL = Target("run", "until", None)
 # values of one parameter that are looked at before anything runs, where they are words or whole numbers
 LOOKED_AT = 64
 
@@ -65,6 +66,16 @@ class Lane:
     def __hash__(self) -> int:
         return hash(self.told)
 
+    @property
+    def reads(self) -> dict[str, str]:
+        """What the file says of a lane, by its places: what tells this function from that of another file."""
+        found = {f"[{call.table}] kind": call.kind for call in (self.scene, self.start) if call is not None}
+        for call in filter(None, (self.scene, self.start)):
+            found |= {f"[{call.table}] {name}": repr(x) for name, x in call.arguments.items()}
+        found |= {f"[materials.{name}]": repr(numbers) for name, numbers in self.own.items()}
+        found |= {f"[run] {name}": repr(x) for name, x in self.run.items()}
+        return found | {f"[record.{name}]": repr(r) for name, r in self.records.items()} | {"units": self.said}
+
     def __call__(self, **values: Any) -> dict[str, jax.Array]:
         placed = {self.targets[name]: value for name, value in values.items()}
         found = self._found(placed, self.records)
@@ -79,7 +90,7 @@ class Lane:
         run = None
         if any(r.runs for r in records.values()):
             followed = {name: r.record for name, r in records.items() if r.record is not None}
-            run = simulate(lattice, self.state(lattice, values), self.until(lattice), record=followed,
+            run = simulate(lattice, self.state(lattice, values), self.until(lattice, values), record=followed,
                            adjoint=diffrax.ForwardMode(), **self.method())
         return {name: r.value(name, lattice, run) for name, r in records.items()}
 
@@ -93,10 +104,12 @@ class Lane:
         """The start of one lane."""
         return self.start.function(lattice, **self.start.with_values(values, {}))
 
-    def until(self, lattice: Lattice) -> float:
+    def until(self, lattice: Lattice, values: dict[Target, Any]) -> Any:
         """When a run ends."""
-        until = self.run["until"]
-        return until if isinstance(until, float) else until[0] * math.prod(lattice.sites) + until[1]
+        until = values.get(UNTIL, self.run.get("until"))
+        if not isinstance(until, tuple):
+            return until
+        return until[0] * math.prod(lattice.sites) + until[1]
 
     def method(self) -> dict[str, Any]:
         """Solver, step and tolerance, as far as the file says them."""
@@ -176,8 +189,10 @@ def recipe_of(values: dict[str, Any]) -> Recipe:
         if call is not None:
             needed(call, {t.argument for t in places if t.of == call.table and t.element is None})
     points = _points(file, vary, places, scene, start)
+    if UNTIL in places and not (points.axes[UNTIL.name] > 0).all():
+        refuse("[vary] run.until", "numbers above zero", f"{points.axes[UNTIL.name].min():g}")
     records = _records(file, said, scene, start)
-    run = _run(file, start, records)
+    run = _run(file, start, records, UNTIL in places)
     units = {t.name: unit_of(t, said) for t in places} | {name: r.unit for name, r in records.items()}
     taken = {t.name for t in places} & records.keys()
     if taken:
@@ -299,7 +314,7 @@ def _relative(table, found, scene, start):
     return found._replace(relative_to=tuple(places.items()))
 
 
-def _run(file, start, records):
+def _run(file, start, records, varied):
     """When a run ends, and how it is computed; nothing where no record needs one."""
     if not any(r.runs for r in records.values()):
         for name in ("start", "run"):
@@ -308,9 +323,11 @@ def _run(file, start, records):
         return {}
     if start is None:
         refuse("[start]", 'a start of the runs, such as kind = "impact"', "none")
-    run = file.table("run")
+    run = file.table("run", {} if varied else REQUIRED)
     run.only(["until", "tolerance", "step", "solver"])
-    if isinstance(run.get("until"), dict):
+    if varied:
+        found = {}
+    elif isinstance(run.get("until"), dict):
         until = run.table("until")
         until.only(["per_bead", "plus"])
         found = {"until": (until.above_zero("per_bead"), until.number("plus", 0.0))}
@@ -351,7 +368,7 @@ def _looked_at(function, lane, measured):
 
     def build():
         lattice = _prefixed(f"[scene] at {at}:", lambda: function.lattice(placed))
-        if function.start is None or not function.run:
+        if function.start is None:
             return lattice
         state = _prefixed(f"[start] at {at}:", lambda: function.state(lattice, placed))
         if measured:

@@ -13,7 +13,7 @@ from ...flow import Arrival, Integral, Lowest, Peak, Run
 from ...lattice import Lattice
 from ...units import SI
 from ...units.names import known_unit, named_unit
-from .keys import Table
+from .keys import Table, whole
 
 BOND, SITE, WHOLE = "bond", "site", ""
 # {name: (what an index counts, unit)}
@@ -29,7 +29,7 @@ REST = {
     "sound_speed": ("", "1/s"), "lower_edge": ("band", "rad/s"), "upper_edge": ("band", "rad/s"),
     "mode_frequency": ("mode", "rad/s"),
 }
-MOST_INDEX = 10**9
+MOST_INDEX, MOST_LIST = 10**9, 1000
 
 
 class Recorded(NamedTuple):
@@ -37,7 +37,7 @@ class Recorded(NamedTuple):
 
     kind: str
     of: str
-    index: int | None
+    index: tuple[int, ...] | int | None
     threshold: float | None
     size: float
     unit: str
@@ -74,7 +74,7 @@ class Recorded(NamedTuple):
 
 
 @cache
-def followed(of: str, index: int | None) -> Callable:
+def followed(of: str, index: tuple[int, ...] | int | None) -> Callable:
     """A quantity as a function (t, y, lattice): one function for one quantity, so that nothing compiles twice."""
 
     def quantity(t, y, lattice):
@@ -82,26 +82,28 @@ def followed(of: str, index: int | None) -> Callable:
             found = y.v if of == "velocity" else y.u
         else:
             found = getattr(measures, of)(lattice, y, t)
-        if index is None:
-            return found
-        if not -found.shape[0] <= index < found.shape[0]:
-            refuse(QUANTITIES[of][0], f"an index within {-found.shape[0]} ... {found.shape[0] - 1}", str(index))
-        return found[index]
+        return _picked(QUANTITIES[of][0], found, index)
 
     return quantity
 
 
-def at_rest(kind: str, index: int | None, lattice: Lattice) -> jax.Array:
+def _picked(counted, found, index):
+    """One of several, some of them, or all."""
+    if index is None:
+        return found
+    for i in index if isinstance(index, tuple) else [index]:
+        if not -found.shape[0] <= i < found.shape[0]:
+            refuse(counted, f"an index within {-found.shape[0]} ... {found.shape[0] - 1}", str(i))
+    return jnp.stack([found[i] for i in index]) if isinstance(index, tuple) else found[index]
+
+
+def at_rest(kind: str, index: tuple[int, ...] | int | None, lattice: Lattice) -> jax.Array:
     """Linear waves about rest: long waves' speed in sites, edges of bands, frequencies of modes."""
     if kind == "sound_speed":
         return linear.sound_speed(lattice)
     found = linear.normal_modes(lattice).omega if kind == "mode_frequency" else getattr(
         linear.bands(lattice), kind.removesuffix("_edge"))
-    if index is None:
-        return found
-    if not -found.shape[0] <= index < found.shape[0]:
-        refuse(REST[kind][0], f"an index within {-found.shape[0]} ... {found.shape[0] - 1}", str(index))
-    return found[index]
+    return _picked(REST[kind][0], found, index)
 
 
 def record_of(table: Table, said: str) -> Recorded:
@@ -119,12 +121,22 @@ def record_of(table: Table, said: str) -> Recorded:
     if kind == "arrival":
         threshold = table.number("threshold")
     unit = "s" if kind == "arrival" else f"{unit} s".strip() if kind == "integral" else unit
-    index = table.whole(counted, None, -MOST_INDEX, MOST_INDEX) if counted else None
+    index = _index(table, counted) if counted else None
     relative = table.table("relative_to").values if "relative_to" in table else {}
     if "relative_to" in table and not relative:
         refuse(table.place("relative_to"), "values of the scene's arguments, such as {ratio = 1.0}", "none")
     size, unit = _unit(table, unit, said, bool(relative))
     return Recorded(kind, of, index, threshold, size, unit, tuple(relative.items()))
+
+
+def _index(table, counted):
+    """One index, a tuple of several, `None` for all."""
+    if not isinstance(table.get(counted, None), list):
+        return table.whole(counted, None, -MOST_INDEX, MOST_INDEX)
+    place, found = table.place(counted), table.get(counted)
+    if not 0 < len(found) <= MOST_LIST:
+        refuse(place, f"1 to {MOST_LIST} indices", str(len(found)))
+    return tuple(whole(f"{place}[{i}]", x, -MOST_INDEX, MOST_INDEX) for i, x in enumerate(found))
 
 
 def _unit(table, unit, said, relative):

@@ -27,11 +27,15 @@ UNITS = {
     "rate": "1/m", "strength": "N",
 }
 START_UNITS = {"velocity": "m/s", "displacement": "m", "temperature": "J", "left": "m", "right": "m", "c": "m/s"}
-_TARGET = re.compile(r"(?:(scene|start)\.)?([A-Za-z]\w*)(?:\[(\d{1,9})\])?")
+_TARGET = re.compile(r"(?:(scene|start|run)\.)?([A-Za-z]\w*)(?:\[(\d{1,9})\])?")
+
+
+# when a run ends may vary too
+UNTIL = {"until": inspect.Parameter("until", inspect.Parameter.KEYWORD_ONLY, annotation=float)}
 
 
 class Target(NamedTuple):
-    """An argument of the scene or of the start, or one element of it."""
+    """An argument of the scene or of the start, or one element of it; or when the run ends."""
 
     of: str
     argument: str
@@ -39,8 +43,8 @@ class Target(NamedTuple):
 
     @property
     def name(self) -> str:
-        """What the coordinate is called: ratio, radii_1, start_velocity."""
-        parts = [self.of] * (self.of == "start") + [self.argument] + [str(self.element)] * (self.element is not None)
+        """What the coordinate is called: ratio, radii_1, start_velocity, run_until."""
+        parts = [self.of] * (self.of != "scene") + [self.argument] + [str(self.element)] * (self.element is not None)
         return "_".join(parts)
 
 
@@ -143,7 +147,7 @@ def targets(vary: Table, scene: Call, start: Call | None) -> dict[Target, Any]:
     """What varies, as it stands in the file, by the argument it is of."""
     flat = {}
     for key, value in vary.values.items():
-        if key in ("scene", "start") and isinstance(value, dict):
+        if key in ("scene", "start", "run") and isinstance(value, dict):
             flat |= {f"{key}.{inner}": x for inner, x in value.items()}
         else:
             flat[key] = value
@@ -161,11 +165,13 @@ def target_of(where: str, key: str, scene: Call, start: Call | None) -> Target:
     parts = _TARGET.fullmatch(key)
     known = {name: "scene" for name in arguments_of(scene.function)}
     if start is not None:
-        known |= {f"start.{name}": "start" for name in arguments_of(start.function)}
-    name = "" if parts is None else f"start.{parts[2]}" if parts[1] == "start" else parts[2]
+        known |= {f"start.{name}": "start" for name in arguments_of(start.function)} | {"run.until": "run"}
+    name = "" if parts is None else f"{parts[1]}.{parts[2]}" if parts[1] in ("start", "run") else parts[2]
     if name not in known:
         Table(where, {name or key: None}).only(known)
-    call = scene if known[name] == "scene" else start
+    if known[name] == "run" and parts[3] is None:
+        return Target("run", "until", None)
+    call = {"scene": scene, "start": start}.get(known[name], Call("run", "", {}))
     target = Target(call.table, parts[2], None if parts[3] is None else int(parts[3]))
     if target.element is not None:
         held = call.arguments.get(target.argument)
@@ -178,13 +184,15 @@ def target_of(where: str, key: str, scene: Call, start: Call | None) -> Target:
 
 def values_kind(target: Target, scene: Call, start: Call | None) -> inspect.Parameter:
     """The argument that a target is, with what it takes."""
+    if target.of == "run":
+        return UNTIL[target.argument]
     call = scene if target.of == "scene" else start
     return arguments_of(call.function)[target.argument]
 
 
 def unit_of(target: Target, said: str) -> str:
     """The unit of a coordinate; "" of pure numbers, of scaled ones, and where nobody knows."""
-    table = UNITS if target.of == "scene" else START_UNITS
+    table = {"scene": UNITS, "start": START_UNITS, "run": {"until": "s"}}[target.of]
     return table.get(target.argument, "") if said == SI else ""
 
 
