@@ -3,10 +3,12 @@
 import dis
 import functools
 import hashlib
+import os
 import sys
 import types
 from collections.abc import Iterator
 from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 import equinox as eqx
@@ -23,6 +25,7 @@ LIBRARIES = frozenset(sys.stdlib_module_names) - {"__main__"} | {
     "granjax", "jax", "jaxlib", "jaxtyping", "numpy", "scipy", "equinox", "diffrax", "optimistix", "lineax", "optax",
     "beartype",
 }
+STANDARD = Path(os.__file__).resolve().parent
 
 
 class Outside:
@@ -83,7 +86,21 @@ def plain(x: Any) -> Any:
 
 @lru_cache(maxsize=1024)
 def _known(module):
-    return str(module).partition(".")[0] in LIBRARIES
+    top = str(module).partition(".")[0]
+    if top not in LIBRARIES or top not in sys.stdlib_module_names:
+        return top in LIBRARIES
+    # a file of the user's may be called wave.py
+    file = getattr(sys.modules.get(top), "__file__", None)
+    return not file or Path(file).resolve().is_relative_to(STANDARD)
+
+
+@lru_cache(maxsize=1024)
+def is_library(module: str) -> bool:
+    """Whether a module is one of those, or of any other package that is installed, by its name."""
+    if module == "__main__":
+        return False
+    file = getattr(sys.modules.get(str(module).partition(".")[0]), "__file__", None)
+    return _known(module) or bool(file) and bool({"site-packages", "dist-packages"} & set(Path(file).parts))
 
 
 def of_library(x: Any) -> bool:
