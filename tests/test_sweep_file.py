@@ -161,6 +161,17 @@ def test_what_varies():
     assert len(axes["masses_4"]) == 5 and 0.1 <= axes["masses_4"].min() and axes["stiffness"].max() <= 2
 
 
+def test_several_places_and_ends_of_runs():
+    text = changed(TINY, "bond = -1}", "bond = [1, -1]}").partition("through =")[0]
+    text = changed(text, "ratio = {from = 0.5, to = 1.0, count = 3}", "run.until = [3, 13]")
+    made = of(changed(text, "until = {per_bead = 1.5, plus = 4}", ""))
+    made.check()
+    assert made.parameters.axes["run_until"].tolist() == [3.0, 13.0]
+    force = np.array([made.function(run_until=end)["force"] for end in (3.0, 13.0)])
+    assert force.shape == (2, 2) and force[0, 1] < force[1, 1] and force[0, 0] > 0.3
+    assert "numbers above zero, got -3" in refused(changed(text, "[3, 13]", "[-3, 13]"))
+
+
 def test_whole_numbers_stay_whole():
     text = changed(MAP, "ratio = {from = 0.4, to = 1.0, count = 3}", "sites = {from = 4, to = 9, count = 3}")
     row = of(changed(text, "{ratio = 1.0}", "{sites = 4}")).parameters.axes["sites"]

@@ -2,6 +2,7 @@
 
 import argparse
 import contextlib
+import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
 from pathlib import Path
@@ -92,6 +93,8 @@ def _advised(arguments, store) -> Iterator[None]:
 @contextlib.contextmanager
 def _executor(arguments) -> Iterator[Executor | int | None]:
     if arguments.dask is None:
+        # of an interrupt that ends this process at once nothing is told but its line
+        sys.warnoptions.append("ignore::UserWarning:multiprocessing.resource_tracker")
         yield arguments.workers
         return
     try:
