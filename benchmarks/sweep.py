@@ -6,7 +6,8 @@ Writes sweep.json and sweep.png beside this file. Dimers of 101 beads at mass ra
   before and after it, and the peak of resident memory; each number of lanes in a process of its own, on all cores;
 - the same chunks by two processes and by one, by two workers of a Dask cluster and by one, by turns, started and
   compiled before; chunks of 5 s or more. `overhead` is how much longer one worker is at it than its chunks take.
-  Workers on cores that others use, too, gain less.
+  Workers on cores that others use, too, gain less: `busy_loops` is what two loops of Python gain in the same rounds,
+  and `processor` what a chunk's processor time becomes beside another chunk.
 
 `--quick` is a smoke test that everything runs and agrees; it writes nothing.
 """
@@ -38,14 +39,15 @@ BEADS, TIME, BATCH = 101, 400.0, 64
 SWEPT = (512, 1024, 2048, 4096)
 LOW, HIGH = 0.1, 1.0
 # lanes of a chunk, 5 s or more, and chunks of a round
-CHUNK, CHUNKS = 1024, 4
+CHUNK, CHUNKS = 1024, 2
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="few lanes; numbers mean nothing")
-    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--rounds", type=int, default=2)
     parser.add_argument("--draw", action="store_true", help="only the chart, from the JSON that is there")
+    parser.add_argument("--only", choices=("lanes", "workers"), help="one half; the other stays as it is in the JSON")
     parser.add_argument("--lanes", type=int, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.lanes:
@@ -54,12 +56,19 @@ def main():
     if options.draw:
         drawn(json.loads((HERE / "sweep.json").read_text()))
         return
-    result = {**machine(), "load": os.getloadavg(), "lanes": list(costs(options)), "workers": workers(options)}
+    halves = {"lanes": lambda: list(costs(options)), "workers": lambda: workers(options)}
+    result = json.loads((HERE / "sweep.json").read_text()) if options.only else {}
+    result.update(machine())
+    for name in [options.only] if options.only else halves:
+        result[f"load_at_{name}"] = os.getloadavg()
+        result[name] = halves[name]()
     for row in result["lanes"]:
         print("{lanes:5d} lanes  {seconds:7.1f} s  {nanoseconds:.2f} ns, small batch {batch:.2f}: {ratio:.2f}  "
               "{megabytes:.0f} MB".format(**row))
     for name, row in result["workers"].items():
-        print(f"{name}: two workers {row['gain']:.2f} times one, {row['overhead']:.1%} beside the chunks")
+        free, own = max(row["busy_loops"]), row["processor"]
+        print(f"{name}: two workers {row['gain']:.2f} times one (two busy loops {free:.2f}), processor time of a chunk "
+              f"{own:.2f} times one's, {row['overhead']:.1%} beside the chunks")
     if not options.quick:
         (HERE / "sweep.json").write_text(json.dumps(result, indent=1) + "\n")
         drawn(result)
@@ -110,16 +119,32 @@ def cost(lanes, t1):
 
 
 class Timed:
-    """A task, with the seconds that it takes where it is computed."""
+    """A task, with the seconds that pass where it is computed, and those of the processor."""
 
     def __init__(self, task):
         self.task = task
 
     def __call__(self, values):
-        begin = time.perf_counter()
+        begin, used = time.perf_counter(), time.process_time()
         chunk = self.task(values)
-        seconds = np.full(len(chunk.reasons), time.perf_counter() - begin)
-        return chunk._replace(columns={**chunk.columns, "seconds": seconds})
+        seconds = {"seconds": time.perf_counter() - begin, "processor": time.process_time() - used}
+        own = {name: np.full(len(chunk.reasons), x) for name, x in seconds.items()}
+        return chunk._replace(columns={**chunk.columns, **own})
+
+
+def busy(_):
+    """A loop that needs nothing but a core: two at a time tell what cores others leave free."""
+    sum(i * i for i in range(10_000_000))
+
+
+def gain_of_busy(one, two):
+    """Time of two busy loops one after the other over that of two at a time."""
+    times = []
+    for pool in (one, two):
+        begin = time.perf_counter()
+        list(pool.map(busy, range(2)))
+        times.append(time.perf_counter() - begin)
+    return times[0] / times[1]
 
 
 def workers(options):
@@ -140,25 +165,30 @@ def workers(options):
         pairs = {"processes": (one, two), "cluster": (first, client.get_executor())}
         for executor in (one, two, first, client.get_executor()):  # starts, compiles
             walled(task, [(k, {"ratio": values["ratio"][:1]}) for k, values in chunks], executor)
-        turns = [{name: [walled(task, chunks, x) for x in pair] for name, pair in pairs.items()} for _ in range(rounds)]
+        turns, free = [], []
+        for _ in range(rounds):
+            turns.append({name: [walled(task, chunks, x) for x in pair] for name, pair in pairs.items()})
+            free.append(gain_of_busy(one, two))
     for name in pairs:
         own = [turn[name] for turn in turns]
         found[name] = {
             "gain": statistics.median(one[0] / two[0] for one, two in own), "gains": [o[0] / t[0] for o, t in own],
             "overhead": statistics.median(one[0] / one[1] - 1 for one, _ in own),
-            "chunk_seconds": min(one[1] for one, _ in own) / CHUNKS,
+            "chunk_seconds": min(one[1] for one, _ in own) / CHUNKS, "busy_loops": free,
+            # of a chunk beside another one, over that of one by itself: 1 where workers share nothing but the cores
+            "processor": statistics.median(two[2] / one[2] for one, two in own),
         }
     return found
 
 
 def walled(task, chunks, executor):
-    """Seconds that pass, and those that the chunks take."""
+    """Seconds that pass, those that the chunks take, and those of the processor in them."""
     begin = time.perf_counter()
     found = dict(completed(task, chunks, executor))
     passed = time.perf_counter() - begin
     if len(found) < len(chunks) or any(any(chunk.reasons) for chunk in found.values()):
         raise RuntimeError(f"chunks failed: {[chunk.reasons for chunk in found.values()]}")
-    return passed, sum(float(chunk.columns["seconds"][0]) for chunk in found.values())
+    return passed, *(sum(float(chunk.columns[x][0]) for chunk in found.values()) for x in ("seconds", "processor"))
 
 
 def drawn(result):
@@ -173,24 +203,30 @@ def drawn(result):
         lanes = [row["lanes"] for row in rows]
         axes[0].plot(lanes, [row["nanoseconds"] for row in rows], "o-", label="sweep, all cores")
         axes[0].plot(lanes, [row["batch"] for row in rows], "s--", label=f"batch of {BATCH}, one core")
-        axes[0].set_ylabel("processor time per bead, lane and force [ns]")
+        axes[0].set_ylabel("processor time [ns]")
+        axes[0].set_title("per bead, lane and force")
         axes[1].plot(lanes, [row["megabytes"] for row in rows], "o-")
-        axes[1].set_ylabel("peak of resident memory [MB]")
+        axes[1].set_ylabel("resident memory [MB]")
+        axes[1].set_title("peak of the process")
         for ax in axes[:2]:
             ax.set_xscale("log", base=2)
             ax.set_xticks(lanes, [str(n) for n in lanes])
             ax.set_xlabel("lanes")
-            ax.set_ylim(0)
+            ax.set_ylim(0, 1.15 * ax.get_ylim()[1])
         axes[0].legend(loc="lower right")
-        for k, (name, row) in enumerate(few.items()):
-            axes[2].plot([k] * len(row["gains"]), row["gains"], "o", alpha=0.5)
+        for k, row in enumerate(few.values()):
+            axes[2].plot([k] * len(row["gains"]), row["gains"], "o", color="C0")
+        free = few["processes"]["busy_loops"]
+        axes[2].plot([len(few)] * len(free), free, "s", color="0.5")
+        for k, row in enumerate(few.values()):
             axes[2].text(k, 0.15, f"{max(row['overhead'], 0):.1%} beside\nchunks of {row['chunk_seconds']:.0f} s",
                          ha="center", fontsize=8)
         axes[2].axhline(2.0, color="0.7", linewidth=1)
-        axes[2].set_xticks(range(len(few)), list(few))
-        axes[2].set_xlim(-0.6, len(few) - 0.4)
-        axes[2].set_ylim(0, 2.2)
-        axes[2].set_ylabel("two workers over one")
+        axes[2].set_xticks(range(len(few) + 1), [*few, "busy loops"])
+        axes[2].set_xlim(-0.6, len(few) + 0.4)
+        axes[2].set_ylim(0, 2.4)
+        axes[2].set_ylabel("time of one / time of two")
+        axes[2].set_title("two workers, every round")
         figure.savefig(HERE / "sweep.png", dpi=150)
 
 
