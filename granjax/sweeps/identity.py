@@ -25,6 +25,8 @@ ASIDE = {"_outside", "_cache", "__dict__", "__weakref__", "__doc__", "__module__
          "__annotations__", "__dataclass_fields__", "__dataclass_params__", "__qualname__", "__firstlineno__",
          "__static_attributes__", "__slots__", "__match_args__", "__abstractmethods__", "__orig_bases__",
          "__parameters__", "__annotate__", "__annotate_func__", "__annotations_cache__"}
+# what belongs to a process: how it stands is no part of what is computed
+OF_PROCESS = {"threading", "multiprocessing", "concurrent", "asyncio", "queue", "logging", "io", "contextvars"}
 PLAIN = (type(None), bool, int, float, complex, str, bytes)
 
 
@@ -201,7 +203,7 @@ class _Telling:
         elif hasattr(x, "__dict__") and kind.__module__.partition(".")[0] in ("granjax", "equinox"):
             for name in sorted(vars(x).keys() - ASIDE):
                 self.add(vars(x)[name], f"{path}.{name}", depth - 1)
-        elif not callable(x) or not of_library(x) or hasattr(x, "__dict__"):
+        elif kind.__module__.partition(".")[0] not in OF_PROCESS:
             try:
                 made = x.__reduce_ex__(4)
             except (TypeError, ValueError, AttributeError, RuntimeError, NotImplementedError, LookupError, OSError):

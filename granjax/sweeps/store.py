@@ -8,6 +8,7 @@ import contextlib
 import hashlib
 import io
 import json
+import math
 import re
 import zipfile
 from pathlib import Path
@@ -27,9 +28,12 @@ MANIFEST, LOCK, CHUNK = "sweep.json", "lock", re.compile(r"chunk-(\d{6,})")
 # what writing leaves beside a file where the process was killed
 PART = re.compile(r"\..*\.[0-9a-f]{12}\.part")
 MAGIC = b"granjax chunk 1\n"
+DTYPE = re.compile(r"(u?int|float)(8|16|32|64)|bool|<U[1-9][0-9]{0,5}")
 REMEDY = "Give another store, or remove this one to begin anew."
-# bytes of a manifest
-MOST = 2**28
+# bytes of a manifest; lanes of a sweep; bytes that say how many follow
+MOST, LANES, LENGTH = 2**28, 10**8, 8
+# an attribute of a file: the digest of all else in it
+DIGEST = "sha256"
 
 
 class Store:
@@ -50,13 +54,25 @@ class Store:
         self.identity = identity
         if self._completed():
             self._same(_told(self.result, self.file))
+            self._tidy()
             return
         made("store", self.folder)
         if self.file is not None:
             target("store", self.file)
         self._lock()
+        with contextlib.ExitStack() as refused:
+            refused.callback(self.close)
+            self._resume()
+            refused.pop_all()
+
+    def _resume(self):
+        # another process may just have ended
+        if self._completed():
+            self._same(_told(self.result, self.file))
+            self._remove()
+            return
         manifest = self.folder / MANIFEST
-        if manifest.exists():
+        if manifest.exists() or manifest.is_symlink():
             self._same(_manifest(manifest))
         else:
             self._begin(manifest)
@@ -84,10 +100,34 @@ class Store:
 
     def _completed(self):
         """Read the file of a sweep that is complete, where it is there."""
-        if self.file is None or not self.file.exists():
-            return False
-        self.result = exchange.load(self.file)
+        try:
+            if self.file is None or not self.file.exists():
+                return False
+        except OSError as error:
+            refuse("store", "a path", f"{str(self.path)[:200]!r} ({reason(error)})")
+        try:
+            data = exchange.load(self.file)
+        except ValueError as error:
+            got = f"{str(self.file)!r}, which is none ({error})"
+            refuse("store", "the file of a sweep, or a free name", got, REMEDY)
+        digest = data.attrs.pop(DIGEST, None)
+        if digest is not None and digest != _content(data):
+            refuse("store", "the file of a sweep", f"{str(self.file)!r}, which is damaged", REMEDY)
+        self.result = data
         return True
+
+    def _tidy(self):
+        """Remove the chunks of a sweep that is complete, where the process was killed before it did."""
+        if not (self.folder / MANIFEST).is_file():
+            return
+        try:
+            same = not differences(_manifest(self.folder / MANIFEST), self.identity)
+            self._lock()
+        except ValueError:  # of something else, or another process does so now
+            return
+        if same:
+            self._remove()
+        self.close()
 
     def _same(self, stored):
         """Take over what was chosen for the stored sweep. **Raises** ValueError where it is another one."""
@@ -100,7 +140,10 @@ class Store:
         self.identity = {**self.identity, **{key: stored.get(key) for key in CHOSEN}}
 
     def _begin(self, manifest):
-        own = [p.name for p in self.folder.iterdir() if p.name != LOCK and not PART.fullmatch(p.name)]
+        try:
+            own = [p.name for p in self.folder.iterdir() if p.name != LOCK and not PART.fullmatch(p.name)]
+        except OSError as error:
+            refuse("store", "a folder", f"{str(self.folder)!r} ({reason(error)})", "Call it again.")
         if own:
             refuse("store", "an empty folder, or the store of this sweep",
                    f"{str(self.folder)!r} with {own[0]!r} in it and no {MANIFEST}", REMEDY)
@@ -113,7 +156,13 @@ class Store:
             import fcntl
         except ImportError:  # where there is none, the last to write a chunk stays, and both have the same
             return
-        self._held = open(self.folder / LOCK, "ab")
+        lock = self.folder / LOCK
+        try:
+            if lock.is_symlink() or lock.exists() and not lock.is_file():
+                refuse("store", "a folder of a sweep's", f"{str(lock)!r}, which is no ordinary file", REMEDY)
+            self._held = open(lock, "ab")
+        except OSError as error:
+            refuse("store", "a folder that can be written", f"{str(lock)!r} ({reason(error)})")
         try:
             fcntl.flock(self._held, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -132,7 +181,11 @@ class Store:
     def chunks(self, counts: list[int]) -> dict[int, Chunk]:
         """The chunks that are done, by their numbers; `counts`: of the lanes that each of them has."""
         found = {}
-        for place in sorted(self.folder.iterdir()):
+        try:
+            places = sorted(self.folder.iterdir())
+        except OSError as error:
+            refuse("store", "a folder that can be read", f"{str(self.folder)!r} ({reason(error)})")
+        for place in places:
             number = CHUNK.fullmatch(place.name)
             if number is not None and int(number[1]) < len(counts):
                 try:
@@ -149,14 +202,20 @@ class Store:
         return _sha(json.dumps(self.identity, sort_keys=True).encode())
 
     def _read(self, place, number, count):
-        if not place.is_file():
-            raise ValueError("no file")
-        held = place.read_bytes()
+        if place.is_symlink() or not place.is_file():
+            raise ValueError("no ordinary file")
         begin = len(MAGIC) + 32
-        if held[: len(MAGIC)] != MAGIC:
-            raise ValueError("no chunk of a sweep")
+        with open(place, "rb") as file:
+            head = file.read(begin + LENGTH)
+            if head[: len(MAGIC)] != MAGIC:
+                raise ValueError("no chunk of a sweep")
+            # before so many bytes are read
+            if place.stat().st_size - begin != int.from_bytes(head[begin:], "big"):
+                raise ValueError("truncated or damaged")
+            held = head + file.read()
         if hashlib.sha256(held[begin:]).digest() != held[len(MAGIC) : begin]:
             raise ValueError("truncated or damaged")
+        begin += LENGTH
         if held[begin : begin + 64] != self._key().encode():
             raise ValueError("of another sweep")
         chunk, own = unpacked(held[begin + 64 :])
@@ -167,10 +226,13 @@ class Store:
     def write(self, number: int, chunk: Chunk) -> None:
         """Keep a chunk. **Raises** RuntimeError where that fails (a full disk); what was kept before stays."""
         content = self._key().encode() + packed(chunk, number)
+        content = (LENGTH + len(content)).to_bytes(LENGTH, "big") + content
         self._write(self.folder / f"chunk-{number:06d}", MAGIC + hashlib.sha256(content).digest() + content)
 
     def _write(self, place, content):
         try:
+            if place != self.file and place.is_symlink():  # what it leads to is another's
+                place.unlink()
             write(place, content)
         except OSError as error:
             raise RuntimeError(
@@ -182,8 +244,12 @@ class Store:
         """Write the file of a sweep that is complete, and then remove its chunks. A folder stays as it is."""
         if self.file is None:
             return
-        self._write(self.file, netcdf(data))
-        for place in list(self.folder.iterdir()):
+        self._write(self.file, netcdf(data.assign_attrs({DIGEST: _content(data)})))
+        self._remove()
+
+    def _remove(self):
+        # the manifest last: what is left by a process that is killed here is still known
+        for place in sorted(self.folder.glob("*"), key=lambda place: place.name == MANIFEST):
             if place.name in (MANIFEST, LOCK) or CHUNK.fullmatch(place.name) or PART.fullmatch(place.name):
                 with contextlib.suppress(OSError):
                     place.unlink()
@@ -195,25 +261,58 @@ def _sha(held):
     return hashlib.sha256(held).hexdigest()
 
 
+def _content(data: xarray.Dataset) -> str:
+    """A digest of all that a dataset holds, the same before it is written and after it was read."""
+    digest = hashlib.sha256(repr(sorted((str(k), str(x)) for k, x in data.attrs.items())).encode())
+    for name in sorted(map(str, data.variables)):
+        x = data.variables[name]
+        held = x.values
+        digest.update(repr((name, x.dims, x.shape, sorted((str(k), str(u)) for k, u in x.attrs.items()))).encode())
+        if held.dtype.kind in "iufc":
+            digest.update(held.astype(held.dtype.newbyteorder("<")).tobytes())
+        else:
+            digest.update(repr(held.astype(int if held.dtype.kind == "b" else str).tolist()).encode())
+    return digest.hexdigest()
+
+
 def _complete(identity):
     """Whether an identity has what every one has, of the kinds that these are."""
     kinds = {"function": dict, "parameters": dict, "versions": dict, "how": dict, "chunk": int, "design": str}
-    if any(not isinstance(identity.get(name), kind) for name, kind in kinds.items()):
+    if any(not isinstance(identity.get(name), kind) for name, kind in kinds.items()) or identity.get("format") != 1:
         return False
-    function, how, order = identity["function"], identity["how"], identity.get("order", 0)
-    rows = identity["parameters"].values()
+    function, how, order, parameters = (identity.get(name) for name in ("function", "how", "order", "parameters"))
+    rows = parameters.values()
+    if not (
+        isinstance(function.get("reads"), dict) and isinstance(function.get("name"), str) and "code" in function
+        and rows and all(isinstance(x, dict) and isinstance(x.get("values"), list) and x["values"]
+                         and isinstance(x.get("dtype"), str) and DTYPE.fullmatch(x["dtype"])
+                         and isinstance(x.get("units"), str) for x in rows)
+        and identity["design"] in ("grid", "list") and type(identity["chunk"]) is int and identity["chunk"] > 0
+    ):
+        return False
+    sizes = [len(x["values"]) for x in rows]
+    count = math.prod(sizes) if identity["design"] == "grid" else sizes[0]
     return (
-        isinstance(function.get("reads"), dict) and {"name", "code"} <= function.keys()
-        and all(isinstance(x, dict) and isinstance(x.get("values"), list) and x["values"]
-                and {"dtype", "units"} <= x.keys() for x in rows)
-        and {"kind", "static", "errors", "apart", "shared"} <= how.keys() and identity["chunk"] > 0
-        and (order is None or isinstance(order, list))
+        0 < count <= LANES and (identity["design"] == "grid" or len(set(sizes)) == 1)
+        and how.get("kind") in ("lanes", "vmap", "each") and isinstance(how.get("errors"), bool)
+        and all(isinstance(how.get(key), list) and all(name in list(parameters) for name in how[key])
+                for key in ("static", "shared"))
+        and _numbers(how.get("apart"), count) and len(set(how["apart"])) == len(how["apart"])
+        and (order is None or _numbers(order, count) and len(order) == len(set(order)) == count)
+        and isinstance(identity.get("scene", ""), str)
     )
+
+
+def _numbers(x, count):
+    """Whether it is a list of numbers of lanes."""
+    return isinstance(x, list) and all(type(n) is int and 0 <= n < count for n in x)
 
 
 def _manifest(place):
     """The identity in a manifest. **Raises** ValueError for one that is damaged."""
     expected = "the manifest of a sweep"
+    if place.is_symlink() or not place.is_file():
+        refuse("store", expected, f"{str(place)!r}, which is no ordinary file", REMEDY)
     try:
         if place.stat().st_size > MOST:
             refuse("store", expected, f"{str(place)!r} of {place.stat().st_size} bytes", REMEDY)
@@ -236,11 +335,18 @@ def _told(data: xarray.Dataset, file) -> Any:
         found = json.loads(data.attrs["sweep"])
         for name, x in found["parameters"].items():
             x["values"] = data[name].values.astype(x["dtype"]).tolist()
-    except (KeyError, TypeError, ValueError, AttributeError, RecursionError):
+    except (KeyError, TypeError, ValueError, AttributeError, RecursionError, OverflowError, MemoryError):
         found = None
     if not isinstance(found, dict) or not _complete(found):
         refuse("store", "the file of a sweep, or a free name", f"{str(file)!r}, which is something else", REMEDY)
     return found
+
+
+def _words(told):
+    """Whether it is what is known of a column: words, and names of axes."""
+    return isinstance(told, dict) and all(
+        isinstance(x, str) if name != "dims" else isinstance(x, list) and all(isinstance(dim, str) for dim in x)
+        and len(set(x)) == len(x) for name, x in told.items())
 
 
 def packed(chunk: Chunk, number: int) -> bytes:
@@ -265,6 +371,6 @@ def unpacked(held: bytes) -> tuple[Chunk, int]:
     reasons = told["reasons"]
     if not isinstance(reasons, list) or not all(isinstance(x, str) for x in reasons) or type(told["number"]) is not int:
         raise ValueError("reasons of another kind")
-    if not isinstance(told["told"], dict) or not all(isinstance(x, dict) for x in told["told"].values()):
+    if not isinstance(told["told"], dict) or not all(map(_words, told["told"].values())):
         raise ValueError("told of another kind")
     return Chunk(columns, reasons, told["told"]), told["number"]

@@ -213,8 +213,10 @@ def read(store: str | Path) -> Sweep:
         axes = {name: np.array(x["values"], x["dtype"]) for name, x in identity["parameters"].items()}
         points, plan = Points(axes, identity["design"]), plan_of(identity)
         parts = parts_of(points, plan)
-    except (TypeError, ValueError, KeyError, IndexError) as error:
-        refuse("store", "the store of a sweep", f"{str(store)!r}, whose manifest contradicts itself ({error})")
-    units = {name: x["units"] for name, x in identity["parameters"].items() if x["units"]}
-    found = kept.chunks(list(map(len, parts)))
-    return known(assembled(found, parts, points, units, identity, kept.remarks), None, None)
+        units = {name: x["units"] for name, x in identity["parameters"].items() if x["units"]}
+        found = kept.chunks(list(map(len, parts)))
+        return known(assembled(found, parts, points, units, identity, kept.remarks), None, None)
+    except (TypeError, ValueError, LookupError, AttributeError, OverflowError, MemoryError) as error:
+        if str(error).startswith("store: "):
+            raise
+        refuse("store", "the store of a sweep", f"{str(store)!r}, which contradicts itself ({error})")
