@@ -154,7 +154,7 @@ def test_records_have_errors_within_lanes():
         run = gx.simulate(chain, gx.states.impact(chain), 6.0, record={"force": FORCE})
         return {"force": run.recorded["force"][-1], "force_error": run.record_error["force"][-1]}
 
-    assert how_of(peak, {"ratio": RATIOS}) == ("lanes", (), True, ())
+    assert how_of(peak, {"ratio": RATIOS})[:3] == ("lanes", (), True)
     data = sweep(peak, {"ratio": [0.4, 0.8]})
     fine = [gx.simulate(c, gx.states.impact(c), 6.0, tolerance=1e-12, record={"force": FORCE}).recorded["force"][-1]
             for c in (gx.scenes.dimer(5, ratio=0.4), gx.scenes.dimer(5, ratio=0.8))]

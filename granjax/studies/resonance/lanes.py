@@ -5,7 +5,6 @@ compiled program.
 """
 
 import copy
-from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 
@@ -51,12 +50,3 @@ def peak_forces(
 @cache
 def _file():
     return tables(FILE)
-
-
-def followed(chunks: Iterable, progress: bool, what: str) -> Iterable:
-    """Chunks of lanes with a bar that names `what`, where somebody watches."""
-    if not progress:
-        return chunks
-    from tqdm import tqdm
-
-    return tqdm(chunks, desc=what, unit="chunk", leave=False, disable=None)
