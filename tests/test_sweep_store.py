@@ -40,19 +40,19 @@ def f(a, b):
     return {{"s": np.sin(a * b), "row": np.arange(3) * a, "word": "w" * int(a)}}
 
 def compiled(a, b):
-    chain = gx.scenes.monodisperse(5)
-    return {{"v": gx.simulate(chain, gx.states.impact(chain, a), b, step=0.05).final.v}}
+    chain = gx.scenes.dimer(5, ratio=1 / a)
+    return {{"v": gx.simulate(chain, gx.states.impact(chain), b, step=0.01).final.v}}
 
 each = {function} is f
-gx.sweep({function}, {{"a": np.arange(1.0, 6.0), "b": [0.5, 1.0, 1.5, 2.0]}}, store=sys.argv[1], chunk=2,
+gx.sweep({function}, {{"a": np.arange(1.0, {last}), "b": [0.5, 1.0, 1.5, 2.0]}}, store=sys.argv[1], chunk=2,
          progress=False, lanes=False if each else None, units={{"a": "m"}})
 """
 
 
 @pytest.fixture
 def script(tmp_path):
-    def write(function):
-        (tmp_path / "script.py").write_text(SCRIPT.format(function=function))
+    def write(function, last=6.0):
+        (tmp_path / "script.py").write_text(SCRIPT.format(function=function, last=last))
         return tmp_path / "script.py"
 
     return write
@@ -126,7 +126,7 @@ def test_killed_and_resumed_gives_the_same_bits(script, tmp_path, name):
 @pytest.mark.parametrize("function", ["f", "compiled"])
 def test_killed_at_ten_moments(script, tmp_path, name, function):
     moments = np.random.default_rng(len(name)).uniform(0, 0.01, 10)
-    killed_and_resumed(script(function), tmp_path, name, moments)
+    assert killed_and_resumed(script(function, 41.0), tmp_path, name, moments) == 10
 
 
 K = 2.0

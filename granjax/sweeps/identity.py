@@ -119,6 +119,9 @@ class _Telling:
             self._object(x, path, depth)
 
     def _function(self, x, path, depth):
+        if is_library(x.__module__ or "") and "<locals>" not in x.__qualname__:
+            self.say("library", x.__module__, x.__qualname__)
+            return
         home = x.__globals__.get("__name__", "")
         cells = {name: cell for name, cell in zip(x.__code__.co_freevars, x.__closure__ or ())}
         if is_library(home):

@@ -316,7 +316,7 @@ def _manifest(place):
     try:
         if place.stat().st_size > MOST:
             refuse("store", expected, f"{str(place)!r} of {place.stat().st_size} bytes", REMEDY)
-        told = json.loads(place.read_bytes())
+        told = json.loads(place.read_bytes().decode())
         text = told["identity"]
         whole = told["sha256"] == _sha(text.encode())
         found = json.loads(text) if whole else None
