@@ -12,7 +12,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from ..outside import is_library, of_library, reads_of
+from ..outside import is_library, reads_of
 
 # what is chosen for a sweep and not asked for: a store keeps its own
 CHOSEN = ("chunk", "order", "how", "scene")
@@ -158,7 +158,7 @@ class _Telling:
         self.reads[f"{path}module {name}"] = _digest(parts.encode())
 
     def _class(self, x, path, depth):
-        if of_library(x):
+        if is_library(x.__module__):
             self.say("class", x.__module__, x.__qualname__)
             return
         self.say("class", x.__name__)
