@@ -561,3 +561,58 @@ def test_files_of_any_content_are_refused_or_right(folder, tmp_path):
 @pytest.mark.study
 def test_ten_thousand_files(folder, tmp_path):
     print(fuzz(folder, tmp_path, 10000, 1))
+
+
+def cheap(x):
+    return {"s": float(np.sin(float(x)))}
+
+
+def swept(store, function=cheap):
+    return gx.sweep(function, {"x": np.linspace(0, 1, 6)}, store=store, lanes=False, chunk=2, progress=False)
+
+
+@pytest.mark.filterwarnings("ignore:os.fork")
+def test_a_forked_process_keeps_no_lock(tmp_path):
+    """A worker that was forked may live on where the process that had the store was killed."""
+    fcntl = pytest.importorskip("fcntl")
+    begun = Store(tmp_path / "map", {"format": 1})
+    (inward, outward), (told, tells) = os.pipe(), os.pipe()
+    child = os.fork()
+    if not child:
+        os.write(tells, b"x")
+        os.read(inward, 1)
+        os._exit(0)
+    os.read(told, 1)
+    try:
+        with open(tmp_path / "map" / "lock", "ab") as again:
+            with pytest.raises(BlockingIOError):
+                fcntl.flock(again, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            begun.close()
+            fcntl.flock(again, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    finally:
+        os.write(outward, b"x")
+        os.waitpid(child, 0)
+
+
+@pytest.mark.parametrize("name", ["map", "map.nc"])
+def test_what_a_killed_process_left_half_written_is_removed(tmp_path, name):
+    folder = tmp_path / (name if name == "map" else f"{name}.chunks")
+    folder.mkdir()
+    left = [folder / ".chunk-000000.0123456789ab.part"]
+    left += [tmp_path / ".map.nc.0123456789ab.part"] if name == "map.nc" else []
+    other = tmp_path / ".other.nc.0123456789ab.part"
+    for place in (*left, other):
+        place.write_bytes(b"half")
+    swept(tmp_path / name)
+    assert not any(place.exists() for place in left) and other.exists()
+
+
+def test_a_file_that_comes_to_be_meanwhile_is_left_alone(tmp_path):
+    def writes(x):
+        (tmp_path / "map.nc").write_text("mine")
+        return {"s": float(x)}
+
+    with pytest.raises(ValueError, match="which has come to be meanwhile"):
+        swept(tmp_path / "map.nc", writes)
+    assert (tmp_path / "map.nc").read_text() == "mine"
+    assert len(list((tmp_path / "map.nc.chunks").glob("chunk-*"))) == 3

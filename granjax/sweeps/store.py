@@ -9,7 +9,9 @@ import hashlib
 import io
 import json
 import math
+import os
 import re
+import weakref
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -19,8 +21,8 @@ import xarray
 
 from .. import exchange
 from ..checks import refuse
+from ..files import LONGEST, netcdf, reason, target, write
 from ..files import folder as made
-from ..files import netcdf, reason, target, write
 from .chunk import Chunk
 from .identity import CHOSEN, differences
 
@@ -34,6 +36,17 @@ REMEDY = "Give another store, or remove this one to begin anew."
 MOST, LANES, LENGTH = 2**28, 10**8, 8
 # an attribute of a file: the digest of all else in it
 DIGEST = "sha256"
+# files by which stores are locked: a forked process shares them, and may outlive the one that holds the lock
+_locks: weakref.WeakSet = weakref.WeakSet()
+
+
+def _let_go():
+    for file in list(_locks):
+        file.close()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_let_go)
 
 
 class Store:
@@ -71,6 +84,8 @@ class Store:
             self._same(_told(self.result, self.file))
             self._remove()
             return
+        if self._held is not None:
+            self._remove_parts()
         manifest = self.folder / MANIFEST
         if manifest.exists() or manifest.is_symlink():
             self._same(_manifest(manifest))
@@ -161,10 +176,14 @@ class Store:
             if lock.is_symlink() or lock.exists() and not lock.is_file():
                 refuse("store", "a folder of a sweep's", f"{str(lock)!r}, which is no ordinary file", REMEDY)
             self._held = open(lock, "ab")
+            _locks.add(self._held)
         except OSError as error:
             refuse("store", "a folder that can be written", f"{str(lock)!r} ({reason(error)})")
         try:
             fcntl.flock(self._held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if not lock.exists() or not os.path.samestat(os.fstat(self._held.fileno()), lock.stat()):
+                # the one that was at it has just completed it, and removed the folder
+                raise BlockingIOError
         except BlockingIOError:
             self.close()
             refuse("store", "one that nobody else is at work at", f"{str(self.path)!r}, which another sweep writes now",
@@ -244,8 +263,22 @@ class Store:
         """Write the file of a sweep that is complete, and then remove its chunks. A folder stays as it is."""
         if self.file is None:
             return
+        if self.file.exists():
+            refuse("store", "the name of no other file", f"{str(self.file)!r}, which has come to be meanwhile",
+                   f"It is left as it is: move it away and call again; the results are in {str(self.folder)!r}.")
         self._write(self.file, netcdf(data.assign_attrs({DIGEST: _content(data)})))
         self._remove()
+
+    def _remove_parts(self):
+        """What a killed process has left half-written; who holds the lock is the only one that writes."""
+        beside = []
+        if self.file is not None:
+            begin = f".{os.fsencode(self.file.name)[:LONGEST].decode(errors='ignore')}."
+            beside = [place for place in self.file.parent.iterdir() if place.name.startswith(begin)]
+        for place in [*self.folder.iterdir(), *beside]:
+            if PART.fullmatch(place.name):
+                with contextlib.suppress(OSError):
+                    place.unlink()
 
     def _remove(self):
         # the manifest last: what is left by a process that is killed here is still known
