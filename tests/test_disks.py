@@ -83,7 +83,8 @@ def test_a_file_is_replaced_whole(tmp_path):
 def test_files_are_written_in_one_place():
     root = Path(gx.__file__).parent
     writes = re.compile(r"write_text|write_bytes|to_netcdf|np\.save|json\.dump\(|open\([^)]*[\"'][wax]b?[\"']")
-    found = {path.name for path in root.rglob("*.py") if writes.search(path.read_text().replace("open(os.devnull", ""))}
+    nowhere = re.compile(r"open\(os\.devnull|np\.savez\(buffer")
+    found = {path.name for path in root.rglob("*.py") if writes.search(nowhere.sub("", path.read_text()))}
     assert found == {"files.py"}
 
 

@@ -303,7 +303,8 @@ def test_an_annotation_that_says_nothing_lets_everything_through():
 # inside of the library, called by the command line or before JAX is there, and what refuses itself
 INSIDE = {"checks", "cli", "descent", "entry", "files", "interrupts", "outside", "printing", "programs", "reading",
           "split_system", "tuning", "variables",
-          *(f"sweeps.{x}" for x in ("chunk", "dataset", "executors", "function", "identity", "plan", "store", "task")),
+          *(f"sweeps.{x}" for x in ("chunk", "chunk_file", "dataset", "executors", "function", "identity", "manifest",
+                                    "plan", "store", "task")),
           "flow.lifted", "flow.method"}
 # classes that only the library makes
 MADE = {"Function", "InUnits", "Motion", "Problem", "Points", "Reach", "Reached", "Riemann", "Scene",

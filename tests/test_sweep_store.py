@@ -24,7 +24,9 @@ import pytest
 import xarray
 
 import granjax as gx
-from granjax.sweeps.store import MAGIC, Store, _sha, unpacked
+from granjax.sweeps.chunk_file import MAGIC, unpacked
+from granjax.sweeps.manifest import digest
+from granjax.sweeps.store import Store
 
 SCRIPT = """
 import sys, time
@@ -502,7 +504,7 @@ def forged(place, kept, chance):
     """A file with something else in it, whose digests are right."""
     if place.name == "sweep.json":
         text = json.dumps(changed(json.loads(json.loads(place.read_text())["identity"]), chance))
-        return json.dumps({"identity": text, "sha256": _sha(text.encode())}).encode()
+        return json.dumps({"identity": text, "sha256": digest(text.encode())}).encode()
     begin = len(MAGIC) + 32 + 8 + 64
     chunk, number = unpacked(place.read_bytes()[begin:])
     if chance.random() < 0.5:
