@@ -139,7 +139,7 @@ def test_a_file_is_read_and_looked_at(text):
 
 
 def test_the_file_of_the_readme_is_one():
-    readme = (Path(gx.__file__).parents[1] / "README.md").read_text()
+    readme = (Path(__file__).parents[1] / "README.md").read_text()
     made = of(re.search(r"^```toml\n(.*?)^```", readme, re.M | re.S)[1])
     made.check()
     assert made.parameters.count == 288 and made.units["speed"] == "mm/s"
