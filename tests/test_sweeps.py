@@ -274,6 +274,15 @@ def test_bad_functions_meet_a_sentence():
         sweep(lambda x: x, {"x": [1.0]}, devices=0)
 
 
+def test_what_a_sweep_is_not_for_is_told():
+    with pytest.raises(RuntimeError, match="given a dict of all; called 'ratio' it is given numbers"):
+        sweep(lambda r: 2 * r, {"ratio": [0.5, 0.6]})
+    with pytest.raises(ValueError, match="reads numbers that are known, got scale, which is traced"):
+        jax.grad(lambda scale: sweep(lambda x: x * scale, {"x": [1.0, 2.0]}).value.values.sum())(2.0)
+    with pytest.raises(ValueError, match=r"parameters\['x'\]: expected a row of numbers or words, got a traced"):
+        jax.jit(lambda x: sweep(lambda x: x, {"x": x}).value.values)(jnp.arange(3.0))
+
+
 def test_parameters_are_known_by_name_and_have_defaults():
     assert sweep(lambda x, scale=2.0: scale * x, {"x": [1.0, 2.0]}).value.values.tolist() == [2.0, 4.0]
     assert sweep(lambda **p: p["x"] + p["y"], {"x": [1.0], "y": [2.0]}).value.item() == 3.0

@@ -12,6 +12,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from ..checks import refuse
 from ..outside import is_library, reads_of
 
 # what is chosen for a sweep and not asked for: a store keeps its own
@@ -57,6 +58,9 @@ class _Telling:
         if isinstance(x, PLAIN) or isinstance(x, np.generic):
             text = f"{x.dtype} {x.item()!r}" if isinstance(x, np.generic) else repr(x)
             self.reads[path] = text if len(text) <= LONG else _digest(text.encode())
+        elif isinstance(x, jax.core.Tracer):
+            refuse("function", "one that reads numbers that are known", f"{path or 'one'}, which is traced",
+                   "A sweep has no derivative and is not compiled: take the derivative within the function.")
         elif isinstance(x, (np.ndarray, jax.Array)):
             self.reads[path] = _array(x)
         elif isinstance(x, types.ModuleType):

@@ -18,6 +18,7 @@ from ..types import Count
 from .chunk import LOST
 from .dataset import assembled
 from .executors import checked_executor, completed
+from .function import by_keywords
 from .identity import function_identity
 from .plan import parts_of, plan_of, planned
 from .points import Parameters, Points, points_of
@@ -71,12 +72,13 @@ def sweep(
     """
     checked_executor(executor)
     points = points_of(parameters)
+    told = function_identity(function)
     units = _units(units)
     chunk = None if chunk is None else whole("chunk", chunk, 1)
     plan = planned(function, points, lanes, chunk)
     if lanes and plan.how.kind == EACH:
         refuse("lanes", "None or False for this function", "True", "It cannot be compiled: it is called lane by lane.")
-    identity = _identity(function, points, plan, units)
+    identity = _identity(told, points, plan, units)
     if store is None:
         return known(_computed(function, points, units, identity, None, executor, devices, progress), function, points)
     kept = Store(store, identity)
@@ -115,11 +117,19 @@ def _computed(function, points, units, identity, kept, executor, devices, progre
             bar.update(len(parts[number]))
     failed = [reason for chunk in found.values() for reason in chunk.reasons]
     if all(failed) and not any(_any_number(chunk) for chunk in found.values()):
-        raise RuntimeError(f"Every lane failed. The first: {failed[0]}")
+        raise RuntimeError(f"Every lane failed. The first: {failed[0]}{_hint(function, points)}")
     data = assembled(found, parts, points, units, identity, remarks)
     if kept is not None and not lost:
         kept.finish(data)
     return data
+
+
+def _hint(function, points):
+    """What helps who has taken one dict of parameters for the only one of them."""
+    if by_keywords(function, tuple(points.axes)) or len(points.axes) > 1:
+        return ""
+    name = next(iter(points.axes))
+    return f" (Its argument is no parameter, so it is given a dict of all; called {name!r} it is given numbers.)"
 
 
 def _any_number(chunk):
@@ -135,11 +145,11 @@ def _units(units):
     return units
 
 
-def _identity(function, points, plan, units):
+def _identity(told, points, plan, units):
     versions = {"granjax": sys.modules["granjax"].__version__, "jax": jax.__version__, "numpy": np.__version__,
                 "python": "{}.{}".format(*sys.version_info)}
     return {
-        "format": 1, "function": function_identity(function), "design": points.design,
+        "format": 1, "function": told, "design": points.design,
         "parameters": {name: {"values": x.tolist(), "dtype": str(x.dtype), "units": units.get(name, "")}
                        for name, x in points.axes.items()},
         "how": {name: list(x) if isinstance(x, tuple) else x for name, x in plan.how._asdict().items()},
