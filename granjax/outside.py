@@ -126,12 +126,15 @@ def _read(function, seen, depth):
     if code in seen or not depth:
         return ()
     seen = seen | {code}
-    found = [_value(x, seen, depth - 1) for _, x in reads_of(function)]
+    found = [_value(x, seen, depth - 1) for _, x in reads_of(function) if not isinstance(x, types.ModuleType)]
     return tuple(found) + ((_value(function.__defaults__, seen, depth - 1),) if function.__defaults__ else ())
 
 
 def reads_of(function: types.FunctionType) -> Iterator[tuple[str, Any]]:
-    """Dotted names and present values of what a plain function reads from outside, modules left out."""
+    """Dotted names and present values of what a plain function reads from outside.
+
+    What it reads of a library counts as its module: that is the same whether it was loaded before or not.
+    """
     code = function.__code__
     cells = dict(zip(code.co_freevars, function.__closure__ or ()))
     for name, *attributes in _names(code):
@@ -141,13 +144,14 @@ def reads_of(function: types.FunctionType) -> Iterator[tuple[str, Any]]:
             continue
         path = name
         for attribute in attributes:
-            if isinstance(x, types.ModuleType) and not _known(x.__name__) or _holds(x, attribute):
+            if isinstance(x, types.ModuleType) and _known(x.__name__):
+                break
+            if isinstance(x, types.ModuleType) or _holds(x, attribute):
                 x, path = vars(x).get(attribute), f"{path}.{attribute}"
             elif isinstance(x, type) and not _known(x.__module__):
                 x = next((vars(kind)[attribute] for kind in x.__mro__ if attribute in vars(kind)), x)
                 path = f"{path}.{attribute}"
-        if not isinstance(x, types.ModuleType):
-            yield path, x
+        yield path, x
 
 
 def _is_number(x):

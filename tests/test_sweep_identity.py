@@ -254,3 +254,20 @@ def test_what_was_called_is_as_it_was():
         before = function_identity(f)
         jax.block_until_ready(f(np.float64(0.5)))
         assert function_identity(f) == before, kind
+
+
+def test_what_is_loaded_later_changes_nothing():
+    """Parts of a library that are loaded when they are first asked for."""
+    script = """
+import granjax as gx
+from granjax.sweeps.identity import function_identity
+
+def struck(ratio):
+    chain = gx.scenes.dimer(3, ratio=ratio)
+    return gx.states.impact(chain).v
+
+before = function_identity(struck)
+struck(0.5)
+assert function_identity(struck) == before, (before, function_identity(struck))
+"""
+    subprocess.run([sys.executable, "-c", script], check=True, timeout=120)
