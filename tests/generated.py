@@ -448,6 +448,7 @@ OWN = {
     "sweeps.sweep.sweep.parameters": lambda: {"x": [1.0, 2.0]}, "sweeps.sweep.sweep.units": lambda: {"x": "m"},
     "sweeps.sweep.sweep.function": lambda: lambda x: x, "sweeps.points.paired.parameters": lambda: {"x": [1.0, 2.0]},
     "sweeps.points.random.bounds": lambda: {"x": (0.0, 1.0)}, "sweeps.sweep.read.store": lambda: kept(),
+    "scenes.resonators.woodpile.masses": lambda: [0.5], "scenes.resonators.woodpile.stiffnesses": lambda: [1.0],
     "scenes.chains.pattern.masses": lambda: [1.0, 0.5], "scenes.chains.defects.masses": lambda: {2: 0.5},
     "orbits.guesses.sites.single_site.sites": lambda: [2], "orbits.forced_branch.forced_branch.start": lambda: 0.8,
     "orbits.forced_branch.forced_branch.until": lambda: 0.9, "identify.wall.wall_modulus.start": lambda: 1e9,

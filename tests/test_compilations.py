@@ -382,6 +382,7 @@ def _(seed):
 WITHIN = {
     **dict.fromkeys(("checks", "entry.checked", "entry.kinds", "printing", "programs", "variables", "cli.commands",
                      "interrupts", "outside", "tuning", "materials", "canonical.scenes", "scenes.chains",
+                     "scenes.resonators", "scenes.softening",
                      "work_precision.measuring", "orbits.symmetry", "laws.power"),
                     "numbers, words and Python: no program of their own"),
     **dict.fromkeys(("exchange.datasets", "files", "fit.files", "reading.reader", "reading.tables"),

@@ -5,9 +5,12 @@ A batch of scenes is `jax.vmap(lambda ratio: scenes.dimer(60, ratio), out_axes=-
 
 from .bead_chain import beads
 from .chains import defects, dimer, disordered, fput, monomer, n_to_one, pattern, taper, toda, trimer
+from .resonators import mass_in_mass, mass_with_mass, woodpile
+from .softening import alternating, foam, hollow_cylinders, origami, tensegrity
 from .units import ScaledLattice, Units, scaled
 
 __all__ = [
-    "ScaledLattice", "Units", "beads", "defects", "dimer", "disordered", "fput", "monomer", "n_to_one", "pattern",
-    "scaled", "taper", "toda", "trimer",
+    "ScaledLattice", "Units", "alternating", "beads", "defects", "dimer", "disordered", "foam", "fput",
+    "hollow_cylinders", "mass_in_mass", "mass_with_mass", "monomer", "n_to_one", "origami", "pattern", "scaled",
+    "taper", "tensegrity", "toda", "trimer", "woodpile",
 ]

@@ -1,0 +1,168 @@
+"""Chains whose beads carry resonators: mass-in-mass, mass-with-mass, woodpile."""
+
+from collections.abc import Sequence
+
+import jax.numpy as jnp
+import numpy as np
+
+from ..checks import non_negative, one_of, positive, refuse
+from ..entry import checked
+from ..lattice import Lattice
+from ..laws import Law, Linear
+from ..strains import BOUNDARIES, Pairs, Shift
+from ..terms import Bond
+from ..types import Count, Numbers, Parameter
+from ..units import SCALED
+from .chains import _contact, _sites
+
+_TIE = "A resonator without stiffness is let go: 0 leaves the chain of beads."
+
+
+@checked
+def mass_in_mass(
+    sites: Count, mass: Parameter = 0.5, stiffness: Parameter = 1.0, *, bead_mass: Parameter = 1.0,
+    contact_stiffness: Parameter = 1.0, exponent: Parameter = 1.5, precompression: Parameter = 0.0,
+    boundary: str = "fixed", law: Law | None = None, units: str = SCALED,
+) -> Lattice:
+    r"""Mass-in-mass chain: a locally resonant chain whose beads hold a mass mu on a linear spring kappa.
+
+    m u_n'' = F(u_{n-1} - u_n) - F(u_n - u_{n+1}) - kappa (u_n - w_n),   mu w_n'' = kappa (u_n - w_n),
+
+    F(e) = A ([d0 + e]_+^p - d0^p). With K2 = F'(0) the two bands obey
+
+    (m + mu/(1 - omega^2/omega_0^2)) omega^2 = 4 K2 sin^2(k/2),   omega_0^2 = kappa/mu,
+
+    and the gap between them, which holds omega_0, ends at (kappa (1/m + 1/mu))^{1/2}. Without precompression K2 = 0: no
+    wave but the one in which every bead swings against its own mass. Bright breathers last long there, and not forever:
+    over a period the mean forces of all contacts would have to be equal, so zero, and a contact only pushes. They last
+    the longer the heavier mu is. `law` may push and pull: then they are exact.
+
+    **Arguments:**
+
+    - `sites`: number of beads N >= 2.
+    - `mass`: mu > 0, `stiffness`: kappa >= 0 of the resonators, numbers or one per bead (N,).
+    - `bead_mass`: m; `contact_stiffness`: A, `exponent`: p, `precompression`: F0, `boundary`: as in `monomer`.
+    - `law`: a law of the contacts instead of the power law.
+    - `units`: what the numbers are counted in, `"scaled"` or `"SI"`.
+
+    **Returns:** a `Lattice` of the fields `"bead"` and `"resonator"`, (N,) each. Tail-free waves:
+    `gx.travelling.solitary_wave(law, speed=c, resonator=gx.Resonator(mu, kappa))`. Typical: mu = 0.1 ... 10, kappa = 1.
+    **Raises** ValueError as `monomer` does, and for mu <= 0 or kappa < 0.
+    Source: Liu, James, Kevrekidis, Vainchtein, Nonlinearity 29, 3496 (2016); Bonanomi, Theocharis, Daraio, Phys. Rev. E
+    91, 033208 (2015).
+    """
+    return _resonant(sites, (mass,), (stiffness,), ("resonator",), bead_mass, contact_stiffness, exponent,
+                     precompression, boundary, law, units)
+
+
+@checked
+def mass_with_mass(
+    sites: Count, mass: Parameter = 0.5, stiffness: Parameter = 1.0, *, at: Sequence[Count] | None = None,
+    bead_mass: Parameter = 1.0, contact_stiffness: Parameter = 1.0, exponent: Parameter = 1.5,
+    precompression: Parameter = 0.0, boundary: str = "fixed", law: Law | None = None, units: str = SCALED,
+) -> Lattice:
+    r"""Mass-with-mass chain: beads that carry a ring, a mass mu outside of the bead on a linear spring kappa.
+
+    The equations are those of `mass_in_mass`; here the beads that carry one can be named, such as the one of a
+    mass-with-mass defect, from which a solitary wave is scattered.
+
+    **Arguments:** `at`: the beads that carry a resonator, negative from the end; `None` is all. `mass`, `stiffness`:
+    numbers or one per resonator. The others as in `mass_in_mass`.
+
+    **Returns:** a `Lattice` of the fields `"bead"` (N,) and `"resonator"`, as many as carry one.
+    **Raises** ValueError as `mass_in_mass` does, for a bead outside of the chain or named twice.
+    Source: Gantzounis, Serra-Garcia, Homma, Mendoza, Daraio, J. Appl. Phys. 114, 093514 (2013); Kevrekidis, Vainchtein,
+    Serra Garcia, Daraio, Phys. Rev. E 87, 042911 (2013).
+    """
+    if at is None:
+        return _resonant(sites, (mass,), (stiffness,), ("resonator",), bead_mass, contact_stiffness, exponent,
+                         precompression, boundary, law, units)
+    sites = _sites(sites)
+    places = [int(site) for site in at]
+    if not places or any(not -sites <= site < sites for site in places):
+        refuse("at", f"sites from 0 to {sites - 1}, or negative from the end", repr(list(at)))
+    places = [site % sites for site in places]
+    if len(set(places)) < len(places):
+        refuse("at", "each bead once", repr(list(at)))
+    count = len(places)
+    mu, kappa = positive("mass", mass, "A resonator needs a mass."), non_negative("stiffness", stiffness, _TIE)
+    _fits("mass", mu, count, "resonator")
+    _fits("stiffness", kappa, count, "resonator")
+    bead = positive("bead_mass", bead_mass, "A bead needs a mass.")
+    masses = {"bead": jnp.broadcast_to(bead, (sites,)), "resonator": jnp.broadcast_to(mu, (count,))}
+    tie = Bond(Pairs(places, range(count), sites=(sites, count), fields=("bead", "resonator")), Linear(kappa))
+    contacts = _contacts(sites, contact_stiffness, exponent, precompression, boundary, law)
+    return Lattice(masses, (contacts, tie), units=units)
+
+
+@checked
+def woodpile(
+    sites: Count, masses: Sequence[Parameter] | Numbers = (0.5, 0.25),
+    stiffnesses: Sequence[Parameter] | Numbers = (1.0, 2.0), *, bead_mass: Parameter = 1.0,
+    contact_stiffness: Parameter = 1.0, exponent: Parameter = 1.5, precompression: Parameter = 0.0,
+    boundary: str = "fixed", law: Law | None = None, units: str = SCALED,
+) -> Lattice:
+    r"""Woodpile: crossed cylindrical rods in a stack, whose bending modes are resonators of the contacts' chain.
+
+    m u_n'' = F(u_{n-1} - u_n) - F(u_n - u_{n+1}) - sum_j kappa_j (u_n - w_nj),   mu_j w_nj'' = kappa_j (u_n - w_nj).
+
+    One branch more than there are resonators, with omega_j^2 = kappa_j/mu_j, K2 = F'(0):
+
+    (m + sum_j mu_j/(1 - omega^2/omega_j^2)) omega^2 = 4 K2 sin^2(k/2).
+
+    **Arguments:** `masses`: mu_j > 0, `stiffnesses`: kappa_j >= 0, sequences of equal length, one entry per resonator
+    of a rod, each a number or one per rod (N,); an array has the resonators along its first axis. kappa_j = 0 lets a
+    resonator go: all zero is the chain of rods. The others as in `mass_in_mass`.
+
+    **Returns:** a `Lattice` of the fields `"bead"` (the rod) and `"resonator_1"`, `"resonator_2"`, ..., (N,) each.
+    **Raises** ValueError as `mass_in_mass` does, and for lengths that differ.
+    Source: Kim, Li, Chong, Theocharis, Yang, Kevrekidis, Phys. Rev. Lett. 114, 118002 (2015).
+    """
+    masses, stiffnesses = _listed("masses", masses), _listed("stiffnesses", stiffnesses)
+    if len(masses) != len(stiffnesses):
+        refuse("stiffnesses", f"{len(masses)}, as many as masses", f"{len(stiffnesses)}", "Each resonator has both.")
+    names = tuple(f"resonator_{j + 1}" for j in range(len(masses)))
+    return _resonant(sites, masses, stiffnesses, names, bead_mass, contact_stiffness, exponent, precompression,
+                     boundary, law, units)
+
+
+def _listed(name, values):
+    """One parameter per resonator."""
+    values = tuple(values) if isinstance(values, (tuple, list)) or np.ndim(values) else ()
+    if not values:
+        refuse(name, "a sequence, one entry per resonator of a rod", "one number or none",
+               "One resonator: masses=[mu], stiffnesses=[kappa].")
+    return values
+
+
+def _resonant(sites, masses, stiffnesses, names, bead_mass, contact_stiffness, exponent, precompression, boundary, law,
+              units):
+    sites = _sites(sites)
+    alone = len(names) == 1
+    mass = {"bead": positive("bead_mass", bead_mass, "A bead needs a mass.")}
+    terms = [_contacts(sites, contact_stiffness, exponent, precompression, boundary, law)]
+    for j, (name, mu, kappa) in enumerate(zip(names, masses, stiffnesses)):
+        said = ("mass", "stiffness") if alone and name == "resonator" else (f"masses[{j}]", f"stiffnesses[{j}]")
+        mass[name] = positive(said[0], mu, "A resonator needs a mass.")
+        kappa = non_negative(said[1], kappa, _TIE)
+        _fits(said[1], kappa, sites, "bead")
+        terms.append(Bond(Shift(0, "free", ("bead", name)), Linear(kappa)))
+        _fits(said[0], mass[name], sites, "bead")
+    _fits("bead_mass", mass["bead"], sites, "bead")
+    return Lattice(mass, tuple(terms), sites=sites, units=units)
+
+
+def _contacts(sites, stiffness, exponent, precompression, boundary, law):
+    one_of("boundary", boundary, BOUNDARIES)
+    if law is None:
+        stiffness = positive("contact_stiffness", stiffness, "The contact coefficient A is positive.")
+        law = _contact(stiffness, exponent, precompression)
+        count = sites + {"fixed": 1, "free": -1}.get(boundary, 0)
+        for name, x in (("contact_stiffness", stiffness), ("exponent", exponent), ("precompression", precompression)):
+            _fits(name, x, count, "contact")
+    return Bond(Shift(1, boundary, "bead"), law)
+
+
+def _fits(name, x, count, what):
+    if np.shape(x)[:1] not in ((), (1,), (count,)):
+        refuse(name, f"one number, or one per {what}, shape ({count},)", f"shape {np.shape(x)}")

@@ -1,0 +1,151 @@
+"""Strain-softening chains, F(e) = A ([d0 + e]_+^p - d0^p) with 0 < p < 1, and chains that soften and harden in turn."""
+
+import jax.numpy as jnp
+import numpy as np
+
+from ..checks import concrete, parameter, positive, refuse, within
+from ..entry import checked
+from ..lattice import Lattice
+from ..laws import PowerLaw
+from ..types import Count, Parameter
+from ..units import SCALED
+from .chains import _chain, _sites
+
+_STIFF = "A contact of 0 < p < 1 without static force is infinitely stiff at rest, and so where it re-opens."
+_SOFT = "0 < p < 1 softens; p = 1 is linear and p > 1 hardens: gx.scenes.monomer."
+
+
+@checked
+def foam(
+    sites: Count, exponent: Parameter = 0.5, *, mass: Parameter = 1.0, stiffness: Parameter = 1.0,
+    precompression: Parameter = 1.0, boundary: str = "fixed", units: str = SCALED,
+) -> Lattice:
+    r"""Strain-softening chain: stainless steel cylinders separated by polymer foam.
+
+    m u_n'' = F(u_{n-1} - u_n) - F(u_n - u_{n+1}),  F(e) = A ([d0 + e]_+^p - d0^p),  0 < p < 1,  d0 = (F0/A)^{1/p}.
+
+    With K2 = F'(0) = p A^{1/p} F0^{1-1/p} the speed of sound is (K2/m)^{1/2} and the band ends at 2 (K2/m)^{1/2}.
+    F'' < 0, so that
+
+    - a compressive impact leads to a rarefaction pulse that runs ahead: `gx.travelling.solitary_wave(law, speed=c)` for
+      c above sound is a wave of extension;
+    - a step down in compression is a rarefaction shock (`gx.shocks.step`), a step up spreads;
+    - bright breathers lie above the band (`gx.breathers.breather(lattice, omega, "bright")`), where a hardening chain
+      has dark ones: in the envelope equation B = p^3 (1 - p) A^2 d0^{2p-4}/(2 K2^{3/2}) > 0 for 0 < p < 1 alone.
+
+    A contact that opens and closes again is infinitely stiff there: no time step is small enough, and runs say so.
+
+    **Arguments:**
+
+    - `sites`: number of cylinders N >= 2.
+    - `exponent`: p in (0, 1), a number (static), or an array, which can be swept and differentiated.
+    - `mass`: m, `stiffness`: A, `boundary`: as in `monomer`. `precompression`: F0 > 0, without which there is no
+      stiffness at rest that is finite.
+    - `units`: what the numbers are counted in, `"scaled"` or `"SI"`.
+
+    **Returns:** a `Lattice`. The defaults are scaled and measured on nothing: with p = 1/2, A = F0 = m = 1 K2 = 1/2.
+    **Raises** ValueError as `monomer` does, for p outside (0, 1), and for F0 = 0.
+    Source: Herbold, Nesterenko, Phys. Rev. Lett. 110, 144101 (2013).
+    """
+    return _softening(sites, exponent, mass, stiffness, precompression, boundary, units)
+
+
+@checked
+def hollow_cylinders(
+    sites: Count, exponent: Parameter = 0.5, *, mass: Parameter = 1.0, stiffness: Parameter = 1.0,
+    precompression: Parameter = 1.0, boundary: str = "fixed", units: str = SCALED,
+) -> Lattice:
+    """Strain-softening chain: hollow elliptical cylinders, whose walls bend; dispersive rarefaction shocks.
+
+    Equation, arguments and errors as in `foam`. Example: `gx.shocks.step(lattice, left, right)`, left < right, makes a
+    rarefaction shock.
+
+    **Returns:** a `Lattice`. Source: Kim, Kim, Chong, Kevrekidis, Yang, Phys. Rev. Lett. 120, 194101 (2018).
+    """
+    return _softening(sites, exponent, mass, stiffness, precompression, boundary, units)
+
+
+@checked
+def origami(
+    sites: Count, exponent: Parameter = 0.5, *, mass: Parameter = 1.0, stiffness: Parameter = 1.0,
+    precompression: Parameter = 1.0, boundary: str = "fixed", units: str = SCALED,
+) -> Lattice:
+    """Strain-softening chain: origami cells (Tachi-Miura polyhedra), each a bond; rarefaction waves, impact mitigation.
+
+    The folding of a cell is one degree of freedom with the effective power law of `foam`, whose equation, arguments and
+    errors these are. Twisting cells, which turn as they shorten, need a `gx.Stencil` over displacement and angle.
+
+    **Returns:** a `Lattice`. Source: Yasuda, Chong, Charalampidis, Kevrekidis, Yang, Phys. Rev. E 93, 043004 (2016);
+    Yasuda, Miyazawa, Charalampidis, Chong, Kevrekidis, Yang, Sci. Adv. 5, eaau2835 (2019).
+    """
+    return _softening(sites, exponent, mass, stiffness, precompression, boundary, units)
+
+
+@checked
+def tensegrity(
+    sites: Count, exponent: Parameter = 0.5, *, mass: Parameter = 1.0, stiffness: Parameter = 1.0,
+    precompression: Parameter = 1.0, boundary: str = "fixed", units: str = SCALED,
+) -> Lattice:
+    """Strain-softening chain: lumped masses between tensegrity prisms, which soften or harden by their prestress.
+
+    The softening regime, with the effective power law of `foam`, whose equation, arguments and errors these are. The
+    hardening one is `gx.scenes.monomer` with an exponent above 1.
+
+    **Returns:** a `Lattice`. Source: Fraternali, Carpentieri, Amendola, Skelton, Nesterenko, Appl. Phys. Lett. 105,
+    201903 (2014).
+    """
+    return _softening(sites, exponent, mass, stiffness, precompression, boundary, units)
+
+
+@checked
+def alternating(
+    sites: Count, exponents: Parameter = (1.5, 0.5), *, mass: Parameter = 1.0, stiffnesses: Parameter = (1.0, 1.0),
+    precompression: Parameter = 1.0, boundary: str = "fixed", units: str = SCALED,
+) -> Lattice:
+    r"""Chain of equal masses whose contacts alternate between strain hardening and strain softening.
+
+    Contact n has F(e) = A_j ([d_j + e]_+^{p_j} - d_j^{p_j}), j = n mod P, d_j = (F0/A_j)^{1/p_j}; the wall's contact is
+    the first one with walls. For two kinds, with K_j = p_j A_j^{1/p_j} F0^{1-1/p_j} and equal masses m,
+
+    m omega^2 = K_1 + K_2 -+ (K_1^2 + K_2^2 + 2 K_1 K_2 cos k)^{1/2},
+
+    a gap between (2 min K/m)^{1/2} and (2 max K/m)^{1/2}.
+
+    **Arguments:** `exponents`: p_j > 0, one per contact of a cell, above 1 for hardening, below for softening, as
+    numbers or an array, differentiable. `stiffnesses`: A_j, as many, or one number. `precompression`: F0 > 0, one for
+    all. `mass`, `boundary`: as in `monomer`; on a ring the cell must fill it. `units`: as in `foam`.
+
+    **Returns:** a `Lattice`. **Raises** ValueError as `monomer` does, for exponents that are not positive, lengths that
+    differ, F0 = 0 where a contact softens. Typical: exponents (3/2, 1/2).
+    Source: Lee, Charalampidis, Xing, Chong, Kevrekidis, Phys. Rev. E 107, 054208 (2023).
+    """
+    sites = _sites(sites)
+    p = positive("exponents", _cell("exponents", exponents), "Magnets, p < 0, have no plus part: use two bonds.")
+    A = positive("stiffnesses", _cell("stiffnesses", stiffnesses), "The contact coefficient A is positive.")
+    if not p.ndim or A.ndim and A.shape[0] != p.shape[0]:
+        refuse("exponents, stiffnesses", "as many stiffnesses as exponents, in sequences",
+               f"shapes {p.shape} and {A.shape}")
+    contacts = sites + {"fixed": 1, "free": -1}.get(boundary, 0)
+    if boundary == "periodic" and sites % p.shape[0]:
+        refuse("sites", f"a multiple of {p.shape[0]}, whole cells on a ring", repr(sites))
+    known = concrete(p)
+    if known is None or (known < 1).any():
+        precompression = positive("precompression", precompression, _STIFF)
+    order = np.arange(contacts) % p.shape[0]
+    law = PowerLaw(A[order] if A.ndim else A, p[order], precompression)
+    return _chain(sites, mass, law, boundary, precompression=precompression).counted_in(units)
+
+
+def _cell(name, values):
+    """The numbers of one cell in an array."""
+    if isinstance(values, (tuple, list)):
+        return jnp.stack([parameter(f"{name}[{i}]", x) for i, x in enumerate(values)]) if values else jnp.zeros(0)
+    return parameter(name, values)
+
+
+def _softening(sites, exponent, mass, stiffness, precompression, boundary, units):
+    p = within("exponent", exponent, 0, 1, open_low=True, open_high=True, remedy=_SOFT)
+    precompression = positive("precompression", precompression, _STIFF)
+    law = PowerLaw(stiffness, exponent if isinstance(exponent, (int, float)) else p, precompression)
+    chain = _chain(sites, mass, law, boundary, stiffness=stiffness, exponent=exponent, precompression=precompression)
+    return chain.counted_in(units)

@@ -1,0 +1,129 @@
+"""Chains whose beads carry resonators."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import granjax as gx
+from granjax import scenes
+
+MASSES, STIFFNESSES, HERTZ = (0.3, 0.2), (1.2, 2.1), 1.5
+K = np.linspace(0.1, np.pi, 6)
+
+
+def correction(omega, k, K2, m, masses, stiffnesses):
+    """Newton's correction to omega^2, relative, of (m + sum mu_j/(1 - omega^2/omega_j^2)) omega^2 = 4 K2 sin^2(k/2)."""
+    x, k = (np.asarray(a, np.longdouble) for a in (omega**2, k))
+    roots = [np.longdouble(kappa) / np.longdouble(mu) for mu, kappa in zip(masses, stiffnesses)]
+    x0 = np.polynomial.Polynomial(np.array([0.0, 1.0], np.longdouble))
+    free = [r - x0 for r in roots]
+    product = np.prod(free)
+    dressed = m * product + sum(
+        mu * r * np.prod(free[:j] + free[j + 1 :]) for j, (mu, r) in enumerate(zip(masses, roots)))
+    value = (x0 * dressed)(x) - 4 * K2 * np.sin(k / 2) ** 2 * product(x)
+    slope = (x0 * dressed).deriv()(x) - 4 * K2 * np.sin(k / 2) ** 2 * product.deriv()(x)
+    return np.abs(value / slope / x)
+
+
+def test_bands_of_a_woodpile_are_the_closed_form():
+    chain = scenes.woodpile(9, MASSES, STIFFNESSES, bead_mass=1.1, precompression=1.0)
+    omega = np.asarray(gx.linear.dispersion(chain, K).omega)
+    assert omega.shape == (6, 3)
+    for branch in range(3):
+        assert correction(omega[:, branch], K, 1.5, 1.1, MASSES, STIFFNESSES).max() < 1e-12
+    bands = gx.linear.bands(chain)
+    assert len(np.asarray(bands.lower)) == 3
+
+
+def test_bands_of_one_resonator_are_the_roots_of_a_quadratic():
+    m, mu, kappa = 1.0, 0.3, 1.2
+    inside, outside = (make(9, mu, kappa, precompression=1.0) for make in (scenes.mass_in_mass, scenes.mass_with_mass))
+    q = 4 * HERTZ * np.sin(K / 2) ** 2
+    # m mu x^2 - (kappa (m + mu) + mu q) x + kappa q = 0
+    b = kappa * (m + mu) + mu * q
+    high = (b + np.sqrt(b**2 - 4 * m * mu * kappa * q)) / (2 * m * mu)
+    low = kappa * q / (m * mu * high)
+    for chain in (inside, outside, scenes.woodpile(9, [mu], [kappa], precompression=1.0)):
+        omega = np.asarray(gx.linear.dispersion(chain, K).omega)
+        np.testing.assert_allclose(omega, np.sqrt(np.stack([low, high], -1)), rtol=1e-12)
+    bands = gx.linear.bands(inside)
+    np.testing.assert_allclose(bands.lower[1], np.sqrt(kappa * (1 / m + 1 / mu)), rtol=1e-12)
+
+
+def test_resonators_that_are_let_go_leave_the_monomer():
+    chain = scenes.woodpile(9, MASSES, (0.0, 0.0), precompression=1.0)
+    alone = scenes.monomer(9, precompression=1.0)
+    omega = np.asarray(gx.linear.dispersion(chain, K).omega)
+    np.testing.assert_array_equal(omega[:, :2], 0)
+    np.testing.assert_allclose(omega[:, 2:], np.asarray(gx.linear.dispersion(alone, K).omega), rtol=1e-13)
+    u = jnp.asarray(np.random.default_rng(0).normal(size=9))
+    full = {"bead": u, "resonator_1": u + 1, "resonator_2": -u}
+    forces = chain.force(0.0, full, jax.tree.map(jnp.zeros_like, full))
+    np.testing.assert_allclose(forces["bead"], alone.force(0.0, u, 0 * u), rtol=1e-14)
+
+
+def test_accelerations_are_the_equations():
+    rng = np.random.default_rng(1)
+    u, w, x = rng.normal(size=(3, 7))
+    chain = scenes.woodpile(7, [0.3, rng.uniform(0.1, 0.2, 7)], [1.2, 2.1], bead_mass=2.0, contact_stiffness=3.0,
+                            precompression=0.5)
+    y = {"bead": jnp.asarray(u), "resonator_1": jnp.asarray(w), "resonator_2": jnp.asarray(x)}
+    a = chain.acceleration(0.0, y, jax.tree.map(jnp.zeros_like, y))
+    contact = 3 * np.maximum((0.5 / 3) ** (2 / 3) - np.diff(np.concatenate([[0], u, [0]])), 0) ** 1.5
+    np.testing.assert_allclose(a["bead"], (contact[:-1] - contact[1:] - 1.2 * (u - w) - 2.1 * (u - x)) / 2, rtol=1e-12)
+    np.testing.assert_allclose(a["resonator_1"], 1.2 * (u - w) / 0.3, rtol=1e-12)
+    np.testing.assert_allclose(a["resonator_2"], 2.1 * (u - x) / np.asarray(chain.mass["resonator_2"]), rtol=1e-12)
+
+
+def test_a_few_beads_may_carry_a_mass():
+    all_of_them = scenes.mass_with_mass(5, 0.3, 1.2, at=range(5), precompression=1.0)
+    every, some = scenes.mass_with_mass(5, 0.3, 1.2, precompression=1.0), scenes.mass_with_mass(5, 0.3, 1.2, at=[2, -1])
+    assert some.shape == {"bead": (5,), "resonator": (2,)}
+    u = {"bead": jnp.asarray([0.1, -0.2, 0.3, 0.0, 0.2]), "resonator": jnp.asarray([0.3, 0.1, -0.4, 0.2, 0.0])}
+    zero = jax.tree.map(jnp.zeros_like, u)
+    first, second = all_of_them.force(0.0, u, zero), every.force(0.0, u, zero)
+    for name in u:
+        np.testing.assert_allclose(first[name], second[name], rtol=1e-14)
+    u = {"bead": u["bead"], "resonator": u["resonator"][:2]}
+    pull = some.force(0.0, u, jax.tree.map(jnp.zeros_like, u))["resonator"]
+    np.testing.assert_allclose(pull, 1.2 * (np.asarray(u["bead"])[[2, 4]] - np.asarray(u["resonator"])), rtol=1e-14)
+
+
+def test_lanes_units_and_derivatives():
+    masses = jnp.array([0.3, 0.5])
+    batch = jax.vmap(lambda mu: scenes.mass_in_mass(6, mu, 1.2, precompression=1.0), out_axes=-1)(masses)
+    assert batch.lanes == (2,)
+    one = scenes.mass_in_mass(6, 0.5, 1.2, precompression=1.0, units="SI")
+    assert one.units == "SI" and batch.units == "scaled"
+    u = jax.tree.map(lambda x: jnp.asarray(np.random.default_rng(2).normal(size=x.shape)), one.zeros())
+    lanes = jax.tree.map(lambda x: jnp.stack([x, x], -1), u)
+    zero = jax.tree.map(jnp.zeros_like, (u, lanes))
+    a, b = one.acceleration(0.0, u, zero[0]), batch.acceleration(0.0, lanes, zero[1])
+    for name in a:
+        np.testing.assert_allclose(a[name], b[name][:, 1], rtol=1e-14)
+    # the upper band begins at (kappa (1 + 1/mu))^(1/2)
+    edge = jax.grad(lambda mu: gx.linear.dispersion(
+        scenes.mass_in_mass(6, mu, 1.2, precompression=1.0), 1e-6).omega[1])(0.3)
+    np.testing.assert_allclose(edge, -1.2 / 0.3**2 / (2 * np.sqrt(1.2 * (1 + 1 / 0.3))), rtol=1e-6)
+
+
+@pytest.mark.parametrize("make, said", [
+    (lambda: scenes.mass_in_mass(1), "sites"),
+    (lambda: scenes.mass_in_mass(5, mass=0.0), "mass: expected numbers above zero"),
+    (lambda: scenes.mass_in_mass(5, stiffness=-1.0), "stiffness: expected numbers not below zero"),
+    (lambda: scenes.mass_in_mass(5, mass=np.ones(4)), "one per bead"),
+    (lambda: scenes.mass_in_mass(5, precompression=np.ones(5)), "one per contact"),
+    (lambda: scenes.mass_in_mass(5, boundary="open"), "boundary"),
+    (lambda: scenes.mass_with_mass(5, at=[5]), "at: expected sites from 0 to 4"),
+    (lambda: scenes.mass_with_mass(5, at=[]), "at: expected"),
+    (lambda: scenes.mass_with_mass(5, at=[1, -4]), "each bead once"),
+    (lambda: scenes.mass_with_mass(5, np.ones(3), at=[1, 2]), "one per resonator"),
+    (lambda: scenes.woodpile(5, 0.3, 1.2), "masses"),
+    (lambda: scenes.woodpile(5, [0.3], [1.2, 1.0]), "stiffnesses: expected 1"),
+    (lambda: scenes.woodpile(5, [0.3, -1.0], [1.2, 1.0]), r"masses\[1\]"),
+    (lambda: scenes.woodpile(5, [], []), "masses"),
+])
+def test_refused(make, said):
+    with pytest.raises(ValueError, match=said):
+        make()
