@@ -23,6 +23,9 @@ BALANCED = {
     "fput": lambda: scenes.fput(7),
     "fput, beta": lambda: scenes.fput(7, alpha=0.0, beta=1.0),
     "toda": lambda: scenes.toda(7, boundary="fixed"),
+    "cradle": lambda: scenes.cradle(7, precompression=0.5, boundary="periodic"),
+    "klein_gordon": lambda: scenes.klein_gordon(7, 0.2),
+    "sine_gordon": lambda: scenes.sine_gordon(7, boundary="fixed"),
     "beads": lambda: scenes.beads(["brass", "PTFE"], [2e-3, 1e-3], 3.0, cells=3, damping_time=1e-3),
     "scaled beads": lambda: scenes.scaled(scenes.beads("brass", 2e-3, 3.0, cells=5)).lattice,
 }

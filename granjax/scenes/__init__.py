@@ -5,12 +5,16 @@ A batch of scenes is `jax.vmap(lambda ratio: scenes.dimer(60, ratio), out_axes=-
 
 from .bead_chain import beads
 from .chains import defects, dimer, disordered, fput, monomer, n_to_one, pattern, taper, toda, trimer
+from .on_site import cradle, klein_gordon, sine_gordon
 from .resonators import mass_in_mass, mass_with_mass, woodpile
 from .softening import alternating, foam, hollow_cylinders, origami, tensegrity
 from .units import ScaledLattice, Units, scaled
 
 __all__ = [
-    "ScaledLattice", "Units", "alternating", "beads", "defects", "dimer", "disordered", "foam", "fput",
-    "hollow_cylinders", "mass_in_mass", "mass_with_mass", "monomer", "n_to_one", "origami", "pattern", "scaled",
-    "taper", "tensegrity", "toda", "trimer", "woodpile",
+    "ScaledLattice", "Units", "scaled",
+    "beads",
+    "defects", "dimer", "disordered", "fput", "monomer", "n_to_one", "pattern", "taper", "toda", "trimer",
+    "cradle", "klein_gordon", "sine_gordon",
+    "mass_in_mass", "mass_with_mass", "woodpile",
+    "alternating", "foam", "hollow_cylinders", "origami", "tensegrity",
 ]

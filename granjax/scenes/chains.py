@@ -37,11 +37,16 @@ def _contact(stiffness, exponent, precompression):
 def _chain(sites, mass, law, boundary, **parameters):
     """The chain of a law, whose parameters are one number or one per contact."""
     bond, sites = Bond(Shift(1, one_of("boundary", boundary, BOUNDARIES)), law), _sites(sites)
+    check_contacts(sites, boundary, parameters)
+    return Lattice(mass, (bond,), sites=sites)
+
+
+def check_contacts(sites: int, boundary: str, parameters: dict) -> None:
+    """Refuse what is neither one number nor one per contact."""
     contacts = sites + {"fixed": 1, "free": -1}.get(boundary, 0)
     for name, x in parameters.items():
         if np.shape(x)[:1] not in ((), (1,), (contacts,)):
             refuse(name, f"one number, or one per contact, shape ({contacts},)", f"shape {np.shape(x)}")
-    return Lattice(mass, (bond,), sites=sites)
 
 
 def _power_chain(sites, mass, stiffness, exponent, precompression, boundary):

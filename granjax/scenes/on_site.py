@@ -1,0 +1,134 @@
+"""Chains with a force on every site: Newton's cradle, Klein-Gordon (phi^4), sine-Gordon."""
+
+from ..checks import non_negative, one_of, parameter, positive, refuse
+from ..entry import checked
+from ..lattice import Lattice
+from ..laws import Law, Linear, Polynomial, Sine
+from ..strains import BOUNDARIES, Shift
+from ..terms import Bond, OnSite
+from ..types import Count, Parameter
+from .chains import _contact, _sites, check_contacts
+
+# what couples weakly is what these chains are about
+_COUPLED = "Sites without coupling are coupling=0."
+
+
+def _on_sites(sites, mass, law, on_site, boundary, parameters, per_site):
+    """The chain of a law between sites and of one on each, whose parameters are one number, or one each."""
+    sites = _sites(sites)
+    one_of("boundary", boundary, BOUNDARIES)
+    check_contacts(sites, boundary, parameters)
+    for name, x in per_site.items():
+        if parameter(name, x).shape[:1] not in ((), (1,), (sites,)):
+            refuse(name, f"one number, or one per site, shape ({sites},)", f"shape {parameter(name, x).shape}")
+    return Lattice(mass, (Bond(Shift(1, boundary), law), OnSite(on_site)), sites=sites)
+
+
+@checked
+def cradle(
+    sites: Count, *, mass: Parameter = 1.0, stiffness: Parameter = 1.0, exponent: Parameter = 1.5,
+    precompression: Parameter = 0.0, pendulum: Parameter = 1.0, length: Parameter | None = None,
+    boundary: str = "free",
+) -> Lattice:
+    r"""Newton's cradle: beads that touch, each on a pendulum of its own.
+
+    m u_n'' = A [d0 + u_{n-1} - u_n]_+^p - A [d0 + u_n - u_{n+1}]_+^p - k L sin(u_n/L), d0 = (F0/A)^{1/p},
+
+    or -k u_n for strings so long that their arc is straight. Without precompression the chain has no linear
+    coupling: all sites swing at sqrt(k/m), and breathers and travelling waves of small amplitude obey the discrete
+    p-Schroedinger equation. For beads of mass m on strings of length L in gravity g: k = m g/L.
+
+    **Arguments:**
+
+    - `sites`: number of beads N >= 2.
+    - `mass`: m > 0, a number, or one per bead (N,).
+    - `stiffness`, `exponent`, `precompression`: A, p and F0 of the contacts, as in `monomer`.
+    - `pendulum`: k > 0 [N/m], a number, or one per bead.
+    - `length`: L > 0 of the strings, a number, or one per bead; `None` for straight arcs.
+    - `boundary`: `"free"`, `"fixed"` (walls beside the end beads) or `"periodic"`.
+
+    **Returns:** a `Lattice`. **Raises** ValueError as `monomer` does, and for k or L that is not above zero. Typical:
+    amplitudes of 0.01 ... 1 with A = k = m = 1; 9.53 mm steel beads on 10 cm: m = 28.4 g, k = 2.8 N/m.
+    Source: James, Kevrekidis, Cuevas, Physica D 251, 39 (2013).
+    """
+    pendulum = positive("pendulum", pendulum, "It is m g/L of each bead.")
+    if length is None:
+        swing, per_site = Linear(pendulum), {"pendulum": pendulum}
+    else:
+        length = positive("length", length, "None is a string so long that the arc is straight.")
+        swing, per_site = Sine(pendulum, 1 / length), {"pendulum": pendulum, "length": length}
+    law = _contact(stiffness, exponent, precompression)
+    contacts = {"stiffness": stiffness, "exponent": exponent, "precompression": precompression}
+    return _on_sites(sites, mass, law, swing, boundary, contacts, per_site)
+
+
+@checked
+def klein_gordon(
+    sites: Count, coupling: Parameter = 0.1, *, alpha: Parameter | None = None, beta: Parameter | None = None,
+    law: Law | None = None, mass: Parameter = 1.0, stiffness: Parameter = 1.0, boundary: str = "free",
+) -> Lattice:
+    r"""Klein-Gordon chain: oscillators with a nonlinear force on each, and springs between them.
+
+    m u_n'' = C (u_{n-1} - 2 u_n + u_{n+1}) - V'(u_n),  V'(u) = k u + alpha u^2 + beta u^3.
+
+    By default the hard phi^4 chain, V = u^2/2 + u^4/4; the soft one is `beta=-1.0`. The double well
+    V = (x^2 - 1)^2/4, whose wells kinks join, is at rest in x = 1, so with u = x - 1: `stiffness=2.0, alpha=3.0,
+    beta=1.0`, the other well at u = -2. The band is k/m <= omega^2 <= (k + 4 C)/m; breathers lie above it where the
+    force hardens, below it where it softens, and from C = 0 on (`gx.breathers.anticontinuous`).
+
+    **Arguments:**
+
+    - `sites`: number of oscillators N >= 2.
+    - `coupling`: C >= 0 [N/m], a number, or one per spring: (N - 1,), (N + 1,) or (N,) for the boundaries below.
+    - `alpha`, `beta`: a number, or one per site; zero where only the other is given, 0 and 1 where neither is.
+    - `law`: another force -law.force(u) on each site, instead of `stiffness`, `alpha` and `beta`.
+    - `mass`: m > 0, a number, or one per site. `stiffness`: k > 0 [N/m], a number, or one per site.
+    - `boundary`: `"free"`, `"fixed"` (springs to walls) or `"periodic"`.
+
+    **Returns:** a `Lattice`. **Raises** ValueError for N < 2, C < 0, m or k <= 0, a law beside coefficients, or an
+    unknown boundary. Source: Marin, Aubry, Nonlinearity 9, 1501 (1996).
+    """
+    if law is not None and not (alpha is None and beta is None):
+        refuse("law", "a law, or alpha and beta", "both", "Leave one of them out.")
+    stiffness = positive("stiffness", stiffness, "A site that is not held back is a site of another chain.")
+    if alpha is None:
+        alpha = 0.0
+        beta = 1.0 if beta is None else beta
+    beta = 0.0 if beta is None else beta
+    parameter("alpha", alpha)
+    parameter("beta", beta)
+    on_site = Polynomial(stiffness, alpha, beta) if law is None else law
+    coupling = non_negative("coupling", coupling, _COUPLED)
+    per_site = {} if law is not None else {"stiffness": stiffness, "alpha": alpha, "beta": beta}
+    return _on_sites(sites, mass, Linear(coupling), on_site, boundary, {"coupling": coupling}, per_site)
+
+
+@checked
+def sine_gordon(
+    sites: Count, coupling: Parameter = 1.0, *, mass: Parameter = 1.0, stiffness: Parameter = 1.0,
+    wavenumber: Parameter = 1.0, boundary: str = "free",
+) -> Lattice:
+    r"""Discrete sine-Gordon (Frenkel-Kontorova) chain: pendula on a torsion spring.
+
+    m u_n'' = C (u_{n-1} - 2 u_n + u_{n+1}) - (k/q) sin(q u_n).
+
+    With m = k = q = 1 and C = 1/h^2 it is the equation u_tt = u_xx - sin u on sites x = n h, with errors of h^2: the
+    kink 4 atan(exp((x - v t)/sqrt(1 - v^2))) of energy 8/(h sqrt(1 - v^2)) in the units of the chain (8 per unit
+    length of x), and the breather 4 atan(sqrt(1 - w^2)/w cos(w t)/cosh(sqrt(1 - w^2) x)).
+
+    **Arguments:**
+
+    - `sites`: number of sites N >= 2.
+    - `coupling`: C >= 0 [N/m], a number, or one per spring: (N - 1,), (N + 1,) or (N,) for the boundaries below.
+    - `mass`: m > 0, `stiffness`: k > 0 [N/m], `wavenumber`: q > 0, the potential's period being 2 pi/q: a number, or
+      one per site.
+    - `boundary`: `"free"`, `"fixed"` (springs to walls at u = 0) or `"periodic"`. A kink needs free ends.
+
+    **Returns:** a `Lattice`. **Raises** ValueError for N < 2, C < 0, m, k or q <= 0, or an unknown boundary.
+    Source: Frenkel, Kontorova, Zh. Eksp. Teor. Fiz. 8, 1340 (1938); Braun, Kivshar, The Frenkel-Kontorova Model (2004).
+    """
+    stiffness = positive("stiffness", stiffness, "A site that is not held back is a site of another chain.")
+    wavenumber = positive("wavenumber", wavenumber, "The potential's period is 2 pi/q.")
+    coupling = non_negative("coupling", coupling, _COUPLED)
+    return _on_sites(sites, mass, Linear(coupling), Sine(stiffness, wavenumber), boundary, {"coupling": coupling},
+                     {"stiffness": stiffness, "wavenumber": wavenumber})
