@@ -26,6 +26,7 @@ Lattices
     Dashpot             a force of the rate of a bond
     ViscousContact      a dashpot that acts while a contact is closed
     Drag                a force of the velocity's square
+    LongRange           bonds to all neighbours of a chain, with weights of the distance
     Drive               a force of time on a site
     Wall                a wall that yields, or moves
     Modulated           a term times a function of time
@@ -170,6 +171,7 @@ from .terms import (  # noqa: E402
     Drag,
     Drive,
     Harmonic,
+    LongRange,
     Modulated,
     OnSite,
     Term,
@@ -198,12 +200,12 @@ _WITHIN = {"Resonator": ".travelling", "explore": ".notebook", "sweep": ".sweeps
 
 __all__ = [
     "Arrival", "Bond", "Breaks", "Damping", "Dashpot", "Derivative", "Design", "Drag", "Drive", "Fit", "Flow",
-    "Harmonic", "Hertz", "Integral", "KahanLi8", "Lattice", "Law", "Linear", "Lowest", "Modulated", "Network", "OnSite",
-    "Pairs", "Peak", "Polynomial", "PowerLaw", "RKN1210", "RKN86", "Record", "Resonator", "Result", "Reversible", "Run",
-    "SRKN11b", "SRKN14a", "SRKN6b", "Shift", "Sine", "SofroniouSpaletta10", "Spline", "State", "StrainMap", "Stretch",
-    "Term", "Toda", "Traces", "Units", "VelocityVerlet", "ViscousContact", "Wall", "WorkPrecision", "Yielding", "clear",
-    "derivative", "design", "explore", "fit", "laws", "simulate", "smooth_peak", "solvers", "strains", "sweep", "terms",
-    "tune", "vector_field", "work_precision", *_LAZY,
+    "Harmonic", "Hertz", "Integral", "KahanLi8", "Lattice", "Law", "Linear", "LongRange", "Lowest", "Modulated",
+    "Network", "OnSite", "Pairs", "Peak", "Polynomial", "PowerLaw", "RKN1210", "RKN86", "Record", "Resonator", "Result",
+    "Reversible", "Run", "SRKN11b", "SRKN14a", "SRKN6b", "Shift", "Sine", "SofroniouSpaletta10", "Spline", "State",
+    "StrainMap", "Stretch", "Term", "Toda", "Traces", "Units", "VelocityVerlet", "ViscousContact", "Wall",
+    "WorkPrecision", "Yielding", "clear", "derivative", "design", "explore", "fit", "laws", "simulate", "smooth_peak",
+    "solvers", "strains", "sweep", "terms", "tune", "vector_field", "work_precision", *_LAZY,
 ]
 
 

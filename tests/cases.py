@@ -165,6 +165,7 @@ class LatticeCase(NamedTuple):
 _MASSES = np.array([1.0, 0.5, 1.0, 0.7, 1.2, 0.9])
 _CELL = {"bead": _MASSES, "resonator": np.full(6, 0.3)}
 _WAVE = gx.Harmonic(0.3, 1.7, phase=0.4)
+_ALGEBRAIC = np.arange(1.0, 13) ** -3
 _GRID = np.linspace(0.8, 1.3, 20).reshape(4, 5)
 
 
@@ -187,6 +188,9 @@ ALL_TERMS = (
     LatticeCase("bond_magnets", _chain(gx.Bond(gx.Shift(1, "fixed"), gx.PowerLaw(1.0, -3.0, 1.0)))),
     LatticeCase("bond_exponents", _chain(gx.Bond(gx.Shift(1, "free"), gx.PowerLaw(1.0, np.linspace(1.2, 3, 5), 1.0))),
                 True),
+    LatticeCase("long_range_ring", _chain(gx.LongRange(_ALGEBRAIC, gx.Polynomial(1.0, 0.3, 0.2), "periodic")), True),
+    LatticeCase("long_range_magnets", _chain(
+        gx.LongRange(_ALGEBRAIC, gx.PowerLaw(1.0, -3.0, 1.0), "fixed", takes="strain"))),
     LatticeCase("onsite_linear", _chain(gx.OnSite(gx.Linear(np.linspace(1, 2, 6))))),
     LatticeCase("onsite_sine", _chain(gx.OnSite(gx.Sine(1.0, 2.0)))),
     LatticeCase("damping", _chain(gx.Damping(0.1))),

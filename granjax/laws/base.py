@@ -76,6 +76,11 @@ class Law(Dimensional):
         """(A, p) of a contact A [d0 + e]^p, or `None`."""
         return None
 
+    @property
+    def powers(self):
+        """{k: K_k} of a polynomial F(e) = sum K_k e^k, or `None`."""
+        return None
+
     def _wrapped(self, units):
         return InOtherUnits(self, units.length, units.force)
 
@@ -123,6 +128,13 @@ class Sum(Law):
         known = {part.opens for part in self.parts}
         return None if None in known else True in known
 
+    @property
+    def powers(self):
+        found = [part.powers for part in self.parts]
+        if None in found:
+            return None
+        return {k: sum(own[k] for own in found if k in own) for k in sorted(set().union(*found))}
+
     def force(self, e):
         return sum(part.force(e) for part in self.parts)
 
@@ -169,6 +181,11 @@ class Scaled(Law):
     def power_law(self):
         found = self.law.power_law
         return None if found is None else (self.factor * found[0], found[1])
+
+    @property
+    def powers(self):
+        found = self.law.powers
+        return None if found is None else {k: self.factor * K for k, K in found.items()}
 
     def force(self, e):
         return self.factor * self.law.force(e)

@@ -44,6 +44,10 @@ class Polynomial(Law):
                 value = K if value is None else value + K
         return value
 
+    @property
+    def powers(self):
+        return {k: K for k, K in enumerate((self.K2, self.K3, self.K4), 1) if K is not None}
+
     def force(self, e):
         return self._horner(e, (1, 1, 1)) * e
 
@@ -97,6 +101,10 @@ class Linear(Law):
     @checked
     def __init__(self, stiffness: Parameter = 1.0):
         self.stiffness = parameter("stiffness", stiffness)
+
+    @property
+    def powers(self):
+        return {1: self.stiffness}
 
     def force(self, e):
         return self.stiffness * e

@@ -6,6 +6,7 @@ A term that a scene does not need is not in the tuple, and then costs nothing.
 from .base import Compression, Excitation, Term
 from .bonds import Bond, Modulated
 from .dissipation import Damping, Dashpot, Drag, ViscousContact
+from .long_range import LongRange
 from .reach import Reach, Reached
 from .sites import Drive, OnSite
 from .tracing import Dependence
@@ -14,5 +15,5 @@ from .waveforms import Breaks, Function, Harmonic
 
 __all__ = [
     "Bond", "Breaks", "Compression", "Damping", "Dashpot", "Dependence", "Drag", "Drive", "Excitation", "Function",
-    "Harmonic", "Modulated", "OnSite", "Reach", "Reached", "Term", "ViscousContact", "Wall",
+    "Harmonic", "LongRange", "Modulated", "OnSite", "Reach", "Reached", "Term", "ViscousContact", "Wall",
 ]

@@ -1,0 +1,302 @@
+"""Bonds to all neighbours of a chain: magnets, algebraic kernels, fractional lattices."""
+
+import math
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from ..checks import one_of, parameter, refuse
+from ..entry import checked
+from ..laws import Law, Scaled
+from ..strains import BOUNDARIES
+from ..types import Parameter
+from ..units import PART
+from .base import Compression, Term, get, put, wider
+from .reach import Reached, steepest
+from .toeplitz import neighbour_sums
+from .tracing import Dependence
+
+# offsets up to which a sum over neighbours costs less than two transforms; up to which a loop is written out
+FEW = 8
+TAKES = ("displacement", "strain")
+
+
+class LongRange(Term):
+    r"""Bonds from each site of a chain to its first M neighbours: weights of the offsets, and one law.
+
+    Force on site n: -sum_m [c_m F(u_n - u_{n+m}) - c_m F(u_{n-m} - u_n)], m = 1 ... M, with the law's F. With
+    `takes="strain"` the law takes the compression per spacing, F(e/m): so are magnets, each of which repels every
+    other, A (m d - e)^p = A m^p (d - e/m)^p, a kernel m^p and the law of neighbours.
+
+    Laws that are polynomials (`Linear`, `Polynomial`) take the time of a few FFTs, whatever M: (u_n - u_j)^k by the
+    binomial theorem. Rounding is then about 1e-16 sum_m c_m (2 max |u|)^k, where u is counted from its mean. All other
+    laws, and kernels of at most 8 offsets, are summed bond by bond.
+
+    **Arguments:**
+
+    - `kernel`: c_m (M,), dimensionless, of any sign, for the offsets 1 to M. A kernel may be longer than the chain.
+    - `law`: one for all bonds.
+    - `boundary`: `"free"` (bonds within the chain: nothing is wrapped), `"fixed"` (the chain goes on at rest beyond its
+      ends, as far as the kernel reaches), `"periodic"` (every offset of the kernel goes around the ring, several times
+      where M is larger: what an infinite chain does whose motion repeats after the ring; nothing is cut).
+    - `takes`: "displacement" or "strain". `field`: as in `OnSite`.
+
+    Typical: 1/m^2 ... 1/m^5. A free chain whose law has a preload is not at rest at u = 0: `gx.equilibrium`.
+    **Raises** ValueError for a kernel that is no row of numbers, a law with parameters of its own for each bond, and a
+    lattice that is no chain. Source: Flach, Phys. Rev. E 58, R4116 (1998); Chong et al., Phys. Rev. Lett. 131, 117201.
+    """
+
+    dimensions = {"kernel": (0, 0, 0), "law": PART}
+    kernel: jax.Array
+    law: Law
+    boundary: str = eqx.field(static=True)
+    takes: str = eqx.field(static=True)
+    field: str | None = eqx.field(static=True)
+
+    @checked
+    def __init__(self, kernel: Parameter, law: Law, boundary: str = "fixed", *, takes: str = "displacement",
+                 field: str | None = None):
+        self.kernel, self.law, self.field = parameter("kernel", kernel), law, field
+        if self.kernel.ndim != 1 or not self.kernel.size:
+            refuse("kernel", "a row of weights, one for each offset from 1 on", f"shape {self.kernel.shape}")
+        self.boundary, self.takes = one_of("boundary", boundary, BOUNDARIES), one_of("takes", takes, TAKES)
+
+    def check(self, name, lattice):
+        if lattice.axes != 1:
+            refuse(name, "a chain", f"a lattice with {lattice.axes} axes", "Write a term of your own for a grid.")
+        if any(jnp.ndim(x) > len(lattice.lanes) for x in jax.tree.leaves(self.law)):
+            refuse(name, "a law with single numbers, the same for all bonds", "one with arrays")
+
+    def dependence(self, lattice):
+        return Dependence(displacement=True, energy=True, transforms=self._powers is not None)
+
+    def per_vector(self, axes):
+        return eqx.tree_at(lambda x: x.kernel, self, self.kernel[..., None])
+
+    def span(self):
+        return (self.kernel.shape[0],)
+
+    def walls(self):
+        return ("left", "right") if self.boundary == "fixed" else ()
+
+    def next_neighbours(self):
+        if self.kernel.shape[0] > 1 or self.field is not None:
+            return None
+        return Scaled(self.law, self.kernel), self.boundary
+
+    def scaled(self, factor):
+        if jnp.ndim(factor) > self.kernel.ndim - 1:
+            return super().scaled(factor)
+        return eqx.tree_at(lambda x: x.law, self, Scaled(self.law, factor))
+
+    @property
+    def _powers(self):
+        """The coefficients of the law where its sums are done by FFT."""
+        return None if self.kernel.shape[0] <= FEW else self.law.powers
+
+    def force(self, t, u, v, mass):
+        return put(self._sums(get(u, self.field)).force(self.law), self.field)
+
+    def energy(self, t, u):
+        return self._sums(get(u, self.field)).energy(self.law)
+
+    def site_energy(self, lattice, t, u):
+        return put(self.energy(t, u), self.field)
+
+    def _sums(self, x):
+        offsets = self._kernel(x)
+        return (_Bonds if self._powers is None else _Powers)(*offsets, x, self.boundary)
+
+    def _kernel(self, x):
+        """Weights and spacings of the offsets that count, with axes for all of the lanes of `x`."""
+        c = self.kernel[: x.shape[0] - 1] if self.boundary == "free" else self.kernel
+        c = c.reshape(c.shape + (1,) * (x.ndim - c.ndim))
+        m = jnp.arange(1, c.shape[0] + 1, dtype=c.dtype).reshape((-1,) + (1,) * (c.ndim - 1))
+        return c, m if self.takes == "strain" else jnp.ones_like(m)
+
+    def preload_force(self, u):
+        x = get(u, self.field)
+        c, _ = self._kernel(x)
+        if self.boundary != "free":
+            return None
+        before = jnp.concatenate([jnp.zeros_like(c[:1]), jnp.cumsum(c, 0)])
+        before = before[jnp.minimum(jnp.arange(x.shape[0]), c.shape[0])]
+        return put(jnp.broadcast_to(self.law.preload * (before - before[::-1]), x.shape).astype(x.dtype), self.field)
+
+    def compressions(self, t, u):
+        """Those of next neighbours."""
+        x, c = get(u, self.field), self.kernel[0]
+        c = c.reshape(c.shape + (1,) * (x.ndim - 1 - c.ndim))
+        return (Compression(Scaled(self.law, c), _strains(x, self.boundary)),)
+
+    def linearised(self, lattice, t, u, v):
+        return LongRangeTangent(wider(self), get(u, self.field)[..., None])
+
+    def stiffness_bound(self, lattice, reach, factor=1.0):
+        c, m = self._kernel(get(lattice.zeros(), self.field))
+        k = jnp.abs(self._steepest(jnp.abs(c), m, reach) * factor)
+
+        def bound(w):
+            x = get(w, self.field)
+            own = k.reshape(k.shape + (1,) * (x.ndim - k.ndim))
+            return put(2 * own.sum(0) * x + neighbour_sums(own, x, 1, self.boundary), self.field)
+
+        return bound
+
+    def _steepest(self, c, m, reach):
+        """Largest stiffness of the bonds of each offset, (M, lanes...)."""
+        if self.takes == "strain":
+            # a mean of m compressions side by side: none is above the largest
+            first = jnp.where(c[0] > 0, c[0], 1)
+            k = reach.stiffest(Scaled(self.law, first), 0)
+            k = jnp.max(k, 0, keepdims=True) if k.ndim == c.ndim else k[None]
+            return k / first * c / m
+        if isinstance(reach, Reached):
+            offsets = jnp.arange(1, c.shape[0] + 1, dtype=c.dtype).reshape((-1,) + (1,) * (c.ndim - 1))
+            low, high = jnp.min(reach.low[0], 0) * offsets, jnp.max(reach.high[0], 0) * offsets
+            return c * steepest(self.law, jnp.minimum(low, 0), jnp.maximum(high, 0))
+        return reach.stiffest(Scaled(self.law, c), 0)
+
+
+class LongRangeTangent(Term):
+    """The linear springs of a `LongRange` term about displacements `about`, which have a trailing axis for tangents."""
+
+    dimensions = {"term": PART, "about": (0, 1, 0)}
+    term: LongRange
+    about: jax.Array
+
+    def dependence(self, lattice):
+        return self.term.dependence(lattice)._replace(energy=False)
+
+    def force(self, t, u, v, mass):
+        return put(self.term._sums(self.about).slope(self.term.law, get(u, self.term.field)), self.term.field)
+
+
+class _Bonds(NamedTuple):
+    """Sums over the bonds of a chain one offset after the other: weights, spacings, displacements, boundary."""
+
+    c: jax.Array
+    m: jax.Array
+    x: jax.Array
+    boundary: str
+
+    def force(self, law):
+        return self._sum(lambda e, own, c, m: c * law.force(e / m), lambda left, right: left - right)
+
+    def slope(self, law, w):
+        return self._sum(lambda e, own, c, m: c * law.derivative(e / m) / m * own, lambda left, right: left - right, w)
+
+    def energy(self, law):
+        """Half of each bond's at either end, all of it where the other end is at rest beyond the chain."""
+        return self._sum(lambda e, own, c, m: c * m * law.energy(e / m), lambda left, right: left + right, halves=True)
+
+    def _sum(self, bond, joined, w=None, halves=False):
+        n, count = self.x.shape[0], self.c.shape[0]
+        mode = "wrap" if self.boundary == "periodic" else "constant"
+        arrays = (self.x,) if w is None else (self.x, w)
+        wide = [jnp.pad(x, [(count, count)] + [(0, 0)] * (x.ndim - 1), mode=mode) for x in arrays]
+        place = jnp.arange(n).reshape((-1,) + (1,) * (self.x.ndim - 1))
+
+        def side(offset, c, m, sign, there):
+            es = [sign * (x - jax.lax.dynamic_slice_in_dim(far, count + sign * offset, n))
+                  for x, far in zip(arrays, wide)]
+            if self.boundary == "free":
+                es = [jnp.where(there, e, 0) for e in es]
+            value = bond(es[0], es[-1], c, m)
+            if self.boundary == "free":
+                value = jnp.where(there, value, 0)
+            whole = (self.boundary == "fixed") & ~there
+            return jnp.where(whole, value, value / 2) if halves else value
+
+        def both(total, offset, c, m):
+            right = side(offset, c, m, 1, place + offset < n)
+            left = side(offset, c, m, -1, place - offset >= 0)
+            return total + joined(left, right)
+
+        total = jnp.zeros_like(arrays[-1])
+        if count <= FEW:
+            for i in range(count):
+                total = both(total, i + 1, self.c[i], self.m[i])
+            return total
+        parts = jnp.arange(1, count + 1), self.c, self.m
+        return jax.lax.scan(lambda total, part: (both(total, *part), None), total, parts)[0]
+
+
+class _Powers(NamedTuple):
+    """The same for a law that is a polynomial, by FFT: fields as of `_Bonds`."""
+
+    c: jax.Array
+    m: jax.Array
+    x: jax.Array
+    boundary: str
+
+    def force(self, law):
+        x, parts = self._centred(), law.powers
+        return -sum(K * self._binomial(x, k, k) for k, K in parts.items())
+
+    def energy(self, law):
+        x, parts = self._centred(), law.powers
+        total = sum(K / (k + 1) * self._binomial(x, k + 1, k) for k, K in parts.items()) / 2
+        if self.boundary != "fixed":
+            return total
+        return total + sum(K / (k + 1) / 2 * self._beyond(k) * x ** (k + 1) for k, K in parts.items())
+
+    def slope(self, law, w):
+        x, parts = self._centred(), law.powers
+        return -sum(K * k * self._binomial(x, k - 1, k, w) for k, K in parts.items())
+
+    def _centred(self):
+        """Displacements, of which differences count alone, from their mean where nothing is at rest."""
+        if self.boundary == "fixed":
+            return self.x
+        return self.x - jax.lax.stop_gradient(jnp.mean(self.x, 0, keepdims=True))
+
+    def _weights(self, k):
+        return self.c / self.m**k, 1 if k % 2 else -1
+
+    def _binomial(self, x, power, k, w=None):
+        """sum over j of s_j c_j (x_n - x_j)^power [(w_n - w_j)], s_j = -1 for even k where j < n."""
+        c, parity = self._weights(k)
+        total = 0
+        for i in range(power + 1):
+            factor = (-1) ** i * math.comb(power, i) * x ** (power - i)
+            if w is None:
+                part = self._neighbours(c, x**i, parity) if i else self._all(c, parity)
+            else:
+                own = self._neighbours(c, x**i, parity) if i else self._all(c, parity)
+                part = own * w - self._neighbours(c, x**i * w if i else w, parity)
+            total = total + factor * part
+        return total
+
+    def _neighbours(self, c, x, parity):
+        return neighbour_sums(c, x, parity, self.boundary)
+
+    def _all(self, c, parity):
+        """The sum of the weights of all bonds of a site."""
+        if self.boundary != "free":
+            return (1 + parity) * c.sum(0)
+        right, left = self._within(c)
+        return right + parity * left
+
+    def _within(self, c):
+        """The sums of the weights to the right and to the left that stay in the chain."""
+        n, count = self.x.shape[0], c.shape[0]
+        sums = jnp.concatenate([jnp.zeros_like(c[:1]), jnp.cumsum(c, 0)])
+        left = sums[jnp.minimum(jnp.arange(n), count)]
+        return left[::-1], left
+
+    def _beyond(self, k):
+        c, parity = self._weights(k)
+        right, left = self._within(c)
+        return c.sum(0) - right + parity * (c.sum(0) - left)
+
+
+def _strains(x, boundary):
+    """u_n - u_{n+1} of all bonds."""
+    if boundary == "periodic":
+        return x - jnp.roll(x, -1, 0)
+    if boundary == "fixed":
+        x = jnp.pad(x, [(1, 1)] + [(0, 0)] * (x.ndim - 1))
+    return x[:-1] - x[1:]
