@@ -31,6 +31,7 @@ Lattices
     Wall                a wall that yields, or moves
     Modulated           a term times a function of time
     Harmonic            a cosine of time, whose numbers can be swept
+    Square              one that jumps between two values: layers in time
     Breaks              times at which a function of time jumps
     terms               the same, and what they are made of
 Strain maps
@@ -174,6 +175,7 @@ from .terms import (  # noqa: E402
     LongRange,
     Modulated,
     OnSite,
+    Square,
     Term,
     ViscousContact,
     Wall,
@@ -202,8 +204,8 @@ __all__ = [
     "Arrival", "Bond", "Breaks", "Damping", "Dashpot", "Derivative", "Design", "Drag", "Drive", "Fit", "Flow",
     "Harmonic", "Hertz", "Integral", "KahanLi8", "Lattice", "Law", "Linear", "LongRange", "Lowest", "Modulated",
     "Network", "OnSite", "Pairs", "Peak", "Polynomial", "PowerLaw", "RKN1210", "RKN86", "Record", "Resonator", "Result",
-    "Reversible", "Run", "SRKN11b", "SRKN14a", "SRKN6b", "Shift", "Sine", "SofroniouSpaletta10", "Spline", "State",
-    "StrainMap", "Stretch", "Term", "Toda", "Traces", "Units", "VelocityVerlet", "ViscousContact", "Wall",
+    "Reversible", "Run", "SRKN11b", "SRKN14a", "SRKN6b", "Shift", "Sine", "SofroniouSpaletta10", "Spline", "Square",
+    "State", "StrainMap", "Stretch", "Term", "Toda", "Traces", "Units", "VelocityVerlet", "ViscousContact", "Wall",
     "WorkPrecision", "Yielding", "clear", "derivative", "design", "explore", "fit", "laws", "simulate", "smooth_peak",
     "solvers", "strains", "sweep", "terms", "tune", "vector_field", "work_precision", *_LAZY,
 ]

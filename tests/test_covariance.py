@@ -211,6 +211,10 @@ EVERY = (*BUILT_IN, foreign)
 FEW = (closed, mixed, plane, foreign)
 
 
+# the period of layers in time
+LAYERS = 2.0
+
+
 class Scene:
     """A random lattice in some units, with what belongs to it."""
 
@@ -512,6 +516,21 @@ row("unit_cell", dimer, slow=(uniform, plane))(lambda s: [
 def _(s):
     k = np.array([[0.3, 0.7], [1.1, 2.0]]) if s.lattice.dimension else np.array([0.3, 1.1, 2.7])
     return fields_of(gx.linear.dispersion(s.lattice, k), vectors=None)
+
+
+def layered(rng, w):
+    """A ring of two masses, whose stiffness jumps and whose damping does not."""
+    mass = jnp.tile(w.kg(jnp.stack([near(rng, 1.0), near(rng, 0.4)])), 4)
+    layers = gx.Square(near(rng, 0.2), w.hertz(2 * np.pi / LAYERS), mean=1.0)
+    return gx.Lattice(mass, (gx.Modulated(gx.Bond(gx.Shift(1, "periodic"), hertz(rng, w)), layers),
+                             gx.Damping(w.hertz(near(rng, 0.01)))))
+
+
+@row("floquet_bands", slow=(layered,))
+def _(s):
+    found = gx.linear.floquet_bands(s.lattice, np.array([0.3, 1.1, 2.7]), s.s(LAYERS))
+    waves = dict.fromkeys(("multipliers", "displacements", "velocities", "omega", "error", "growth", "fastest_k"))
+    return fields_of(found, **waves), moduli(found.multipliers, found.error)
 
 
 # the lattice
@@ -880,6 +899,8 @@ def _(s):
             drawn(*ax.child_axes, ax)]
 
 
+row("plots_floquet_bands", slow=(layered,))(lambda s: drawn(
+    gx.plots.floquet_bands(gx.linear.floquet_bands(s.lattice, np.linspace(-np.pi, np.pi, 5), s.s(LAYERS)))))
 row("plots_dispersion", dimer)(lambda s: drawn(
     gx.plots.dispersion(gx.linear.dispersion(s.lattice, np.linspace(-np.pi, np.pi, 21)))))
 

@@ -118,6 +118,7 @@ MAKERS = {
     "Bifurcation": lambda: gx.breathers.Bifurcation("torus", 0.5, 1, state(), 1j, 0, 1),
     "NormalModes": lambda: linear.normal_modes(chain()), "Bands": lambda: linear.bands(ring()),
     "Dispersion": lambda: linear.dispersion(ring(), np.linspace(0.1, 3.0, 4)),
+    "FloquetBands": lambda: linear.floquet_bands(ring(), np.linspace(0.1, 3.0, 4), 1.0),
     "ClosedForms": lambda: gx.travelling.ClosedForms(np.array([1.1, 1.2]), np.array(1.0), *np.ones((4, 2)), **OTHER),
     "Peaks": lambda: measures.peak_times(T, np.outer(np.sin(T), np.ones(3))),
     "Front": lambda: measures.front_speed(T, np.exp(-((T[:, None] - np.arange(0.5, 1.6, 0.5)) ** 2))),

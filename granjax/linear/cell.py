@@ -1,5 +1,8 @@
 """The unit cell of a lattice: its period, found or given, and the dynamical matrix D(k)."""
 
+from collections.abc import Callable
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -10,7 +13,17 @@ from ..entry import checked
 from ..lattice import Lattice
 from ..printing import told
 from ..types import AnyArray, Cell, ComplexNumbers, Displacements, Numbers
-from .stiffness import at_rest, blocks, grid, masses, measure, offsets, refuse_one_way, unpack
+from .stiffness import (
+    at_rest,
+    blocks,
+    grid,
+    masses,
+    measure,
+    offsets,
+    refuse_one_way,
+    stiffness_product,
+    unpack,
+)
 
 ROUNDING, TIGHT, LOOSE = 16, 1e3, 1e6
 """In units of eps times the largest stiffness: what sums to zero; blocks that are equal; a reach that is enough."""
@@ -38,14 +51,7 @@ class UnitCell(eqx.Module):
     @checked
     def dynamical_matrix(self, k: Numbers) -> ComplexNumbers:
         """D(k), (P, P), complex and Hermitian, for one `k` of shape (axes,)."""
-        uniform = self.coupling.sum(0)
-        # long waves stay accurate by exp(ix) - 1 = 2i sin(x/2) exp(ix/2), and without the rounding of D(0)
-        fixed = jax.lax.stop_gradient(uniform)
-        rounding = ROUNDING * jnp.finfo(fixed.dtype).eps * jnp.abs(jax.lax.stop_gradient(self.coupling)).max()
-        uniform = uniform - jnp.where(jnp.abs(fixed) <= rounding, fixed, 0)
-        half = (np.array(self.shells) @ k) / 2
-        turn = 2j * jnp.sin(half) * jnp.exp(1j * half)
-        return uniform + jnp.einsum("r,rab->ab", turn, self.coupling)
+        return bloch(self.coupling, self.shells, k)
 
     @checked
     def slopes(self, k: Numbers) -> tuple:
@@ -62,6 +68,18 @@ class UnitCell(eqx.Module):
         x = x.reshape(x.shape[:-1] + self.cell + (-1,))
         back = -1 - len(self.cell) - (self.dimension is not None)
         return jax.tree.map(lambda x: jnp.moveaxis(x, back, -1), unpack(x, self.fields, self.dimension))
+
+
+def bloch(coupling: Numbers, shells: tuple, k: Numbers) -> ComplexNumbers:
+    """sum_R coupling_R exp(i k . R), (P, P), for one `k` of shape (axes,)."""
+    uniform = coupling.sum(0)
+    # long waves stay accurate by exp(ix) - 1 = 2i sin(x/2) exp(ix/2), and without the rounding of the sum
+    fixed = jax.lax.stop_gradient(uniform)
+    rounding = ROUNDING * jnp.finfo(fixed.dtype).eps * jnp.abs(jax.lax.stop_gradient(coupling)).max()
+    uniform = uniform - jnp.where(jnp.abs(fixed) <= rounding, fixed, 0)
+    half = (np.array(shells) @ k) / 2
+    turn = 2j * jnp.sin(half) * jnp.exp(1j * half)
+    return uniform + jnp.einsum("r,rab->ab", turn, coupling)
 
 
 @checked
@@ -81,27 +99,28 @@ def unit_cell(lattice: Lattice, cell: Cell | None = None) -> UnitCell:
     """
     lattice = at_rest(lattice)
     sites = grid(lattice)
-    given = None if cell is None else _given_cell(cell, sites)
-    plain, known = _stand_in(lattice)
-    reach, stiffness, mass = _reach(plain)
-    rings = [_is_ring(stiffness, axis, reach) for axis in range(len(sites))]
-    found, chosen = _periods(stiffness, mass, reach, rings, given, known)
+    given = None if cell is None else given_cell(cell, sites)
+    plain, known = stand_in(lattice)
+    reach, stiffness, mass = reach_of(plain, measure)
+    rings = [is_ring(stiffness, axis, reach) for axis in range(len(sites))]
+    found, chosen = periods(stiffness, mass, reach, rings, given, known)
     if all(a is b for a, b in zip(jax.tree.leaves(lattice), jax.tree.leaves(plain))):
-        shells, coupling, mass = _assemble(np, stiffness, mass, found, chosen, reach)
+        shells, coupling, mass = assemble(np, stiffness, mass, found, chosen, reach)
     else:
         shells, coupling, mass = _traced(lattice, found, chosen, reach)
     _check_energy(shells, coupling)
     return UnitCell(jnp.asarray(coupling), jnp.asarray(mass), found, shells, lattice.fields, lattice.dimension)
 
 
-def _given_cell(cell, sites):
+def given_cell(cell: Cell, sites: tuple) -> tuple[int, ...]:
+    """The sites per cell that are asked for, one number an axis."""
     numbers = tuple(cell) if isinstance(cell, (tuple, list)) else (cell,) * len(sites)
     if len(numbers) != len(sites):
         refuse("cell", f"{len(sites)} numbers, one per axis", repr(cell))
     return tuple(whole("cell", n, 1, "It is the number of sites per unit cell.") for n in numbers)
 
 
-def _stand_in(lattice):
+def stand_in(lattice: Lattice) -> tuple:
     """The lattice with concrete values, and whether they are its own.
 
     Where only derivatives are traced the values are there; elsewhere random ones keep the pattern of the stiffness.
@@ -122,8 +141,11 @@ def _stand_in(lattice):
     return jax.tree.map(settle, lattice), known
 
 
-def _reach(lattice):
-    """How far bonds reach along each axis: the bonds' offsets, doubled while that misses some. Blocks of K, masses."""
+def reach_of(lattice: Lattice, measure: Callable) -> tuple:
+    """How far bonds reach along each axis: the bonds' offsets, doubled while that misses some. Blocks of K, masses.
+
+    `measure(lattice, reach)` gives the blocks, the masses, and by how much the blocks miss K.
+    """
     sites = grid(lattice)
     reach = [1] * len(sites)
     for term in lattice.terms:
@@ -146,14 +168,14 @@ def _reach(lattice):
         reach = further
 
 
-def _is_ring(stiffness, axis, reach):
+def is_ring(stiffness: AnyArray, axis: int, reach: tuple) -> bool:
     """Whether bonds go around the ends of one axis."""
     rows = np.moveaxis(stiffness, axis, 0)[: reach[axis]]
     near = np.array(offsets(reach))[:, axis]
     return any(np.any(rows[n][..., near < -n, :, :] != 0) for n in range(len(rows)))
 
 
-def _periods(stiffness, mass, reach, rings, given, known):
+def periods(stiffness: AnyArray, mass: AnyArray, reach: tuple, rings: list, given: Any, known: bool) -> tuple:
     """Sites per cell along each axis, and the sites that stand for the cell."""
     interior = [np.arange(n) if ring else np.arange(r, n - r) for n, r, ring in zip(mass.shape, reach, rings)]
     at = np.ix_(*interior)
@@ -201,10 +223,10 @@ def _period(rows, ring, tolerance, given, known, axis):
 
 @eqx.filter_jit
 def _traced(lattice, cell, chosen, reach):
-    return _assemble(jnp, blocks(lattice, reach), masses(lattice), cell, chosen, reach)
+    return assemble(jnp, blocks(lattice, reach, stiffness_product(lattice)), masses(lattice), cell, chosen, reach)
 
 
-def _assemble(xp, stiffness, mass, cell, chosen, reach):
+def assemble(xp: Any, stiffness: AnyArray, mass: AnyArray, cell: tuple, chosen: tuple, reach: tuple) -> tuple:
     """From blocks between sites to those between cells, over the masses: neighbours R, coupling, masses of the cell."""
     at, width = np.ix_(*chosen), mass.shape[-1]
     home, near = np.indices(cell).reshape(len(cell), -1).T, np.array(offsets(reach))

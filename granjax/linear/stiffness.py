@@ -11,13 +11,13 @@ import numpy as np
 
 from ..checks import refuse, traced
 from ..lattice import Lattice, spread_mass
-from ..types import AnyArray, Displacements, Numbers
+from ..types import AnyArray, Displacements, Number, Numbers
 
 
-def at_rest(lattice: Any) -> Lattice:
+def undriven(lattice: Any) -> Lattice:
     """The lattice without its drives, and with every moving wall held still.
 
-    **Raises** ValueError for what is no single lattice, and for stiffness that changes in time.
+    **Raises** ValueError for what is no single lattice.
     """
     if not isinstance(lattice, Lattice):
         refuse("lattice", "a Lattice", f"a {type(lattice).__name__}", "Build one, or take one of granjax.scenes.")
@@ -26,12 +26,21 @@ def at_rest(lattice: Any) -> Lattice:
             "lattice", "one lattice", f"a batch with lanes {lattice.lanes}",
             "Use jax.vmap(function, in_axes=-1)(lattice), and give cell=... where a unit cell is needed.",
         )
-    still = eqx.tree_at(lambda x: x.terms, lattice, tuple(term.undriven() for term in lattice.terms))
+    return eqx.tree_at(lambda x: x.terms, lattice, tuple(term.undriven() for term in lattice.terms))
+
+
+def at_rest(lattice: Any) -> Lattice:
+    """The lattice `undriven`, of a stiffness that is constant in time.
+
+    **Raises** ValueError for what is no single lattice, and for stiffness that changes in time.
+    """
+    still = undriven(lattice)
     for i, term in enumerate(still.terms):
         if term.dependence(still).time and term.stiffness_changes(still):
             refuse(
                 f"terms[{i}] ({type(term).__name__})", "a stiffness that is constant in time", "one that changes",
-                "Modes in time do not exist then: take the lattice with the term that is modulated, or Floquet theory.",
+                "Modes in time do not exist then: take the lattice with the term that is modulated, or "
+                "granjax.linear.floquet_bands, which follows the modulation over its period.",
             )
     return still
 
@@ -47,6 +56,14 @@ def stiffness_product(lattice: Lattice) -> Callable:
     zeros, time = lattice.zeros(), jnp.zeros((), lattice.dtype)
     _, slope = jax.linearize(lambda u: lattice.force(time, u, zeros), zeros)
     return lambda w: jax.tree.map(jnp.negative, slope(w))
+
+
+def products(lattice: Lattice, t: Number) -> tuple[Callable, Callable]:
+    """The linear maps w -> -(d force/du) w and w -> -(d force/dv) w at rest, at a time."""
+    zeros = lattice.zeros()
+    _, slope = jax.linearize(lambda u, v: lattice.force(t, u, v), zeros, zeros)
+    negative = lambda force: jax.tree.map(jnp.negative, force)
+    return lambda w: negative(slope(w, zeros)), lambda w: negative(slope(zeros, w))
 
 
 def pack(lattice: Lattice, u: Displacements) -> Numbers:
@@ -98,8 +115,8 @@ def _colours(size, reach):
     return np.where(index < whole, index % spacing, spacing + index - whole)
 
 
-def blocks(lattice: Lattice, reach: Any) -> Any:
-    """Blocks of K, (sites..., offsets, components, components): force on site n from site n + offset.
+def blocks(lattice: Lattice, reach: Any, product_with: Callable) -> Any:
+    """Blocks of a linear map, such as K, (sites..., offsets, components, components): on site n from site n + offset.
 
     Sites of one colour are displaced together, so the cost is that of a few forces, however long the chain. Offsets
     go around the ends of an open lattice too, where the blocks are zero.
@@ -107,7 +124,6 @@ def blocks(lattice: Lattice, reach: Any) -> Any:
     sites, width = grid(lattice), components(lattice)
     axes = [_colours(n, r) for n, r in zip(sites, reach)]
     colour = np.ravel_multi_index(np.meshgrid(*axes, indexing="ij"), [a.max() + 1 for a in axes])
-    product_with = stiffness_product(lattice)
     unit = jnp.eye(width, dtype=lattice.dtype)
 
     def answer(number, component):
@@ -123,8 +139,9 @@ def blocks(lattice: Lattice, reach: Any) -> Any:
 @eqx.filter_jit
 def probe(lattice: Lattice, reach: Any, w: Any) -> Any:
     """Blocks of K, the masses, and K w to test the blocks by."""
-    pull = stiffness_product(lattice)(unpack(w, lattice.fields, lattice.dimension))
-    return blocks(lattice, reach), masses(lattice), pack(lattice, pull)
+    product_with = stiffness_product(lattice)
+    pull = product_with(unpack(w, lattice.fields, lattice.dimension))
+    return blocks(lattice, reach, product_with), masses(lattice), pack(lattice, pull)
 
 
 def settled(function: Callable, *arguments: Any) -> Any:
@@ -141,7 +158,12 @@ def measure(lattice: Lattice, reach: Any) -> Any:
     sites = grid(lattice)
     w = np.random.default_rng(1).uniform(-1, 1, sites + (components(lattice),)).astype(lattice.dtype)
     stiffness, mass, true = settled(probe, lattice, tuple(reach), w)
-    near = [np.roll(w, [-o for o in offset], range(len(sites))) for offset in offsets(reach)]
-    summed = np.einsum("...oab,...ob->...a", stiffness, np.stack(near, -2))
     scale = np.abs(stiffness).max()
-    return stiffness, mass, np.abs(true - summed).max() / (scale if scale > 0 else 1.0)
+    misfit = np.abs(true - summed(stiffness, w, reach)).max()
+    return stiffness, mass, misfit / (scale if scale > 0 else 1.0)
+
+
+def summed(stiffness: Any, w: Any, reach: Any) -> Any:
+    """K w from the blocks of K, (sites..., offsets, components, components)."""
+    near = [np.roll(w, [-o for o in offset], range(len(reach))) for offset in offsets(reach)]
+    return np.einsum("...oab,...ob->...a", stiffness, np.stack(near, -2))

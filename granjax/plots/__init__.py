@@ -24,11 +24,11 @@ from .shocks import modulation, shock, shock_core, shock_map
 from .style import COLOURS, drawn, figure, save, style
 from .sweeps import sweep
 from .travelling import front, reflection, wave, wave_errors, wave_family
-from .waves import dispersion
+from .waves import dispersion, floquet_bands
 
 __all__ = [
-    "COLOURS", "branch", "breather", "cell_wave", "corner", "dispersion", "drawn", "figure", "fit", "floquet_circle",
-    "front", "hysteresis", "law", "modulation", "planar", "profile", "reflection", "resonance_map", "save", "shock",
-    "shock_core", "shock_map", "space_time", "strain_map", "style", "sweep", "traces", "transmission", "wave",
-    "wave_errors", "wave_family", "work_precision",
+    "COLOURS", "branch", "breather", "cell_wave", "corner", "dispersion", "drawn", "figure", "fit", "floquet_bands",
+    "floquet_circle", "front", "hysteresis", "law", "modulation", "planar", "profile", "reflection", "resonance_map",
+    "save", "shock", "shock_core", "shock_map", "space_time", "strain_map", "style", "sweep", "traces", "transmission",
+    "wave", "wave_errors", "wave_family", "work_precision",
 ]

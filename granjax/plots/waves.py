@@ -1,4 +1,4 @@
-"""Dispersion with the spectrum of a simulation under it."""
+"""Dispersion with the spectrum of a simulation under it; Floquet-Bloch bands with their growth."""
 
 from typing import Any
 
@@ -10,8 +10,8 @@ from ..checks import refuse, within
 from ..entry import checked
 from ..types import Scalar
 from ..units import UnitsOrWords
-from .arrays import numbers
-from .quantities import OMEGA, Axis, drawn_in, scaled_by, units_of_both
+from .arrays import having, numbers
+from .quantities import OMEGA, Axis, drawn_in, scaled_by, units_of, units_of_both
 from .style import COLOURS, AxesOrNone, add_colour_bar, axes_or_new
 
 CLOSED = 1e-6
@@ -63,6 +63,61 @@ def dispersion(
     _ticks(ax, span)
     ax.set_ylabel(by.label)
     return ax
+
+
+@checked
+def floquet_bands(bands: Any, ax: AxesOrNone = None, *, growth: bool = True, units: UnitsOrWords = None) -> Axes:
+    """Quasi-frequencies of a modulated chain over the wave number, k-gaps shaded, with the growth rate on the right.
+
+    **Arguments:** `bands`: anything with `k` (K,), `omega` and `growth` (K, multipliers), `edges` (gaps, 2) or `None`,
+    `period`, `cell`, such as the result of `gx.linear.floquet_bands`. `growth`: whether the largest growth rate is
+    drawn, on an axis of its own. `units`: `"kHz"`, `"rad/s"`, `"1/ms"`, as in `granjax.plots`.
+
+    **Returns:** the Axes; `ax.lines[0]` holds the waves that do not grow, `ax.lines[1]` those that do, the axis of the
+    growth is `ax.child_axes[0]`. **Raises** ValueError for a record without these arrays, or of several axes.
+    """
+    having("bands", bands, "the result of gx.linear.floquet_bands", "k", "omega", "growth", "edges", "period", "cell")
+    omega = numbers("bands.omega", bands.omega, 2)
+    k, rate = numbers("bands.k", bands.k, 1), numbers("bands.growth", bands.growth, 2)
+    if len(k) != len(omega) or rate.shape != omega.shape:
+        refuse("bands", "k of shape (K,), omega and growth (K, multipliers), of a chain",
+               f"shapes {k.shape}, {omega.shape} and {rate.shape}")
+    axes = [Axis(OMEGA, omega, "rad/s"), Axis("growth rate", rate, "1/s")][: 1 + growth]
+    by, *grown = drawn_in(units, units_of(bands), *axes)
+    ax = axes_or_new(ax, 5.4, 4.0)
+    order = np.argsort(k)
+    k, omega, rate = k[order], omega[order], rate[order]
+    grows = np.asarray(bands.grows)[order] if hasattr(bands, "grows") else rate > 0
+    along = np.broadcast_to(k[:, None], omega.shape)
+    for which, tone in ((~grows, COLOURS[0]), (grows, COLOURS[1])):
+        ax.plot(along[which], scaled_by(omega[which], by.factor), ".", ms=3, color=tone, zorder=2)
+    for low, high in () if bands.edges is None else np.asarray(bands.edges):
+        ax.axvspan(max(low, k[0]), min(high, k[-1]), color=COLOURS[3], alpha=0.22, lw=0, zorder=1)
+    half = scaled_by(np.pi / float(bands.period), by.factor)
+    cell = int(np.prod(bands.cell))
+    ax.set_xlabel("wave number $k$ (rad/site)" if cell == 1 else f"wave number $k$ (rad/cell of {cell} sites)")
+    ax.set_xlim(k[0], k[-1])
+    ax.set_ylim(-1.05 * half, 1.05 * half)
+    _ticks(ax, (k[0], k[-1]))
+    ax.set_ylabel(by.label)
+    if growth:
+        _growth(ax, k, scaled_by(np.maximum(rate.max(-1), 0), grown[0].factor), grown[0].label)
+    return ax
+
+
+def _growth(ax, k, rate, label):
+    """The largest growth over k, on an axis of its own at the right."""
+    right = ax.inset_axes((0, 0, 1, 1), sharex=ax)
+    right.patch.set_visible(False)
+    right.plot(k, rate, color=COLOURS[2], lw=1.2)
+    right.set_ylim(0, 2.5 * float(rate.max()) or 1.0)
+    right.yaxis.tick_right()
+    right.yaxis.set_label_position("right")
+    right.xaxis.set_visible(False)
+    right.spines["right"].set_visible(True)
+    right.spines["right"].set_color(COLOURS[2])
+    right.tick_params(axis="y", colors=COLOURS[2])
+    right.set_ylabel(label, color=COLOURS[2])
 
 
 def _bands(record):

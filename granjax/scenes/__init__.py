@@ -17,4 +17,10 @@ __all__ = [
     "cradle", "klein_gordon", "sine_gordon",
     "mass_in_mass", "mass_with_mass", "woodpile",
     "alternating", "foam", "hollow_cylinders", "origami", "tensegrity",
+from .modulated import modulated, travelling_modulation
+from .units import ScaledLattice, Units, scaled
+
+__all__ = [
+    "ScaledLattice", "Units", "beads", "defects", "dimer", "disordered", "fput", "modulated", "monomer", "n_to_one",
+    "pattern", "scaled", "taper", "toda", "travelling_modulation", "trimer",
 ]

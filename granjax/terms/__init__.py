@@ -11,9 +11,10 @@ from .reach import Reach, Reached
 from .sites import Drive, OnSite
 from .tracing import Dependence
 from .walls import Wall
-from .waveforms import Breaks, Function, Harmonic
+from .waveforms import Breaks, Function, Harmonic, Square
 
 __all__ = [
     "Bond", "Breaks", "Compression", "Damping", "Dashpot", "Dependence", "Drag", "Drive", "Excitation", "Function",
     "Harmonic", "LongRange", "Modulated", "OnSite", "Reach", "Reached", "Term", "ViscousContact", "Wall",
+    "Harmonic", "Modulated", "OnSite", "Reach", "Reached", "Square", "Term", "ViscousContact", "Wall",
 ]

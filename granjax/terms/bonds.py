@@ -15,7 +15,7 @@ from ..units import PART, Signal
 from .base import Compression, Term, wider
 from .reach import largest_eigenvalue
 from .tracing import RESISTS, Dependence, stand_in
-from .waveforms import Breaks, as_module, checked_breaks, held
+from .waveforms import Breaks, as_module, checked_breaks, held, jumps_of
 
 _strain = eqx.filter_jit(lambda strain_map, move: strain_map.strain(move))
 
@@ -131,7 +131,8 @@ class Modulated(Term):
     one of your own; `modulation`: g(t), a function or Module such as `Harmonic(0.1, omega, mean=1.0)`; it may return
     an array over the bonds (a travelling modulation).
     `breaks`: the times at which g or a derivative of it jumps, a list or `Breaks(times, period)`; steps end there, and
-    see g from one side. Without them every method is of order 2 at best there.
+    see g from one side. Without them every method is of order 2 at best there. `None`: those that the modulation knows
+    itself, by an attribute `breaks`, as `Square` does.
     **Raises** ValueError for no term, a modulation that cannot be called, or breaks that are not finite.
     """
 
@@ -146,12 +147,12 @@ class Modulated(Term):
         self.breaks = checked_breaks(breaks)
 
     def jumps(self):
-        own = () if self.breaks is None else (self.breaks,)
-        return own + self.term.jumps()
+        own = jumps_of(self.modulation, self.breaks)
+        return (() if own is None else (own,)) + self.term.jumps()
 
     def between(self, low, high):
         inner = eqx.tree_at(lambda x: x.term, self, self.term.between(low, high))
-        return inner if self.breaks is None else held(inner, "modulation", low, high)
+        return inner if jumps_of(self.modulation, self.breaks) is None else held(inner, "modulation", low, high)
 
     def at(self, t):
         """The term with the stiffness it has at time t."""

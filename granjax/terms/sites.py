@@ -15,7 +15,7 @@ from ..units import PART, Signal
 from .base import Compression, Excitation, Term, get, put
 from .bonds import spring
 from .tracing import Dependence
-from .waveforms import Breaks, as_module, checked_breaks, held
+from .waveforms import Breaks, as_module, checked_breaks, held, jumps_of
 
 
 class OnSite(Term):
@@ -98,10 +98,11 @@ class Drive(Term):
         return Dependence(time=True)
 
     def jumps(self):
-        return () if self.breaks is None else (self.breaks,)
+        own = jumps_of(self.waveform, self.breaks)
+        return () if own is None else (own,)
 
     def between(self, low, high):
-        return self if self.breaks is None else held(self, "waveform", low, high)
+        return held(self, "waveform", low, high) if self.jumps() else self
 
     def force(self, t, u, v, mass):
         x = get(u, self.field)

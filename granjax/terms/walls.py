@@ -15,7 +15,7 @@ from ..units import PART, Signal
 from .base import Compression, Excitation, Term, get, put
 from .bonds import spring
 from .tracing import Dependence
-from .waveforms import Breaks, as_module, checked_breaks, held
+from .waveforms import Breaks, as_module, checked_breaks, held, jumps_of
 
 
 class Wall(Term):
@@ -50,7 +50,8 @@ class Wall(Term):
         self.field, self.breaks = field, checked_breaks(breaks)
 
     def jumps(self):
-        return () if self.breaks is None or self.motion is None else (self.breaks,)
+        own = None if self.motion is None else jumps_of(self.motion, self.breaks)
+        return () if own is None else (own,)
 
     def between(self, low, high):
         return held(self, "motion", low, high) if self.jumps() else self

@@ -7,7 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ..checks import parameter, positive, refuse
+from ..checks import parameter, positive, refuse, within
 from ..entry import checked
 from ..printing import told
 from ..types import Number, Numbers, Parameter, Waveform
@@ -95,6 +95,49 @@ class Breaks(Dimensional):
         return jnp.sum(jnp.maximum(before - until, 0))
 
 
+class Square(eqx.Module):
+    """mean + amplitude for a share of each period 2 pi/omega, mean - amplitude for the rest: layers in time.
+
+    The former while (omega t + phase)/2 pi, less its whole part, is below `share`. It knows its own breaks: steps end
+    there without more ado.
+
+    **Arguments:** `amplitude`; `omega`: angular frequency [rad/s]; `phase` [rad]; `mean`: 1 for a modulation of
+    stiffness; `share` in (0, 1), 1/2 for equal layers. Numbers, or arrays over the bonds (one omega for all of them).
+    **Raises** ValueError for omega <= 0, a share outside (0, 1).
+    """
+
+    amplitude: jax.Array
+    omega: jax.Array
+    phase: jax.Array
+    mean: jax.Array
+    share: jax.Array
+    __repr__ = told
+
+    @checked
+    def __init__(
+        self, amplitude: Parameter, omega: Parameter, phase: Parameter = 0.0, mean: Parameter = 0.0,
+        share: Parameter = 0.5,
+    ):
+        self.amplitude, self.omega = parameter("amplitude", amplitude), positive("omega", omega, "It has a period.")
+        self.phase, self.mean = parameter("phase", phase), parameter("mean", mean)
+        self.share = within("share", share, 0, 1, open_low=True, open_high=True)
+
+    @property
+    def _turns(self):
+        return jnp.mod(self.phase / (2 * jnp.pi), 1)
+
+    def __call__(self, t):
+        high = jnp.mod(self.omega * t / (2 * jnp.pi) + self._turns, 1) < self.share
+        return self.mean + jnp.where(high, self.amplitude, -self.amplitude)
+
+    @property
+    def breaks(self) -> Breaks:
+        """The times at which it jumps."""
+        period = 2 * jnp.pi / self.omega
+        return Breaks(jnp.stack(jnp.broadcast_arrays(-self._turns * period, (self.share - self._turns) * period)),
+                      period)
+
+
 def next_break(breaks: tuple, t: Number, sign: Number = 1) -> Number:
     """The first of some `Breaks` after t."""
     return jnp.min(jnp.stack([b.after(t, sign) for b in breaks]))
@@ -115,10 +158,20 @@ class Between(eqx.Module):
     def __call__(self, t):
         return self.function(jnp.clip(t, self.low, self.high))
 
+    @property
+    def breaks(self) -> Breaks | None:
+        """The breaks that the function itself knows."""
+        return jumps_of(self.function, None)
+
 
 def held(term: Any, name: str, low: Number, high: Number) -> Any:
     """A term with one of its functions of time taken `Between` two times."""
     return eqx.tree_at(lambda x: getattr(x, name), term, Between(getattr(term, name), low, high))
+
+
+def jumps_of(function: Callable | None, breaks: Breaks | None) -> Breaks | None:
+    """The breaks that are given with a function of time, or else those that it knows itself, by its `breaks`."""
+    return checked_breaks(getattr(function, "breaks", None) if breaks is None else breaks)
 
 
 def checked_breaks(breaks: Parameter | Breaks | None) -> Breaks | None:

@@ -138,3 +138,9 @@ class InUnits(eqx.Module):
 
     def __call__(self, t: Number) -> Any:
         return self.function(t * self.time) / self.size
+
+    @property
+    def breaks(self) -> Any:
+        """The times at which it jumps, where the function knows its own."""
+        found = getattr(self.function, "breaks", None)
+        return None if found is None else jax.tree.map(lambda x: x / self.time, found)

@@ -1,0 +1,367 @@
+"""Floquet-Bloch bands of lattices whose stiffness changes periodically in time."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+from scipy.optimize import linear_sum_assignment
+
+from ..checks import parameter, positive, refuse, traced, whole
+from ..checks import tolerance as checked_tolerance
+from ..entry import checked
+from ..lattice import Lattice, State
+from ..results import Held, Result
+from ..tuning import one_thread
+from ..types import Cell, ComplexNumbers, Count, Displacements, Number, Numbers, Parameter, Scalar
+from ..variables import lanes_of
+from .gaps import gaps_of
+from .modulated_cell import ModulatedCell, modulated_cell, monodromies
+from .stiffness import unpack
+
+# waves that are followed together, whatever their number: one program
+TOGETHER = 16
+# steps of a period: the fewest, those of a radian of the highest frequency, where refinement ends
+LEAST_STEPS, PER_RADIAN, MOST_STEPS = 16, 1.1, 2**14
+# what is asked of M, of its largest entry; of a difference between flows of n and 3n/4 steps; rounding of products
+TOLERANCE, SAFETY, ROUNDING = 2e-12, 4, 20
+# of a change from n/2 to n steps over that from 3n/4, 11 for a smooth flow of order 6
+REGULAR = 8
+# multipliers within are taken for copies of one that is nearly defective
+NEAR = 1e-3
+
+
+class FloquetBands(Result):
+    r"""Waves u(t) exp(i k . R) of a lattice that is modulated with period T: (u, v) -> rho (u, v) after T.
+
+    **Fields**, with `k` of shape (k...,) for a chain and (k..., d) for a lattice of d axes; P the degrees of freedom of
+    a cell:
+
+    - `k`: phase advance per unit cell [rad].
+    - `multipliers`: Bloch multipliers rho, (k..., 2P), the largest modulus first; `error`: how far each may be from the
+      truth, from two step sizes, the rounding, and its condition.
+    - `growth`: log|rho|/T [1/s], (k..., 2P). `omega`: quasi-frequencies -arg(rho)/T in [-pi/T, pi/T) [rad/s]; others
+      differ by multiples of 2 pi/T. Both are known to `error`/(|rho| T).
+    - `displacements`, `velocities`: the waves at t0, (k..., cell..., [vector], 2P) or dicts of such for named fields,
+      with sum m/m_mean (|u|^2 + |T v/2 pi|^2) = 1 over the cell.
+    - `edges`: (gaps, 2), wave numbers between which some wave grows, `edge_error` (gaps, 2) their errors;
+      `fastest_k`, `fastest` (gaps,): where in a gap waves grow fastest, and the rate [1/s]. `None` where `k` is one
+      number, has several axes, or is traced.
+    - `period`, `t0`, `steps` of a period; `cell`: sites per cell along each axis.
+    """
+
+    k: Numbers
+    multipliers: ComplexNumbers
+    error: Numbers
+    growth: Numbers
+    omega: Numbers
+    displacements: ComplexNumbers | dict[str, ComplexNumbers]
+    velocities: ComplexNumbers | dict[str, ComplexNumbers]
+    edges: Numbers | None
+    edge_error: Numbers | None
+    fastest_k: Numbers | None
+    fastest: Numbers | None
+    period: Number
+    t0: Number
+    steps: Any
+    cell: tuple[int, ...] = eqx.field(static=True)
+
+    @property
+    def held(self) -> dict[str, Held]:
+        """Axes and units, as many for the wave as `k` has: none where it is one number."""
+        lanes = lanes_of(self._mark, self._space)
+        count = self.omega.ndim - 1 - len(lanes[0] if lanes else ())
+        wave = " ".join(["wave", *(f"wave_{i}" for i in range(1, count))][:count])
+        of = f"{wave} multiplier"
+        return {
+            "k": Held(wave, "rad"), "multipliers": Held(of, "1", "multiplier"), "error": Held(of, "1"),
+            "growth": Held(of, "1/s"), "omega": Held(of, "rad/s"), "displacements": Held(f"{wave} site ... multiplier"),
+            "velocities": Held(f"{wave} site ... multiplier", "1/s"), "edges": Held("gap side", "rad"),
+            "edge_error": Held("gap side", "rad"), "fastest_k": Held("gap", "rad"), "fastest": Held("gap", "1/s"),
+            "period": Held(unit="s"), "t0": Held(unit="s"), "cell": Held(None),
+        }
+
+    @property
+    def gaps(self) -> list[tuple[float, float]]:
+        """The k-gaps (wave number bandgaps), a list of pairs (low, high) [rad]: between them some wave grows.
+
+        All of which some part lies within the given `k`; those around 0 and pi reach beyond. None is reported whose
+        growth over a period is below what the errors of the multipliers can tell from none.
+        **Raises** ValueError where gaps were not looked for.
+        """
+        if self.edges is None:
+            refuse("gaps", "a chain, and several wave numbers that are known",
+                   "one number, a lattice of several axes, or traced ones",
+                   "Give k=np.linspace(0, np.pi, 101); .growth says whether a wave grows.")
+        return [(float(a), float(b)) for a, b in self.edges]
+
+    @property
+    def exponents(self) -> ComplexNumbers:
+        """log(rho)/T = growth - i omega, (k..., 2P) [1/s]."""
+        return self.growth - 1j * self.omega
+
+    @property
+    def outcome(self) -> str:
+        """How many waves, and where they grow."""
+        if traced(self):
+            return "Multipliers that are traced."
+        grows = self.grows
+        waves = grows.shape[:-1]
+        text = f"{grows.shape[-1]} multipliers at {int(np.prod(waves))} wave numbers, to {np.max(self.error):.1e}; "
+        if self.edges is not None:
+            count = len(self.edges)
+            fast = f", fastest at {self._told('fastest', np.max(self.fastest))}" if count else ""
+            return text + f"{count or 'no'} k-gap{'s' * (count != 1)}{fast}."
+        count = int(grows.any(-1).sum())
+        return text + (f"waves grow at {count} of them." if count else "none grows.")
+
+    @property
+    def grows(self) -> Any:
+        """Whether |rho| > 1 by more than its error, (k..., 2P)."""
+        return np.abs(self.multipliers) - 1 > self.error
+
+    @checked
+    def state(self, lattice: Lattice, wave: Count = 0, multiplier: Count = 0, amplitude: Scalar = 1.0) -> State:
+        """A wave as a state of the lattice at t0: u_n = Re(a u_j exp(i k R)), n = R P + j, in every cell.
+
+        On a ring that holds a whole number of its wavelengths it is multiplied by rho each period, where that is real.
+
+        **Arguments:** `lattice`: whose bands these are; `wave`: index into `k`, where that is an array; `multiplier`:
+        index, 0 grows fastest; `amplitude`: the largest displacement [m]. **Raises** ValueError for a lattice of
+        another cell, indices that are not there, or several axes.
+        """
+        return _wave_state(self, lattice, wave, multiplier, amplitude)
+
+
+@checked
+def floquet_bands(
+    lattice: Lattice, k: Parameter, period: Scalar, *, t0: Scalar = 0.0, cell: Cell = None, steps: Count | None = None,
+    tolerance: Scalar = TOLERANCE,
+) -> FloquetBands:
+    r"""Floquet-Bloch bands of the infinite lattice that a lattice belongs to, modulated with a period T in time.
+
+    Linear waves u_j(R, t) = q_j(t) exp(i k . R) about u = 0 over one period, q(t + T) = M(k) q(t): multipliers rho,
+    the eigenvalues of M. Where one leaves the unit circle (a k-gap, or wavenumber bandgap) waves grow as
+    |rho|^{t/T}. Everything linear counts: stiffness, on-site forces, damping, dashpots, cells of several fields,
+    modulation in time alone or travelling, by `Modulated` or a term of your own. Drives and moving walls are left out.
+
+    **Arguments:**
+
+    - `lattice`: one `Lattice`, of any boundary: sites within reach of an end do not count.
+    - `k`: phase advance per unit cell [rad], as in `dispersion`.
+    - `period`: T > 0, that of the modulation or a multiple; any for a lattice that does not change. `t0`: where M
+      begins; multipliers do not depend on it.
+    - `cell`: sites per unit cell; `None` finds the smallest period, which a travelling modulation makes larger.
+    - `steps`: of a period; `None` doubles them until M is known to `tolerance`, relative to its largest entry.
+
+    **Returns:** `FloquetBands`. Uniform modulation of K: each k is a Hill equation with omega(k)^2 g(t); the first
+    k-gap lies where omega(k) = pi/T. Differentiable in `k` and every parameter where multipliers are simple; within
+    `jax.jit` or `jax.vmap` with `cell` and `steps` given (errors and gaps are not found there).
+    **Raises** ValueError for a period after which the forces do not repeat, where `unit_cell` does (but for modulated
+    stiffness), and for `k` of another shape.
+    Source: Trainiti, Xia, Marconi, Cazzulani, Erturk, Ruzzene, Phys. Rev. Lett. 122, 124301 (2019); k-gaps: Kim,
+    Chong, Hajarolasvadi, Wang, Daraio, Phys. Rev. E 107, 034211 (2023).
+    """
+    period = positive("period", period, "It is the modulation's, 2 pi/omega.")
+    k, t0, tolerance = parameter("k", k), parameter("t0", t0), float(checked_tolerance("tolerance", tolerance))
+    steps = None if steps is None else whole("steps", steps, 1)
+    if traced(_held((period, t0))):
+        refuse("period", "a number", "a traced one", "Only derivatives pass through it: forces are compared with it.")
+    found = modulated_cell(lattice, cell, t0, period)
+    axes = len(found.cell)
+    if not k.size:
+        refuse("k", "at least one wave number", "none")
+    if axes > 1 and (k.ndim == 0 or k.shape[-1] != axes):
+        refuse("k", f"a last axis of length {axes}, one phase per axis of the lattice", f"shape {k.shape}")
+    shape = k.shape if axes == 1 else k.shape[:-1]
+    held = _held((found, k, t0, period))
+    points, known = k.reshape(-1, axes), None if traced(held) else _Known(*held, steps, tolerance)
+    if known is None and steps is None:
+        refuse("steps", "so many steps of a period, as the lattice or k is traced", "None", "Write steps=64.")
+    if traced((found, k, t0, period)):
+        waves = _traced_waves(found, points, t0, period, known.steps if known else steps, known)
+    else:
+        waves = known.waves(np.asarray(points))
+    searched = known is not None and axes == 1 and k.size > 1
+    gaps = gaps_of(known, np.asarray(held[1])) if searched else (None,) * 4
+    rho, error, vectors = waves
+    u, v = (unpack_waves(found, x.reshape(shape + x.shape[1:])) for x in _parted(found, vectors, period))
+    rho, error = rho.reshape(shape + rho.shape[1:]), error.reshape(shape + error.shape[1:])
+    return FloquetBands(
+        k, rho, error, jnp.log(jnp.abs(rho)) / period, -_angle(rho) / period, u, v, *gaps, period, t0,
+        known.steps if known else steps, found.cell, **lattice.origin)
+
+
+def _held(tree):
+    """What is traced without its derivatives, known where these alone are traced; all else as it is."""
+    return jax.tree.map(lambda x: jax.lax.stop_gradient(x) if isinstance(x, jax.core.Tracer) else x, tree)
+
+
+def _angle(rho):
+    """arg(rho), +pi on the negative axis, to rounding."""
+    turned = jnp.angle(rho)
+    return jnp.where(turned < -jnp.pi + 64 * jnp.finfo(turned.dtype).eps, turned + 2 * jnp.pi, turned)
+
+
+class _Known:
+    """The waves of a cell whose numbers are known, for any k: M by n and by 3n/4 steps, n found once."""
+
+    def __init__(self, cell: ModulatedCell, k: Any, t0: Any, period: Any, steps: int | None, tolerance: float):
+        self.cell, self.t0, self.period = cell, jnp.asarray(t0), jnp.asarray(period)
+        self.eps = float(np.finfo(cell.coupling.dtype).eps)
+        self.omega = cell.omega or 1 / float(period)
+        self.conserves = cell.conserves
+        self.turned = self.omega * float(period)
+        # what the forces miss the period by changes M by its integral, at most
+        self.missed = float(period) * (cell.missed[0] / self.omega + cell.missed[1])
+        self.safety = SAFETY
+        self.steps = self._found(np.asarray(k).reshape(-1, len(cell.cell)), tolerance) if steps is None else steps
+
+    def maps(self, k: np.ndarray, steps: int) -> np.ndarray:
+        """M(k) over (q, q'/omega), (K, 2P, 2P)."""
+        parts, dtype = [], self.cell.coupling.dtype
+        for i in range(0, len(k), TOGETHER):
+            part = k[i : i + TOGETHER]
+            padded = np.concatenate([part, np.zeros((TOGETHER - len(part), k.shape[1]))]).astype(dtype)
+            found = monodromies(self.cell, padded, self.t0, self.period, jnp.asarray(self.omega), jnp.asarray(steps))
+            parts.append(np.asarray(found)[: len(part)])
+        return np.concatenate(parts)
+
+    def _found(self, k, tolerance):
+        some = np.concatenate([k[:: max(1, len(k) // 32)][:32], np.full((1, k.shape[1]), np.pi)])
+        count = 4 * -(-max(LEAST_STEPS, int(np.ceil(PER_RADIAN * self.turned))) // 4)
+        coarse, last = self.maps(some, count // 2), np.inf
+        while True:
+            fine = self.maps(some, count)
+            size, far = np.abs(fine).max(), np.abs(fine - coarse).max()
+            rounding = ROUNDING * self.eps * size * (1 + self.turned)
+            least = max(tolerance * size, rounding)
+            near = np.abs(fine - self.maps(some, 3 * count // 4)).max() if far <= 2**6 * least else far
+            # what is left may be rounding
+            left = far > last / 2 and far <= 1e3 * rounding
+            if not np.isfinite(size) or near <= least or left or count >= MOST_STEPS:
+                break
+            # as many as order 6 needs, and no more than twice
+            more = min(2.0, max(1.25, 1.1 * (near / least) ** (1 / 6))) if far <= last / 16 else 2.0
+            last, coarse = (far, fine) if more == 2 else (last, None)
+            count = 4 * int(np.ceil(count * more / 4))
+            coarse = self.maps(some, count // 2) if coarse is None else coarse
+        # changes in the ratio of a smooth flow of order 6: the first is more than the error itself
+        self.safety = 1 if far >= REGULAR * near or far <= rounding else SAFETY
+        if not np.isfinite(size):
+            refuse("lattice", "waves that stay finite over a period", "a growth beyond all numbers",
+                   "Look at its stiffness, or give a shorter period.")
+        return count
+
+    def fine(self, k: np.ndarray) -> np.ndarray:
+        """M(k) by n steps."""
+        return self.maps(k, self.steps)
+
+    def levels(self, k: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """M(k) by n steps, by 3n/4, and the norm to which the former is known, (K,)."""
+        fine, coarse = self.fine(k), self.maps(k, max(1, 3 * self.steps // 4))
+        size = np.linalg.norm(fine, axis=(1, 2))
+        rounding = (ROUNDING * self.eps * (1 + self.turned) + self.missed) * size
+        return fine, coarse, self.safety * np.linalg.norm(fine - coarse, axis=(1, 2)) + rounding
+
+    @one_thread
+    def waves(self, k: np.ndarray) -> tuple:
+        """Multipliers (K, 2P), their errors, vectors over (q, q'/omega) (K, 2P, 2P)."""
+        fine, _, about = self.levels(k)
+        rho, vectors = np.linalg.eig(fine)
+        order = np.lexsort((-np.angle(rho), -np.abs(rho).round(9)))
+        rho = np.take_along_axis(rho, order, -1)
+        vectors = np.take_along_axis(vectors, order[:, None, :], -1)
+        return rho, errors_of(fine, rho, vectors, about), vectors
+
+
+def errors_of(maps: np.ndarray, rho: np.ndarray, vectors: np.ndarray, about: np.ndarray) -> np.ndarray:
+    """How far eigenvalues may be from those of matrices that are known to a norm: |dM|/|y^H x|, or Elsner's bound.
+
+    The latter, (|M| + |M + dM|)^{1 - 1/m} |dM|^{1/m}, is that of m eigenvalues that meet.
+    """
+    try:
+        left = np.linalg.inv(vectors)
+        condition = np.linalg.norm(left, axis=2) * np.linalg.norm(vectors, axis=1)
+    except np.linalg.LinAlgError:
+        condition = np.full(rho.shape, np.inf)
+    near = np.abs(rho[:, :, None] - rho[:, None, :]) <= NEAR * np.maximum(1, np.abs(rho))[:, :, None]
+    m = near.sum(-1)
+    size = 2 * np.linalg.norm(maps, axis=(1, 2))[:, None] + about[:, None]
+    met = size ** (1 - 1 / m) * about[:, None] ** (1 / m)
+    return np.where(m > 1, np.minimum(condition * about[:, None], met), np.minimum(condition, 1e15) * about[:, None])
+
+
+def _traced_waves(cell, k, t0, period, steps, known):
+    """`_Known.waves` that are traced: multipliers with derivatives, vectors without."""
+    omega = jnp.asarray(known.omega if known else 2 * np.pi / period)
+    maps = monodromies(cell, k, t0, period, omega, int(steps))
+    rho = jnp.linalg.eigvals(maps)
+    if known is None:
+        vectors = jax.lax.stop_gradient(jnp.linalg.eig(jax.lax.stop_gradient(maps))[1])
+        own = jnp.linalg.eig(jax.lax.stop_gradient(maps))[0]
+        rho = _as_sorted(rho, own)
+        order = jnp.lexsort((-jnp.angle(own), -jnp.abs(own).round(9)))
+        rho = jnp.take_along_axis(rho, order, -1)
+        vectors = jnp.take_along_axis(vectors, order[:, None, :], -1)
+        return rho, jnp.full(rho.shape, jnp.nan), vectors
+    there, error, vectors = known.waves(np.asarray(jax.lax.stop_gradient(k)))
+    plain = np.asarray(jax.lax.stop_gradient(rho))
+    order = np.stack([linear_sum_assignment(np.abs(a[:, None] - b))[1] for a, b in zip(there, plain)])
+    return jnp.take_along_axis(rho, jnp.asarray(order), -1), jnp.asarray(error), jnp.asarray(vectors)
+
+
+def _as_sorted(rho, own):
+    nearest = jnp.argmin(jnp.abs(own[:, :, None] - jax.lax.stop_gradient(rho)[:, None, :]), -1)
+    return jnp.take_along_axis(rho, nearest, -1)
+
+
+def _parted(cell, vectors, period):
+    """Displacements and velocities (K, P, 2P) of vectors over (q, q'/omega), normalised over the cell."""
+    omega = cell.omega if not traced(cell) else 2 * np.pi / period
+    omega = jnp.where(jnp.asarray(omega) > 0, omega, 1 / period)
+    size = vectors.shape[-2] // 2
+    mass = jnp.asarray(cell.mass)[:, None]
+    mean = jnp.exp(jnp.mean(jnp.log(mass)))
+    q, p = vectors[:, :size] * jnp.sqrt(mean), omega * vectors[:, size:] * jnp.sqrt(mean)
+    weight = jnp.sqrt(jnp.sum(jnp.abs(q) ** 2 + jnp.abs(p * period / (2 * np.pi)) ** 2, -2, keepdims=True) / mean)
+    both = jnp.concatenate([q, p * period], -2)
+    lead = jnp.take_along_axis(both, jnp.argmax(jnp.abs(both).round(9), -2, keepdims=True), -2)
+    turn = jnp.abs(lead) / lead / weight
+    return q * turn / jnp.sqrt(mass), p * turn / jnp.sqrt(mass)
+
+
+def unpack_waves(cell: ModulatedCell, x: ComplexNumbers) -> Displacements:
+    """(..., P, bands) as (..., cell..., [vector], bands), or a dict of such."""
+    lattice = cell.lattice
+    x = jnp.moveaxis(x, -2, -1)
+    x = x.reshape(x.shape[:-1] + cell.cell + (-1,))
+    back = -1 - len(cell.cell) - (lattice.dimension is not None)
+    return jax.tree.map(lambda x: jnp.moveaxis(x, back, -1), unpack(x, lattice.fields, lattice.dimension))
+
+
+def _wave_state(bands, lattice, wave, multiplier, amplitude):
+    if len(bands.cell) > 1 or lattice.axes > 1:
+        refuse("lattice", "a chain", f"a lattice of {lattice.axes} axes", "Build the state from .displacements.")
+    amplitude = positive("amplitude", amplitude)
+    k = jnp.asarray(bands.k).reshape(-1)
+    for name, index, count in (("wave", wave, k.size), ("multiplier", multiplier, bands.omega.shape[-1])):
+        if not -count <= index < count:
+            refuse(name, f"a whole number within {-count} ... {count - 1}", repr(index))
+    lead = bands.omega.ndim - 1
+    pick = lambda x: x.reshape((-1,) + x.shape[lead:])[wave][..., multiplier]
+    moved = (jax.tree.map(pick, x) for x in (bands.displacements, bands.velocities))
+    (period,), template = bands.cell, lattice.template()
+
+    def spread(x, like):
+        if x.shape[1:] != like.shape[1:] or x.shape[0] != period:
+            refuse("lattice", "the one whose bands these are", f"sites of shape {like.shape}")
+        number = np.arange(like.shape[0])
+        turn = jnp.exp(1j * k[wave] * (number // period)).reshape((-1,) + (1,) * (x.ndim - 1))
+        return jnp.real(turn * x[number % period]).astype(like.dtype)
+
+    u, v = (jax.tree.map(spread, x, template) for x in moved)
+    largest = jnp.abs(ravel_pytree(u)[0]).max()
+    return State(*jax.tree.map(lambda x: x * (amplitude / largest), (u, v)))

@@ -1,0 +1,213 @@
+"""The unit cell of a lattice whose stiffness and damping change periodically in time, and its waves over a period."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..checks import refuse
+from ..flow.breaks import shared_out
+from ..lattice import Lattice
+from ..programs import waited
+from ..terms.tracing import reads
+from ..types import AnyArray, Cell, ComplexNumbers, Number, Numbers
+from .cell import assemble, bloch, given_cell, is_ring, periods, reach_of, stand_in
+from .stiffness import blocks, components, grid, masses, pack, products, settled, summed, undriven, unpack
+
+# where in a period the forces are looked at: at no simple fraction, where waveforms have their zeros and jumps
+PHASES = (0.1 + 0.6180339887498949 * np.arange(32)) % 1
+# periods after which they are looked at again
+LATER = (1, 2, 5)
+# of what time changes, by which the forces may miss their period: the error that it makes counts
+MISSED = 1e-6
+# Gauss' of a step
+NODES = 0.5 + np.array([-1, 0, 1]) * np.sqrt(15) / 10
+
+
+class ModulatedCell(eqx.Module):
+    r"""One cell of the infinite lattice that a finite one belongs to, at any time.
+
+    A wave is u_j(R) = M_j^{-1/2} q_j(t) exp(i k . R) with q'' = -K(k, t) q - C(k, t) q', both over the masses.
+
+    **Fields:** `lattice`: without drives. `cell`: sites along each axis; `chosen`: those that stand for them; `shells`:
+    the R of the neighbours. `coupling`, `loss`: at 32 times of a period, (times, shells, P, P) [1/s^2], [1/s].
+    `mass`: (P,). `missed`: by how much they miss the period. `damped`: whether forces read velocities.
+    """
+
+    lattice: Lattice
+    coupling: AnyArray
+    loss: AnyArray
+    mass: AnyArray
+    missed: tuple
+    cell: tuple = eqx.field(static=True)
+    chosen: tuple = eqx.field(static=True)
+    reach: tuple = eqx.field(static=True)
+    shells: tuple = eqx.field(static=True)
+    damped: bool = eqx.field(static=True)
+
+    def at(self, t: Number) -> tuple:
+        """K_R/M and C_R/M at a time, (shells, P, P) each; `None` for C where no force reads velocities."""
+        mass, maps = masses(self.lattice), products(self.lattice, t)
+        found = [blocks(self.lattice, self.reach, one) for one in (maps if self.damped else maps[:1])]
+        found = [assemble(jnp, x, mass, self.cell, self.chosen, self.reach)[1] for x in found]
+        return found[0], (found[1] if self.damped else None)
+
+    @property
+    def conserves(self) -> bool:
+        """Whether the waves are those of a Hamiltonian: no losses, and K_R the transpose of K_{-R}."""
+        back = [self.shells.index(tuple(-n for n in R)) for R in self.shells]
+        uneven = np.abs(self.coupling - self.coupling[:, back].swapaxes(-1, -2)).max()
+        rounding = 1e3 * np.finfo(self.coupling.dtype).eps
+        return bool(not np.any(self.loss) and uneven <= rounding * np.abs(self.coupling).max())
+
+    @property
+    def omega(self) -> float:
+        """A bound on the frequencies at rest: the root of the largest row of |K|, and the largest row of |C|."""
+        rows = (np.abs(x).sum((1, 3)).max() for x in (self.coupling, self.loss))
+        stiff, loss = rows
+        return float(max(np.sqrt(stiff), loss))
+
+
+@eqx.filter_jit
+def _sampled(lattice, reach, ts, w):
+    """Blocks of K and of C at some times, (times, ..., 2), what they make of w, and the masses."""
+    w = unpack(w, lattice.fields, lattice.dimension)
+
+    def at(t):
+        maps = products(lattice, t)
+        return (jnp.stack([blocks(lattice, reach, one) for one in maps], -1),
+                jnp.stack([pack(lattice, one(w)) for one in maps], -1))
+
+    return *jax.lax.map(at, ts), masses(lattice)
+
+
+def modulated_cell(lattice: Lattice, cell: Cell, t0: Number, period: Number) -> ModulatedCell:
+    """The cell of a lattice over its masses, laws and modulations: `unit_cell`, looked at over a whole period.
+
+    **Raises** ValueError where `unit_cell` does but for modulated stiffness and forces without an energy, and for a
+    period after which the forces do not repeat.
+    """
+    lattice = undriven(lattice)
+    sites, given = grid(lattice), None if cell is None else given_cell(cell, grid(lattice))
+    plain, known = stand_in(lattice)
+    start, length = (float(jax.lax.stop_gradient(x) if isinstance(x, jax.core.Tracer) else x) for x in (t0, period))
+    dtype = plain.dtype
+    w = np.random.default_rng(1).uniform(-1, 1, sites + (components(lattice),)).astype(dtype)
+    ts = np.asarray(start + length * PHASES, dtype)
+
+    def measure(lattice, reach):
+        found, pulled, mass = settled(_sampled, lattice, tuple(reach), ts, w)
+        size = _sizes(found)
+        misfit = max(np.abs(pull[..., i] - summed(x[..., i], w, reach)).max() / size[i]
+                     for x, pull in zip(found, pulled) for i in (0, 1))
+        return np.moveaxis(found / size, 0, -1), mass, misfit
+
+    reach, stiffness, mass = reach_of(plain, measure)
+    found = settled(_sampled, plain, reach, ts, w)[0]
+    missed = (0.0, 0.0)
+    if known:
+        missed = _missed(plain, reach, ts, w, found, length, float(mass.min()))
+    over = np.abs(stiffness).max((-1, -2))
+    rings = [is_ring(over, axis, reach) for axis in range(len(sites))]
+    size, chosen = periods(stiffness, mass, reach, rings, given, known)
+    own = [[assemble(np, x[..., i], mass, size, chosen, reach) for x in found] for i in (0, 1)]
+    coupling, loss = (np.stack([x[1] for x in one]) for one in own)
+    damped = any(reads(term, lattice).velocity for term in lattice.terms)
+    return ModulatedCell(lattice, coupling, loss, own[0][0][2], missed, size, chosen, reach, own[0][0][0], damped)
+
+
+def _sizes(found):
+    """The largest entry of K and of C, 1 where there is none."""
+    size = np.abs(found).max(tuple(range(found.ndim - 1)))
+    return np.where(size > 0, size, 1)
+
+
+def _missed(lattice, reach, ts, w, found, period, lightest):
+    """By how much K and C over the masses differ some periods later; refused where that is more than rounding makes."""
+    size, eps = _sizes(found), np.finfo(found.dtype).eps
+    change = np.abs(found - found[:1]).max(tuple(range(found.ndim - 1)))
+    off = np.zeros(2)
+    for count in LATER:
+        later = settled(_sampled, lattice, reach, ts + np.asarray(count * period, ts.dtype), w)[0]
+        off = np.maximum(off, np.abs(later - found).max(tuple(range(found.ndim - 1))) / count)
+    wrong = off > MISSED * change + 1e3 * eps * size
+    if wrong.any():
+        what = "stiffness" if wrong[0] else "damping"
+        share = (off / np.where(change > 0, change, 1))[0 if wrong[0] else 1]
+        refuse("period", f"one after which the {what} repeats",
+               f"{period!r}, after which it differs by {share:.2g} of what the modulation changes",
+               "Give the modulation's period 2 pi/omega, or a multiple; several modulations need a common one.")
+    rounding = 1e2 * eps * change
+    return tuple(float(x) for x in np.maximum(off - rounding, 0) / lightest)
+
+
+@waited
+def monodromies(
+    cell: ModulatedCell, k: Numbers, t0: Number, period: Number, omega: Number, steps: Any,
+) -> ComplexNumbers:
+    r"""Y(t0 + T) of Y' = A(t) Y, Y(t0) = 1, for wave numbers k (K, axes): (K, 2P, 2P) over (q, q'/omega).
+
+    Magnus' expansion of order 6 at Gauss' nodes: Y -> exp(Omega) Y. Exact while stiffness and damping are constant, so
+    for layers in time; a Hamiltonian A gives a symplectic map. Steps end at breaks. `steps`: a whole number, or an
+    array, whose value compiles nothing anew but has no reverse mode.
+    Source: Blanes, Casas, Oteo, Ros, Phys. Rep. 470, 151 (2009), section 4.
+    """
+    dtype = jnp.result_type(cell.lattice.dtype, k.dtype, jnp.complex64)
+    size = cell.mass.size
+    one, none = jnp.eye(size, dtype=dtype), jnp.zeros((size, size), dtype)
+
+    def generator(t):
+        coupling, loss = cell.at(t)
+
+        def of(k):
+            stiff = bloch(coupling, cell.shells, k) / omega
+            lost = none if loss is None else bloch(loss, cell.shells, k)
+            return jnp.block([[none, omega * one], [-stiff.astype(dtype), -lost.astype(dtype)]])
+
+        return jax.vmap(of)(k)
+
+    def step(Y, t, h):
+        first, middle, last = (generator(t + node * h) for node in NODES)
+        return exponential(_magnus(h * first, h * middle, h * last)) @ Y
+
+    Y = jnp.broadcast_to(jnp.eye(2 * size, dtype=dtype), (len(k), 2 * size, 2 * size))
+    breaks = cell.lattice.breaks
+    if not breaks:
+        h = period / steps
+        return jax.lax.fori_loop(0, steps, lambda i, Y: step(Y, t0 + i * h, h), Y)
+    end = t0 + period
+
+    def until(i, carry):
+        Y, t = carry
+        after = shared_out(breaks, t, jnp.asarray(steps - i, t.dtype), end, 1)
+        return step(Y, t, after - t), after
+
+    return jax.lax.fori_loop(0, steps, until, (Y, jnp.asarray(t0)))[0]
+
+
+def _magnus(first, middle, last):
+    a = middle
+    b = np.sqrt(15) / 3 * (last - first)
+    c = 10 / 3 * (last - 2 * middle + first)
+    near = _commutator(a, b)
+    far = -_commutator(a, 2 * c + near) / 60
+    return a + c / 12 + _commutator(-20 * a - c + near, b + far) / 240
+
+
+def _commutator(x, y):
+    return x @ y - y @ x
+
+
+def exponential(x: ComplexNumbers) -> ComplexNumbers:
+    """exp(x) of matrices of norm up to 2, to rounding: Taylor's series to degree 24, in fifth powers."""
+    powers = [jnp.broadcast_to(jnp.eye(x.shape[-1], dtype=x.dtype), x.shape), x]
+    for _ in range(4):
+        powers.append(powers[-1] @ x)
+    weights = 1 / np.cumprod(np.maximum(np.arange(25.0), 1))
+    parts = [sum(weights[5 * j + i] * powers[i] for i in range(5)) for j in range(5)]
+    total = parts[-1]
+    for part in parts[-2::-1]:
+        total = total @ powers[5] + part
+    return total

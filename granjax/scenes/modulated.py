@@ -1,0 +1,99 @@
+"""Chains whose stiffness changes in time: phononic time crystals, and modulation that travels."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from ..checks import concrete, non_negative, one_of, parameter, positive, refuse
+from ..entry import checked
+from ..lattice import Lattice
+from ..laws import Law, Linear
+from ..strains import BOUNDARIES, Shift
+from ..terms import Bond, Damping, Harmonic, Modulated, OnSite, Square
+from ..types import Count, Parameter
+from .chains import _sites
+
+_SHAPES = {"cosine": Harmonic, "square": Square}
+_TURNS = 1e-9
+
+
+@checked
+def modulated(
+    sites: Count, amplitude: Parameter = 0.1, omega: Parameter = 2.0, *, shape: str = "cosine", on: str = "bonds",
+    law: Law | None = None, grounding: Parameter = 0.0, damping: Parameter = 0.0, phase: Parameter = 0.0,
+    mass: Parameter = 1.0, boundary: str = "periodic",
+) -> Lattice:
+    r"""Chain whose stiffness is modulated in time alone: a phononic time crystal, with gaps in the wave number.
+
+    m u_n'' = g_b(t) [F(u_{n-1} - u_n) - F(u_n - u_{n+1})] - g_s(t) k_0 u_n - m gamma u_n',
+    g(t) = 1 + a cos(Omega t + phase), or 1 + a and 1 - a in turn (`"square"`, layers in time), for bonds or for sites.
+
+    **Arguments:** `sites`: N >= 2; `amplitude`: a; `omega`: Omega > 0 [rad/s], period 2 pi/Omega; `shape`: `"cosine"`
+    or `"square"`; `on`: `"bonds"` or `"sites"` (the grounding, as of magnets between electromagnets); `law`: of the
+    bonds, `Linear(1)` by default, such as `PowerLaw(1, -3, 1)` for magnets, one of your own; `grounding`: k_0 >= 0
+    [N/m], one number or one per site; `damping`: gamma >= 0 [1/s]; `phase` [rad]; `mass`, `boundary`: as in `monomer`.
+
+    **Returns:** a `Lattice`; `gx.linear.floquet_bands(lattice, k, 2 * np.pi / omega)` has its bands and k-gaps: the
+    first where omega(k) = Omega/2. **Raises** ValueError for N < 2, unknown words, Omega <= 0, k_0 or gamma < 0, sites
+    modulated without a grounding.
+    Source: Kim, Chong, Hajarolasvadi, Wang, Daraio, Phys. Rev. E 107, 034211 (2023); Chong, Kim, Wallace, Daraio,
+    Phys. Rev. Res. 6, 023045 (2024).
+    """
+    wave = _SHAPES[one_of("shape", shape, tuple(_SHAPES))](amplitude, _rate(omega), phase, 1.0)
+    return _chain(_sites(sites), wave, one_of("on", on, ("bonds", "sites")), law, grounding, damping, mass, boundary)
+
+
+@checked
+def travelling_modulation(
+    sites: Count, amplitude: Parameter = 0.1, omega: Parameter = 0.5, wavelength: Parameter = 3.0, *,
+    shape: str = "cosine", on: str = "bonds", law: Law | None = None, grounding: Parameter = 0.0,
+    damping: Parameter = 0.0, mass: Parameter = 1.0, boundary: str = "periodic",
+) -> Lattice:
+    r"""Chain whose stiffness is modulated in space and time, by a wave that travels: non-reciprocal bands.
+
+    As `modulated`, with g_n(t) = 1 + a cos(Omega t - 2 pi n/L) for the bond between n and n + 1 (or site n), so that a
+    wave to the right meets another medium than one to the left: omega(k) != omega(-k).
+
+    **Arguments:** `wavelength`: L in sites, |L| >= 2, negative for one that travels to the left; where L = P/q in
+    lowest terms the unit cell has P sites. The others as in `modulated`.
+
+    **Returns:** a `Lattice`. **Raises** ValueError as `modulated` does, for |L| < 2, and for a ring that L does not
+    divide.
+    Source: Swinteck, Matsuo, Runge, Vasseur, Lucas, Deymier, J. Appl. Phys. 118, 063103 (2015).
+    """
+    wavelength, value = parameter("wavelength", wavelength), concrete(wavelength)
+    sites = _sites(sites)
+    if value is not None:
+        if value.ndim or not abs(value) >= 2:
+            refuse("wavelength", "a number of sites, 2 or more in size", repr(value.tolist()))
+        turns = sites / float(value)
+        if boundary == "periodic" and abs(turns - round(turns)) > _TURNS * sites:
+            refuse("wavelength", f"one that goes into a ring of {sites} sites", repr(float(value)),
+                   "Take as many sites as several wavelengths, or free ends.")
+    one_of("on", on, ("bonds", "sites")), one_of("boundary", boundary, BOUNDARIES)
+    walls = {"fixed": 1, "free": -1, "periodic": 0}[boundary] if on == "bonds" else 0
+    # the bond to a left wall comes first
+    place = np.arange(sites + walls) - (walls == 1)
+    phase = -2 * np.pi * place / wavelength
+    wave = _SHAPES[one_of("shape", shape, tuple(_SHAPES))](amplitude, _rate(omega), phase, 1.0)
+    return _chain(sites, wave, on, law, grounding, damping, mass, boundary)
+
+
+def _rate(omega):
+    return positive("omega", omega, "The modulation has a period.")
+
+
+def _chain(
+    sites: int, wave: Callable, on: str, law: Law | None, grounding: Parameter, damping: Parameter, mass: Parameter,
+    boundary: str,
+) -> Lattice:
+    bond = Bond(Shift(1, one_of("boundary", boundary, BOUNDARIES)), Linear() if law is None else law)
+    grounding, damping = non_negative("grounding", grounding), non_negative("damping", damping)
+    value, still = concrete(grounding), concrete(damping)
+    grounded = value is None or bool(np.any(value))
+    if on == "sites" and not grounded:
+        refuse("grounding", "a stiffness above zero, which is modulated", "0", "Or modulate on=\"bonds\".")
+    site = (OnSite(Linear(grounding)),) if grounded else ()
+    terms = (Modulated(bond, wave), *site) if on == "bonds" else (bond, Modulated(site[0], wave))
+    lost = (Damping(damping),) if still is None or np.any(still) else ()
+    return Lattice(mass, (*terms, *lost), sites=sites)
