@@ -1,6 +1,7 @@
 """Breathers: time-periodic, localised orbits of conservative lattices, their families and their stability."""
 
 from .orbits import Bifurcation, Branch, Orbit, guesses
+from .orbits.anticontinuous import anticontinuous
 from .orbits.bifurcations import bifurcations
 from .orbits.breather import bands_of, breather, resonant_harmonic
 from .orbits.families import family
@@ -8,6 +9,6 @@ from .orbits.guesses import bright_guess, dark_guess
 from .orbits.localised import Localisation, localisation
 
 __all__ = [
-    "Bifurcation", "Branch", "Localisation", "Orbit", "bands_of", "bifurcations", "breather", "bright_guess",
-    "dark_guess", "family", "guesses", "localisation", "resonant_harmonic",
+    "Bifurcation", "Branch", "Localisation", "Orbit", "anticontinuous", "bands_of", "bifurcations", "breather",
+    "bright_guess", "dark_guess", "family", "guesses", "localisation", "resonant_harmonic",
 ]

@@ -125,6 +125,15 @@ def _(seed):
     flow(1.0 + seed, 0, 1 + seed, 2 + seed)
 
 
+def phi4(coupling):
+    return gx.scenes.klein_gordon(5, coupling)
+
+
+@also("anticontinuous", SLOW)
+def _(seed):
+    gx.breathers.anticontinuous(phi4, 0.02 + 0.001 * seed, 1.5 + 0.05 * seed, points=4)
+
+
 @also("simulate at every step", SLOW)
 def _(seed):
     run = gx.simulate(chain(seed), moving(seed), 3.9 + 0.01 * seed, step=0.05 - 0.001 * seed, save_at="steps")

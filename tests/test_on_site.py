@@ -4,6 +4,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
+from scipy.optimize import root
 
 import granjax as gx
 
@@ -92,3 +94,100 @@ def test_a_sine_gordon_breather_after_50_periods_is_off_by_h_squared():
     errors = [breather_after_50_periods(h) for h in (0.2, 0.1, 0.05)]
     assert errors[0] < 0.1
     np.testing.assert_allclose(np.divide(errors[:-1], errors[1:]), 4, rtol=0.01)
+
+
+OMEGA = 1.4
+
+
+def hard(c):
+    return gx.scenes.klein_gordon(9, c)
+
+
+@pytest.fixture(scope="module")
+def over_coupling():
+    return gx.breathers.anticontinuous(hard, 0.1, OMEGA)
+
+
+def shot(c, u, omega=OMEGA):
+    """Displacements at rest of the phi^4 chain's orbit, by SciPy alone, half a period at a time."""
+    n = len(u)
+
+    def rates(t, y):
+        x = y[:n]
+        ends = np.pad(x, 1, mode="edge")
+        return np.concatenate([y[n:], c * (ends[2:] - 2 * x + ends[:-2]) - x - x**3])
+
+    def later(u):
+        half = solve_ivp(rates, (0, np.pi / omega), np.concatenate([u, 0 * u]), "DOP853", rtol=1e-13, atol=1e-14)
+        return half.y[n:, -1]
+
+    return root(later, u, tol=1e-13).x
+
+
+def phi4_energy(c, u):
+    return np.sum(u**2 / 2 + u**4 / 4) + c / 2 * np.sum(np.diff(u) ** 2)
+
+
+def test_breathers_from_no_coupling_to_a_tenth(over_coupling):
+    br = over_coupling
+    assert br.outcome == "p reached 0.1." and br.p[0] == 0 and br.p[-1] == 0.1 and len(br) > 4
+    np.testing.assert_allclose(br.omega, OMEGA, rtol=1e-15)
+    u = np.zeros(9)
+    u[4] = br.u[0, 4]
+    for c in (0.0, 0.05, 0.1):
+        u = shot(c, u)
+        if c == 0:
+            np.testing.assert_allclose(br.u[0], u, atol=1e-9)
+    np.testing.assert_allclose(br.u[-1], u, atol=1e-9)
+    assert abs(br.energy[-1] - phi4_energy(0.1, u)) < 1e-9 and br.energy_error[-1] < 1e-9
+    # tails alternate as the wave above the band does
+    assert np.all(br.verdict == "stable") and np.all(np.diff(np.sign(br.u[-1])) != 0)
+    assert gx.breathers.localisation(hard(0.1), br.orbit(-1).state).participation < 1.3
+
+
+def test_and_at_the_energy_that_it_had_without(over_coupling):
+    br = over_coupling
+    found = gx.breathers.breather(hard(0.1), OMEGA, br.orbit(-1), energy=br.energy[0])
+    u = shot(0.1, np.asarray(found.state.u), float(found.omega))
+    np.testing.assert_allclose(found.state.u, u, atol=1e-9)
+    assert abs(phi4_energy(0.1, u) - br.energy[0]) < 1e-9 and found.omega > OMEGA + 0.01
+
+
+@pytest.mark.slow
+def test_what_is_no_breather_is_not_on_the_branch():
+    soft = lambda c: gx.scenes.klein_gordon(9, c, beta=-1.0)
+    br = gx.breathers.anticontinuous(soft, 1.0, 0.8, stability=False)
+    # 2 omega enters the band, 1 <= omega^2 <= 1 + 4 c, at c = (4 omega^2 - 1)/4
+    assert 0.38 < br.p[-1] < 0.39 and br.outcome.startswith("Ended: beyond its last point 2 omega = 1.6 meets")
+    assert gx.breathers.localisation(soft(br.p[-1]), br.orbit(-1).state).bright
+    two = gx.breathers.anticontinuous(soft, 0.02, 0.8, [4, 5], amplitudes=[1, -1])
+    assert two.u[0, 4] == -two.u[0, 5] and two.verdict[-1] == "stable"
+    same = gx.breathers.anticontinuous(soft, 0.02, 0.8, [4, 5])
+    # Archilla, Cuevas, Sanchez-Rey, Alvarez, Physica D 180, 235 (2003): soft, attracting, in phase
+    assert same.verdict[-1] == "unstable" and same.bifurcations == ()
+
+
+@pytest.mark.slow
+def test_breathers_in_si_and_of_a_force_of_one_s_own(over_coupling):
+    kg, metre, second = 2e-3, 1e-5, 1e-4
+    units = gx.Units(kg, metre, second)
+
+    def scene(c):
+        k = kg / second**2
+        law = gx.Polynomial(k, 0.0, k / metre**2)
+        return gx.scenes.klein_gordon(9, c * k, law=law, mass=kg).counted_in("SI")
+
+    br = gx.breathers.anticontinuous(scene, 0.1, OMEGA / second)
+    np.testing.assert_allclose(br.u / metre, over_coupling.u, atol=1e-9)
+    np.testing.assert_allclose(br.energy / float(units.energy), over_coupling.energy, rtol=1e-9)
+    assert br.to_xarray().energy.attrs["units"] == "J"
+
+
+def test_what_has_no_such_limit_is_refused():
+    for scene, coupling, omega, words in (
+        (hard, 0.1, 0.9, "omega"), (hard, 0.0, OMEGA, "coupling"), (lambda c: 1.0, 0.1, OMEGA, "make|scene"),
+        (lambda c: gx.scenes.klein_gordon(9, 0.1 + c), 0.1, OMEGA, "do not feel each other"),
+        (lambda c: gx.scenes.klein_gordon(9, c, beta=-1.0), 0.1, 1.0, "omega"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            gx.breathers.anticontinuous(scene, coupling, omega)

@@ -13,7 +13,7 @@ from ..checks import refuse
 from ..continuation import Curve
 from ..entry import checked
 from ..flow import Flow
-from ..lattice import State
+from ..lattice import Lattice, State
 from ..newton import Root
 from ..programs import waited
 from ..results import STATE, Held, Result
@@ -58,9 +58,10 @@ class Bifurcation(Result):
 
 
 class Branch(Result):
-    r"""Orbits along a parameter, P of them, in the order in which they were found, by `family` or `forced_branch`.
+    r"""Orbits along a parameter, P of them, as `family`, `anticontinuous` or `forced_branch` has found them.
 
-    **Fields:** `p` (P,): the parameter, of a family of breathers their frequency. `periods` (P,). `states` at t0, a
+    **Fields:** `p` (P,): the parameter, of a family of breathers their frequency, from the anticontinuous limit the
+    coupling. `periods` (P,). `states` at t0, a
     `State` of (P, N). `energy` (P,) at t0. `response` (P,): the chosen number, of a forced branch. `state_error`,
     `energy_error`, `response_error`: estimated distances from the truth, in the same units. `multipliers` (P, 2n), the
     largest modulus first, and `error` of each. `step_error` (P,): change of the tangent map when the steps are doubled.
@@ -122,7 +123,7 @@ class Branch(Result):
     @property
     def omega(self) -> Float[np.ndarray, " P"]:
         """Angular frequencies 2 pi/T, (P,)."""
-        return self.p if self._family.shooting.reversible else 2 * np.pi / self.periods
+        return self.p if isinstance(self._family.make, Lattice) else 2 * np.pi / self.periods
 
     @property
     def u(self) -> Displacements:

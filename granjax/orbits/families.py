@@ -11,7 +11,7 @@ from diffrax import AbstractSolver
 
 from ..checks import positive, refuse, whole
 from ..checks import tolerance as checked_tolerance
-from ..continuation import continuation
+from ..continuation import Curve, continuation
 from ..entry import checked
 from ..flow import Flow
 from ..lattice import Lattice, State
@@ -100,13 +100,13 @@ def family(
     count = half_steps(lattice, 2 * np.pi / ways[0].omega, steps or ways[0].steps)
     chosen = ways[0] if len(ways) == 1 else _towards(ways, until, lambda way: follow(way, count, PROBE)[1])
     problem, curve = follow(chosen, count, points)
-    enough = count if steps else _enough(problem, curve, count, tolerance, stability)
+    enough = count if steps else enough_steps(problem, curve, count, tolerance, stability)
     if enough > count:
         problem, curve = follow(chosen, enough, points)
-    return _branch(problem, curve, stability)
+    return breathers_on(problem, curve, stability)
 
 
-def _enough(problem, curve, count, tolerance, stability):
+def enough_steps(problem: Family, curve: Curve, count: Count, tolerance: Scalar, stability: bool) -> int:
     """Steps for which the largest breather is known well enough, and its tangent map too, or more would help little."""
     before, i = np.inf, np.argmax(np.abs(curve.x).max(1))
     x = curve.x[i]
@@ -203,7 +203,8 @@ def _ends(problem, amplitude, stop):
     return None if amplitude is None and stop is None else why
 
 
-def _branch(problem, curve, stability):
+def breathers_on(problem: Family, curve: Curve, stability: bool) -> Branch:
+    """The branch of breathers that a curve of a family over half periods is."""
     found = list(spectra_of(problem, curve.x, curve.p, stability))
     curve = eqx.tree_at(lambda c: c.x, curve, np.stack([s.x for s in found]))
     none = np.full((len(curve.p), 2 * problem.shooting.count), np.nan)
@@ -212,10 +213,10 @@ def _branch(problem, curve, stability):
         multipliers, error, verdict = verdicts_of([(s.multipliers, s.error) for s in found], found[0].expected, True)
     # one that is small by accident is as large as its neighbours
     apart = neighbours(np.stack([s.apart for s in found]))
-    states, energy, state_error, energy_error = _members(problem, curve.x, apart)
+    states, energy, state_error, energy_error, periods = _members(problem, curve, apart)
     half, p = problem.shooting.flow, problem.values(curve.p)
     return Branch(
-        p, 2 * np.pi / p, states, energy, None, state_error, energy_error, None, multipliers, error,
+        p, periods, states, energy, None, state_error, energy_error, None, multipliers, error,
         np.array([s.step_error for s in found]), verdict, tuple(special_of(problem, curve)),
         problem.outcome(curve), 0.0, Flow(2 * half.steps, half.solver), problem, curve,
         **problem.scene(jnp.asarray(curve.p[0]))[0].origin)
@@ -266,21 +267,22 @@ def energy_slope(problem: Family, z: Numbers, tangent: Numbers) -> Numbers:
     return jax.jvp(total, (z[:-1],), (tangent[:-1],))[1]
 
 
-def _members(problem, xs, aparts):
-    """States, energies and the errors of both, from unknowns and theirs (P, ...), some at a time, whatever P."""
-    idle = -len(xs) % MEMBERS
-    xs, aparts = (np.pad(x, ((0, idle), (0, 0)), mode="edge") for x in (xs, aparts))
-    parts = [_some(problem, *(jnp.asarray(x[i : i + MEMBERS]) for x in (xs, aparts)))
+def _members(problem, curve, aparts):
+    """States, energies, the errors of both, and periods, of a curve (P, ...), some at a time, whatever P."""
+    idle = -len(curve.p) % MEMBERS
+    xs, aparts = (np.pad(x, ((0, idle), (0, 0)), mode="edge") for x in (curve.x, aparts))
+    qs = np.pad(curve.p, (0, idle), mode="edge")
+    parts = [_some(problem, *(jnp.asarray(x[i : i + MEMBERS]) for x in (xs, qs, aparts)))
              for i in range(0, len(xs), MEMBERS)]
     return jax.tree.map(lambda *x: np.concatenate(x)[: len(xs) - idle], *parts)
 
 
 @waited
-def _some(problem, xs, aparts):
-    def one(pair):
-        x, apart = pair
-        state, lattice = problem.shooting.state(x), problem.make
-        found = error_of(lattice, 0.0, state, problem.shooting.apart(apart), problem.span, 0.0)
-        return state, lattice.energy(0.0, *state), found.state, found.energy
+def _some(problem, xs, qs, aparts):
+    def one(three):
+        x, q, apart = three
+        state, (lattice, period) = problem.shooting.state(x), problem.scene(q)
+        found = error_of(lattice, 0.0, state, problem.shooting.apart(apart), 2 * jnp.pi / period, 0.0)
+        return state, lattice.energy(0.0, *state), found.state, found.energy, jnp.broadcast_to(period, ())
 
-    return jax.lax.map(one, (xs, aparts))
+    return jax.lax.map(one, (xs, qs, aparts))

@@ -26,6 +26,8 @@ _VERDICTS = {
 UNKNOWN, FINE = (FAINT, ":"), 12
 # of its length, how far apart points of a line count that coincide
 COINCIDING = 1e-9
+# of one frequency: rounding
+SAME = 1e-12
 _ORBITS = {
     "stable": ("0.2", "-", "orbit, stable"), "unstable": ("0.2", "--", "orbit, unstable"),
     "undecided": ("0.2", ":", "orbit, undecided"),
@@ -201,9 +203,11 @@ def _written(rho, complex_pair):
 @checked
 def branch(
     br: Any, axes: Sequence[Axes] | np.ndarray | None = None, *, bands: Any = None, marks: Any = None,
-    units: UnitsOrWords = None, omega_label: str = r"angular frequency $\omega_b$",
+    units: UnitsOrWords = None, omega_label: str = r"angular frequency $\omega_b$", p_label: str = "coupling",
 ) -> np.ndarray:
     """A family of breathers: energy and amplitude over frequency, stable and unstable parts, bands, bifurcations.
+
+    Breathers of one frequency, as from `gx.breathers.anticontinuous`, are drawn over their parameter `p`.
 
     Smooth curves through the points. A part of one stability ends at the bifurcation between two points, of
     `br.bifurcations` or `marks`; where none is known (or several are) the curve between the two points is dotted.
@@ -215,7 +219,8 @@ def branch(
     - `axes`: two Axes; by default those of a new figure. `bands`: intervals (B, 2) of the linear spectrum to shade,
       such as `gx.breathers.bands_of(chain)[0]`; `marks`: bifurcations to mark, those of
       `gx.breathers.bifurcations(br)`, or frequencies.
-    - `units`: `("kHz", "uJ", "um")`, as in `granjax.plots`. `omega_label`: of the frequencies' axis.
+    - `units`: `("kHz", "uJ", "um")`, as in `granjax.plots`. `omega_label`: of the frequencies' axis; `p_label`: of the
+      parameter's, where all have one frequency.
 
     **Returns:** the two Axes. **Raises** ValueError for shapes that do not fit, or other than two Axes.
     """
@@ -226,8 +231,12 @@ def branch(
     marks = [] if marks is None else list(np.atleast_1d(np.asarray(marks, object)))
     if bands.shape[1:] != (2,):
         refuse("bands", "intervals, shape (B, 2)", f"shape {bands.shape}")
-    by, *by_height = drawn_in(units, units_of(br), Axis(omega_label, omega, "rad/s"), Axis("energy", heights[0]),
-                           Axis(r"amplitude $\max_n |u_n|$", heights[1]))
+    over = Axis(omega_label, omega, "rad/s")
+    if hasattr(br, "p") and len(omega) > 1 and np.ptp(omega) <= SAME * np.abs(omega).max():
+        omega = numbers("br.p", br.p, 1)
+        over = Axis(p_label, omega)
+    by, *by_height = drawn_in(units, units_of(br), over, Axis("energy", heights[0]),
+                              Axis(r"amplitude $\max_n |u_n|$", heights[1]))
     omega, drawn = scaled_by(omega, by.factor), [scaled_by(x, way.factor) for x, way in zip(heights, by_height)]
     axes = _axes(axes, 1, 2, 8.4, 3.4)
     room = 0.06 * (np.ptp(omega) or omega[0])

@@ -1,0 +1,142 @@
+"""Breathers continued from the anticontinuous limit, in which sites do not feel each other."""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from diffrax import AbstractSolver
+from jax.flatten_util import ravel_pytree
+
+from ..checks import parameter, positive, refuse, whole
+from ..checks import tolerance as checked_tolerance
+from ..continuation import continuation
+from ..entry import checked
+from ..flow import Flow
+from ..outside import Outside
+from ..solvers import KahanLi8
+from ..tuning import one_thread
+from ..types import Count, Scalar, Site
+from .branch import Branch
+from .breather import refuse_resonance, resonant_harmonic
+from .confirm import BRANCH, LEFT_ON_BRANCH, newtons
+from .families import breathers_on, checked_lattice, enough_steps, half_steps
+from .guesses.sites import single_site
+from .localised import FEWEST, localisation
+from .problems import Family, Shooting, made
+from .repeats import largest
+
+# along the branch, in the amplitude of the limit and in the whole way of the coupling: first, longest and least step
+ARCLENGTH, LONGEST, LEAST = 0.1, 4.0, 1e-4
+# what continuation says before the reason of a veto
+VETOED = "vetoed, "
+# of the largest force in the limit, what other sites may move and feel: rounding
+FELT = 1e-9
+
+
+@checked
+@one_thread
+def anticontinuous(
+    scene: Callable[[Any], Any], coupling: Scalar, omega: Scalar, sites: Site | Sequence[Site] | None = None, *,
+    amplitudes: Sequence[Scalar] | None = None, field: str | None = None, arclength: Scalar = ARCLENGTH,
+    points: Count = 100, steps: Count | None = None, solver: AbstractSolver | None = None,
+    tolerance: Scalar = BRANCH, stability: bool = True,
+) -> Branch:
+    r"""Breathers of one frequency over the coupling, from the limit of none, in which each site moves by itself.
+
+    At coupling zero the named sites oscillate at omega, each as its own nonlinear oscillator, and all others rest.
+    Where no harmonic of omega is a frequency of small oscillations this orbit has one continuation (MacKay and Aubry),
+    which is followed by pseudo-arclength through folds. The branch ends before a point at which a harmonic meets the
+    band of the waves, or where the orbit is no more localised, and says so: none of its points is such an orbit.
+
+    **Arguments:**
+
+    - `scene(coupling)`: the `Lattice`, traced: `lambda c: gx.scenes.klein_gordon(21, c)`; conservative, its sites not
+      coupled at 0. The same function again compiles nothing.
+    - `coupling`: where the branch ends, not zero; in the unit that the scene takes.
+    - `omega` [rad/s]: above the frequency of small oscillations where the force on the sites hardens, below it where it
+      softens.
+    - `sites`: an index or several (on a grid a pair or several pairs), which oscillate in the limit; `None` is the
+      middle. `amplitudes`: their signs +-1 (None: all in phase), a code of a multibreather; `field`: where a cell
+      holds several.
+    - `arclength`: first step along the branch, in which the way of the coupling counts 1, and so does a change of a
+      displacement by the amplitude in the limit; `points`: the most breathers.
+    - `steps`: time steps in a period, an even number; `None` doubles them until half as many confirm the largest
+      breather to `tolerance`, relative to its amplitude, and its tangent map to 1e-8. `solver`: a splitting method.
+    - `stability`: also the multipliers.
+
+    **Returns:** `Branch`, with the coupling as `p`; `branch.orbit(-1)` is the breather at the last one, which
+    `gx.breathers.breather(scene(c), omega, guess=...)` refines, and with `energy=` takes to an energy. It has no
+    derivative; that function's has.
+    **Raises** ValueError for a coupling of zero, a frequency that no oscillation of the sites has or one of whose
+    harmonics is a wave already in the limit, sites that are coupled there, and as `family`; RuntimeError where the
+    first breather is not found. Typical: 11 to 41 sites, couplings up to a tenth of the stiffness of the sites.
+    Source: MacKay, Aubry, Nonlinearity 7, 1623 (1994); Marin, Aubry, Nonlinearity 9, 1501 (1996).
+    """
+    omega = float(positive("omega", omega))
+    end, tolerance = float(parameter("coupling", coupling)), checked_tolerance("tolerance", tolerance)
+    arclength, points = float(positive("arclength", arclength)), whole("points", points, 1)
+    if end == 0 or not np.isfinite(end):
+        refuse("coupling", "a coupling to go to, not zero", repr(end), "At zero every site is by itself.")
+    period = 2 * np.pi / omega
+    lattices = [checked_lattice(made(scene, period, c)[0]) for c in (0.0, end)]
+    limit = _limit(lattices[0], omega, sites, amplitudes, field)
+    length = float(largest(limit.u))
+    count = max(half_steps(lattice, period, steps, limit) for lattice in lattices)
+    half = Shooting.half(lattices[0], Flow(jnp.asarray(count, int), solver or KahanLi8()), length=length, omega=omega)
+    family = Family(half, scene, jnp.asarray(period), jnp.zeros(()), jnp.asarray(end), Outside((scene,)))
+    start = np.asarray(half.guess(limit))
+
+    def follow(count):
+        problem = eqx.tree_at(lambda p: p.shooting.flow.steps, family, jnp.asarray(count, int))
+        curve = continuation(
+            problem.residual, start, 0.0, until=(0.0, 1.0), arclength=arclength,
+            longest_arclength=LONGEST * arclength, least_arclength=LEAST * arclength, points=points,
+            linearise=problem.linearise, tolerance=newtons(tolerance, lattices[0].dtype, LEFT_ON_BRANCH),
+            veto=_veto(problem, omega, limit))
+        why = curve.outcome.partition(VETOED)[2]
+        return problem, dataclasses.replace(curve, outcome=f"Ended: beyond its last point {why}") if why else curve
+
+    problem, curve = follow(count)
+    enough = count if steps else enough_steps(problem, curve, count, tolerance, stability)
+    if enough > count:
+        problem, curve = follow(enough)
+    return breathers_on(problem, curve, stability)
+
+
+def _limit(lattice, omega, sites, amplitudes, field):
+    """The state at rest of the limit, of a lattice whose sites do not feel each other."""
+    refuse_resonance(lattice, omega, False)
+    if sites is None:
+        shape = lattice.sites
+        shape = shape[field or lattice.fields[0]] if isinstance(shape, dict) else shape
+        middle = tuple(n // 2 for n in shape)
+        sites = middle[0] if len(middle) == 1 else [middle]
+    state = single_site(lattice, omega, sites, amplitudes=amplitudes, field=field)
+    u, force = (ravel_pytree(x)[0] for x in (state.u, lattice.force(jnp.zeros(()), *state)))
+    named = 1 if np.ndim(sites) == 0 else len(sites)
+    others = jnp.argsort(-jnp.abs(u))[named:]
+    if any(float(largest(x[others])) > FELT * float(largest(x)) for x in (u, force)):
+        refuse("scene", "sites that do not feel each other at coupling 0", "others that are pushed",
+               "A breather of a lattice without such a limit: gx.breathers.breather.")
+    return state
+
+
+def _veto(problem, omega, limit):
+    """Why a point of the branch is no breather: a harmonic among the waves, or an orbit that has spread."""
+    first = localisation(problem.scene(jnp.zeros(()))[0], limit)
+
+    def why(x, q, *before):
+        lattice = problem.scene(jnp.asarray(q))[0]
+        found = resonant_harmonic(lattice, omega)
+        if found is not None:
+            n, (low, high), _ = found
+            return f"{n} omega = {n * omega:.6g} meets the waves of {low:.6g} ... {high:.6g}"
+        spread = localisation(lattice, problem.shooting.state(jnp.asarray(x)))
+        if spread.cells < FEWEST or spread.why_not("bright", first) is None:
+            return None
+        return f"it is not localised, {spread} (participation number; {first.participation:.3g} in the limit)"
+
+    return why
