@@ -392,7 +392,7 @@ WITHIN = {
     **dict.fromkeys(("checks", "entry.checked", "entry.kinds", "printing", "programs", "variables", "cli.commands",
                      "interrupts", "outside", "tuning", "materials", "canonical.scenes", "scenes.chains",
                      "scenes.resonators", "scenes.softening",
-                     "scenes.on_site",
+                     "scenes.disorder", "scenes.on_site",
                      "work_precision.measuring", "orbits.symmetry", "laws.power"),
                     "numbers, words and Python: no program of their own"),
     **dict.fromkeys(("exchange.datasets", "files", "fit.files", "reading.reader", "reading.tables"),

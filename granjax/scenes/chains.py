@@ -1,16 +1,15 @@
 """Chains in scaled units: mass 1, contact coefficient 1, compression positive, at rest at u = 0."""
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import concrete, held_in_memory, one_of, parameter, positive, random_key, refuse, show, whole, within
+from ..checks import concrete, held_in_memory, one_of, parameter, positive, refuse, show, whole, within
 from ..entry import checked
 from ..lattice import Lattice
 from ..laws import Hertz, Polynomial, PowerLaw, Toda
 from ..strains import BOUNDARIES, Shift
 from ..terms import Bond
-from ..types import Count, Parameter, Scalar, Seed
+from ..types import Count, Parameter, Scalar
 
 _MANY = "For many at once: jax.vmap(lambda x: scene(..., x), out_axes=-1)(values)."
 _RATIO = "The ratio is light over heavy; the heavy bead has mass 1."
@@ -231,32 +230,6 @@ def taper(
         wall = (2 - q) / (1 - q) / 2
         share = jnp.concatenate([R[:1] * wall, share, R[-1:] * wall])
     return _chain(sites, R**3, Hertz(A * jnp.sqrt(share), precompression), boundary, precompression=precompression)
-
-
-@checked
-def disordered(
-    sites: Count, spread: Scalar, seed: Seed = 0, *, distribution: str = "uniform", stiffness: Parameter = 1.0,
-    exponent: Parameter = 1.5, precompression: Parameter = 0.0, boundary: str = "fixed",
-) -> Lattice:
-    """Chain with random masses of mean 1, drawn one by one.
-
-    **Arguments:** `spread`: s in [0, 1); `distribution`: `"uniform"` draws masses in [1 - s, 1 + s], of standard
-    deviation s/sqrt(3); `"binary"` 1 - s or 1 + s with equal chance, of standard deviation s. `seed`: a whole number
-    or a JAX key; it and `spread` may be traced, so that realisations are lanes:
-    `jax.vmap(lambda n: disordered(500, 0.3, n), out_axes=-1)(jnp.arange(64))`. The others as in `monomer`.
-
-    **Returns:** a `Lattice`; equal seeds give equal masses. **Raises** ValueError for a spread outside [0, 1), another
-    distribution, a seed that is neither whole number nor key, and as `monomer` does.
-    Source: Martinez, Kevrekidis, Porter, Phys. Rev. E 93, 022902 (2016), for granular chains.
-    """
-    sites = _sites(sites)
-    remedy = "Masses are 1 - spread to 1 + spread."
-    spread = within("spread", spread, 0, 1, open_high=True, remedy=remedy)
-    draw = {"uniform": jax.random.uniform, "binary": jax.random.rademacher}
-    draw = draw[one_of("distribution", distribution, tuple(draw))]
-    limits = {"minval": -1.0, "maxval": 1.0} if distribution == "uniform" else {}
-    noise = draw(random_key(seed, _MANY), (sites,), dtype=spread.dtype, **limits)
-    return _power_chain(sites, 1 + spread * noise, stiffness, exponent, precompression, boundary)
 
 
 @checked

@@ -1,0 +1,127 @@
+"""Disordered chains: random masses, radii, stiffnesses or positions, each by itself or in dimers."""
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+
+from ..checks import concrete, one_of, positive, random_key, refuse, within
+from ..entry import checked
+from ..lattice import Lattice
+from ..laws import Law
+from ..types import Count, Parameter, Scalar, Seed
+from ..units import SCALED
+from .chains import _MANY, _chain, _contact, _number, _sites
+
+DISORDERED = ("mass", "radius", "stiffness", "position")
+CORRELATIONS = ("none", "alike", "opposite")
+_DRAWS = {"uniform": jax.random.uniform, "binary": jax.random.rademacher}
+
+
+@checked
+def disordered(
+    sites: Count, spread: Scalar, seed: Seed = 0, *, of: str = "mass", distribution: str = "uniform",
+    correlation: str = "none", law: Callable[..., Law] | None = None, mass: Scalar = 1.0, stiffness: Parameter = 1.0,
+    exponent: Parameter = 1.5, precompression: Parameter = 0.0, boundary: str = "fixed", units: str = SCALED,
+) -> Lattice:
+    r"""Disordered granular chain (Anderson disorder, random dimers): random masses, radii, stiffnesses or positions.
+
+    x_n are random numbers of mean 0 in [-1, 1], s is the spread, and
+
+    - `of="mass"`: m_n = m (1 + s x_n), one per bead;
+    - `of="radius"`: spheres of one material, R_n = 1 + s x_n: m_n = m R_n^3 and Hertz coefficients
+      A_n = A (2 R_n R_{n+1}/(R_n + R_{n+1}))^{1/2}; a wall is felt as a bead of the end bead's radius;
+    - `of="stiffness"`: A_n = A (1 + s x_n), one per contact;
+    - `of="position"`: beads held (by static loads) at s x_n d0/2 beside their places, so that contacts overlap by
+      d0 (1 + s (x_n - x_{n+1})/2), between 0 and 2 d0; walls stand at their places. F0 > 0.
+
+    **Arguments:**
+
+    - `spread`: s in [0, 1). `seed`: a whole number or a JAX key. Both may be traced, so that realisations are lanes:
+      `jax.vmap(lambda n: disordered(500, 0.3, n), out_axes=-1)(jnp.arange(64))`.
+    - `distribution`: `"uniform"`, x in [-1, 1] of standard deviation 1/sqrt(3); `"binary"`, -1 or 1 with equal chance.
+    - `correlation`: `"none"` draws one by one (Anderson); `"alike"` and `"opposite"` draw a number x for each pair of
+      neighbours, which are x, x or x, -x (random dimers; binary: AA or BB, AB or BA).
+    - `law`: what makes the contacts' law from their stiffness, in place of `exponent` and `precompression`:
+      `law=gx.Linear` is the linear chain, `law=lambda A: gx.Polynomial(A, 0.0, A)` the beta chain of FPUT.
+    - `mass`: m; the others as in `monomer`. `units`: what the numbers are counted in, `"scaled"` or `"SI"`.
+
+    **Returns:** a `Lattice`; equal seeds give equal chains. Strong precompression is nearly linear (waves localise),
+    F0 = 0 the sonic vacuum (they do not): `gx.linear.localisation_length`, `gx.studies.spreading`. In SI from a
+    material: `gx.scenes.beads(material, radii)`.
+    **Raises** ValueError for a spread outside [0, 1), another distribution, correlation or disorder, a seed that is
+    neither whole number nor key, radii without Hertz contacts, positions without F0 or with a `law`, and as `monomer`
+    does.
+    Source: Martinez, Kevrekidis, Porter, Phys. Rev. E 93, 022902 (2016); random dimers: Dunlap, Wu, Phillips, Phys.
+    Rev. Lett. 65, 88 (1990).
+    """
+    sites = _sites(sites)
+    one_of("of", of, DISORDERED)
+    remedy = "What is random lies between 1 - spread and 1 + spread times its mean."
+    spread = within("spread", _number("spread", spread), 0, 1, open_high=True, remedy=remedy)
+    contacts = sites + {"fixed": 1, "free": -1}.get(boundary, 0)
+    draw = one_of("distribution", distribution, tuple(_DRAWS)), one_of("correlation", correlation, CORRELATIONS)
+    x = spread * _noise(contacts if of == "stiffness" else sites, random_key(seed, _MANY), *draw, spread.dtype)
+    m = positive("mass", _number("mass", mass), "It is the mean mass, or that of a bead of mean radius.")
+    A = positive("stiffness", stiffness, "Contacts push.")
+    if of == "mass":
+        m = m * (1 + x)
+    elif of == "radius":
+        _hertzian(exponent, law)
+        m, A = m * (1 + x) ** 3, A * _hertz_share(1 + x, boundary)
+    elif of == "stiffness":
+        A = A * (1 + x)
+    elif law is not None:
+        refuse("law", "None with of='position'", "a law", "Positions change the static force, which a law has made.")
+    else:
+        precompression = _displaced(x, A, exponent, precompression, boundary)
+    if law is None:
+        law, given = _contact(A, exponent, precompression), {"exponent": exponent, "precompression": precompression}
+    else:
+        law, given = _made(law, A, precompression), {}
+    return _chain(sites, m, law, boundary, stiffness=A, **given).counted_in(units)
+
+
+def _noise(count, key, distribution, correlation, dtype):
+    limits = {"minval": -1.0, "maxval": 1.0} if distribution == "uniform" else {}
+    drawn = count if correlation == "none" else -(-count // 2)
+    x = _DRAWS[distribution](key, (drawn,), dtype=dtype, **limits)
+    if correlation == "none":
+        return x
+    return jnp.stack([x, x if correlation == "alike" else -x], -1).ravel()[:count]
+
+
+def _hertzian(exponent, law):
+    known = concrete(exponent)
+    if law is None and (known is None or (known != 1.5).any()):
+        refuse("exponent", "3/2 with of='radius'", f"{exponent}", "How a contact follows from radii is Hertz's law.")
+
+
+def _hertz_share(R, boundary):
+    """(2 R*)^{1/2} of each contact, 1/R* = 1/R_n + 1/R_{n+1}: 1 for beads of radius 1."""
+    right = jnp.roll(R, -1) if boundary == "periodic" else R[1:]
+    left = R if boundary == "periodic" else R[:-1]
+    share = 2 * left * right / (left + right)
+    return jnp.sqrt(jnp.concatenate([R[:1], share, R[-1:]]) if boundary == "fixed" else share)
+
+
+def _displaced(x, A, exponent, precompression, boundary):
+    """Static forces A d^p of contacts whose beads lie beside their places by x d0/2."""
+    known = concrete(precompression)
+    if known is not None and not (known > 0).all():
+        refuse("precompression", "a static force above zero with of='position'", f"{precompression}",
+               "Without overlap at rest there is none that positions could change.")
+    right = jnp.roll(x, -1) if boundary == "periodic" else x[1:]
+    change = (x if boundary == "periodic" else x[:-1]) - right
+    if boundary == "fixed":
+        change = jnp.concatenate([-x[:1], change, x[-1:]])
+    # magnets are closer where two beads have come together, as contacts are, but p < 0 counts the distance
+    p = jnp.asarray(exponent)
+    return precompression * (1 + jnp.sign(p) * change / 2) ** p
+
+
+def _made(law, A, precompression):
+    known = concrete(precompression)
+    if known is None or (known != 0).any():
+        refuse("precompression", "0 with a law of your own", f"{precompression}", "Give it to the law.")
+    return law(A)
