@@ -4,10 +4,9 @@ A batch of scenes is `jax.vmap(lambda ratio: scenes.dimer(60, ratio), out_axes=-
 """
 
 from .bead_chain import beads
-from .chains import defects, dimer, disordered, fput, monomer, n_to_one, pattern, taper, toda, trimer
-from .modulated import modulated, travelling_modulation
 from .chains import defects, dimer, fput, monomer, n_to_one, pattern, taper, toda, trimer
 from .disorder import disordered
+from .modulated import modulated, travelling_modulation
 from .on_site import cradle, klein_gordon, sine_gordon
 from .resonators import mass_in_mass, mass_with_mass, woodpile
 from .softening import alternating, foam, hollow_cylinders, origami, tensegrity
@@ -16,10 +15,9 @@ from .units import ScaledLattice, Units, scaled
 __all__ = [
     "ScaledLattice", "Units", "scaled",
     "beads",
-    "defects", "dimer", "disordered", "fput", "monomer", "n_to_one", "pattern", "taper", "toda", "trimer",
-    "modulated", "travelling_modulation",
     "defects", "dimer", "fput", "monomer", "n_to_one", "pattern", "taper", "toda", "trimer",
     "disordered",
+    "modulated", "travelling_modulation",
     "cradle", "klein_gordon", "sine_gordon",
     "mass_in_mass", "mass_with_mass", "woodpile",
     "alternating", "foam", "hollow_cylinders", "origami", "tensegrity",
