@@ -18,6 +18,13 @@ NYSTROM = (gx.RKN86, gx.RKN1210)
 ALL_SOLVERS = SPLITTING + NYSTROM
 
 
+def few(values, *kept):
+    """Values of a parameter of slow tests: those in `kept`, by their place, run in every CI, all of them in a study."""
+    chosen = {i % len(values) for i in kept}
+    return [v if i in chosen else pytest.param(*v if type(v) is tuple else (v,), marks=pytest.mark.study)
+            for i, v in enumerate(values)]
+
+
 def over(cases):
     """Parametrise a test over cases, each under its name."""
     return pytest.mark.parametrize("case", cases, ids=[case.name for case in cases])

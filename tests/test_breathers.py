@@ -233,7 +233,7 @@ def test_the_frequency_at_constant_energy_is_differentiable(seed15):
     assert slope == pytest.approx(float(five_points(omega, 1e-4)), rel=1e-6) and abs(slope) > 1e-3
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_the_largest_multiplier_is_differentiable_in_the_mass_ratio():
     def chain(heavy):
         return gx.Lattice(jnp.where(dimer(61).mass > 1, heavy, 1.0), dimer(61).terms)

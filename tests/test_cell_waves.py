@@ -114,8 +114,8 @@ def optical(masses, speed, stiffness=1.0):
 @pytest.mark.slow
 @pytest.mark.parametrize("law, masses, over", [
     (TODA, [1.0, 0.5], 1.02),
-    pytest.param(gx.Polynomial(1.0, 0.25, 0.0), [1.0, 0.5], 1.02, marks=pytest.mark.slow),
-    pytest.param(gx.Hertz(1.0, 1.0), [1.0, 0.5], 1.02, marks=pytest.mark.slow),
+    pytest.param(gx.Polynomial(1.0, 0.25, 0.0), [1.0, 0.5], 1.02, marks=pytest.mark.study),
+    pytest.param(gx.Hertz(1.0, 1.0), [1.0, 0.5], 1.02, marks=pytest.mark.study),
     (Stiffening(jnp.asarray(2.0)), [1.0, 0.8], 1.03),
 ], ids=["toda", "fput", "hertz", "own"])
 def test_nanoptera_ride_on_the_optical_wave_of_their_speed(law, masses, over):

@@ -47,7 +47,7 @@ def test_two_solitons_of_toda_are_shifted_as_the_closed_form_says(fast, way, shi
     assert plots.space_time(found.run) is not None
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_waves_to_the_left_are_mirror_images():
     for second, shifts in ((toda(0.5, -1), (-1.180269670641735, 2.360539341283469)),
                            (toda(0.5), (-0.2273362938026457, 0.4546725876052915))):
@@ -91,7 +91,7 @@ def test_a_stiffer_wall_sends_a_wave_back_earlier_towards_the_rigid_limit(fast):
         plots.reflection(found, stiffness[1:])
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_beads_at_a_wall_of_beads():
     wave = solitary_wave(gx.Hertz(), speed=1.0)
     stiffness = np.array([0.1, 1.0, 10.0, 1e3, 1e5])
@@ -119,7 +119,7 @@ def test_a_wall_of_young_s_modulus_in_si():
     assert plots.reflection(found, E, x_label="modulus", units="us").get_ylabel() == "delay (µs)"
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_what_has_not_parted_has_no_shift():
     # what two Hertz waves shed stays about them for long; the fits of a short run say so
     one, two = (solitary_wave(gx.Hertz(), speed=c) for c in (1.0, -1.1))

@@ -75,8 +75,9 @@ PROBLEMS = {
 }
 
 
-@pytest.mark.parametrize("case", [x if x == "Toda parts" else pytest.param(
-    x, marks=pytest.mark.slow) for x in PROBLEMS])
+@pytest.mark.parametrize("case", [
+    x if x == "Toda parts" else pytest.param(x, marks=pytest.mark.slow if x in ("magnets part", "vacuum piston")
+                                             else pytest.mark.study) for x in PROBLEMS])
 def test_what_extends_only_is_not_taken_to_be_pressed_together(case):
     """Rarefactions, pistons and held steps: the same, until their waves come to an end of the chain."""
     lattice, make = PROBLEMS[case]

@@ -3,6 +3,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from cases import few
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, fsolve, minimize_scalar
 
@@ -273,8 +274,8 @@ class OneWall(eqx.Module):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("omega, kind, at", [
-    (2.449, "period doubling", 0.1628306), (3.346, "Neimark-Sacker", 0.3657490)])
+@pytest.mark.parametrize("omega, kind, at", few([
+    (2.449, "period doubling", 0.1628306), (3.346, "Neimark-Sacker", 0.3657490)], 1))
 def test_runs_on_either_side_of_a_bifurcation(omega, kind, at):
     make, period = OneWall(jnp.asarray(omega)), 2 * np.pi / omega
     branch = forced_branch(make, 0.01, 0.4, period=period)

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from cases import few
 from jax.flatten_util import ravel_pytree
 
 import granjax as gx
@@ -316,7 +317,7 @@ def test_derivatives_in_both_modes(case):
 
 
 @pytest.mark.slow
-@over
+@pytest.mark.parametrize("case", few(CASES, 1, 3), ids=lambda case: case.name)
 def test_a_fit_finds_the_parameter(case):
     state, named = moving(case), case.name == "shear and rotation"
     times = np.linspace(0.0, 4.0, 41)

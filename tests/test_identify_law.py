@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from cases import few
 from scipy.integrate import solve_ivp
 
 import granjax as gx
@@ -55,7 +56,7 @@ def traces(velocity, noise, seed=0):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("family", ["power law", "polynomial", "spline", "network"])
+@pytest.mark.parametrize("family", few(["power law", "polynomial", "spline", "network"], 2))
 def test_every_family_finds_the_force_over_the_strains_visited(measured, family):
     """To 1 % of the largest force, from a stiffness 20 % off, with 1 % of noise (5e-9 without for the true family)."""
     velocity, (low, high) = measured

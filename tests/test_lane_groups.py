@@ -49,7 +49,7 @@ FROM_LANE_TO_LANE = {"p": gx.Peak(lambda t, y, lattice: y.u - y.u.mean(-1, keepd
 @pytest.mark.slow
 @pytest.mark.parametrize(("lanes", "how"), [
     pytest.param(LANES, {"save_at": 4}, id="frames as many as lanes at a time"),
-    pytest.param((3, 4), {"save_at": jnp.array([1.0, 2.2])}, id="two axes", marks=pytest.mark.slow),
+    pytest.param((3, 4), {"save_at": jnp.array([1.0, 2.2])}, id="two axes", marks=pytest.mark.study),
     pytest.param(LANES, {"record": FROM_LANE_TO_LANE}, id="from lane to lane", marks=pytest.mark.slow),
 ])
 def test_groups_are_all_lanes_together(by, lanes, how):

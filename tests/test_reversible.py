@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from cases import DISTINCT, SPLITTING, over, random_like
+from cases import DISTINCT, SPLITTING, few, random_like
 from jax.flatten_util import ravel_pytree
 
 import granjax as gx
@@ -53,7 +53,7 @@ def differences(both, z, d):
 
 
 @pytest.mark.slow
-@over(DISTINCT)
+@pytest.mark.parametrize("case", few(DISTINCT, *range(0, len(DISTINCT), 4)), ids=lambda case: case.name)
 def test_every_scene_has_derivatives_in_both_modes(case):
     f, z = function(case.lattice, moving(case.lattice), steps=20)
     d = 0.02 * z * np.random.default_rng(3).uniform(-1, 1, z.shape)
@@ -68,7 +68,7 @@ def test_every_scene_has_derivatives_in_both_modes(case):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("solver", SPLITTING, ids=lambda s: s.__name__)
+@pytest.mark.parametrize("solver", few(SPLITTING, 0, 2), ids=lambda s: s.__name__)
 def test_every_splitting_method_is_undone(solver):
     chain = gx.scenes.dimer(6, ratio=0.5, precompression=1.0)
     f, z = function(chain, moving(chain), solver=solver(), steps=20)

@@ -48,7 +48,8 @@ FAST = ("toda", 0.2), ("vacuum", 0.2), ("vacuum", -0.2), ("softening", -0.2)
 
 
 @pytest.mark.parametrize("name, c", [
-    pytest.param(name, c, marks=() if (name, c) in FAST else pytest.mark.slow) for name in CHAINS for c in (0.2, -0.2)])
+    pytest.param(name, c, marks=() if (name, c) in FAST else pytest.mark.slow if name == "own" else pytest.mark.study)
+    for name in CHAINS for c in (0.2, -0.2)])
 def test_nothing_comes_from_the_ends(name, c):
     """Far states stay at rest, or translate, to rounding until `until()`, and the default step is not far too fine."""
     for problem in (gx.shocks.velocity_shock(CHAINS[name](), c),

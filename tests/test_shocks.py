@@ -3,6 +3,7 @@
 import jax
 import numpy as np
 import pytest
+from cases import few
 
 import granjax as gx
 
@@ -103,7 +104,8 @@ def test_what_is_no_shock_is_refused(toda):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("c, early, late", [(0.1, 1000.0, 4000.0), (0.5, 500.0, 2000.0), (0.9, 500.0, 2000.0)])
+@pytest.mark.parametrize("c, early, late", few(
+    [(0.1, 1000.0, 4000.0), (0.5, 500.0, 2000.0), (0.9, 500.0, 2000.0)], 1))
 def test_toda_shocks_converge_to_the_theory(c, early, late):
     theory = gx.theory.toda.ShockEdges(*map(float, gx.theory.toda.velocity_shock(c)))
     problem = piston(gx.Toda(1.0, 1.0), c, int(late * theory.leading_speed) + 80)

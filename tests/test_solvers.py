@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from cases import ALL_SOLVERS, NYSTROM, SPLITTING
+from cases import ALL_SOLVERS, NYSTROM, SPLITTING, few
 
 import granjax as gx
 from granjax.solvers import (
@@ -570,7 +570,7 @@ DIRECTION = (jnp.asarray(0.7), jnp.cos(jnp.arange(N) * 1.0))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("solver", (SRKN11b, RKN86, RKN1210), ids=lambda s: s.__name__)
+@pytest.mark.parametrize("solver", few((SRKN11b, RKN86, RKN1210), 1), ids=lambda s: s.__name__)
 def test_forward_and_reverse_derivatives_agree(solver):
     @jax.jit
     def both(place, direction):

@@ -87,7 +87,7 @@ def test_radii_of_a_crystal_short(folder):
     assert data.transmitted.shape == (4, 4)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_radii_of_a_crystal(folder):
     data = check_crystal(space := run(CRYSTAL), folder)
     assert data.transmitted.size == 400 and data.transmitted.min() > 1e-6
@@ -143,7 +143,7 @@ def test_fits_of_traces_short(folder):
     check_fits(run(FITS, ("range(32)", "range(3)")), 3, folder)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_fits_of_traces(folder):
     measure(32, folder)
     check_fits(run(FITS), 32, folder)

@@ -22,6 +22,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray
+from cases import few
 
 import granjax as gx
 from granjax.sweeps.chunk_file import MAGIC, unpacked
@@ -124,8 +125,7 @@ def test_killed_and_resumed_gives_the_same_bits(script, tmp_path, name):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["", ".nc"])
-@pytest.mark.parametrize("function", ["f", "compiled"])
+@pytest.mark.parametrize("function, name", few([("compiled", ".nc"), ("compiled", ""), ("f", ".nc"), ("f", "")], 0))
 def test_killed_at_ten_moments(script, tmp_path, name, function):
     moments = np.random.default_rng(len(name)).uniform(0, 0.01, 10)
     assert killed_and_resumed(script(function, 41.0), tmp_path, name, moments) == 10

@@ -84,7 +84,7 @@ def test_a_solitary_wave_is_nearer_to_a_granular_front():
     assert found.wave_speed == pytest.approx(1.19286468, abs=1e-6) and "wave" in found.outcome
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_the_front_of_a_strained_chain_and_its_derivative():
     def front(x):
         found = shock_edges(gx.Hertz(1.0, 1.0), x[0], ahead=x[1], wave=True)
