@@ -81,7 +81,7 @@ KINDS = {
         ("laws", ("Hertz", "PowerLaw", "Polynomial", "Toda", "Linear", "Sine", "Spline", "Network", "Sum", "Scaled",
                   "Strained", "Yielding")),
         ("strains", ("Shift", "Stencil", "Pairs", "Stretch", "LinearMap")),
-        ("terms", ("Bond", "Modulated", "OnSite", "Damping", "Dashpot", "ViscousContact", "Drag", "Drive", "Wall")),
+        ("terms", ("Bond", "Modulated", "OnSite", "Damping", "Dashpot", "ViscousContact", "Drag", "Drive", "LongRange", "Wall")),
     ) for name in names
 }
 
