@@ -7,6 +7,7 @@ import pytest
 
 import granjax as gx
 from granjax import scenes
+from granjax.orbits.guesses import dressed as envelope
 
 MASSES, STIFFNESSES, HERTZ = (0.3, 0.2), (1.2, 2.1), 1.5
 K = np.linspace(0.1, np.pi, 6)
@@ -127,3 +128,103 @@ def test_lanes_units_and_derivatives():
 def test_refused(make, said):
     with pytest.raises(ValueError, match=said):
         make()
+
+
+def standing(lattice, a, kappa, mu):
+    """Frequencies of u_n = (-1)^n a(t) with resonators and Hertz contacts, d0 = A = m = 1, from rest at a, by SciPy."""
+    from scipy.integrate import solve_ivp
+    from scipy.optimize import root
+
+    f = lambda x: max(1 - 2 * x, 0) ** 1.5 - max(1 + 2 * x, 0) ** 1.5
+
+    def end(unknown):
+        w, half = unknown
+        field = lambda t, y: [y[2], y[3], f(y[0]) - kappa * (y[0] - y[1]), kappa * (y[0] - y[1]) / mu]
+        return solve_ivp(field, (0, half), [a, w, 0, 0], rtol=1e-11, atol=1e-13).y[2:, -1]
+
+    top = gx.linear.dispersion(lattice, np.pi)
+    found = []
+    for omega in np.asarray(top.omega):
+        swing = a / (1 - omega**2 * mu / kappa)
+        found.append(np.pi / root(end, [swing, np.pi / omega], tol=1e-11).x[1])
+    return np.array(found), np.asarray(top.omega)
+
+
+def test_envelopes_shift_the_frequency_as_standing_waves_do():
+    kappa, mu = 1.2, 0.3
+    chain = scenes.mass_in_mass(8, mu, kappa, precompression=1.0)
+    dressed = envelope.dressed(chain)
+    shifts = []
+    for a in (0.02, 0.04):
+        omega, linear = standing(chain, a, kappa, mu)
+        # strains 2 a cos(omega t), so |Y| = a; the ring keeps its length
+        shifts.append((omega - linear) / a**2)
+    shift = shifts[0] + (shifts[0] - shifts[1]) / 3
+    nu3 = [float(dressed.coefficients(branch, "length").nu3) for branch in (0, 1)]
+    np.testing.assert_allclose(shift, nu3, rtol=2e-4)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("branch", [0, 1])
+def test_dark_breathers_of_precompressed_chains(branch):
+    chain = scenes.mass_in_mass(40, 0.3, 1.2, precompression=1.0, boundary="free")
+    top = float(gx.linear.bands(chain).upper[branch])
+    dark = gx.breathers.breather(chain, 0.994 * top, "dark", steps=64)
+    assert dark.converged and float(jnp.abs(dark.error.state.u["bead"]).max()) < 1e-7
+    guess = gx.breathers.guesses.dark_guess(chain, 0.994 * top)
+    for name in ("bead", "resonator"):
+        own, envelope_of = (-np.diff(x.u[name]) for x in (dark.state, guess))
+        # the dip, and of the envelope's the middle; constant forces end a chain with strains of their own
+        assert abs(own[19]) < 0.03 * np.abs(own).max()
+        assert np.abs(own - envelope_of)[14:-14].max() < 0.06 * np.abs(own).max()
+
+
+@pytest.mark.slow
+def test_bright_breathers_of_a_softening_chain_with_resonators():
+    law = gx.PowerLaw(1.0, 0.5, 1.0)
+    chain = scenes.mass_in_mass(40, 0.3, 1.2, law=law, boundary="free")
+    omega = 1.001 * float(gx.linear.bands(chain).upper[1])
+    bright = gx.breathers.breather(chain, omega, "bright", steps=64)
+    guess = gx.breathers.guesses.bright_guess(chain, omega)
+    assert bright.converged
+    for name in ("bead", "resonator"):
+        own, other = (-np.diff(x.u[name]) for x in (bright.state, guess))
+        assert np.abs(own - other).max() < 0.1 * np.abs(own).max()  # the square of strains near d0
+
+
+def test_why_there_is_no_bright_breather():
+    precompressed = scenes.mass_in_mass(12, 0.3, 1.2, precompression=1.0)
+    with pytest.raises(ValueError, match="only dark"):
+        gx.breathers.breather(precompressed, 2.0, "bright")
+    only_pushes = gx.orbits.breather.only_pushes
+    assert only_pushes(scenes.mass_in_mass(12, 5.0, 1.0)) and only_pushes(scenes.monomer(12))
+    held = gx.Lattice(1.0, (*scenes.monomer(12).terms, gx.OnSite(gx.Linear(1.0))), sites=12)
+    assert not any(map(only_pushes, (precompressed, held, scenes.toda(12))))
+
+
+class TwoWays(gx.Law):
+    """F = A e |e|^(1/2): a spring as stiff in extension as a Hertz contact in compression, and soft at rest."""
+
+    opens = False
+    stiffness: jax.Array
+
+    def force(self, e):
+        return self.stiffness * (gx.laws.plus_power(e, 1.5) - gx.laws.plus_power(-e, 1.5))
+
+    def energy(self, e):
+        return self.stiffness * 2 / 5 * (gx.laws.plus_power(e, 2.5) + gx.laws.plus_power(-e, 2.5))
+
+
+def test_bright_breather_without_precompression_decays_super_exponentially():
+    # pushed and pulled alike, the mean force of every contact is zero: a breather that lasts
+    chain = scenes.mass_in_mass(12, 0.5, 1.0, law=TwoWays(jnp.asarray(1.0)), boundary="free")
+    omega = 1.1 * float(gx.Resonator(0.5, 1.0).swing())
+    bright = gx.breathers.breather(chain, omega)
+    e = np.abs(np.diff(np.asarray(bright.state.u["bead"])))
+    e = e[np.argmax(e) + 1 :]
+    e = e[e > 1e-9 * e[0]]
+    steps = np.diff(np.log(e))
+    ratios = steps[1:] / steps[:-1]
+    # log e_{n+1} = (3/2) log e_n + ...
+    assert bright.converged and len(ratios) >= 2 and np.all(ratios > 1.5)
+    np.testing.assert_allclose(ratios[-1], 1.5, atol=0.05)

@@ -19,6 +19,7 @@ from ..types import Count, Numbers, Scalar, StateLike
 from .confirm import TOLERANCE, confirmed, error_of
 from .families import checked_lattice, even_steps, family, half_steps
 from .guesses import bright_guess, cell_of, dark_guess, edge_of, edges_beside, refuse_bright, supports_bright
+from .guesses.dressed import dressed
 from .guesses.sites import local_guesses
 from .localised import checked_localised, localisation
 from .orbit import Orbit, checked_orbit
@@ -30,6 +31,12 @@ MEETS = 1e-9
 # neighbouring extended modes this much closer than the spectrum's width belong to one band
 SPACING = 8
 GUESSES = ("bright", "dark")
+# lengths by which parts of a chain are moved apart
+FAR = 10.0 ** np.arange(-9, 7, 3)
+PUSHES = (
+    "Its contacts push and never pull, and nothing else holds its parts together: over a period the mean force of "
+    "every contact is the same, so zero where a motion is localised, and none of them ever closes. Give a "
+    "precompression; breathers without one last long where resonators are heavy, and not forever.")
 # of the distance from the edge, where the envelope is a better guess
 NEARER = (0.5, 0.2, 0.1)
 
@@ -132,8 +139,22 @@ def _unguessed(lattice, omega, steps, solver, tolerance, check):
         if found.converged and localisation(lattice, found.state).bright:
             return found.state, 2 * count
     if failed is not None:
-        raise type(failed)(f"{failed} No breather about a site was found either.") from None
+        why = f" {PUSHES}" if only_pushes(lattice) else ""
+        raise type(failed)(f"{failed} No breather about a site was found either.{why}") from None
     return start
+
+
+@checked
+def only_pushes(lattice: Lattice) -> bool:
+    """Whether all sites beyond some place can be moved away from the others without any force."""
+    shapes = set(lattice.sites.values()) if lattice.fields else {lattice.sites}
+    if lattice.dimension or len(shapes) > 1 or lattice.axes != 1:
+        return False
+    zero = lattice.zeros()
+    apart = jax.tree.map(lambda x: (jnp.arange(len(x)) >= len(x) // 2).astype(x.dtype), zero)
+    forces = [lattice.force(0.0, jax.tree.map(lambda x: far * x, apart), zero) for far in FAR]
+    # a wall has a force of its own at the end
+    return not any(np.any(np.asarray(f)[1:-1]) for f in jax.tree.leaves(forces))
 
 
 def _half(lattice, flow, guess, omega):
@@ -213,7 +234,7 @@ def _kind(lattice, guess):
 def _check(lattice, omega, guess, kind):
     # the first harmonic of a wave with a dip is in the band by nature
     refuse_resonance(lattice, omega, kind != "bright")
-    if guess == "dark" or isinstance(guess, tuple) or cell_of(lattice) is None:
+    if guess == "dark" or isinstance(guess, tuple) or cell_of(lattice) is None and dressed(lattice) is None:
         return
     edges = edges_beside(lattice, omega)
     # a finite chain may have modes in a gap, at its ends, from which families leave too

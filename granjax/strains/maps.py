@@ -88,8 +88,8 @@ class StrainMap(Dimensional):
         """Sites along each axis between the ends of a bond, the longest; `None` where that is not known."""
         return None
 
-    def next_neighbours(self) -> Any:
-        """The boundary of a map from each site of one plain array to the next, e = u_n - u_{n+1}; else `None`."""
+    def next_neighbours(self, field: str | None = None) -> Any:
+        """The boundary of a map from each site of one array to the next, e = u_n - u_{n+1}; else `None`."""
         return None
 
     def _wrapped(self, units):

@@ -125,8 +125,8 @@ class Shift(_Grid, TwoEnds):
     def _return(self, f, end):
         return self._put_back(f, self.offset if end else (0,) * len(self.offset))
 
-    def next_neighbours(self):
-        plain = self.offset == (1,) and self.fields is None
+    def next_neighbours(self, field=None):
+        plain = self.offset == (1,) and self.fields == (None if field is None else (field, field))
         return self.boundary[0] if plain else None
 
 

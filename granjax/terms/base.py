@@ -171,8 +171,8 @@ class Term(Dimensional):
         """(field, rate) of a linear damping of sites, which a splitting solver takes exactly, or `None`."""
         return None
 
-    def next_neighbours(self) -> Any:
-        """(law, boundary) of bonds from each site of a chain to the next, which have a fast kernel, or `None`."""
+    def next_neighbours(self, field: str | None = None) -> Any:
+        """(law, boundary) of bonds from each site of a chain to the next, or `None`; `field`: of a cell of several."""
         return None
 
     def next_dashpots(self) -> Any:

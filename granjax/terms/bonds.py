@@ -87,8 +87,8 @@ class Bond(Joined):
             return super().linearised(lattice, t, u, v)
         return eqx.tree_at(lambda term: term.law, wider(self), spring(self.law, self.strain_map.strain(u)))
 
-    def next_neighbours(self):
-        boundary = self.strain_map.next_neighbours()
+    def next_neighbours(self, field=None):
+        boundary = self.strain_map.next_neighbours(field)
         return None if boundary is None else (self.law, boundary)
 
     def without_walls(self, lattice, field=None):

@@ -15,9 +15,11 @@ from ...linear.cell import unit_cell
 from ...printing import told
 from ...theory import nls
 from ...types import Scalar
+from .dressed import dressed
 
 # relative distance in omega below which a frequency is an edge's
 AT_EDGE = 1e-9
+NEEDS = "The envelope equation needs a periodic chain of bonds alone, or of equal beads with linear resonators."
 NO_CELL = "None or a State (such as guesses.single_site gives) for this lattice"
 # distance of an extremum's k from 0 or pi
 SAME_K = 1e-6
@@ -63,13 +65,16 @@ def cell_of(lattice: Lattice) -> tuple | None:
 @checked
 def edges_beside(lattice: Lattice, omega: Scalar) -> list[Edge]:
     """The edges of the gap that holds omega, as `Edge`s; none inside a band or where there is no unit cell."""
-    cell = cell_of(lattice)
-    if cell is None:
+    cell, chain = cell_of(lattice), dressed(lattice)
+    if cell is None and chain is None:
         return []
     found = bands(lattice)
     lower, upper = np.asarray(found.lower), np.asarray(found.upper)
     if np.any((lower * (1 + AT_EDGE) < omega) & (omega < upper * (1 - AT_EDGE))):
         return []
+    if chain is not None:  # at k = 0, the lower edges, no bond is strained
+        below = np.flatnonzero((0 < chain.tops) & (chain.tops <= omega))[-1:]
+        return [Edge(np.pi, int(b), float(chain.tops[b]), True, chain.coefficients(int(b))) for b in below]
     edges = [(k, b, w, True) for b, (k, w) in enumerate(zip(np.ravel(found.upper_k), upper)) if w <= omega]
     edges = edges[-1:] + [
         (k, b, w, False) for b, (k, w) in enumerate(zip(np.ravel(found.lower_k), lower)) if w >= omega > 0][:1]
@@ -106,8 +111,8 @@ def bright_guess(lattice: Lattice, omega: Scalar, centre: Scalar | None = None) 
 
     **Raises** ValueError where no edge of that gap has one.
     """
-    if cell_of(lattice) is None:
-        refuse("guess", NO_CELL, "'bright'", "The envelope equation needs a periodic chain of bonds alone.")
+    if cell_of(lattice) is None and dressed(lattice) is None:
+        refuse("guess", NO_CELL, "'bright'", NEEDS)
     found = [edge for edge in edges_beside(lattice, omega) if supports_bright(edge)]
     if not found:
         refuse_bright(lattice, omega)
@@ -122,17 +127,21 @@ def dark_guess(lattice: Lattice, omega: Scalar, centre: Scalar | None = None) ->
     Ends at constant force (free) or at fixed length (walls, a ring) as the chain has them. **Raises** ValueError where
     the edge above omega has no dark breathers, and for a lattice that is no periodic chain of next neighbours.
     """
-    cell = cell_of(lattice)
-    if cell is None:
-        refuse("guess", NO_CELL, "'dark'", "The envelope equation needs a periodic chain of bonds alone.")
+    cell, chain = cell_of(lattice), dressed(lattice)
+    if cell is None and chain is None:
+        refuse("guess", NO_CELL, "'dark'", NEEDS)
     found = bands(lattice)
     tops = [(b, float(w), float(k)) for b, (w, k) in enumerate(zip(found.upper, np.ravel(found.upper_k)))]
     branch, _, k = min(tops, key=lambda top: abs(top[1] - omega))
     k = _at_symmetry(k)
-    constraint = "force" if lattice.terms[0].next_neighbours()[1] == "free" else "length"
-    coefficients = nls.coefficients(*cell, k, branch, constraint)
+    boundary = lattice.terms[0].next_neighbours()[1] if chain is None else chain.boundary
+    constraint = "force" if boundary == "free" else "length"
+    if chain is None:
+        coefficients = nls.coefficients(*cell, k, branch, constraint)
+    else:
+        coefficients = chain.coefficients(branch, constraint)
     if constraint == "length":
-        coefficients = _held(coefficients, omega, lattice.sites[0] / len(coefficients.mode))
+        coefficients = _held(coefficients, omega, _size(lattice) / len(coefficients.mode))
     return _state(lattice, nls.dark_profile, coefficients, omega, centre)
 
 
@@ -152,11 +161,19 @@ def _held(c, omega, cells):
 
 
 def _state(lattice, profile, coefficients, omega, centre):
-    (sites,) = lattice.sites
+    sites, chain = _size(lattice), dressed(lattice)
     cells = -(-sites // len(coefficients.mode))
     centre = (sites - 1) / 2 if centre is None else centre
-    u = profile(coefficients, omega, cells, centre).displacement[:sites]
+    found = profile(coefficients, omega, cells, centre)
+    if chain is not None:
+        return chain.state(found)
+    u = found.displacement[:sites]
     return State(u, jnp.zeros_like(u))
+
+
+def _size(lattice):
+    """Sites of the chain."""
+    return next(iter(lattice.sites.values()))[0] if lattice.fields else lattice.sites[0]
 
 
 @checked
