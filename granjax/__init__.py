@@ -28,6 +28,7 @@ Lattices
     Drag                a force of the velocity's square
     LongRange           bonds to all neighbours of a chain, with weights of the distance
     Drive               a force of time on a site
+    PlasticContact      contacts that yield, and remember their largest overlap
     Wall                a wall that yields, or moves
     Modulated           a term times a function of time
     Harmonic            a cosine of time, whose numbers can be swept
@@ -48,6 +49,9 @@ Laws
     Linear              springs
     Sine                sine-Gordon
     Yielding            a contact in series with a spring
+    WaltonBraun         a plastic contact, bilinear
+    Thornton            a plastic contact of spheres
+    PlasticLaw          what a plastic law of your own derives from
     Spline              a law of free shape that never falls
     Network             a law of free shape as a small network
     Law                 what a law of your own derives from
@@ -55,6 +59,7 @@ Laws
 Motion
     simulate            run a lattice in time
     Run                 what it returns
+    RunWithMemory       what it returns where forces remember
     Peak                a record: the highest value between the steps
     Lowest              the lowest
     Arrival             the time at which a quantity passes a threshold
@@ -147,11 +152,26 @@ from .flow import (  # noqa: E402
     Record,
     Reversible,
     Run,
+    RunWithMemory,
     derivative,
     simulate,
 )
 from .lattice import Lattice, State, vector_field  # noqa: E402
-from .laws import Hertz, Law, Linear, Network, Polynomial, PowerLaw, Sine, Spline, Toda, Yielding  # noqa: E402
+from .laws import (  # noqa: E402
+    Hertz,
+    Law,
+    Linear,
+    Network,
+    PlasticLaw,
+    Polynomial,
+    PowerLaw,
+    Sine,
+    Spline,
+    Thornton,
+    Toda,
+    WaltonBraun,
+    Yielding,
+)
 from .results import Result  # noqa: E402
 from .solvers import (  # noqa: E402
     RKN86,
@@ -175,6 +195,7 @@ from .terms import (  # noqa: E402
     LongRange,
     Modulated,
     OnSite,
+    PlasticContact,
     Square,
     Term,
     ViscousContact,
@@ -203,11 +224,12 @@ _WITHIN = {"Resonator": ".travelling", "explore": ".notebook", "sweep": ".sweeps
 __all__ = [
     "Arrival", "Bond", "Breaks", "Damping", "Dashpot", "Derivative", "Design", "Drag", "Drive", "Fit", "Flow",
     "Harmonic", "Hertz", "Integral", "KahanLi8", "Lattice", "Law", "Linear", "LongRange", "Lowest", "Modulated",
-    "Network", "OnSite", "Pairs", "Peak", "Polynomial", "PowerLaw", "RKN1210", "RKN86", "Record", "Resonator", "Result",
-    "Reversible", "Run", "SRKN11b", "SRKN14a", "SRKN6b", "Shift", "Sine", "SofroniouSpaletta10", "Spline", "Square",
-    "State", "StrainMap", "Stretch", "Term", "Toda", "Traces", "Units", "VelocityVerlet", "ViscousContact", "Wall",
-    "WorkPrecision", "Yielding", "clear", "derivative", "design", "explore", "fit", "laws", "simulate", "smooth_peak",
-    "solvers", "strains", "sweep", "terms", "tune", "vector_field", "work_precision", *_LAZY,
+    "Network", "OnSite", "Pairs", "Peak", "PlasticContact", "PlasticLaw", "Polynomial", "PowerLaw", "RKN1210", "RKN86",
+    "Record", "Resonator", "Result", "Reversible", "Run", "RunWithMemory", "SRKN11b", "SRKN14a", "SRKN6b", "Shift",
+    "Sine", "SofroniouSpaletta10", "Spline", "Square", "State", "StrainMap", "Stretch", "Term", "Thornton", "Toda",
+    "Traces", "Units", "VelocityVerlet", "ViscousContact", "Wall", "WaltonBraun", "WorkPrecision", "Yielding", "clear",
+    "derivative", "design", "explore", "fit", "laws", "simulate", "smooth_peak", "solvers", "strains", "sweep", "terms",
+    "tune", "vector_field", "work_precision", *_LAZY,
 ]
 
 

@@ -63,6 +63,11 @@ def state(*shape):
     return gx.State(np.zeros((*shape, N)), np.ones((*shape, N)))
 
 
+def yielded():
+    lattice = gx.Lattice(1.0, gx.PlasticContact(gx.Shift(1, "fixed"), gx.WaltonBraun(1.0, 2.0)), sites=N)
+    return gx.simulate(lattice, gx.states.impact(lattice), 1.0, save_at=3)
+
+
 def settled():
     numbers = np.ones(N), np.ones(N - 1), np.ones(())
     return gx.driven.Attractor(state(), 2.0, 8, 1, 1e-9, np.ones(8), T, np.ones((33, N)), np.ones((33, N)), *numbers,
@@ -112,7 +117,7 @@ def planar():
 # made in less than a second, or once for several; where that would take long, of numbers without meaning
 MAKERS = {
     "Run": run, "Branch": branch, "Fit": fitted, "Attractor": settled, "Way": way, "Sweep": sweep, "ForceLaw": law,
-    "WorkPrecision": table,
+    "WorkPrecision": table, "RunWithMemory": yielded,
     "Orbit": lambda: branch().orbit(-1), "OrbitRun": lambda: branch().orbit(-1).run(4),
     "OrbitError": lambda: branch().orbit(-1).error, "Floquet": lambda: branch().orbit(-1).floquet(steps=64),
     "Bifurcation": lambda: gx.breathers.Bifurcation("torus", 0.5, 1, state(), 1j, 0, 1),
@@ -197,7 +202,7 @@ def test_every_result_of_the_face_is_here():
 
 FORMATS = (("nc", None), ("npz", None), ("mat", None), ("mat", "7.3"), ("csv", None))
 # those that take a solved problem to make
-LONG = {"Run", "Fit", "Branch", "Rectifier", "ForceLaw", "Comparison"}
+LONG = {"Run", "RunWithMemory", "Fit", "Branch", "Rectifier", "ForceLaw", "Comparison"}
 
 
 @pytest.mark.parametrize("name", [pytest.param(x, marks=[pytest.mark.slow] * (x in LONG)) for x in MAKERS])

@@ -79,9 +79,10 @@ def test_imports_point_downwards(path):
 KINDS = {
     name: folder for folder, names in (
         ("laws", ("Hertz", "PowerLaw", "Polynomial", "Toda", "Linear", "Sine", "Spline", "Network", "Sum", "Scaled",
-                  "Strained", "Yielding")),
+                  "Strained", "Yielding", "Indented")),
         ("strains", ("Shift", "Stencil", "Pairs", "Stretch", "LinearMap")),
-        ("terms", ("Bond", "Modulated", "OnSite", "Damping", "Dashpot", "ViscousContact", "Drag", "Drive", "LongRange", "Wall")),
+        ("terms", ("Bond", "Modulated", "OnSite", "Damping", "Dashpot", "ViscousContact", "Drag", "Drive", "LongRange",
+                   "Wall", "PlasticContact")),
     ) for name in names
 }
 

@@ -1,6 +1,7 @@
 """Flow: integrating a lattice in time."""
 
 from .derivative import Derivative, derivative
+from .memory import RunWithMemory
 from .record import Arrival, Integral, Lowest, Peak, Record
 from .reversible import Reversible, return_error
 from .run import Run
@@ -9,6 +10,6 @@ from .stepping import Flow
 from .stiffness import frequency_bound, linear_frequency
 
 __all__ = [
-    "Arrival", "Derivative", "Flow", "Integral", "Lowest", "Peak", "Record", "Reversible", "Run", "derivative",
-    "frequency_bound", "linear_frequency", "return_error", "simulate",
+    "Arrival", "Derivative", "Flow", "Integral", "Lowest", "Peak", "Record", "Reversible", "Run", "RunWithMemory",
+    "derivative", "frequency_bound", "linear_frequency", "return_error", "simulate",
 ]

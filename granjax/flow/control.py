@@ -1,6 +1,7 @@
 """Step control: adaptive steps for scenes whose contacts open and close."""
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import diffrax
@@ -8,7 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ..types import Number, Scalar, StateLike
+from ..types import Number, Pytree, Scalar, StateLike
 from .breaks import cut
 
 SAFETY = 0.8
@@ -37,10 +38,11 @@ class Scales(eqx.Module):
 
     def __call__(self, y: StateLike) -> Number:
         u, v = y
-        return jnp.maximum(_largest(u) / self.displacement, _largest(v) / self.velocity)
+        return jnp.maximum(largest(u) / self.displacement, largest(v) / self.velocity)
 
 
-def _largest(tree):
+def largest(tree: Pytree) -> Number:
+    """The largest entry of a tree; what is not a number is infinite."""
     sizes = [_maximum(jnp.abs(x).reshape(-1)) for x in jax.tree.leaves(tree)]
     return jnp.max(jnp.stack(sizes)) if len(sizes) > 1 else sizes[0]
 
@@ -68,7 +70,7 @@ class StepControl(diffrax.AbstractAdaptiveStepSizeController):
     """
 
     atol: jax.Array
-    norm: Scales
+    norm: Callable
     first: jax.Array
     longest: jax.Array | None = None
     breaks: tuple = ()

@@ -13,7 +13,7 @@ class Facts(NamedTuple):
 
     `traced`: whether a parameter is; `reads_velocity`: whether some force does; `splits`: whether none does but linear
     damping; `outside`: what functions of the user's read; `known`: a dict for what is worked out when it is first asked
-    for.
+    for. `remembers`: whether some force reads the past.
     """
 
     template: object
@@ -23,6 +23,7 @@ class Facts(NamedTuple):
     splits: bool
     outside: tuple
     known: dict
+    remembers: bool
 
 
 _FACTS = Kept()
@@ -42,4 +43,5 @@ def _found(lattice):
     return Facts(
         lattice.template(), lattice.dtype, traced(lattice), bool(velocity),
         all(term.exact_damping() is not None for term in velocity), lattice._outside.values(), {},
+        any(term.remembers() for term in lattice.terms),
     )

@@ -24,6 +24,7 @@ from .integrate import integrate
 from .lanes import apart
 from .lifted import lift
 from .march import in_pieces, march, refuse_endless
+from .memory import with_memory
 from .method import checked_method, doubts, fixed_step, linear_bound, number, passed
 from .opening import approach
 from .record import Record
@@ -94,9 +95,11 @@ def simulate(
     for name in misspelt:
         one_of("keyword", name, KEYWORDS)
     above = lift()
+    given = t0, solver, step, tolerance, save_at, record, adjoint, progress, throw, max_steps
     if above is not None:
-        given = t0, solver, step, tolerance, save_at, record, adjoint, progress, throw, max_steps
         return above(simulate, lattice, state, t1, dict(zip(KEYWORDS, given)))
+    if facts(lattice).remembers:
+        return with_memory(lattice, state, t1, dict(zip(KEYWORDS, given)))
     state = checked_state(lattice, state)
     t0, t1 = checked_times(t0, t1)
     dtype = facts(lattice).dtype

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from ..entry import checked
 from ..terms.base import wider
 from ..types import Displacements, Number
-from .model import Lattice, check_shape
+from .model import Lattice, check_shape, refuse_memory
 
 
 @checked
@@ -21,6 +21,7 @@ def linearised(lattice: Lattice, t: Number, u: Displacements, v: Displacements |
     **Arguments:** `lattice`, time `t` and displacements `u`; `v`: velocities, where a force reads them other than
     linearly (zero by default).
     """
+    refuse_memory(lattice)
     v = jax.tree.map(jnp.zeros_like, u) if v is None else v
     check_shape(lattice, "u", u)
     check_shape(lattice, "v", v)

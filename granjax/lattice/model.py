@@ -356,6 +356,15 @@ def check_shape(lattice: Any, name: str, x: Displacements, whose: str = "the lat
             refuse(name, f"shape {wanted}, that of {whose}", f"shape {got}", "Start from lattice.zeros().")
 
 
+def refuse_memory(lattice: Lattice) -> None:
+    """Refuse terms whose force reads the past, in what knows the present state alone."""
+    for i, term in enumerate(lattice.terms):
+        if term.remembers():
+            refuse(f"terms[{i}] ({type(term).__name__})", "a force of the present state alone",
+                   f"one that remembers the {', '.join(term.remembers()).replace('_', ' ')}",
+                   "gx.simulate(lattice, state, t1) runs such a lattice, with the solver it has for them.")
+
+
 def _sum(parts, like):
     return sum(parts[1:], parts[0]) if parts else jnp.zeros_like(like)
 

@@ -15,7 +15,7 @@ from ..entry import checked
 from ..laws import Law
 from ..split_system import Split, pair
 from ..types import Number, StateLike
-from .model import Lattice, check_shape
+from .model import Lattice, check_shape, refuse_memory
 
 # numbers in a processor's longest vector; sites from which on a rest of one counts for nothing
 VECTOR, SHORT = 8, 2000
@@ -193,6 +193,7 @@ def split_system(lattice: Lattice) -> Any:
     **Raises** ValueError naming the term where a force reads the velocity in another way than linear damping of each
     site, which no splitting into exact flows takes; and for lanes that stand before the sites.
     """
+    refuse_memory(lattice)
     lattice.lanes  # is refused where lanes stand before the sites
     for i, term in enumerate(lattice.terms):
         if term.exact_damping() is None and term.dependence(lattice).velocity:
@@ -230,6 +231,7 @@ def acceleration_only(lattice: Lattice) -> Callable:
 
     **Raises** ValueError naming the term where a force reads the velocity.
     """
+    refuse_memory(lattice)
     for i, term in enumerate(lattice.terms):
         if term.dependence(lattice).velocity:
             refuse(
@@ -247,6 +249,7 @@ def vector_field(t: Number, y: StateLike, lattice: Lattice) -> StateLike:
     `y` is a `State` (or a pair (u, v)); the result has its structure.
     """
     u, v = y
+    refuse_memory(lattice)
     for name, x in zip("uv", y):
         check_shape(lattice, f"y.{name}", x)
     return pair(y, v, lattice.acceleration(t, u, v))

@@ -3,6 +3,7 @@
 from .base import Law, Scaled, Strained, Sum
 from .contact import Hertz, PowerLaw
 from .network import Network
+from .plastic import Indented, PlasticLaw, Thornton, WaltonBraun
 from .power import plus_power
 from .smooth import Linear, Polynomial, Sine, Toda
 from .spline import Spline
@@ -10,6 +11,6 @@ from .taylor import Taylor, taylor
 from .yielding import Yielding
 
 __all__ = [
-    "Hertz", "Law", "Linear", "Network", "Polynomial", "PowerLaw", "Scaled", "Sine", "Spline", "Strained", "Sum",
-    "Taylor", "Toda", "Yielding", "plus_power", "taylor",
+    "Hertz", "Indented", "Law", "Linear", "Network", "PlasticLaw", "Polynomial", "PowerLaw", "Scaled", "Sine", "Spline",
+    "Strained", "Sum", "Taylor", "Thornton", "Toda", "WaltonBraun", "Yielding", "plus_power", "taylor",
 ]

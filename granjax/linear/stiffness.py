@@ -11,6 +11,7 @@ import numpy as np
 
 from ..checks import refuse, traced
 from ..lattice import Lattice, spread_mass
+from ..lattice.model import refuse_memory
 from ..types import AnyArray, Displacements, Number, Numbers
 
 
@@ -26,6 +27,7 @@ def undriven(lattice: Any) -> Lattice:
             "lattice", "one lattice", f"a batch with lanes {lattice.lanes}",
             "Use jax.vmap(function, in_axes=-1)(lattice), and give cell=... where a unit cell is needed.",
         )
+    refuse_memory(lattice)
     return eqx.tree_at(lambda x: x.terms, lattice, tuple(term.undriven() for term in lattice.terms))
 
 

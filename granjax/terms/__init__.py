@@ -7,6 +7,7 @@ from .base import Compression, Excitation, Term
 from .bonds import Bond, Modulated
 from .dissipation import Damping, Dashpot, Drag, ViscousContact
 from .long_range import LongRange
+from .plastic import PlasticContact
 from .reach import Reach, Reached
 from .sites import Drive, OnSite
 from .tracing import Dependence
@@ -15,6 +16,6 @@ from .waveforms import Breaks, Function, Harmonic, Square
 
 __all__ = [
     "Bond", "Breaks", "Compression", "Damping", "Dashpot", "Dependence", "Drag", "Drive", "Excitation", "Function",
-    "Harmonic", "LongRange", "Modulated", "OnSite", "Reach", "Reached", "Term", "ViscousContact", "Wall",
-    "Harmonic", "Modulated", "OnSite", "Reach", "Reached", "Square", "Term", "ViscousContact", "Wall",
+    "Harmonic", "LongRange", "Modulated", "OnSite", "PlasticContact", "Reach", "Reached", "Square", "Term",
+    "ViscousContact", "Wall",
 ]

@@ -179,6 +179,26 @@ class Term(Dimensional):
         """The coefficient of linear dashpots from each site of a chain to the next, or `None`."""
         return None
 
+    def remembers(self) -> dict[str, str]:
+        """What of the past the force reads: names of variables and their units in SI; empty for most terms."""
+        return {}
+
+    def variables(self, lattice: Any) -> dict[str, Numbers] | None:
+        """The internal variables of a term that remembers by some, as it holds them; `None` where there are none."""
+        return None
+
+    def recalling(self, variables: dict[str, Numbers]) -> Any:
+        """The term that holds these internal variables."""
+        return self
+
+    def advanced(self, variables: dict[str, Numbers], step: Number, y0: Any, y1: Any) -> dict[str, Numbers]:
+        """The internal variables after a time step from the state y0 to y1."""
+        return variables
+
+    def lost(self, variables: dict[str, Numbers]) -> Any:
+        """The energy dissipated so far, which these variables say, an array over bonds; `None` where none is."""
+        return None
+
     def walls(self) -> tuple[str, ...]:
         """The ends of a chain that the term ties to a wall: of "left" and "right"."""
         return ()
@@ -311,6 +331,9 @@ class Multiplied(Term):
         energy = self.term.energy(t, u)
         return None if energy is None else _times(energy, self.factor)
 
+    def remembers(self):
+        return self.term.remembers()
+
     def site_energy(self, lattice, t, u):
         energy = self.term.site_energy(lattice, t, u)
         return None if energy is None else jax.tree.map(lambda e: self.factor * e, energy)
@@ -349,6 +372,9 @@ class InOtherUnits(Term):
 
     term: Term
     units: object
+
+    def remembers(self):
+        return self.term.remembers()
 
     def force(self, t, u, v, mass):
         force = self.term.force(t * self.units.time, *self.units.state_to_si((u, v)), _times(mass, self.units.mass))

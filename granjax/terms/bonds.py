@@ -154,6 +154,9 @@ class Modulated(Term):
         inner = eqx.tree_at(lambda x: x.term, self, self.term.between(low, high))
         return inner if jumps_of(self.modulation, self.breaks) is None else held(inner, "modulation", low, high)
 
+    def remembers(self):
+        return self.term.remembers()
+
     def at(self, t):
         """The term with the stiffness it has at time t."""
         return self.term.scaled(self.modulation(t))

@@ -6,16 +6,17 @@
 - `linear_shock`: steps of velocity and of strain in a linear chain.
 - `long_wave`: the long-wave equations of a chain: residuals, linear waves, the wave of the regularised one.
 - `nls`: the nonlinear Schroedinger equation of wave packets in a periodic chain; its solitons and instability.
+- `restitution`: of two bodies that collide, plastic ones.
 - `simple_wave`: the state behind a velocity step of any law, rarefaction fans.
 - `stokes`: periodic waves of small amplitude to the third order.
 - `toda`: the Toda chain: solitons, periodic waves, dispersive shocks, eigenvalues of its Lax matrix.
 - `shock_edges`: the edges of a dispersive shock of any convex law, by fitting.
 """
 
-from . import compacton, elliptic, kdv, linear_shock, long_wave, nls, simple_wave, stokes, toda
+from . import compacton, elliptic, kdv, linear_shock, long_wave, nls, restitution, simple_wave, stokes, toda
 from .fitting import FittedEdges, shock_edges
 
 __all__ = [
-    "FittedEdges", "compacton", "elliptic", "kdv", "linear_shock", "long_wave", "nls", "shock_edges", "simple_wave",
-    "stokes", "toda",
+    "FittedEdges", "compacton", "elliptic", "kdv", "linear_shock", "long_wave", "nls", "restitution",
+    "shock_edges", "simple_wave", "stokes", "toda",
 ]

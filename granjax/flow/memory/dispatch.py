@@ -1,0 +1,62 @@
+"""From `simulate` to the solver that serves what a lattice remembers."""
+
+from typing import Any
+
+import diffrax
+import jax
+import numpy as np
+
+from ...checks import refuse, show, traced
+from ...lattice import Lattice
+from ...types import Scalar, StateLike
+from ..control import least_tolerance
+from ..dispatch import facts
+from ..inputs import checked_save_at, checked_size, checked_state, checked_times
+from ..method import number
+from ..run import COMPLETED, Run, named
+from .internal import integrate
+
+TOLERANCE = 1e-11
+
+
+def with_memory(lattice: Lattice, state: StateLike, t1: Scalar, keywords: dict[str, Any]) -> Run:
+    """The run of `simulate` where forces read the past, with those of its keywords that such runs have."""
+    t0, solver, step, tolerance, save_at, record, adjoint, progress, throw, max_steps = keywords.values()
+    state, (t0, t1) = checked_state(lattice, state), checked_times(t0, t1)
+    remedy = "Terms that remember are carried by a solver of their own; save_at= keeps what happens on the way."
+    if solver is not None:
+        refuse("solver", "None for a lattice whose forces read the past", type(solver).__name__, remedy)
+    if record:
+        refuse("record", "None for a lattice whose forces read the past", "records", remedy)
+    if adjoint is not None and not isinstance(adjoint, diffrax.ForwardMode):
+        refuse("adjoint", "None or diffrax.ForwardMode(), as such a run has forward derivatives (jax.jvp, jax.jacfwd)",
+               type(adjoint).__name__)
+    unknown = facts(lattice).traced or traced((state, t0, t1, step, tolerance, save_at))
+    if throw and unknown:
+        refuse("throw", "None or False under a transformation", "True",
+               "What becomes of a traced run is not known yet.")
+    save_ts, _, every = checked_save_at(save_at, t0, t1, state)
+    if every:
+        refuse("save_at", "times or a number of them, for a lattice whose forces read the past", "'steps'")
+    for i, term in enumerate(lattice.terms):
+        if term.remembers() and term.variables(lattice) is None:
+            refuse(f"terms[{i}] ({type(term).__name__})", "a term whose memory has a solver", "one that has none",
+                   "PlasticContact stands in the lattice by itself, not within another term.")
+    dtype, step = facts(lattice).dtype, checked_size("step", step)
+    tolerance = checked_size("tolerance", tolerance)
+    least = least_tolerance(dtype)
+    if tolerance is None:
+        tolerance = max(TOLERANCE, least)
+    elif not traced(tolerance) and not least <= tolerance < 1:
+        refuse("tolerance", f"from {least:.1e}, what {dtype} holds, to below 1", show(np.asarray(tolerance)))
+    longest = None if step is None else number(step, dtype)
+    save_ts = None if save_ts is None else jax.numpy.asarray(save_ts, dtype)
+    run = integrate(lattice, state, number(t0, dtype), number(t1, dtype), number(tolerance, dtype), longest, save_ts,
+                    max_steps, progress)
+    said = "traced" if traced(tolerance) else show(np.asarray(tolerance))
+    choice = f"adaptive steps that carry internal variables, tolerance {said}"
+    run = named(run, "Dopri8", choice, "", mark=lattice._mark)
+    known = not traced(run.code)
+    if known and not (np.asarray(run.code) == COMPLETED).all() and (throw is None or throw):
+        raise RuntimeError(run.outcome)
+    return run

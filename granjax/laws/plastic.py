@@ -1,0 +1,180 @@
+"""Contacts that yield: the force reads the largest overlap so far, too."""
+
+import abc
+
+import jax
+import jax.numpy as jnp
+
+from ..checks import concrete, positive, refuse, show
+from ..entry import checked
+from ..types import Number, Numbers, Parameter
+from ..units import PART, Dimensional
+from .base import Law
+from .power import plus_power
+from .real_power import root
+
+
+class PlasticLaw(Dimensional):
+    """A contact with a history: force F(s, P) at overlap s, where P >= s is the largest overlap so far.
+
+    At s = P it loads, below it unloads and loads again along one curve. `stored(s, P)` is what unloading from s gives
+    back, `lost(P)` what has been dissipated, so that d(stored + lost) = F ds on both branches: stored(s, P) is the
+    integral of F(., P) up to s, and lost(P) that of F(x, x) up to P, less stored(P, P). Everything is elementwise;
+    `left(P)` is the overlap at which an unloaded contact opens. To add a law write these four.
+    """
+
+    @abc.abstractmethod
+    def force(self, s: Number, largest: Number) -> Numbers:
+        """Total contact force [N], zero for an open contact."""
+
+    @abc.abstractmethod
+    def stored(self, s: Number, largest: Number) -> Numbers:
+        """Energy that unloading gives back [J]."""
+
+    @abc.abstractmethod
+    def lost(self, largest: Number) -> Numbers:
+        """Energy dissipated so far [J]."""
+
+    @abc.abstractmethod
+    def left(self, largest: Number) -> Numbers:
+        """Overlap at which the unloaded contact opens [m]: the permanent indentation."""
+
+    def _wrapped(self, units):
+        return _InOtherUnits(self, units.length, units.force)
+
+
+class WaltonBraun(PlasticLaw):
+    r"""The bilinear contact of Walton and Braun: F = k1 s in loading, F = k2 [s - (1 - k1/k2) P]_+ below P.
+
+    **Arguments:** `loading`: k1 > 0 [N/m]; `unloading`: k2 >= k1 [N/m]; numbers or one per contact. Restitution
+    sqrt(k1/k2) at every speed. Typical: k2/k1 = 1.2 ... 6. **Raises** ValueError for k1 <= 0 or k2 < k1.
+    Source: O. R. Walton, R. L. Braun, J. Rheol. 30, 949 (1986).
+    """
+
+    dimensions = {"loading": (1, -1, 0), "unloading": (1, -1, 0)}
+    loading: jax.Array
+    unloading: jax.Array
+
+    @checked
+    def __init__(self, loading: Parameter, unloading: Parameter):
+        self.loading, self.unloading = positive("loading", loading), positive("unloading", unloading)
+        k1, k2 = concrete(self.loading), concrete(self.unloading)
+        if k1 is not None and k2 is not None and not (k2 >= k1).all():
+            refuse("unloading", "a stiffness not below that of loading", f"{show(k2)} beside {show(k1)}",
+                   "A contact that unloads along a softer line gives back more than it took.")
+
+    def left(self, largest):
+        return (1 - self.loading / self.unloading) * largest
+
+    def force(self, s, largest):
+        return self.unloading * plus_power(s - self.left(largest), 1)
+
+    def stored(self, s, largest):
+        return self.unloading / 2 * plus_power(s - self.left(largest), 2)
+
+    def lost(self, largest):
+        return self.loading / 2 * (1 - self.loading / self.unloading) * plus_power(largest, 2)
+
+
+class Thornton(PlasticLaw):
+    r"""Thornton's elastic, perfectly plastic spheres.
+
+    Loading: Hertz, A s^{3/2}, to the overlap s_y where the pressure at the centre reaches its limit, then its tangent,
+    A s_y^{3/2} (3 s/s_y - 1)/2. Unloading from P > s_y: Hertz with the larger radius of the flattened contact,
+    F = F_P [(s - s_P)/(P - s_P)]_+^{3/2}, P - s_P = F_P/(A P^{1/2}).
+
+    **Arguments:** `stiffness`: A > 0 [N/m^{3/2}]; `yield_overlap`: s_y > 0 [m], (pi p_y/(2 E*))^2 R* for a limiting
+    pressure p_y (about 1.6 to 3 times the yield stress), reduced modulus E* and radius R*. The speed of first yield of
+    a pair of reduced mass m is V_y = (4 A s_y^{5/2}/(5 m))^{1/2}; `gx.theory.restitution` is that of an impact.
+    Typical: steel beads of 1 cm yield from some cm/s on. **Raises** ValueError for what is not above zero.
+    Source: C. Thornton, J. Appl. Mech. 64, 383 (1997).
+    """
+
+    dimensions = {"stiffness": (1, -1.5, 0), "yield_overlap": (0, 1, 0)}
+    stiffness: jax.Array
+    yield_overlap: jax.Array
+
+    @checked
+    def __init__(self, stiffness: Parameter, yield_overlap: Parameter):
+        self.stiffness, self.yield_overlap = positive("stiffness", stiffness), positive("yield_overlap", yield_overlap)
+
+    def _turn(self, largest):
+        """(P/s_y, at least 1; A s_y^{3/2}; the depth P - s_P that unloading leaves behind, and the force at P)."""
+        y = self.yield_overlap
+        x = jnp.where(largest > y, largest, y) / y
+        unit = self.stiffness * y * root(y)
+        force = unit * (3 * x - 1) / 2
+        return x, unit, y * (3 * x - 1) / (2 * root(x)), force
+
+    def left(self, largest):
+        x, _, depth, _ = self._turn(largest)
+        return x * self.yield_overlap - depth
+
+    def force(self, s, largest):
+        _, _, depth, force = self._turn(largest)
+        return force * plus_power((s - self.left(largest)) / depth, 1.5)
+
+    def stored(self, s, largest):
+        _, _, depth, force = self._turn(largest)
+        return 0.4 * force * depth * plus_power((s - self.left(largest)) / depth, 2.5)
+
+    def lost(self, largest):
+        x, unit, _, _ = self._turn(largest)
+        return unit * self.yield_overlap * (0.75 * x * x - x / 2 + 0.15 - 0.1 * (3 * x - 1) ** 2 / root(x))
+
+
+class _InOtherUnits(PlasticLaw):
+    """A plastic law with overlaps and forces counted in other units."""
+
+    law: PlasticLaw
+    length: jax.Array
+    unit: jax.Array
+
+    def force(self, s, largest):
+        return self.law.force(self.length * s, self.length * largest) / self.unit
+
+    def stored(self, s, largest):
+        return self.law.stored(self.length * s, self.length * largest) / (self.unit * self.length)
+
+    def lost(self, largest):
+        return self.law.lost(self.length * largest) / (self.unit * self.length)
+
+    def left(self, largest):
+        return self.law.left(self.length * largest) / self.length
+
+
+class Indented(Law):
+    """A plastic law whose largest overlap so far is known, measured from equilibrium at the overlap `rest`."""
+
+    dimensions = {"law": PART, "rest": (0, 1, 0), "largest": (0, 1, 0)}
+    law: PlasticLaw
+    rest: jax.Array
+    largest: jax.Array
+
+    @checked
+    def __init__(self, law: PlasticLaw, rest: Parameter, largest: Parameter):
+        self.law, self.rest, self.largest = law, rest, largest
+
+    def _overlaps(self, e):
+        s = self.rest + e
+        return s, jnp.where(s >= self.largest, s, self.largest)
+
+    @property
+    def preload(self):
+        return self.law.force(self.rest, self.rest)
+
+    def force(self, e):
+        return self.law.force(*self._overlaps(e)) - self.preload
+
+    def energy(self, e):
+        s, largest = self._overlaps(e)
+        spent = self.law.stored(self.rest, self.rest) + self.law.lost(self.rest)
+        return self.law.stored(s, largest) + self.law.lost(largest) - spent - self.preload * e
+
+    def overlap(self, e):
+        s, largest = self._overlaps(e)
+        return s - self.law.left(largest)
+
+    def lost(self) -> Numbers:
+        """Energy dissipated since equilibrium [J]."""
+        return self.law.lost(self.largest) - self.law.lost(self.rest)

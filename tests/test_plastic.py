@@ -1,0 +1,157 @@
+"""Contacts that yield: restitution in closed form, energy to the last joule, derivatives, units, lanes, refusals."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import granjax as gx
+
+FREE, WALLS = gx.Shift(1, "free"), gx.Shift(1, "fixed")
+REDUCED = 0.5
+
+
+def pair(law, **how):
+    return gx.Lattice(1.0, gx.PlasticContact(FREE, law), sites=2, **how)
+
+
+def struck(law, speed, t1, **how):
+    lattice = pair(law)
+    return gx.simulate(lattice, gx.states.impact(lattice, velocity=speed), t1, **how)
+
+
+def restitution(run, speed):
+    return (run.final.v[1] - run.final.v[0]) / speed
+
+
+def test_restitution_of_walton_and_braun():
+    for k1, k2 in ((1.0, 1.0), (1.0, 2.0), (0.7, 4.0)):
+        run = struck(gx.WaltonBraun(k1, k2), 0.8, 9.0)
+        assert abs(restitution(run, 0.8) - gx.theory.restitution.walton_braun(k1, k2)) < 1e-9
+        assert run.energy_error < 1e-9 and run.contact_opened
+        # half of the reduced mass's energy times 1 - e^2
+        assert abs(run.lost[-1] - REDUCED / 2 * 0.64 * (1 - k1 / k2)) < 1e-10
+
+
+def test_restitution_of_thornton():
+    y = 0.01
+    first = np.sqrt(4 * y**2.5 / (5 * REDUCED))
+    for ratio in (0.5, 1.2, 3.0, 30.0, 1000.0):
+        speed = ratio * first
+        run = struck(gx.Thornton(1.0, y), speed, 60 / np.sqrt(speed))
+        wanted = gx.theory.restitution.thornton(speed, first)
+        assert abs(restitution(run, speed) - wanted) < 1e-9 and run.energy_error < 1e-9
+    assert gx.theory.restitution.thornton(0.5 * first, first) == 1
+
+
+def test_derivative_of_restitution_against_yield():
+    def simulated(y):
+        return restitution(struck(gx.Thornton(1.0, y), 0.1, 100.0), 0.1)
+
+    def closed(y):
+        return gx.theory.restitution.thornton(0.1, jnp.sqrt(4 * y**2.5 / (5 * REDUCED)))
+
+    got, wanted = jax.jvp(simulated, (0.01,), (1.0,)), jax.jvp(closed, (0.01,), (1.0,))
+    assert np.allclose(got, wanted, rtol=1e-5)
+
+
+@pytest.mark.parametrize("law", [gx.WaltonBraun(1.0, 3.0), gx.Thornton(1.0, 0.1)], ids=["Walton-Braun", "Thornton"])
+def test_energies_are_the_work_of_the_force(law):
+    s = np.linspace(1e-3, 1.0, 7)
+    # loading: all that is spent; unloading: all that comes back
+    spent = jax.vmap(jax.grad(lambda s: law.stored(s, s) + law.lost(s)))(s)
+    assert np.allclose(spent, law.force(s, s), rtol=1e-12)
+    back = jax.vmap(jax.grad(lambda s: law.stored(s, 1.0)))(s)
+    assert np.allclose(back, law.force(s, 1.0), rtol=1e-12)
+    assert np.all(np.diff(law.lost(s)) >= 0) and law.force(law.left(1.0), 1.0) == 0
+
+
+def scene(units):
+    """A precompressed chain with a dashpot and a push, whose contacts have yielded at other places by other lanes."""
+    force, stiffness = units.of(1, 0, 0), units.of(1, -1.5, 0)
+    law = gx.Thornton(np.linspace(1.0, 1.4, 6) / stiffness, 0.05 / units.length)
+
+    def make(overlap):
+        terms = (gx.PlasticContact(WALLS, law, overlap / units.length),
+                 gx.Dashpot(WALLS, 0.03 / units.of(1, -1, 1)),
+                 gx.Drive(gx.Harmonic(0.05 / force, units.time), 2))
+        return gx.Lattice(1.0 / units.mass, terms, sites=5)
+
+    return make
+
+
+@pytest.mark.slow
+def test_a_chain_in_other_units_resumed_and_its_balance():
+    one, other = gx.Units(), gx.Units(3e-4, 2e-3, 7e-6)
+    runs = []
+    for units in (one, other):
+        lattice = scene(units)(0.02)
+        start = gx.states.impact(lattice, velocity=0.4 / units.velocity)
+        run = gx.simulate(lattice, start, 6.0 / units.time, save_at=4)
+        assert run.energy_error < 1e-9 and run.lost[-1] > 0 and run.work[-1] != 0
+        assert np.all(np.diff(run.memory["largest_overlap"], axis=0) >= 0)
+        half = gx.simulate(lattice, start, 3.0 / units.time, save_at=4)
+        on = gx.simulate(half.lattice, half.final, 6.0 / units.time, t0=3.0 / units.time, save_at=4)
+        assert np.allclose(on.final.u, run.final.u, rtol=0, atol=1e-7 * np.abs(run.final.u).max())
+        runs.append((run.final.u * units.length, run.memory["largest_overlap"] * units.length, run.lost * units.energy))
+    for a, b in zip(*runs):
+        assert np.allclose(a, b, rtol=0, atol=1e-7 * np.abs(a).max())
+
+
+@pytest.mark.slow
+def test_lanes_are_runs_by_themselves():
+    make, overlaps = scene(gx.Units()), jnp.array([0.0, 0.02, 0.06])
+    batch = jax.vmap(make, out_axes=-1)(overlaps)
+    state = gx.State(batch.zeros(), batch.zeros().at[0].set(0.4))
+    run = gx.simulate(batch, state, 4.0, save_at=4)
+    assert run.lost.shape == (4, 3) and run.memory["largest_overlap"].shape == (4, 6, 3)
+    assert run.to_xarray(lanes={"overlap": overlaps}).largest_overlap.dims == ("time", "bond", "overlap")
+    alone = gx.simulate(make(0.02), gx.State(state.u[:, 1], state.v[:, 1]), 4.0, save_at=4)
+    assert np.allclose(run.us[..., 1], alone.us, atol=1e-8) and np.allclose(run.lost[:, 1], alone.lost, atol=1e-8)
+
+
+class Sticking(gx.PlasticLaw):
+    """A law of one's own: nothing comes back; F = k s in loading, none below."""
+
+    stiffness: jax.Array
+
+    def force(self, s, largest):
+        return jnp.where((s >= largest) & (s > 0), self.stiffness * s, 0.0)
+
+    def stored(self, s, largest):
+        return 0.0 * (s + largest)
+
+    def lost(self, largest):
+        return self.stiffness * jnp.maximum(largest, 0) ** 2 / 2
+
+    def left(self, largest):
+        return largest
+
+
+@pytest.mark.slow
+def test_a_law_of_ones_own():
+    run = struck(Sticking(jnp.asarray(2.0)), 1.0, 5.0, tolerance=1e-6)
+    assert abs(restitution(run, 1.0)) < 1e-4 and abs(run.lost[-1] - 0.25) < 1e-4
+
+
+def test_what_needs_the_present_alone_refuses():
+    chain = gx.Lattice(1.0, gx.PlasticContact(WALLS, gx.WaltonBraun(1.0, 2.0), 0.1), sites=4)
+    rest = gx.State(chain.zeros(), chain.zeros())
+    for call in (
+        lambda: gx.vector_field(0.0, rest, chain), lambda: gx.Flow(4)(rest, 0.0, 1.0, chain),
+        lambda: gx.linear.normal_modes(chain), lambda: gx.linear.dispersion(chain, [0.1]),
+        lambda: gx.floquet.floquet(chain, rest, 1.0), lambda: gx.breathers.family(chain),
+        lambda: gx.states.impact(chain) and gx.simulate(gx.Lattice(
+            1.0, gx.Modulated(chain.terms[0], gx.Harmonic(0.1, 1.0, mean=1.0)), sites=4), rest, 1.0),
+    ):
+        with pytest.raises(ValueError, match="remember|memory"):
+            call()
+    for how in ({"solver": gx.SRKN11b()}, {"record": {"a": gx.Peak(lambda t, y, lattice: y.u)}},
+                {"adjoint": gx.Reversible()}, {"save_at": "steps"}, {"tolerance": 1e-30}):
+        with pytest.raises(ValueError, match=next(iter(how))):
+            gx.simulate(chain, rest, 1.0, **how)
+    for wrong, said in ((lambda: gx.WaltonBraun(2.0, 1.0), "unloading"), (lambda: gx.Thornton(1.0, 0.0), "yield"),
+                        (lambda: gx.PlasticContact(WALLS, gx.Hertz()), "law"),
+                        (lambda: gx.PlasticContact(WALLS, gx.WaltonBraun(1.0, 2.0), 0.1, 0.05), "largest")):
+        with pytest.raises(ValueError, match=said):
+            wrong()
