@@ -369,6 +369,7 @@ def _(seed):
         gx.theory.simple_wave.mean(law, 0.1 + 0.1 * seed), gx.theory.simple_wave.fan([0.9, 1.0], law, -0.1)
     own, n = gx.theory.linear_shock, np.arange(-5, 5)
     own.velocity_step(n, 3.0 + seed, 0.1, 1.0 + 0.1 * seed), own.strain_step(n, 3.0 + seed, 0.1 * seed)
+    gx.theory.localisation.lyapunov_exponent(0.5 + 0.1 * seed, mass_deviation=0.1, correlations=[0.5])
 
 
 @also("dissipative_front", SLOW)

@@ -533,6 +533,11 @@ def _(s):
     return fields_of(found, **waves), moduli(found.multipliers, found.error)
 
 
+@row("localisation_length", closed)
+def _(s):
+    return fields_of(gx.linear.localisation_length(s.lattice, s.hertz(np.array([0.3, 1.1]))))
+
+
 # the lattice
 @eqx.filter_jit
 def linear_force(lattice, t, y):

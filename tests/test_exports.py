@@ -121,6 +121,7 @@ MAKERS = {
     "Orbit": lambda: branch().orbit(-1), "OrbitRun": lambda: branch().orbit(-1).run(4),
     "OrbitError": lambda: branch().orbit(-1).error, "Floquet": lambda: branch().orbit(-1).floquet(steps=64),
     "Bifurcation": lambda: gx.breathers.Bifurcation("torus", 0.5, 1, state(), 1j, 0, 1),
+    "LocalisationLength": lambda: linear.localisation_length(chain(), [0.3, 0.5]),
     "NormalModes": lambda: linear.normal_modes(chain()), "Bands": lambda: linear.bands(ring()),
     "Dispersion": lambda: linear.dispersion(ring(), np.linspace(0.1, 3.0, 4)),
     "FloquetBands": lambda: linear.floquet_bands(ring(), np.linspace(0.1, 3.0, 4), 1.0),

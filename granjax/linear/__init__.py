@@ -11,8 +11,9 @@ from .dispersion import Dispersion, dispersion
 from .floquet_bands import FloquetBands, floquet_bands
 from .modes import NormalModes, normal_modes
 from .sound import sound_speed
+from .transfer import LocalisationLength, localisation_length
 
 __all__ = [
-    "Bands", "Dispersion", "FloquetBands", "NormalModes", "UnitCell", "bands", "dispersion", "floquet_bands",
-    "normal_modes", "sound_speed", "unit_cell",
+    "Bands", "Dispersion", "FloquetBands", "LocalisationLength", "NormalModes", "UnitCell", "bands", "dispersion",
+    "floquet_bands", "localisation_length", "normal_modes", "sound_speed", "unit_cell",
 ]

@@ -27,6 +27,10 @@ def undriven(lattice: Any) -> Lattice:
             "lattice", "one lattice", f"a batch with lanes {lattice.lanes}",
             "Use jax.vmap(function, in_axes=-1)(lattice), and give cell=... where a unit cell is needed.",
         )
+    return _standing(lattice)
+
+
+def _standing(lattice):
     refuse_memory(lattice)
     return eqx.tree_at(lambda x: x.terms, lattice, tuple(term.undriven() for term in lattice.terms))
 
@@ -36,7 +40,13 @@ def at_rest(lattice: Any) -> Lattice:
 
     **Raises** ValueError for what is no single lattice, and for stiffness that changes in time.
     """
-    still = undriven(lattice)
+    undriven(lattice)
+    return lanes_at_rest(lattice)
+
+
+def lanes_at_rest(lattice: Lattice) -> Lattice:
+    """As `at_rest`, of a lattice or of a batch."""
+    still = _standing(lattice)
     for i, term in enumerate(still.terms):
         if term.dependence(still).time and term.stiffness_changes(still):
             refuse(

@@ -4,6 +4,7 @@
 - `compacton`: solitary waves of continuum equations without linear sound.
 - `kdv`: the Korteweg-de Vries equation of long, weak waves; solitons, periodic waves, dispersive shocks on a chain.
 - `linear_shock`: steps of velocity and of strain in a linear chain.
+- `localisation`: how far waves reach in a weakly disordered chain.
 - `long_wave`: the long-wave equations of a chain: residuals, linear waves, the wave of the regularised one.
 - `nls`: the nonlinear Schroedinger equation of wave packets in a periodic chain; its solitons and instability.
 - `restitution`: of two bodies that collide, plastic ones.
@@ -13,10 +14,22 @@
 - `shock_edges`: the edges of a dispersive shock of any convex law, by fitting.
 """
 
-from . import compacton, elliptic, kdv, linear_shock, long_wave, nls, restitution, simple_wave, stokes, toda
+from . import (
+    compacton,
+    elliptic,
+    kdv,
+    linear_shock,
+    localisation,
+    long_wave,
+    nls,
+    restitution,
+    simple_wave,
+    stokes,
+    toda,
+)
 from .fitting import FittedEdges, shock_edges
 
 __all__ = [
-    "FittedEdges", "compacton", "elliptic", "kdv", "linear_shock", "long_wave", "nls", "restitution",
+    "FittedEdges", "compacton", "elliptic", "kdv", "linear_shock", "localisation", "long_wave", "nls", "restitution",
     "shock_edges", "simple_wave", "stokes", "toda",
 ]
