@@ -69,6 +69,8 @@ Motion
     derivative          the derivative of a run, with its error
     Derivative          what it returns
     Flow                a map over a number of steps, with tangents
+    first_order         DNLS, electrical lattices, the discrete p-Schroedinger equation; solitons, self-trapping
+    fractional          kernel and symbol of the discrete fractional Laplacian
     measures            contact forces, energies, spectra, fronts, localisation of a state or a run
     linear              modes, dispersion, bands, speed of sound
 Solvers
@@ -213,8 +215,9 @@ if _collects:
 __version__ = "0.1.0"
 _LAZY = {
     name: f".{name}" for name in (
-        "breathers", "canonical", "continuation", "driven", "exchange", "floquet", "forced", "identify", "linear",
-        "materials", "measures", "newton", "orbits", "plots", "scenes", "shocks", "states", "studies", "sweeps",
+        "breathers", "canonical", "continuation", "driven", "exchange", "first_order", "floquet", "forced",
+        "fractional", "identify", "linear", "materials", "measures", "newton",
+        "orbits", "plots", "scenes", "shocks", "states", "studies", "sweeps",
         "theory",
         "travelling",
     )

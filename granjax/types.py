@@ -49,6 +49,9 @@ Flags: TypeAlias = Bool[AnyArray, "..."] | bool | np.bool_
 ComplexNumbers: TypeAlias = Complex[AnyArray, "..."]
 """An array of complex numbers."""
 
+Amplitudes: TypeAlias = Inexact[AnyArray, "..."]
+"""An array of real or complex numbers, such as the amplitudes of a first-order lattice."""
+
 Displacements: TypeAlias = Inexact[AnyArray, "..."] | dict[str, Inexact[AnyArray, "..."]]
 """Displacements, velocities or forces over the sites: an array, or a dict of arrays where a cell holds fields."""
 

@@ -388,6 +388,16 @@ def _(seed):
     gx.travelling.family(law, speed=[1.5 + 0.1 * seed])
 
 
+@also("first_order", SLOW)
+def _(seed):
+    chi = 3.0 + 0.1 * seed
+    equation = gx.first_order.DNLS(8, 1.0, chi, order=0.5 + 0.1 * seed)
+    gx.first_order.evolve(equation, np.eye(8)[0], 1.0 + 0.01 * seed, save_at=3)
+    gx.first_order.soliton(gx.first_order.DNLS(41, 1.0, chi), -2.0 - 0.1 * seed)
+    gx.first_order.electrical(8, inductance=chi).norm(np.ones(8)), gx.first_order.tau_0(1.5 + 0.1 * seed)
+    gx.fractional.kernel(0.5 + 0.1 * seed, 9), gx.fractional.ring_kernel(0.5 + 0.1 * seed, 9)
+
+
 # public functions that no row calls by name, by their modules, and why
 WITHIN = {
     **dict.fromkeys(("checks", "entry.checked", "entry.kinds", "printing", "programs", "variables", "cli.commands",
@@ -408,6 +418,8 @@ WITHIN = {
                     "studies of minutes, made of what is called here"),
 }
 UNCALLED = {
+    "checked_order": "`kernel`", "total": "`kernel`", "symbol": "`ring_kernel`", "wave_numbers": "NumPy",
+    "field": "`evolve`", "self_trapping": "`evolve`",
     "paired": "NumPy", "read": "a file", "table": "NumPy",
     "explore": "in tests/test_explore.py, as a notebook does",
     "cell_of": "`bright_guess`", "edge_of": "`breather`", "edges_beside": "`bright_guess`",

@@ -131,6 +131,10 @@ MAKERS = {
     "Trace": lambda: measures.velocity_trace(T, np.ones((33, 2)), 0, sampling=5.0),
     "Spectrum": lambda: measures.spectrum(np.ones((33, N)), 0.1),
     "Spectrogram": lambda: measures.spectrogram(np.ones(33), 0.1, 0.9),
+    "Evolution": lambda: gx.first_order.Evolution(
+        np.arange(2.0), np.ones((2, N)) + 1j, *np.ones((3, 2)), *np.ones((2, 1)), 0.1, 1e-8, "Dopri8"),
+    "SelfTrapping": lambda: gx.first_order.SelfTrapping(4.0, 0.1, *np.ones((2, 9)), 0.5, 20.0, "Trapped."),
+    "Soliton": lambda: gx.first_order.Soliton(np.ones(N), *np.ones(6), "Found."),
     "DissipativeFront": lambda: gx.shocks.dissipative_front(gx.Hertz(), 1.0, dashpot=1.0),
     "PlanarODE": lambda: planar(), "PlanarOrbit": lambda: planar().homoclinic(),
     "Derivative": lambda: gx.derivative(lambda x, step: {"a": x["a"] ** 2, "b": x["a"].sum()}, {"a": jnp.ones(2)}, 0.1),

@@ -17,7 +17,7 @@ from ..lattice.model import check_shape
 from ..outside import Outside
 from ..printing import told
 from ..programs import compiled, parted
-from ..solvers import SRKN14a
+from ..solvers import AbstractNystrom, AbstractSplitting, SRKN14a
 from ..types import Count, Counts, Numbers, Pytree, Scalar, VectorField
 from .breaks import OneSided, breaks_of, shared_out
 
@@ -70,6 +70,8 @@ class Flow(eqx.Module):
     def derivative(self, y: Pytree, t0: Scalar, t1: Scalar, args: Any) -> tuple:
         """(phi(y), D phi(y)), the derivative as a matrix over the raveled state."""
         flat, unravel = ravel_pytree(_floating(y))
+        if jnp.iscomplexobj(flat):
+            refuse("y", "a real state", "a complex one", "It is no complex matrix: take `tangents` along 1 and 1j.")
         unit = jax.vmap(unravel, out_axes=-1)(jnp.eye(flat.size, dtype=flat.dtype))
         end, tangents = self.tangents(y, unit, t0, t1, args)
         return end, matrix(tangents)
@@ -84,6 +86,9 @@ def check_steps(steps: Count | Counts) -> None:
 def check_moved(argument: str, y: Any, flow: Flow, args: Any, whose: str = "the lattice args") -> None:
     """Refuse, as this argument, what is no state of the lattice `args`, where it is a lattice that moves."""
     if flow.field is not vector_field:
+        if isinstance(flow.solver, (AbstractSplitting, AbstractNystrom)) and not _is_pair(y):
+            refuse("solver", "one of a first-order equation for a state that is no pair (u, v)",
+                   type(flow.solver).__name__, "Take diffrax.Dopri8(), or gx.first_order.SplitStep() for DNLS.")
         return
     if not isinstance(args, Lattice):
         refuse("args", "the Lattice that moves", described(args), "Another motion has a field: Flow(n, field=f).")
@@ -151,7 +156,8 @@ def _march(solver, field, steps, y, t0, t1, args, breaks):
     terms = diffrax.ODETerm(field)
     if getattr(solver, "scan_kind", "own") is None:  # diffrax's loop over stages, in the kind with both modes
         solver = eqx.tree_at(lambda s: s.scan_kind, solver, "bounded", is_leaf=lambda x: x is None)
-    flat = jnp.result_type(*jax.tree.leaves(y))
+    # times are real where a state is complex
+    flat = jnp.finfo(jnp.result_type(*jax.tree.leaves(y))).dtype
     if breaks:
         return _march_to_breaks(OneSided(solver), terms, steps, y, jnp.asarray(t0, flat), jnp.asarray(t1, flat), args,
                                 breaks)

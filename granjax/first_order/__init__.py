@@ -1,0 +1,20 @@
+"""First-order lattices i dpsi/dt = dH/dpsi*: DNLS, the electrical lattice, the discrete p-Schroedinger equation.
+
+They are complex vector fields f(t, psi, args) over `gx.Flow` and diffrax, the equation being `args`:
+
+    equation = gx.first_order.DNLS(64, coupling=1.0, nonlinearity=3.0, order=0.5)
+    run = gx.first_order.evolve(equation, psi, 20.0, save_at=200)
+    flow = gx.Flow(100, gx.first_order.SplitStep(), gx.first_order.field)
+    psi1, moved = flow.tangents(psi, tangents, 0.0, 20.0, equation)
+"""
+
+from .equations import DNLS, DpS, Equation, electrical, field, tau_0
+from .evolution import Evolution, evolve
+from .solitons import Soliton, soliton
+from .split_step import SplitStep
+from .trapping import SelfTrapping, self_trapping
+
+__all__ = [
+    "DNLS", "DpS", "Equation", "Evolution", "SelfTrapping", "Soliton", "SplitStep", "electrical", "evolve", "field",
+    "self_trapping", "soliton", "tau_0",
+]

@@ -1,0 +1,93 @@
+"""Linear coupling of sites over any distance: a symmetric matrix that depends on the distance alone, by FFT."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from ..fractional import kernel, symbol, total, wave_numbers
+from ..types import Amplitudes, Numbers
+
+# sites of a finite chain up to which the modes of its coupling are kept
+MOST_MODES = 512
+
+
+class Coupling(eqx.Module):
+    r"""(L psi)_n = sum_{m != 0} c_|m| (psi_n - psi_{n+m}), by FFT on a ring, by one of twice the length elsewhere.
+
+    `values` (P, *lanes): the symbol on P >= N wave numbers. `diagonal` (N, *lanes): what is added at each site of a
+    finite chain, `None` on a ring. `modes` (N, N, *lanes), `rates` (N, *lanes): its modes and their eigenvalues; a ring
+    has plane waves and those of `values`, a long chain none.
+    """
+
+    values: jax.Array
+    diagonal: jax.Array | None
+    modes: jax.Array | None
+    rates: jax.Array | None
+    sites: int = eqx.field(static=True)
+
+    def __call__(self, psi: Amplitudes) -> Amplitudes:
+        """L psi, for psi (N, *lanes)."""
+        moved = self._filtered(psi, trailing(self.values, psi))
+        return moved if self.diagonal is None else moved + trailing(self.diagonal, psi) * psi
+
+    def flow(self, psi: Amplitudes, time: Numbers) -> Amplitudes:
+        """exp(-i L time) psi."""
+        if self.diagonal is None:
+            return self._filtered(psi, jnp.exp(-1j * time * trailing(self.values, psi)))
+        along = jnp.einsum("nk...,n...->k...", self.modes, psi)
+        turned = jnp.exp(-1j * time * trailing(self.rates, psi)) * along
+        return jnp.einsum("nk...,k...->n...", self.modes, turned)
+
+    @property
+    def has_flow(self) -> bool:
+        """Whether its exact flow is known."""
+        return self.diagonal is None or self.modes is not None
+
+    def _filtered(self, psi, values):
+        # the transform along the last axis: XLA's CPU backend has no other
+        x, values = jnp.moveaxis(psi, 0, -1), jnp.moveaxis(values, 0, -1)
+        made = jnp.fft.ifft(values * jnp.fft.fft(x, values.shape[-1]))[..., : self.sites]
+        return jnp.moveaxis(made, -1, 0)
+
+
+def trailing(x: Numbers, like: Amplitudes) -> Numbers:
+    """Site arrays with as many trailing axes as another one."""
+    return x.reshape(*x.shape, *[1] * (like.ndim - x.ndim))
+
+
+def of_order(sites: int, order: jax.Array, boundary: str) -> Coupling:
+    """The fractional Laplacian of order s, on a ring or a finite chain."""
+    if boundary == "periodic":
+        return Coupling(symbol(order, wave_numbers(sites)), None, None, None, sites)
+    return _finite(sites, kernel(order, sites - 1), total(order), boundary)
+
+
+def of_weights(sites: int, weights: jax.Array, boundary: str) -> Coupling:
+    """The coupling of given weights (M, *lanes) of the offsets 1, ..., M."""
+    if boundary == "periodic":
+        k = wave_numbers(sites).reshape(-1, 1, *[1] * (weights.ndim - 1))
+        m = jnp.arange(1, len(weights) + 1).reshape(1, -1, *[1] * (weights.ndim - 1))
+        return Coupling(jnp.sum(4 * weights * jnp.sin(k * m / 2) ** 2, axis=1), None, None, None, sites)
+    own = weights[: sites - 1]
+    padded = jnp.concatenate([own, jnp.zeros((sites - 1 - len(own), *own.shape[1:]), own.dtype)])
+    return _finite(sites, padded, 2 * jnp.sum(weights, axis=0), boundary)
+
+
+def _finite(sites, weights, whole, boundary):
+    """The coupling of a chain with ends: the matrix is a part of that of a ring of twice the length."""
+    zero = jnp.zeros_like(weights[:1])
+    if boundary == "fixed":
+        diagonal = jnp.broadcast_to(whole, (sites, *weights.shape[1:]))
+    else:
+        reach = jnp.concatenate([zero, jnp.cumsum(weights, axis=0)])
+        diagonal = reach + reach[::-1]
+    row = jnp.concatenate([zero, weights, zero, weights[::-1]])
+    values = -jnp.moveaxis(jnp.fft.fft(jnp.moveaxis(row, 0, -1)).real, -1, 0)
+    modes = rates = None
+    if sites <= MOST_MODES:
+        apart = abs(jnp.arange(sites)[:, None] - jnp.arange(sites))
+        matrix = -jnp.concatenate([zero, weights])[apart]
+        matrix = matrix.at[jnp.arange(sites), jnp.arange(sites)].add(diagonal)
+        rates, modes = jnp.linalg.eigh(jnp.moveaxis(matrix, (0, 1), (-2, -1)))
+        rates, modes = jnp.moveaxis(rates, -1, 0), jnp.moveaxis(modes, (-2, -1), (0, 1))
+    return Coupling(values, diagonal, modes, rates, sites)

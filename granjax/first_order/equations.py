@@ -1,0 +1,272 @@
+"""First-order lattices i dpsi/dt = dH/dpsi*: DNLS, the electrical lattice, the discrete p-Schroedinger equation."""
+
+import abc
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..checks import non_negative, one_of, parameter, positive, refuse, whole, within
+from ..entry import checked
+from ..fractional import checked_order
+from ..lattice import State
+from ..laws import Law, Linear
+from ..printing import told
+from ..strains import BOUNDARIES
+from ..types import Amplitudes, Count, Flags, Number, Numbers, Parameter, Pytree, Scalar
+from .coupling import Coupling, of_order, of_weights, trailing
+
+
+class Equation(eqx.Module):
+    """A first-order lattice, i dpsi_n/dt = dH/dpsi_n*, psi complex of shape (N, *lanes).
+
+    To add one, give it `sites` and write `energy`, real and free of the phase of psi (then the norm is kept);
+    `gradient` where it is cheaper than automatic differentiation. `gx.first_order.field` is its vector field.
+    """
+
+    sites: eqx.AbstractVar[int]
+    __repr__ = told
+
+    @abc.abstractmethod
+    def energy(self, psi: Amplitudes) -> Numbers:
+        """H, one number per lane."""
+
+    def gradient(self, psi: Amplitudes) -> Amplitudes:
+        """dH/dpsi*, of psi's shape."""
+        return jnp.conj(jax.grad(lambda psi: jnp.sum(self.energy(psi)))(psi)) / 2
+
+    def norm(self, psi: Amplitudes) -> Numbers:
+        """Sum over the sites of |psi_n|^2, one number per lane."""
+        return jnp.sum(jnp.real(psi) ** 2 + jnp.imag(psi) ** 2, axis=0)
+
+    @property
+    def has_flows(self) -> Flags:
+        """Whether H = H1 + H2 with two exact flows, `drift` and `kick`: what `SplitStep` composes."""
+        return False
+
+    def drift(self, psi: Amplitudes, time: Number) -> Amplitudes:
+        """The exact flow of the linear coupling."""
+        return refuse_split(self)
+
+    def kick(self, psi: Amplitudes, time: Number) -> Amplitudes:
+        """The exact flow of what each site does by itself."""
+        return refuse_split(self)
+
+
+def refuse_split(equation: Any) -> Any:
+    """Say that an equation has no exact flows to compose."""
+    refuse("solver", f"a solver of any vector field for a {type(equation).__name__}", "SplitStep",
+           "Take diffrax.Dopri8(). SplitStep is for DNLS on a ring, or on a chain of at most 512 sites.")
+
+
+def field(t: Number, psi: Pytree, equation: Equation) -> Pytree:
+    """dpsi/dt = -i dH/dpsi*: a vector field f(t, psi, args) for `gx.Flow(steps, solver, field)` and diffrax."""
+    return -1j * equation.gradient(psi)
+
+
+class DNLS(Equation):
+    r"""Discrete nonlinear Schroedinger equation, with next neighbours, fractional or any linear coupling.
+
+    i dpsi_n/dt = e_n psi_n + V sum_{m != 0} c_|m| (psi_n - psi_{n+m}) - g(|psi_n|^2) psi_n,  g(x) = chi x.
+
+    It keeps the norm, and H = sum_n e_n |psi_n|^2 + V sum_{n, m>0} c_m |psi_{n+m} - psi_n|^2 - G(|psi_n|^2), G' = g.
+    Its band is [0, 4 V], or [0, 4^s V] for the order s; the tight-binding form with -V (psi_{n+1} + psi_{n-1}) is the
+    same in a frame that turns, psi exp(2 i V t). chi > 0 focuses (V > 0): bright solitons below the band.
+    The dimer `DNLS(2, V, chi, boundary="fixed")` with psi = (1, 0) traps itself beyond chi = 4 V.
+
+    **Arguments:**
+
+    - `sites`: N >= 2, on a ring >= 3.
+    - `coupling`: V [rad/s]. `nonlinearity`: chi [rad/s per |psi|^2], or a `Law` whose force is g, of |psi|^2.
+    - `order`: s in (0, 1] of a fractional Laplacian, whose weights c_m are `gx.fractional.kernel(s, M)`.
+    - `kernel`: weights c_1, ..., c_M (M,) instead; next neighbours where neither is given.
+    - `potential`: e_n [rad/s], a number, or one per site (N,).
+    - `boundary`: `"periodic"`; `"fixed"`, sites beyond the ends where psi = 0; `"free"`, no sites there.
+
+    Every number may have lanes (*lanes), be traced and be differentiated, s too.
+    **Raises** ValueError for s outside (0, 1], an order beside a kernel, potentials of another length, boundaries that
+    do not exist. Sources: Kenkre, Campbell, PRB 34, 4959 (1986); Molina, Phys. Lett. A 384, 126180 (2020).
+    """
+
+    coupling: jax.Array
+    nonlinearity: Law
+    potential: jax.Array | None
+    laplacian: Coupling
+    sites: int = eqx.field(static=True)
+
+    @checked
+    def __init__(self, sites: Count, coupling: Parameter = 1.0, nonlinearity: Parameter | Law = 1.0, *,
+                 order: Parameter | None = None, kernel: Parameter | None = None,
+                 potential: Parameter | None = None, boundary: str = "periodic"):
+        one_of("boundary", boundary, BOUNDARIES)
+        self.sites = _sites(sites, boundary)
+        self.coupling = parameter("coupling", coupling)
+        given = isinstance(nonlinearity, Law)
+        self.nonlinearity = nonlinearity if given else Linear(parameter("nonlinearity", nonlinearity))
+        self.potential = None if potential is None else _per_site("potential", potential, self.sites)
+        if order is not None and kernel is not None:
+            refuse("kernel", "a kernel, or an order", "both", "Leave one of them out.")
+        if kernel is None:
+            self.laplacian = of_order(self.sites, checked_order(1.0 if order is None else order), boundary)
+        else:
+            weights = parameter("kernel", kernel)
+            if weights.ndim == 0 or not weights.size:
+                refuse("kernel", "weights of the offsets 1, ..., M, shape (M,)", f"shape {weights.shape}")
+            self.laplacian = of_weights(self.sites, weights, boundary)
+
+    def energy(self, psi):
+        density = jnp.real(psi) ** 2 + jnp.imag(psi) ** 2
+        bonds = self.coupling * jnp.sum(jnp.real(jnp.conj(psi) * self.laplacian(psi)), axis=0)
+        held = 0.0 if self.potential is None else jnp.sum(trailing(self.potential, psi) * density, axis=0)
+        return bonds + held - jnp.sum(self.nonlinearity.energy(density), axis=0)
+
+    def gradient(self, psi):
+        return self.coupling * self.laplacian(psi) + self._shift(psi) * psi
+
+    @property
+    def has_flows(self):
+        return self.laplacian.has_flow
+
+    def drift(self, psi, time):
+        if not self.laplacian.has_flow:
+            refuse_split(self)
+        return self.laplacian.flow(psi, time * self.coupling)
+
+    def kick(self, psi, time):
+        return psi * jnp.exp(-1j * time * self._shift(psi))
+
+    def _shift(self, psi):
+        """Frequency of each site by itself."""
+        own = -self.nonlinearity.force(jnp.real(psi) ** 2 + jnp.imag(psi) ** 2)
+        return own if self.potential is None else own + trailing(self.potential, psi)
+
+
+@checked
+def electrical(
+    sites: Count, *, inductance: Parameter = 1.0, ground: Parameter = 1.0, capacitance: Parameter = 1.0,
+    nonlinearity: Parameter = 1.0, order: Parameter | None = None, boundary: str = "periodic",
+) -> DNLS:
+    r"""Electrical lattice with fractional coupling, in its first-order form: the envelope of its voltage.
+
+    Cells of a nonlinear capacitor Q = C (U + b U^3) and a coil L2 to the ground, coupled by coils L1:
+
+    d^2 Q_n/dt^2 = -(1/L1) ((-Delta)^s U)_n - U_n/L2,  omega0^2 = 1/(L2 C).
+
+    With U = 2 Re(psi exp(-i omega0 t)), weak coupling and small b |psi|^2 it is DNLS with V = omega0 L2/(2 L1) and
+    chi = (3/2) b omega0, here in SI or scaled alike; errors are of second order in V/omega0 and chi |psi|^2/omega0.
+
+    **Arguments:** `sites`: N. `inductance`: L1 > 0 [H] between cells, `ground`: L2 > 0 [H]. `capacitance`: C > 0 [F].
+    `nonlinearity`: b [1/V^2], positive where the capacitance grows. `order`, `boundary`: as of `DNLS`; a fixed end is
+    held at U = 0, a free end is open.
+    **Returns:** `DNLS`; psi [V]. **Raises** ValueError as `DNLS`, and for L1, L2, C not above zero.
+    Typical: L1 = 680 uH, L2 = 330 uH, C = 788 pF. Source: Molina, Phys. Rev. E 104, 024219 (2021).
+    """
+    inductance, ground = positive("inductance", inductance), positive("ground", ground)
+    omega = (ground * positive("capacitance", capacitance)) ** -0.5
+    return DNLS(sites, omega * ground / (2 * inductance), 1.5 * omega * parameter("nonlinearity", nonlinearity),
+                order=order, boundary=boundary)
+
+
+class DpS(Equation):
+    r"""Discrete p-Schroedinger equation: the modulation equation of Newton's cradle.
+
+    i dA_n/dt = kappa [(A_{n+1} - A_n) |A_{n+1} - A_n|^{p-1} - (A_n - A_{n-1}) |A_n - A_{n-1}|^{p-1}].
+
+    By default kappa = 1/(2 tau_0), where tau_0 = 2^{1-p} sqrt(pi) Gamma(p/2 + 3/2)/Gamma(p/2 + 1), 1.54506223 for
+    p = 3/2: then u_n = 2 Re(A_n exp(i t)) is the cradle with k = m = A = 1 (`of_cradle` for others) for a time of order
+    eps^{1-p}, with an error that falls with the amplitude eps. It keeps the norm and
+    H = -2 kappa/(p + 1) sum |A_{n+1} - A_n|^{p+1}; a solution times eps is one in the time t eps^{1-p}.
+
+    **Arguments:** `sites`: N >= 2. `stiffness`: kappa [rad/s m^{1-p}]; `None` is 1/(2 tau_0). `exponent`: p > 1.
+    `omega`: that of the carrier, for `state`. `boundary`: `"free"`, `"fixed"` (walls, A = 0) or `"periodic"`.
+    **Raises** ValueError for p <= 1, omega <= 0. Source: James, Kevrekidis, Cuevas, Physica D 251, 39 (2013).
+    """
+
+    stiffness: jax.Array
+    exponent: jax.Array
+    omega: jax.Array
+    sites: int = eqx.field(static=True)
+    boundary: str = eqx.field(static=True)
+
+    @checked
+    def __init__(self, sites: Count, stiffness: Parameter | None = None, exponent: Parameter = 1.5, *,
+                 omega: Parameter = 1.0, boundary: str = "free"):
+        one_of("boundary", boundary, BOUNDARIES)
+        self.sites, self.boundary = _sites(sites, boundary), boundary
+        self.exponent = within("exponent", exponent, 1, np.inf, open_low=True, remedy="At p = 1 it is linear: DNLS.")
+        self.omega = positive("omega", omega)
+        self.stiffness = 1 / (2 * tau_0(self.exponent)) if stiffness is None else parameter("stiffness", stiffness)
+
+    @staticmethod
+    @checked
+    def of_cradle(sites: Count, *, mass: Parameter = 1.0, stiffness: Parameter = 1.0, exponent: Parameter = 1.5,
+                  pendulum: Parameter = 1.0, boundary: str = "free") -> "DpS":
+        """The modulation equation of `gx.scenes.cradle` of such parameters, one number each, in SI or scaled.
+
+        omega = sqrt(k/m), kappa = A/(2 m omega tau_0).
+        """
+        mass = positive("mass", mass)
+        omega = jnp.sqrt(positive("pendulum", pendulum) / mass)
+        exponent = within("exponent", exponent, 1, np.inf, open_low=True)
+        kappa = non_negative("stiffness", stiffness) / (2 * mass * omega * tau_0(exponent))
+        return DpS(sites, kappa, exponent, omega=omega, boundary=boundary)
+
+    def energy(self, psi):
+        p = self.exponent
+        squared = jnp.abs(self._steps(psi)) ** 2 if not jnp.iscomplexobj(psi) else self._squared(self._steps(psi))
+        return -2 * self.stiffness / (p + 1) * jnp.sum(_power(squared, (p + 1) / 2), axis=0)
+
+    def gradient(self, psi):
+        steps = self._steps(psi)
+        flux = steps * _power(self._squared(steps), (self.exponent - 1) / 2)
+        if self.boundary == "periodic":
+            return self.stiffness * (flux - jnp.roll(flux, 1, axis=0))
+        return self.stiffness * jnp.diff(flux, axis=0)
+
+    @checked
+    def state(self, psi: Amplitudes, t: Scalar = 0.0) -> State:
+        """The cradle's state (u, v) at time t: u = 2 Re(A exp(i omega t)), v = 2 Re(i omega A exp(i omega t))."""
+        turned = psi * jnp.exp(1j * self.omega * t)
+        return State(2 * turned.real, -2 * self.omega * turned.imag)
+
+    @staticmethod
+    def _squared(x):
+        return jnp.real(x) ** 2 + jnp.imag(x) ** 2
+
+    def _steps(self, psi):
+        """Differences A_{n+1} - A_n over the bonds; of a finite chain with the one before and the one behind it."""
+        if self.boundary == "periodic":
+            return jnp.roll(psi, -1, axis=0) - psi
+        mode = "constant" if self.boundary == "fixed" else "edge"
+        return jnp.diff(jnp.pad(psi, [(1, 1)] + [(0, 0)] * (psi.ndim - 1), mode=mode), axis=0)
+
+
+@checked
+def tau_0(exponent: Parameter = 1.5) -> Numbers:
+    r"""tau_0 = 2^{1-p} sqrt(pi) Gamma(p/2 + 3/2)/Gamma(p/2 + 1), 1.5450622310844768 for Hertz's p = 3/2.
+
+    The first harmonic of [cos]_+^p, which makes the contact force of beads that swing an effective one.
+    """
+    p = positive("exponent", exponent)
+    gamma = jax.scipy.special.gammaln
+    return 2 ** (1 - p) * jnp.sqrt(jnp.pi) * jnp.exp(gamma(p / 2 + 1.5) - gamma(p / 2 + 1))
+
+
+def _power(x, q):
+    """x^q for x >= 0 and q > 0, with the derivative zero at x = 0."""
+    inside = x > 0
+    return jnp.where(inside, jnp.exp(q * jnp.log(jnp.where(inside, x, 1.0))), 0.0)
+
+
+def _sites(sites, boundary):
+    least = 3 if boundary == "periodic" else 2
+    return whole("sites", sites, least, "A dimer is two sites with boundary='fixed'." if least == 3 else "")
+
+
+def _per_site(name, x, sites):
+    x = parameter(name, x)
+    if x.ndim and x.shape[0] not in (1, sites):
+        refuse(name, f"one number, or one per site, shape ({sites},)", f"shape {x.shape}")
+    return x if x.ndim else x[None]

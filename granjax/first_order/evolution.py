@@ -1,0 +1,225 @@
+"""Runs of first-order lattices, each with its error."""
+
+import math
+from typing import ClassVar
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..checks import concrete, described, positive, refuse, show, traced
+from ..entry import checked
+from ..flow import Flow
+from ..outside import Outside
+from ..programs import waited
+from ..results import Held, Result
+from ..types import Amplitudes, Count, Flags, Number, Numbers, Parameter, Scalar, Times
+from .equations import Equation, field
+from .split_step import SplitStep
+
+# steps times the fastest rate, of the first of two runs
+BEGIN = {True: 1.0, False: 0.3}
+# how often the step is halved, at most
+HALVINGS = 6
+# power iterations for the fastest rate
+ITERATIONS = 30
+
+
+class Evolution(Result):
+    """A run of a first-order lattice: what `gx.first_order.evolve` returns.
+
+    **Fields:** `ts` (T,), `psis` (T, N, *lanes): the times and psi there. `error` (T, *lanes): the largest distance, of
+    any site, to a run with steps of twice the length, so an upper bound where steps are short enough. `norm`, `energy`
+    (T, *lanes); `norm_error`, `energy_error`: how far they moved at most, over the norm and over max(|H|, sum
+    |psi| |dH/dpsi*|). `step`: the time step. `tolerance`: what was asked for.
+    """
+
+    held: ClassVar[dict[str, Held]] = {
+        "ts": Held("time", "s", "time"), "psis": Held("time site", "", "psi"), "error": Held("time"),
+        "norm": Held("time"), "energy": Held("time"), "norm_error": Held(None), "energy_error": Held(None),
+        "step": Held(unit="s"),
+    }
+    ts: Times
+    psis: Amplitudes
+    error: Numbers
+    norm: Numbers
+    energy: Numbers
+    norm_error: Numbers
+    energy_error: Numbers
+    step: Number
+    tolerance: Number
+    solver: str
+
+    @property
+    def final(self) -> Amplitudes:
+        """psi at the last time."""
+        return self.psis[-1]
+
+    @property
+    def densities(self) -> Numbers:
+        """|psi_n|^2 (T, N, *lanes)."""
+        return jnp.real(self.psis) ** 2 + jnp.imag(self.psis) ** 2
+
+    @property
+    def completed(self) -> Flags:
+        """Whether the error came below the tolerance times the root of the norm, in every lane."""
+        return jnp.all(self.error <= self.tolerance * jnp.sqrt(self.norm[0]))
+
+    @property
+    def outcome(self) -> str:
+        """What became of it, a sentence."""
+        if traced((self.psis, self.error)):
+            return "Not known while traced."
+        if not np.isfinite(np.asarray(self.error)).all():
+            return "The state is not finite: the motion left the equation's domain, or the step is too long."
+        t, worst = float(self.ts[-1]), float(np.max(self.error))
+        if bool(self.completed):
+            return f"Completed at t = {t:g}, known to {worst:.1e}."
+        return (f"Reached t = {t:g}, known to {worst:.1e} and not to {float(self.tolerance):.1e} times the root of "
+                "the norm: the motion is unstable or not smooth, or the steps are too long.")
+
+
+@checked
+def evolve(
+    equation: Equation, psi: Amplitudes, t1: Scalar, *, t0: Scalar = 0.0, save_at: Count | Parameter | None = None,
+    solver: diffrax.AbstractSolver | None = None, step: Scalar | None = None, tolerance: Scalar = 1e-10,
+) -> Evolution:
+    """psi from t0 to t1, by fixed steps that are halved until two runs agree.
+
+    **Arguments:**
+
+    - `equation`: `DNLS`, `DpS` or one of your own. `psi`: the start (N, *lanes), real or complex.
+    - `save_at`: `None` for the end alone, a number of frames, or increasing times within [t0, t1].
+    - `solver`: `None` takes `SplitStep`, which keeps the norm, where the equation has its flows, and `diffrax.Dopri8`
+      elsewhere; or any diffrax solver.
+    - `step`: the first run's longest step, then it is run once more with half of it, and no further. `None` chooses it
+      by the fastest rate at the start, and halves it until the tolerance is met, six times at most.
+    - `tolerance`: of |psi_n|, over the root of the norm.
+
+    **Returns:** `Evolution`; its `outcome` says how well it is known. It differentiates in both modes in the start and
+    in the numbers of the equation: then the step must be given.
+    **Raises** ValueError for another shape, numbers not finite, times out of order, a step that is not above zero.
+    """
+    psi = _start(equation, psi)
+    times, first = _times(t0, t1, save_at)
+    positive("tolerance", tolerance)
+    solver = solver or (SplitStep() if equation.has_flows else diffrax.Dopri8())
+    known = not traced((equation, psi))
+    halve = known and step is None
+    step = _step(equation, psi, solver, known, times[-1] - times[0]) if step is None else positive("step", step)
+    counts = np.maximum(np.ceil(np.diff(times) / float(step) * (1 - 1e-12)), 1).astype(int)
+    run = lambda counts: _run(solver, equation, psi, times, counts)
+    before, now, halvings = run(counts), run(2 * counts), 1
+    far = _apart(before, now) if halve else 0.0
+    while far > float(tolerance) and halvings < HALVINGS:
+        after = run(2 ** (halvings + 1) * counts)
+        closer = _apart(now, after)
+        if not closer < far:  # rounding, or chaos
+            break
+        before, now, halvings, far = now, after, halvings + 1, closer
+    taken = float(np.max(np.diff(times) / counts)) / 2**halvings
+    return _told(equation, solver, times, first, before, now, taken, tolerance)
+
+
+def _start(equation, psi):
+    psi = jnp.asarray(psi)
+    psi = psi.astype(jnp.result_type(psi, jnp.complex64))
+    if psi.ndim == 0 or psi.shape[0] != equation.sites:
+        refuse("psi", f"shape ({equation.sites},), then lanes", f"shape {psi.shape}")
+    value = concrete(psi)
+    if value is not None and not np.isfinite(value).all():
+        refuse("psi", "finite numbers", f"{np.count_nonzero(~np.isfinite(value))} that are not")
+    shape = jax.eval_shape(equation.gradient, psi).shape
+    if shape != psi.shape:
+        refuse("psi", f"shape {shape}, with the lanes of the equation", f"shape {psi.shape}",
+               "Give the start lanes too, last.")
+    return psi
+
+
+def _times(t0, t1, save_at):
+    """All times at which a span ends, the first included, and the index of the first that is kept."""
+    t0, t1 = float(t0), float(t1)
+    if not (math.isfinite(t0) and math.isfinite(t1) and t1 > t0):
+        refuse("t1", f"a finite time after t0 = {t0}", f"{t1}")
+    if save_at is None:
+        return np.array([t0, t1]), 1
+    if np.ndim(save_at) == 0:
+        if not (isinstance(save_at, (int, np.integer)) and save_at >= 1):
+            refuse("save_at", "a number of frames, or times", described(save_at))
+        return (np.linspace(t0, t1, int(save_at)), 0) if save_at > 1 else (np.array([t0, t1]), 1)
+    times = np.asarray(save_at, float)
+    if times.ndim != 1 or not times.size or not np.isfinite(times).all() or np.any(np.diff(times) <= 0):
+        refuse("save_at", "increasing times", show(times))
+    if times[0] < t0 or times[-1] > t1:
+        refuse("save_at", f"times within [{t0}, {t1}]", f"{times[0]} ... {times[-1]}")
+    return (times, 0) if times[0] == t0 else (np.concatenate([[t0], times]), 1)
+
+
+def _step(equation, psi, solver, known, longest):
+    """The first run's step, of the fastest rate at the start."""
+    if not known:
+        refuse("step", "a step beside numbers that are traced, whose rate nobody knows", "None",
+               "Give step=, such as 0.5 over the fastest rate.")
+    rate = float(_rate(equation, psi, Outside(equation)))
+    return BEGIN[isinstance(solver, SplitStep)] / rate if rate > 0 else longest
+
+
+@waited
+def _rate(equation, psi, outside):
+    """The fastest rate of the linearisation at psi, by power iteration: the largest of all lanes."""
+    n = jnp.arange(psi.size, dtype=jnp.real(psi).dtype).reshape(psi.shape)
+    along = jnp.exp(1j * 2.399963 * n**2).astype(psi.dtype)  # the golden angle: nothing is orthogonal to it
+
+    def improve(_, carry):
+        along, _ = carry
+        along = jax.jvp(equation.gradient, (psi,), (along,))[1]
+        size = jnp.sqrt(jnp.sum(jnp.abs(along) ** 2))
+        return along / jnp.where(size > 0, size, 1.0), size
+
+    return jax.lax.fori_loop(0, ITERATIONS, improve, (along, jnp.zeros((), n.dtype)))[1]
+
+
+def _run(solver, equation, psi, times, counts):
+    ends = jnp.asarray(times, jnp.real(psi).dtype)
+    if traced((equation, psi)):  # of as many steps as are known, for reverse mode
+        frames = [psi]
+        for a, b, count in zip(ends[:-1], ends[1:], counts):
+            frames.append(Flow(int(count), solver, field)(frames[-1], a, b, equation))
+        return jnp.stack(frames)
+    return _marched(solver, equation, psi, ends, jnp.asarray(counts), Outside((solver, equation)))
+
+
+@waited
+def _marched(solver, equation, psi, ends, counts, outside):
+    def span(psi, x):
+        a, b, count = x
+        psi = Flow(count, solver, field)(psi, a, b, equation)
+        return psi, psi
+
+    return jnp.concatenate([psi[None], jax.lax.scan(span, psi, (ends[:-1], ends[1:], counts))[1]])
+
+
+def _apart(before, now):
+    """The largest distance of two runs, over the root of the norm; infinite where one is not finite."""
+    before, now = np.asarray(before), np.asarray(now)
+    norm = np.sum(np.abs(now[0]) ** 2, axis=0)
+    found = np.max(np.max(np.abs(before - now), axis=(0, 1)) / np.sqrt(np.where(norm > 0, norm, 1.0)))
+    return float(found) if np.isfinite(found) else np.finfo(float).max
+
+
+@waited
+def _measured(equation, psis, outside):
+    """Norm and energy of each frame, and the scale of the latter's error."""
+    norms, energies = jax.lax.map(lambda psi: (equation.norm(psi), equation.energy(psi)), psis)
+    size = jnp.sum(jnp.abs(psis[0]) * jnp.abs(equation.gradient(psis[0])), axis=0)
+    return norms, energies, jnp.maximum(jnp.abs(energies[0]), size)
+
+
+def _told(equation, solver, times, first, before, now, step, tolerance):
+    norms, energies, scale = _measured(equation, now, Outside(equation))
+    moved = lambda x, size: jnp.max(jnp.abs(x - x[0]), axis=0) / jnp.where(size > 0, size, 1.0)
+    error = jnp.max(jnp.abs(before - now), axis=1)
+    return Evolution(
+        jnp.asarray(times)[first:], now[first:], error[first:], norms[first:], energies[first:],
+        moved(norms, norms[0]), moved(energies, scale), step, tolerance, type(solver).__name__, _space=(1, 0))

@@ -1,0 +1,195 @@
+"""Standing solitons of first-order lattices, from the limit of no coupling."""
+
+from typing import ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from ..checks import described, one_of, parameter, refuse
+from ..entry import checked
+from ..newton import Root, newton
+from ..results import Held, Result
+from ..types import Count, Number, Numbers, Parameter, Scalar
+from .equations import DNLS, Equation
+
+# the first coupling, over the frequency; the longest step, a factor; how alike neighbours are; the most steps
+WEAK, LONGEST, ALIKE, TRIES = 0.1, 1.5, 0.97, 200
+# of the largest amplitude, that at the ends of what is localised
+LOCALISED = 0.05
+
+
+class Soliton(Result):
+    """A standing solution psi_n(t) = phi_n exp(-i omega t): what `gx.first_order.soliton` returns.
+
+    **Fields:** `psi` (N,): phi, real. `omega`: its frequency. `norm`, `energy`. `residual`: max |dH/dpsi* - omega psi|
+    over |omega| max |psi|. `error`: the length of the next Newton step over max |psi|. `tail`: |phi| at the sites
+    farthest from its highest one, over the highest.
+    """
+
+    held: ClassVar[dict[str, Held]] = {"psi": Held("site"), "omega": Held(unit="rad/s")}
+    psi: Numbers
+    omega: Number
+    norm: Number
+    energy: Number
+    residual: Number
+    error: Number
+    tail: Number
+    outcome: str
+
+
+@checked
+def soliton(
+    equation: Equation, omega: Scalar, *, guess: str | Parameter = "site", centre: Count | None = None,
+    throw: bool | None = None,
+) -> Soliton:
+    """A localised standing solution phi_n exp(-i omega t), by Newton's method: dH/dpsi*(phi) = omega phi.
+
+    **Arguments:**
+
+    - `equation`: `DNLS`, whose coupling is raised from zero, where each site is alone; or any other with a `guess` that
+      is a profile, such as `DpS`.
+    - `omega`: [rad/s], outside the band: below it where the sites focus (in-phase), above it where they defocus
+      (staggered).
+    - `guess`: `"site"`, one site is alone at first; `"bond"`, two are; or a real profile (N,).
+    - `centre`: of the words, N // 2 by default.
+    - `throw`: raise where Newton's method does not converge, or what it finds is flat; `None` does so.
+
+    **Returns:** `Soliton`; it stands still at `equation`, so `evolve` turns it alone.
+    **Raises** ValueError for a frequency in the band or on the side where a site by itself has none, or lanes;
+    RuntimeError with the outcome. Source: MacKay, Aubry, Nonlinearity 7, 1623 (1994).
+    """
+    omega = parameter("omega", omega)
+    if isinstance(guess, str):
+        one_of("guess", guess, ("site", "bond"))
+        if not isinstance(equation, DNLS):
+            refuse("guess", f"a profile (N,) for a {type(equation).__name__}", repr(guess),
+                   "Only DNLS has a limit of sites that are alone; of DpS try 1, -2, 1 times an amplitude.")
+        phi, root = _raised(equation, omega, guess, equation.sites // 2 if centre is None else centre)
+    else:
+        phi = parameter("guess", guess)
+        if phi.shape != (equation.sites,):
+            refuse("guess", f"a profile of shape ({equation.sites},)", f"shape {phi.shape}")
+        root = newton(_residual, phi, (equation, omega, jnp.ones_like(omega)), tolerance=_tolerance(phi, omega),
+                      max_steps=60, throw=False)
+    made = _made(equation, omega, root)
+    if (throw is None or throw) and made.outcome != FOUND:
+        raise RuntimeError(made.outcome)
+    return made
+
+
+FOUND = "Found: it is localised and stands still."
+
+
+def _residual(phi, args):
+    equation, omega, share = args
+    if isinstance(equation, DNLS):
+        equation = eqx.tree_at(lambda e: e.coupling, equation, equation.coupling * share)
+    return jnp.real(equation.gradient(phi)) - omega * phi
+
+
+def _tolerance(phi, omega):
+    return 1e-12 * float(jnp.max(jnp.abs(phi)) * jnp.abs(omega)) + 1e-300
+
+
+def _raised(equation, omega, guess, centre):
+    """The solution at the full coupling, from sites that are alone."""
+    omega_ = _outside_the_band(equation, float(omega))
+    if not -equation.sites <= centre < equation.sites:
+        refuse("centre", f"a site of {equation.sites}", described(centre))
+    sign = 1.0 if omega_ < 0 else -1.0
+    places = [centre % equation.sites] + ([(centre + 1) % equation.sites] if guess == "bond" else [])
+    phi = np.zeros(equation.sites)
+    for place, one in zip(places, (1.0, sign)):
+        phi[place] = one * _alone(equation, omega_, place)
+    phi = jnp.asarray(phi)
+    share = min(1.0, WEAK * abs(omega_) / (4 * abs(float(equation.coupling)) + 1e-300))
+    factor, reached, tries = LONGEST, share, 0
+    while True:
+        args = equation, omega, jnp.asarray(share)
+        root = newton(_residual, phi, args, tolerance=_tolerance(phi, omega), max_steps=40, throw=False)
+        follows = bool(root.converged) and _alike(phi, root.x) > ALIKE
+        phi, reached, tries = (root.x, share, tries + 1) if follows or not tries else (phi, reached, tries + 1)
+        factor = min(LONGEST, factor**1.5) if follows else factor**0.5
+        if reached == 1.0 or tries >= TRIES:
+            return phi, root
+        share = min(1.0, reached * factor)
+
+
+def _alike(one, other):
+    """Cosine of the angle between two profiles."""
+    one, other = np.asarray(one), np.asarray(other)
+    sizes = np.linalg.norm(one) * np.linalg.norm(other)
+    return float(one @ other / sizes) if sizes > 0 else 0.0
+
+
+def _outside_the_band(equation, omega):
+    """omega, where it is outside of the linear band and all potentials."""
+    values = np.asarray(equation.coupling)[..., None] * np.asarray(equation.laplacian.values)
+    if np.ndim(equation.coupling) or np.asarray(equation.laplacian.values).ndim != 1:
+        refuse("equation", "one equation", "a batch of several", "Take one lane after the other.")
+    own = np.zeros(1) if equation.potential is None else np.asarray(equation.potential)
+    if equation.laplacian.diagonal is not None:
+        values = np.asarray(equation.coupling) * np.asarray(equation.laplacian.diagonal) * np.array([[0.0], [2.0]])
+    low, high = float(values.min() + own.min()), float(values.max() + own.max())
+    if low <= omega <= high:
+        refuse("omega", f"a frequency outside of the band [{low:.6g}, {high:.6g}]", f"{omega:.6g}",
+               "Inside it a standing solution does not decay.")
+    return omega
+
+
+def _alone(equation, omega, place):
+    """The amplitude at which a site by itself turns with omega: g(a^2) = e - omega."""
+    own = 0.0 if equation.potential is None else float(np.broadcast_to(equation.potential, (equation.sites,))[place])
+    wanted = own - omega
+
+    def above(x):
+        return np.sign(wanted) * (float(np.ravel(equation.nonlinearity.force(jnp.asarray(x)))[0]) - wanted)
+
+    high = 1.0
+    for _ in range(200):
+        if above(high) >= 0:
+            break
+        high *= 2
+    else:
+        refuse("omega", "a frequency that a site by itself can have", f"{omega:.6g}",
+               "Below the band the sites must focus (nonlinearity > 0), above it defocus.")
+    low = 0.0
+    while above(high / 2) >= 0 and high > 1e-250:
+        high /= 2
+    for _ in range(60):
+        middle = (low + high) / 2
+        low, high = (low, middle) if above(middle) >= 0 else (middle, high)
+    return float(np.sqrt(high))
+
+
+def _made(equation, omega, root: Root):
+    phi = root.x
+    highest = jnp.max(jnp.abs(phi))
+    size = jnp.where(highest > 0, highest, 1.0)
+    args = equation, omega, jnp.ones_like(omega)
+    left = _residual(phi, args)
+    step = jnp.linalg.lstsq(root.jacobian, left)[0]
+    psi = phi.astype(jnp.result_type(phi, jnp.complex64))
+    tail = _tail(equation, np.abs(np.asarray(phi)) / float(size))
+    if not bool(root.converged):
+        outcome = root.outcome
+    elif not highest > 0 or float(highest) < 1e-8 * float(jnp.max(jnp.abs(psi)) + 1e-300):
+        outcome = "Newton's method fell to zero: start from a larger profile."
+    elif tail > LOCALISED:
+        outcome = f"Not localised: far away it is {tail:.2g} of its height; take a longer chain or another frequency."
+    else:
+        outcome = FOUND
+    return Soliton(phi, omega, equation.norm(psi), equation.energy(psi),
+                   jnp.max(jnp.abs(left)) / (size * jnp.abs(omega)), jnp.max(jnp.abs(step)) / size, tail, outcome,
+                   _space=(1, 0))
+
+
+def _tail(equation, shape):
+    """The largest of the sites farthest from the highest one."""
+    top, n = int(np.argmax(shape)), np.arange(len(shape))
+    apart = np.abs(n - top)
+    ring = getattr(equation, "boundary", None) == "periodic" or (
+        isinstance(equation, DNLS) and equation.laplacian.diagonal is None)
+    apart = np.minimum(apart, len(shape) - apart) if ring else apart
+    return float(shape[apart == apart.max()].max())

@@ -1,0 +1,98 @@
+"""Self-trapping: from which nonlinearity on a site keeps what it had."""
+
+from collections.abc import Callable
+from typing import ClassVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..checks import described, positive, refuse, within
+from ..entry import checked
+from ..results import Held, Result
+from ..types import Count, Number, Numbers, Scalar
+from .equations import Equation
+from .evolution import evolve
+
+# nonlinearities that are run at once
+LANES = 9
+# runs of so many, at most
+ROUNDS = 20
+
+
+class SelfTrapping(Result):
+    """Where self-trapping begins: what `gx.first_order.self_trapping` returns.
+
+    **Fields:** `nonlinearity`: the threshold; `error`: half of the bracket that is left. `tried` (K,) and `kept` (K,):
+    all nonlinearities, in order, and the least share of the norm on the site. `t1`: the time that was waited for.
+    """
+
+    held: ClassVar[dict[str, Held]] = {"tried": Held("tried"), "kept": Held("tried"), "t1": Held(unit="s")}
+    nonlinearity: Number
+    error: Number
+    tried: Numbers
+    kept: Numbers
+    share: Number
+    t1: Number
+    outcome: str
+
+
+@checked
+def self_trapping(
+    scene: Callable, low: Scalar, high: Scalar, t1: Scalar, *, site: Count = 0, share: Scalar = 0.5,
+    tolerance: Scalar = 1e-6, frames: Count = 200,
+) -> SelfTrapping:
+    """The nonlinearity from which on an excitation of one site stays there: more than a share of it, all the time.
+
+    It starts with psi = 1 on one site; the threshold is bracketed by batches of runs. For the dimer it is chi = 4 V,
+    where the time between two visits of the unstable state in the middle is infinite: an error e of the threshold
+    takes a time of order log(1/e)/V. On a chain of order s < 1 it is lower than with next neighbours.
+
+    **Arguments:** `scene`: nonlinearity -> `Equation`, such as `lambda chi: gx.first_order.DNLS(64, 1.0, chi)`; JAX
+    traces it. `low`, `high`: nonlinearities of which the first does not trap and the second does. `t1`: how long [s].
+    `site`, `share`: where, and how much of the norm, in (0, 1). `tolerance`: half of the last bracket, over the
+    threshold. `frames`: how often is looked.
+    **Returns:** `SelfTrapping`. **Raises** ValueError where `low` traps too, or `high` does not. Sources: Kenkre,
+    Campbell, PRB 34, 4959 (1986); Molina, Phys. Lett. A 384, 126180 (2020).
+    """
+    low, high = float(positive("low", low)), float(positive("high", high))
+    if not low < high:
+        refuse("high", f"a nonlinearity above low = {low:g}", f"{high:g}")
+    within("share", share, 0, 1, open_low=True, open_high=True)
+    positive("tolerance", tolerance)
+    equation = returned_equation(scene, low)
+    if not -equation.sites <= site < equation.sites:
+        refuse("site", f"a site of {equation.sites}", described(site))
+    tried, kept = {}, None
+    for _ in range(ROUNDS):
+        values = np.linspace(low, high, LANES)
+        kept = _kept(scene, values, equation.sites, site, float(t1), frames)
+        tried |= dict(zip(values.tolist(), kept.tolist()))
+        stays = kept > float(share)
+        if stays[0] or not stays[-1]:
+            name, word = ("low", "does not trap") if stays[0] else ("high", "traps")
+            refuse(name, f"a nonlinearity that {word}", f"{values[0 if stays[0] else -1]:g}",
+                   "Move the bracket, or wait longer.")
+        first = int(np.argmax(stays))
+        low, high = values[first - 1], values[first]
+        if high - low <= 2 * float(tolerance) * high:
+            break
+    tried = dict(sorted(tried.items()))
+    middle, error = (low + high) / 2, (high - low) / 2
+    return SelfTrapping(middle, error, np.array(list(tried)), np.array(list(tried.values())), float(share), float(t1),
+                        f"Trapped from {middle:.8g} +- {error:.1g} on, over a time of {float(t1):g}.")
+
+
+def returned_equation(scene: Callable, value: float) -> Equation:
+    """What a scene gives for a nonlinearity."""
+    equation = scene(value)
+    if not isinstance(equation, Equation):
+        refuse("scene", "a function that returns an Equation", f"one that returns {described(equation)}")
+    return equation
+
+
+def _kept(scene, values, sites, site, t1, frames):
+    """The least share of the norm that stays on the site, per lane."""
+    batch = jax.vmap(scene, out_axes=-1)(jnp.asarray(values))
+    psi = jnp.zeros((sites, len(values))).at[site].set(1.0)
+    return np.asarray(jnp.min(evolve(batch, psi, t1, save_at=frames, tolerance=1e-6).densities[:, site], axis=0))

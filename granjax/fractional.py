@@ -1,0 +1,69 @@
+"""The discrete fractional Laplacian: its kernel, its symbol, and its matrix on a ring or on a finite chain."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.scipy.special import gammaln
+
+from .checks import whole, within
+from .entry import checked
+from .types import Count, Number, Numbers, Parameter
+
+
+def checked_order(order: Parameter) -> jax.Array:
+    """The order s of a fractional Laplacian, in (0, 1]."""
+    return within("order", order, 0, 1, open_low=True,
+                  remedy="s = 1 is next neighbours; beyond it the weights change sign, below it nothing is coupled.")
+
+
+@checked
+def kernel(order: Parameter, offsets: Count) -> Numbers:
+    r"""Weights K(1), ..., K(M) of the discrete fractional Laplacian.
+
+    ((-Delta)^s u)_n = sum_{m != 0} K(m) (u_n - u_{n+m}),
+    K(m) = 4^s Gamma(1/2 + s)/(sqrt(pi) |Gamma(-s)|) Gamma(|m| - s)/Gamma(|m| + 1 + s),
+
+    on the infinite chain, where its symbol is (4 sin^2(k/2))^s. K(1) = Gamma(1 + 2s) s/((1 + s) Gamma(1 + s)^2) and
+    K(m + 1) = K(m) (m - s)/(m + 1 + s), which has no large numbers, and no 0/0 at s = 1: there K = 1, 0, 0, ...
+
+    **Arguments:** `order`: s in (0, 1], a number, or one per lane (*lanes), traced or not: it may be differentiated.
+    `offsets`: M >= 1. **Returns:** (M, *lanes), all positive for s < 1, their tail ~ m^{-1-2s}. **Raises** ValueError
+    for s outside (0, 1]. Rounding: below 1e-14 sqrt(M) of each. Source: Ciaurri et al., Adv. Math. 330, 688 (2018).
+    """
+    s, count = checked_order(order), whole("offsets", offsets, 1)
+    m = jnp.arange(1, count, dtype=s.dtype).reshape(-1, *[1] * s.ndim)
+    first = s / (1 + s) * total(s)
+    return jnp.concatenate([first[None], first * jnp.cumprod((m - s) / (m + 1 + s), axis=0)])
+
+
+def total(order: Number) -> Numbers:
+    """Sum of all weights on both sides, Gamma(1 + 2s)/Gamma(1 + s)^2: what holds a site whose neighbours are fixed."""
+    s = jnp.asarray(order)
+    return jnp.exp(gammaln(1 + 2 * s) - 2 * gammaln(1 + s))
+
+
+@checked
+def symbol(order: Parameter, k: Parameter) -> Numbers:
+    """(4 sin^2(k/2))^s at wave numbers k of any shape; the order's lanes come last."""
+    s, k = checked_order(order), jnp.asarray(k, float)
+    x = 4 * jnp.sin(k.reshape(*k.shape, *[1] * s.ndim) / 2) ** 2
+    inside = x > 0
+    return jnp.where(inside, jnp.exp(s * jnp.log(jnp.where(inside, x, 1.0))), 0.0)
+
+
+def wave_numbers(sites: int) -> np.ndarray:
+    """Wave numbers 2 pi j/N of a ring, j = 0 ... N-1, exactly paired about pi."""
+    j = np.arange(sites)
+    return 2 * np.pi * np.minimum(j, sites - j) / sites
+
+
+@checked
+def ring_kernel(order: Parameter, sites: Count) -> Numbers:
+    """Weights of the offsets 1, ..., N-1 on a ring of N sites: the sum of the images of `kernel`, exactly.
+
+    The inverse Fourier transform of the symbol, so that omega^2 = (4 sin^2(k/2))^s at the wave numbers of the ring.
+    Shape (N-1, *lanes); the weight of m is that of N-m.
+    """
+    sites = whole("sites", sites, 2)
+    values = symbol(order, wave_numbers(sites))
+    return -jnp.moveaxis(jnp.fft.fft(jnp.moveaxis(values, 0, -1)).real / sites, -1, 0)[1:]

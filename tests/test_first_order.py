@@ -1,0 +1,210 @@
+"""First-order lattices: against quadrature, closed forms, the cradle, and their own conservation laws."""
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import granjax as gx
+from granjax import first_order
+from granjax.first_order import DNLS, DpS, Equation, SplitStep, electrical, evolve, field, soliton
+
+RNG = np.random.default_rng(8)
+N = 9
+PSI = RNG.standard_normal(N) + 1j * RNG.standard_normal(N)
+MOVED = jnp.asarray(RNG.standard_normal((N, 3)) + 1j * RNG.standard_normal((N, 3)))
+EQUATIONS = [DNLS(N, 0.7, 1.3, order=s, boundary=b, potential=np.linspace(0, 1, N))
+             for s in (0.5, 1.0) for b in ("periodic", "fixed", "free")]
+
+
+def laplacian(weights, boundary):
+    """The matrix of the coupling, by its definition, with images on a ring."""
+    matrix = np.zeros((N, N))
+    for n in range(N):
+        for m in range(1, len(weights) + 1):
+            for other in (n - m, n + m):
+                inside = boundary == "periodic" or 0 <= other < N
+                if inside or boundary == "fixed":
+                    matrix[n, n] += weights[m - 1]
+                if inside:
+                    matrix[n, other % N] -= weights[m - 1]
+    return matrix
+
+
+@pytest.mark.parametrize("boundary", ["periodic", "fixed", "free"])
+def test_the_equation_of_a_kernel_and_of_next_neighbours(boundary):
+    weights = np.array([1.0, 0.5, 0.2])
+    for own, given in (({"kernel": weights}, weights), ({}, [1.0])):
+        equation = DNLS(N, 0.7, 1.3, boundary=boundary, **own)
+        wanted = 0.7 * laplacian(given, boundary) @ PSI - 1.3 * np.abs(PSI) ** 2 * PSI
+        np.testing.assert_allclose(equation.gradient(jnp.asarray(PSI)), wanted, atol=1e-14)
+
+
+def test_the_gradient_is_that_of_the_energy():
+    equations = (*EQUATIONS[:2], *(DpS(N, boundary=b) for b in ("periodic", "fixed", "free")))
+    for equation in equations:
+        psi = jnp.asarray(PSI)
+        np.testing.assert_allclose(equation.gradient(psi), Equation.gradient(equation, psi), atol=1e-14)
+
+
+def test_the_flow_and_its_tangents_are_those_of_another_solver():
+    split, other = gx.Flow(40, SplitStep(), field), gx.Flow(400, diffrax.Dopri8(), field)
+    for equation in (EQUATIONS[0], EQUATIONS[4]):
+        end, moved = split.tangents(PSI, MOVED, 0.0, 1.0, equation)
+        wanted, as_wanted = other.tangents(PSI, MOVED, 0.0, 1.0, equation)
+        np.testing.assert_allclose(end, wanted, atol=1e-11)
+        np.testing.assert_allclose(moved, as_wanted, atol=1e-10)
+        assert abs(equation.norm(end) / equation.norm(PSI) - 1) < 1e-14
+
+
+def test_norm_and_energy_are_kept_to_1e_10():
+    start = jnp.zeros(33).at[16].set(1.5)
+    for equation in (DNLS(33, 1.0, 2.0, order=0.5), DNLS(33, 1.0, 2.0, boundary="free")):
+        run = evolve(equation, start, 100.0)
+        assert run.completed and run.norm_error < 1e-12 and run.energy_error < 1e-10
+    run = evolve(DpS(21), jnp.zeros(21).at[10].set(1.0), 5.0)
+    assert run.norm_error < 1e-10 and run.energy_error < 1e-10
+
+
+@pytest.mark.slow
+def test_the_dimer_is_that_of_kenkre_and_campbell():
+    """p = cn(2 V t | chi/4V), so that it returns at chi < 4 V and stays beyond."""
+    ts = np.linspace(0, 6.0, 25)
+    for chi, trapped in ((3.8, False), (4.2, True)):
+        run = evolve(DNLS(2, 1.0, chi, boundary="fixed"), np.array([1.0, 0.0]), 6.0, save_at=ts)
+        p = run.densities[:, 0] - run.densities[:, 1]
+        _, cn, dn = gx.theory.elliptic.jacobi(2 * ts * max(1.0, chi / 4), min(chi / 4, 4 / chi) ** 2)
+        np.testing.assert_allclose(p, dn if trapped else cn, atol=1e-8)
+        assert (run.densities[:, 0].min() > 0.5) == trapped
+
+
+def test_the_dimer_traps_itself_at_4V():
+    found = first_order.self_trapping(lambda chi: DNLS(2, 0.7, chi, boundary="fixed"), 2.0, 4.0, 20.0, tolerance=1e-4)
+    assert abs(found.nonlinearity - 2.8) < found.error < 4e-4
+
+
+@pytest.mark.slow
+def test_fractional_coupling_lowers_the_threshold_of_self_trapping():
+    found = [first_order.self_trapping(lambda chi: DNLS(32, 1.0, chi, order=s), 1.0, 8.0, 10.0, tolerance=0.02)
+             for s in (1.0, 0.5)]
+    assert found[1].nonlinearity < 0.7 * found[0].nonlinearity
+
+
+def test_solitons_stand_still_and_are_those_of_the_continuum():
+    for guess in ("site", "bond"):
+        found = soliton(DNLS(61, 16.0, 2.0), -1.0, guess=guess)
+        x = (np.arange(61) - 30 - 0.5 * (guess == "bond")) / 4
+        np.testing.assert_allclose(found.psi, 1 / np.cosh(x), atol=0.1 * 0.25**2)
+    for equation, omega in ((DNLS(41, 1.0, 1.0, order=0.6), -2.0), (DNLS(41, 1.0, -1.0, boundary="fixed"), 5.0)):
+        found = soliton(equation, omega)
+        assert found.residual < 1e-12 and found.tail < 0.05
+        run = evolve(equation, found.psi, 5.0)
+        np.testing.assert_allclose(run.final, found.psi * np.exp(-5j * omega), atol=1e-9)
+    with pytest.raises(ValueError, match=r"omega: expected a frequency outside of the band \[0, 3.99"):
+        soliton(DNLS(41), 1.0)
+    with pytest.raises(ValueError, match="a site by itself"):
+        soliton(DNLS(41), 5.0)
+
+
+def test_the_p_schroedinger_equation_has_compact_looking_breathers():
+    chain = DpS(21, boundary="periodic")
+    guess = jnp.zeros(21).at[jnp.array([9, 10, 11])].set(jnp.array([-0.4, 1.0, -0.4]))
+    omega = float((chain.gradient(guess + 0j)[10]).real)
+    found = soliton(chain, omega, guess=guess)
+    top = np.abs(found.psi[10:16])
+    # super-exponentially: each logarithm is 3/2 times the one before
+    assert found.residual < 1e-12 and top[5] < 1e-4 * top[0] and (np.diff(np.log(top), 2) < 0).all()
+
+
+def test_tau_0_is_that_of_the_reference():
+    assert abs(float(first_order.tau_0()) - 1.5450622310844768) < 1e-14
+    t = np.linspace(0, 2 * np.pi, 200_001)[:-1]
+    harmonic = np.mean(np.maximum(np.cos(t), 0) ** 2.5 * np.cos(t))
+    assert float(first_order.tau_0(2.5)) == pytest.approx(2**-2.5 / harmonic, rel=1e-12)
+
+
+def cradle_error(eps):
+    """Of the modulation equation at t = eps^{-1/2}, over the amplitude."""
+    n = np.arange(12)
+    A = eps * np.exp(-((n - 5.5) ** 2) / 4) * np.exp(0.5j * n)
+    equation, t1 = DpS.of_cradle(12, mass=2.0, stiffness=3.0, pendulum=8.0), eps**-0.5
+    lattice = gx.scenes.cradle(12, mass=2.0, stiffness=3.0, pendulum=8.0)
+    run = gx.simulate(lattice, equation.state(jnp.asarray(A)), t1)
+    envelope = equation.state(evolve(equation, A, t1, tolerance=1e-6).final, t1)
+    return float(np.max(np.abs(run.final.u - envelope.u))) / eps
+
+
+@pytest.mark.slow
+def test_the_modulation_equation_of_the_cradle():
+    errors = [cradle_error(eps) for eps in (1e-2, 1e-3, 1e-4)]
+    assert errors[0] < 0.05 and errors[1] < errors[0] / 2.5 and errors[2] < errors[1] / 2.5
+
+
+@pytest.mark.slow
+def test_the_electrical_lattice_s_envelope():
+    """Against the circuit, whose voltage is found from the charge; the error is of second order."""
+    sites, C, L2 = 16, 2.0, 0.5
+    omega0, k = (L2 * C) ** -0.5, np.arange(16)
+
+    def error(small):
+        psi = np.sqrt(small) * np.exp(-((k - 8) ** 2) / 8) * (1 + 0.3j)
+        b, L1 = 1.0, L2 / small
+        equation = electrical(sites, inductance=L1, ground=L2, capacitance=C, nonlinearity=b, order=0.5)
+        matrix = np.asarray(jax.vmap(equation.laplacian, in_axes=1, out_axes=1)(jnp.eye(sites)).real)
+
+        def slope(t, y):
+            U, dQ = y[:sites], y[sites:]
+            return np.concatenate([dQ / (C * (1 + 3 * b * U**2)), -matrix @ U / L1 - U / L2])
+
+        t1 = 1 / small
+        U = 2 * psi.real
+        rate = 2 * (-1j * omega0 * psi + field(0.0, jnp.asarray(psi), equation)).real
+        start = np.concatenate([U, rate * C * (1 + 3 * b * U**2)])
+        exact = solve_ivp(slope, (0, t1), start, method="DOP853", rtol=1e-9, atol=1e-11).y[:sites, -1]
+        end = 2 * (evolve(equation, psi, t1).final * np.exp(-1j * omega0 * t1)).real
+        return np.max(np.abs(end - exact)) / np.sqrt(small)
+
+    errors = [error(s) for s in (0.04, 0.01)]
+    assert errors[0] < 0.2 and errors[1] < errors[0] / 2
+
+
+@pytest.mark.slow
+def test_lanes_laws_and_derivatives():
+    chis = jnp.array([0.5, 1.5])
+    batch = jax.vmap(lambda chi: DNLS(N, 0.7, chi, order=0.4), out_axes=-1)(chis)
+    start = jnp.asarray(np.stack([PSI, 2 * PSI], axis=-1))
+    together = evolve(batch, start, 1.0)
+    for i, chi in enumerate(chis):
+        alone = evolve(DNLS(N, 0.7, chi, order=0.4), start[:, i], 1.0)
+        np.testing.assert_allclose(together.final[:, i], alone.final, atol=1e-9)
+        np.testing.assert_allclose(together.energy[0, i], alone.energy[0], rtol=1e-10)
+    cubic = evolve(DNLS(N, 0.7, gx.Linear(0.5), order=0.4), start[:, 0], 1.0)
+    np.testing.assert_allclose(cubic.final, together.final[:, 0], atol=1e-9)
+
+    def at_site(s):
+        return evolve(DNLS(N, 0.7, 0.5, order=s), PSI, 1.0, step=0.1).densities[-1, 3]
+
+    both = float(jax.jvp(at_site, (0.4,), (1.0,))[1]), float(jax.grad(at_site)(0.4))
+    difference = float(at_site(0.4 + 1e-5) - at_site(0.4 - 1e-5)) / 2e-5
+    np.testing.assert_allclose(both, difference, rtol=1e-7)
+
+
+def test_refusals():
+    ring = DNLS(N)
+    for make, words in (
+        (lambda: DNLS(N, order=0.0), r"order: expected numbers in \(0, 1\]"),
+        (lambda: DNLS(N, order=1.2), "order"), (lambda: DNLS(2), "dimer is two sites"),
+        (lambda: DNLS(N, order=0.5, kernel=np.ones(2)), "kernel: expected a kernel, or an order"),
+        (lambda: DNLS(N, potential=np.ones(4)), r"potential: .*\(9,\)"), (lambda: DpS(N, exponent=1.0), "exponent"),
+        (lambda: evolve(ring, np.ones(4), 1.0), r"psi: expected shape \(9,\)"),
+        (lambda: evolve(ring, np.ones(N), 0.0), "t1"), (lambda: evolve(ring, np.full(N, np.nan), 1.0), "psi"),
+        (lambda: evolve(ring, PSI, 1.0, step=0.0), "step"), (lambda: evolve(ring, PSI, 1.0, save_at=[2.0]), "save_at"),
+        (lambda: evolve(DpS(N), PSI, 1.0, solver=SplitStep()), "solver: .*DpS"),
+        (lambda: gx.Flow(5, field=field)(PSI, 0.0, 1.0, ring), "solver: .*SplitStep"),
+        (lambda: gx.Flow(5, SplitStep(), field).derivative(PSI, 0.0, 1.0, ring), "complex"),
+        (lambda: first_order.self_trapping(lambda c: DNLS(2, 1.0, c, boundary="fixed"), 5.0, 6.0, 9.0), "low"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            make()
