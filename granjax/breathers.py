@@ -5,10 +5,12 @@ from .orbits.anticontinuous import anticontinuous
 from .orbits.bifurcations import bifurcations
 from .orbits.breather import bands_of, breather, resonant_harmonic
 from .orbits.families import family
+from .orbits.gap_breather import GapBreather, k_gap_breather
 from .orbits.guesses import bright_guess, dark_guess
 from .orbits.localised import Localisation, localisation
 
 __all__ = [
-    "Bifurcation", "Branch", "Localisation", "Orbit", "anticontinuous", "bands_of", "bifurcations", "breather",
-    "bright_guess", "dark_guess", "family", "guesses", "localisation", "resonant_harmonic",
+    "Bifurcation", "Branch", "GapBreather", "Localisation", "Orbit", "anticontinuous", "bands_of", "bifurcations",
+    "breather", "bright_guess", "dark_guess", "family", "guesses", "k_gap_breather", "localisation",
+    "resonant_harmonic",
 ]

@@ -538,6 +538,20 @@ def _(s):
     return fields_of(gx.linear.localisation_length(s.lattice, s.hertz(np.array([0.3, 1.1]))))
 
 
+def crystal(rng, w):
+    """A ring that hardens, of layers in time, with a wave in the k-gap."""
+    stiff = near(rng, 1.0)
+    law = gx.Polynomial(w(stiff, 1, -1, 0), w(jnp.zeros(()), 1, -2, 0), w(near(rng, 1.0), 1, -3, 0))
+    mass = stiff * (LAYERS / np.pi) ** 2
+    layers = gx.Square(near(rng, 0.15), w.hertz(2 * np.pi / LAYERS), mean=1.0)
+    return gx.Lattice(w.kg(mass), gx.Modulated(gx.Bond(gx.Shift(1, "periodic"), law), layers), sites=6)
+
+
+@row("k_gap_breather", slow=(crystal,), agree=1e-6, binary=1e-6)
+def _(s):
+    return fields_of(gx.breathers.k_gap_breather(s.lattice, s.s(LAYERS), np.pi / 3), returned=About)
+
+
 # the lattice
 @eqx.filter_jit
 def linear_force(lattice, t, y):

@@ -125,6 +125,8 @@ MAKERS = {
     "NormalModes": lambda: linear.normal_modes(chain()), "Bands": lambda: linear.bands(ring()),
     "Dispersion": lambda: linear.dispersion(ring(), np.linspace(0.1, 3.0, 4)),
     "FloquetBands": lambda: linear.floquet_bands(ring(), np.linspace(0.1, 3.0, 4), 1.0),
+    "GapBreather": lambda: gx.breathers.GapBreather(
+        T, np.outer(T, np.ones(N)), np.ones((33, N)), T, T, 1.0, 0.1, 0.0, 1e-9, 1e-4, 0.1, 64, "Back.", **OTHER),
     "ClosedForms": lambda: gx.travelling.ClosedForms(np.array([1.1, 1.2]), np.array(1.0), *np.ones((4, 2)), **OTHER),
     "Peaks": lambda: measures.peak_times(T, np.outer(np.sin(T), np.ones(3))),
     "Front": lambda: measures.front_speed(T, np.exp(-((T[:, None] - np.arange(0.5, 1.6, 0.5)) ** 2))),

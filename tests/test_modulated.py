@@ -148,6 +148,22 @@ def test_dashpots():
     np.testing.assert_allclose(lost, np.exp(-rate * (2 - 2 * np.cos(K)) * PERIOD), atol=1e-12)
 
 
+@pytest.mark.slow
+def test_a_breather_of_the_k_gap():
+    """It grows by the linear rate, saturates, and returns to its energy along the wave that decays."""
+    ring = modulated(6, 0.1, 2.0, shape="square", law=gx.Polynomial(1.0, 0.0, 1.0))
+    found = gx.breathers.k_gap_breather(ring, PERIOD, np.pi / 3)
+    assert abs(found.growth - np.log(1.1051133) / PERIOD) < 2e-8
+    early, late = np.log(found.energy[[0, -4]]), np.log(found.energy[[3, -1]])
+    np.testing.assert_allclose((late - early) / (6 * PERIOD), [found.growth, -found.growth], rtol=0.02)
+    assert found.energy.max() > 1000 * found.energy[0] and abs(found.returned) < 1e-5 and found.stray < 1e-2
+    # by another solver, in one run
+    run = gx.simulate(ring, found.state, found.ts[-1], save_at=found.ts, tolerance=1e-12)
+    energy = jax.vmap(lambda u, v: ring.energy(0.0, u, v))(run.us, run.vs)
+    np.testing.assert_allclose(energy, found.energy, rtol=1e-4)
+    assert abs(energy[-1] / energy[0] - 1) < 1e-3
+
+
 def test_the_picture_shows_gaps_and_growth(layers):
     found = floquet_bands(layers, np.linspace(0, 1.5, 7), PERIOD)
     ax = gx.plots.floquet_bands(found)
@@ -185,6 +201,11 @@ def test_derivatives():
     (lambda s: jax.jit(lambda k: floquet_bands(s, k, PERIOD).growth)(1.0), "steps: expected so many"),
     (lambda s: travelling_modulation(10, wavelength=3.0), "wavelength: expected one that goes into a ring"),
     (lambda s: modulated(6, on="sites"), "grounding: expected a stiffness above zero"),
+    (lambda s: gx.breathers.k_gap_breather(s, PERIOD, 1.5 * np.pi / 6), "k: expected a multiple of 2 pi/12"),
+    (lambda s: gx.breathers.k_gap_breather(s, PERIOD, np.pi / 6), "k: expected a wave number in a k-gap, got 0.5"),
+    (lambda s: gx.breathers.k_gap_breather(s, PERIOD), "a force that is nonlinear for this wave"),
+    (lambda s: gx.breathers.breather(s, 1.0), "lattice: expected a stiffness that is constant in time"),
+    (lambda s: gx.breathers.family(s, until=1.0), "no breather stays: gx.breathers.k_gap_breather"),
     (lambda s: gx.Square(0.1, 2.0, share=1.0), "share: expected numbers in (0, 1)"),
 ])
 def test_refusals(layers, call, sentence):

@@ -21,7 +21,7 @@ ORDER = {
     "along": "a measure leads", "history": "a flow leads", "Problem.state": "as the function that is given to fit",
 }
 # whose results count time steps
-TIME_STEPS = ("linear.floquet_bands", "orbits.floquet", "orbits.leading", "work_precision")
+TIME_STEPS = ("linear.floquet_bands", "orbits.floquet", "orbits.gap_breather", "orbits.leading", "work_precision")
 
 
 def faces(package):

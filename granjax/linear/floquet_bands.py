@@ -216,6 +216,9 @@ class _Known:
         self.turned = self.omega * float(period)
         # what the forces miss the period by changes M by its integral, at most
         self.missed = float(period) * (cell.missed[0] / self.omega + cell.missed[1])
+        if PER_RADIAN * self.turned > MOST_STEPS:
+            refuse("period", f"one of at most {MOST_STEPS / PER_RADIAN:.3g} radians of the fastest waves",
+                   f"{float(period):.6g}, which is {self.turned:.3g} of them", "Look at its unit.")
         self.safety = SAFETY
         self.steps = self._found(np.asarray(k).reshape(-1, len(cell.cell)), tolerance) if steps is None else steps
 

@@ -1,0 +1,313 @@
+"""Breathers of gaps in the wave number: waves that grow out of rest, saturate and return, localised in time."""
+
+from typing import Any, ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from diffrax import AbstractSolver
+
+from ..checks import positive, refuse, traced, whole
+from ..checks import tolerance as checked_tolerance
+from ..entry import checked
+from ..flow import Flow
+from ..lattice import Lattice, State
+from ..linear import FloquetBands, floquet_bands
+from ..programs import shared_size, waited
+from ..results import Held, Result
+from ..solvers import KahanLi8
+from ..tuning import one_thread
+from ..types import Count, Displacements, Numbers, Scalar
+from .repeats import largest, one_lattice
+from .steps import default_steps, fixed_step_solver
+
+# of its peak, where a breather begins, and how far from it a start that is not given may be
+BEGIN, WIDE = 50.0, 4.0
+# periods beyond those that growth alone takes; how many there may be
+MORE, MOST = 24, 20_000
+# searches for the start; times that steps are doubled; sizes at which a nonlinearity is looked for
+SEARCHES, DOUBLINGS = 12, 6
+SIZES, CLOSER = 2.0 ** np.arange(-100, 101), 5
+# of a wave, by which a period of the ring may miss its multiplier
+FITS = 1e-6
+
+
+class GapBreather(Result):
+    """A wave of a k-gap that grows, saturates by nonlinearity, and returns: periodic in space, localised in time.
+
+    **Fields:** `ts` (periods + 1,) [s], once a period; there `us`, `vs` (periods + 1, sites) or dicts, `energy` [J] and
+    `amplitude`, the largest displacement [m]. `k`: wave number; `growth`: log|rho|/T of the linear wave [1/s].
+    `returned`: the energy at the end over that at the start, less 1; `error`: how well that is known, from two step
+    sizes. `stray`: of the state at the end, what is not the linear wave that decays (norm over norm). `period`,
+    `steps` of it. `outcome` says how it grew and whether it came back.
+    """
+
+    held: ClassVar[dict[str, Held]] = {
+        "ts": Held("time", "s"), "us": Held("time site ...", "m"), "vs": Held("time site ...", "m/s"),
+        "energy": Held("time", "J"), "amplitude": Held("time", "m"), "k": Held(unit="rad"),
+        "growth": Held(unit="1/s"), "returned": Held(unit="1"), "error": Held(unit="1"), "stray": Held(unit="1"),
+        "period": Held(unit="s"),
+    }
+    ts: Numbers
+    us: Displacements
+    vs: Displacements
+    energy: Numbers
+    amplitude: Numbers
+    k: float
+    growth: float
+    returned: float
+    error: float
+    stray: float
+    period: float
+    steps: int
+    outcome: str = eqx.field(static=True)
+
+    @property
+    def peak(self) -> float:
+        """The largest displacement once a period [m]."""
+        return float(np.max(self.amplitude))
+
+    @property
+    def state(self) -> State:
+        """Where it begins."""
+        return State(*jax.tree.map(lambda x: jnp.asarray(x[0]), (self.us, self.vs)))
+
+
+@checked
+@one_thread
+def k_gap_breather(
+    lattice: Lattice, period: Scalar, k: Scalar | None = None, *, amplitude: Scalar | None = None, t0: Scalar = 0.0,
+    steps: Count | None = None, solver: AbstractSolver | None = None, tolerance: Scalar = 1e-5,
+) -> GapBreather:
+    r"""A wavenumber-gap breather of a modulated ring: it grows out of a k-gap as exp(growth t), saturates and returns.
+
+    It begins on the linear wave that grows, u = a Re(w exp(i k n)); larger, the wave turns stiffer or softer and
+    leaves the resonance, and comes back along the wave that decays. Of the amplitudes of one period's growth that one
+    is taken whose energy returns, once a period, to what it was.
+
+    **Arguments:**
+
+    - `lattice`: a ring with modulated stiffness and a nonlinear force, without losses. `period`: T, of the modulation.
+    - `k`: phase per cell [rad], one that the ring holds; `None`: the one that grows fastest.
+    - `amplitude`: a, about [m]; `None`: about 1/50 of the peak. The smaller, the longer it takes, log(peak/a) each way.
+    - `t0`: where in a period it begins. `steps`: of a period; `None` doubles them until `returned` is known to
+      `tolerance`. `solver`: KahanLi8 by default (Dopri8 where a force reads velocities).
+
+    **Returns:** `GapBreather`. What radiates into other waves stays out of the wave and shows in `stray`.
+    **Raises** ValueError for a k outside every k-gap, a lattice that is no ring for it or is linear, a batch, traced
+    values (it is a search), and a motion that never comes back (damped, or with contacts that open for good).
+    Source: Chong, Kim, Wallace, Daraio, Phys. Rev. Res. 6, 023045 (2024).
+    """
+    one_lattice(lattice)
+    if traced((lattice, period, k, amplitude, t0)):
+        refuse("lattice", "known numbers", "traced ones", "It is a search: differentiate a run from its .state.")
+    tolerance = float(checked_tolerance("tolerance", tolerance))
+    period, t0 = float(positive("period", period)), float(t0)
+    bands, wave = _growing(lattice, k, period, t0)
+    solver = fixed_step_solver(lattice, solver, KahanLi8())
+    count = 2 * int(default_steps(lattice, period, doubled=True)) if steps is None else whole("steps", steps, 2)
+    ring = _Ring(lattice, bands, wave, period, t0, solver)
+    ring.checked(count)
+    begin = ring.size() if amplitude is None else float(positive("amplitude", amplitude))
+    found = ring.sought(begin, count, amplitude is None)
+    for _ in range(DOUBLINGS if steps is None else 1):
+        finer = ring.sought(found.begin, 2 * count, False)
+        error = abs(finer.returned_of(found))
+        found, count = finer, 2 * count
+        if error <= tolerance:
+            break
+    return ring.result(found, count, error)
+
+
+def _growing(lattice, k, period, t0):
+    """The bands at the wave numbers of a ring that are asked for, and the index of the wave that grows fastest."""
+    cell = floquet_bands(lattice, 0.0, period, t0=t0, steps=16).cell
+    if len(cell) > 1:
+        refuse("lattice", "a chain", f"a lattice of {len(cell)} axes")
+    cells = jax.tree.leaves(lattice.template())[0].shape[0] // cell[0]
+    all_k = 2 * np.pi * np.arange(cells // 2 + 1) / cells
+    if k is not None:
+        turns = float(k) * cells / (2 * np.pi)
+        if abs(turns - round(turns)) > 1e-6 * max(1, abs(turns)):
+            refuse("k", f"a multiple of 2 pi/{cells}, which the ring holds", repr(float(k)),
+                   f"The nearest is {2 * np.pi * round(turns) / cells:.10g}.")
+        all_k = np.array([2 * np.pi * round(turns) / cells, 0.0])
+    bands = floquet_bands(lattice, all_k, period, t0=t0)
+    rate = np.where(bands.grows, np.asarray(bands.growth), 0.0).max(-1)
+    wave = 0 if k is not None else int(np.argmax(rate))
+    if not rate[wave] > 0:
+        gaps = floquet_bands(lattice, np.linspace(0, np.pi, 5), period, t0=t0).gaps
+        there = ", ".join(f"{a:.6g} ... {b:.6g}" for a, b in gaps)
+        refuse("k", "a wave number in a k-gap", "none of the ring that grows" if k is None else f"{float(k):.6g}",
+               f"Waves grow for k = {there}." if gaps else "This modulation has no k-gap.")
+    return bands, wave
+
+
+class _Found(eqx.Module):
+    """A breather as it is sought: where it began, its states once a period until it is back."""
+
+    begin: float
+    us: Any
+    vs: Any
+    energy: np.ndarray
+    back: int
+
+    def returned_of(self, other: Any) -> float:
+        """How far the energies that return differ, relative to that of the start."""
+        return self.energy[self.back] / self.energy[0] - other.energy[other.back] / other.energy[0] \
+            if self.back == other.back else np.inf
+
+    @property
+    def returned(self) -> float:
+        return float(self.energy[self.back] / self.energy[0] - 1)
+
+
+class _Ring:
+    """A ring, its linear waves at one wave number, and the motion once a period."""
+
+    def __init__(self, lattice: Lattice, bands: FloquetBands, wave: int, period: float, t0: float, solver: Any):
+        self.lattice, self.period, self.t0, self.solver = lattice, period, t0, solver
+        self.k = float(np.asarray(bands.k)[wave])
+        rho = np.asarray(bands.multipliers)[wave]
+        self.rho, self.growth = rho[0], float(np.asarray(bands.growth)[wave, 0])
+        self.up = self._wave(bands, wave, 0)
+        # of all waves that decay the partner of the one that grows
+        self.down = self._wave(bands, wave, int(np.argmin(np.abs(rho - 1 / np.conj(rho[0])))))
+
+    def _wave(self, bands, wave, multiplier):
+        """A wave over the sites, complex, its largest displacement 1."""
+        size = bands.cell[0]
+
+        def spread(x):
+            x = np.asarray(x)[wave][..., multiplier]
+            number = np.arange(jax.tree.leaves(self.lattice.template())[0].shape[0])
+            turn = np.exp(1j * self.k * (number // size)).reshape((-1,) + (1,) * (x.ndim - 1))
+            return turn * x[number % size]
+
+        u, v = (jax.tree.map(spread, x) for x in (bands.displacements, bands.velocities))
+        top = max(np.abs(x.real).max() for x in jax.tree.leaves(u))
+        return jax.tree.map(lambda x: x / top, (u, v))
+
+    def state(self, amplitude: float, factor: complex = 1.0) -> State:
+        """The growing wave, times a factor."""
+        part = lambda x: jnp.asarray((amplitude * factor * x).real, self.lattice.dtype)
+        return State(*jax.tree.map(part, self.up))
+
+    def run(self, state: State, periods: int, steps: int) -> tuple:
+        """States and energies once a period, the start first."""
+        flow = Flow(jnp.asarray(steps), self.solver)
+        us, vs, energy = _strobed(flow, self.lattice, state, jnp.asarray(self.t0), jnp.asarray(self.period),
+                                  shared_size(periods))
+        return jax.tree.map(np.asarray, (us, vs)), np.asarray(energy)
+
+    def checked(self, steps: int) -> None:
+        """Refuse a lattice in which the wave is not multiplied by rho: one with ends."""
+        tiny = self.size() * 1e-4
+        (us, vs), _ = self.run(self.state(tiny), 1, steps)
+        want, begin = self.state(tiny, self.rho), self.state(tiny)
+        pairs = zip(*(jax.tree.leaves(x) for x in (us, want.u, begin.u)))
+        off = max(np.abs(x[1] - w).max() / np.abs(b).max() for x, w, b in pairs)
+        if not off <= FITS + 1e-2 * abs(abs(self.rho) - 1):
+            refuse("lattice", "a ring, on which a wave of the k-gap grows as its multiplier says",
+                   f"one on which it misses that by {off:.1e}", "Build it with boundary=\"periodic\".")
+
+    def size(self) -> float:
+        """About 1/50 of the amplitude at which the force departs from its linear part enough to leave the gap."""
+        u, wanted = self.state(1.0).u, min(0.5, 2 * self.growth * self.period / np.pi)
+        sizes = SIZES
+        for _ in range(CLOSER):
+            share = np.asarray(_departure(self.lattice, u, jnp.asarray(self.t0), jnp.asarray(sizes)))
+            good = np.flatnonzero((share >= wanted) & np.isfinite(share))
+            # far below any nonlinearity what departs is rounding, of which small numbers have as much
+            good = good[good > np.flatnonzero(share < wanted).max(initial=-1)]
+            if not len(good):
+                refuse("lattice", "a force that is nonlinear for this wave, by which growth saturates", "a linear one",
+                       "Waves of its k-gaps grow for ever: gx.linear.floquet_bands has their rates.")
+            sizes = np.geomspace(sizes[max(good[0] - 1, 0)], sizes[good[0]], len(SIZES))
+        return float(sizes[-1] / BEGIN)
+
+    def sought(self, begin: float, steps: int, free: bool) -> _Found:
+        """The breather that begins with about an amplitude; where that is `free`, one of about 1/50 of its peak."""
+        for _ in range(SEARCHES):
+            found = self._back(begin, steps)
+            peak = max(np.abs(x).max() for x in jax.tree.leaves(found.us))
+            if free:
+                free, begin = not 1 / WIDE <= peak / (BEGIN * begin) <= WIDE, peak / BEGIN
+                continue
+            miss = np.log1p(found.returned)
+            if abs(miss) < 1e-10:
+                break
+            # begun larger, it is ahead: its energy at the start is more, that at the same time of its return less
+            begin = begin * np.exp(np.clip(miss / 4, -1, 1))
+        return found
+
+    def _back(self, begin, steps):
+        """The motion from an amplitude until its energy, once a period, is next to that of the start."""
+        periods = int(2 * np.log(WIDE * BEGIN) / (self.growth * self.period)) + MORE
+        while True:
+            (us, vs), energy = self.run(self.state(begin), periods, steps)
+            if not np.isfinite(energy).all():
+                refuse("amplitude", "a wave that saturates", f"one that grows beyond all numbers from {begin:.3g}",
+                       "Its force softens, or its contacts open: there is no breather of this k-gap.")
+            high = int(np.argmax(energy >= 0.5 * energy.max()))
+            high += int(np.argmax(energy[high:] < 0.5 * energy.max()))
+            low = np.flatnonzero(energy[high:] <= energy[0]) + high
+            if energy.max() > 4 * energy[0] and high and len(low):
+                here, before = (abs(np.log(energy[low[0] - i] / energy[0])) for i in (0, 1))
+                return _Found(begin, us, vs, energy, int(low[0] - (before < here)))
+            if periods >= MOST or energy.max() > 4 * energy[0] and len(energy) > 8 * high + MORE:
+                least = energy[high:].min() / energy[0] if high else np.nan
+                refuse("lattice", "a motion that returns to the energy that it began with",
+                       f"one that stays above {least:.3g} of it", "Take losses away, or begin with a larger amplitude.")
+            periods *= 2
+
+    def result(self, found: _Found, steps: int, error: float) -> GapBreather:
+        end = found.back + 1
+        us, vs = jax.tree.map(lambda x: x[:end], (found.us, found.vs))
+        amplitude = np.max([np.abs(x).reshape(end, -1).max(-1) for x in jax.tree.leaves(us)], axis=0)
+        stray = self._stray(jax.tree.map(lambda x: x[-1], (us, vs)))
+        times = found.energy.max() / found.energy[0]
+        outcome = (f"The energy grew {times:.4g} times and returned within {abs(found.returned):.1e} +- {error:.1e} of "
+                   f"itself after {found.back} periods; {stray:.1e} of what returned is other waves.")
+        return GapBreather(
+            self.t0 + self.period * np.arange(end), us, vs, found.energy[:end], amplitude, self.k, self.growth,
+            found.returned, float(error), stray, self.period, int(steps), outcome, **self.lattice.origin)
+
+    def _stray(self, end):
+        """What of a state is not the wave that decays, times the complex number that fits best."""
+        scale = self.period / (2 * np.pi)
+        flat = lambda y: np.concatenate([np.ravel(x) for x in jax.tree.leaves(y[0])]
+                                        + [scale * np.ravel(x) for x in jax.tree.leaves(y[1])])
+        wave, y = flat(self.down), flat(end)
+        basis = np.stack([wave.real, wave.imag], -1)
+        rest = y - basis @ np.linalg.lstsq(basis, y, rcond=None)[0]
+        return float(np.linalg.norm(rest) / np.linalg.norm(y))
+
+
+@waited
+def _strobed(flow, lattice, state, t0, period, periods):
+    """u, v and energy at t0 + j T, j = 0 ... periods; every period begins at the same phase."""
+    def one(y, _):
+        after = flow(y, t0, t0 + period, lattice)
+        return after, (after, lattice.energy(t0, *after))
+
+    _, (states, energy) = jax.lax.scan(one, state, length=periods)
+    start = (state, lattice.energy(t0, *state))
+    states, energy = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), start, (states, energy))
+    return states.u, states.v, energy
+
+
+@waited
+def _departure(lattice, u, t, sizes):
+    """By how much the force at some multiples of u departs from its linear part, of that."""
+    zeros = lattice.zeros()
+    _, linear = jax.jvp(lambda u: lattice.force(t, u, zeros), (zeros,), (u,))
+    rest = lattice.force(t, zeros, zeros)
+
+    def at(size):
+        force = lattice.force(t, jax.tree.map(lambda x: size * x, u), zeros)
+        off = jax.tree.map(lambda f, r, k: f - r - size * k, force, rest, linear)
+        return largest(off) / (size * largest(linear))
+
+    return jax.lax.map(at, sizes)
