@@ -7,9 +7,10 @@ from jax.scipy.special import gammaln
 
 from .checks import whole, within
 from .entry import checked
-from .types import Count, Number, Numbers, Parameter
+from .types import Count, Numbers, Parameter
 
 
+@checked
 def checked_order(order: Parameter) -> jax.Array:
     """The order s of a fractional Laplacian, in (0, 1]."""
     return within("order", order, 0, 1, open_low=True,
@@ -36,7 +37,8 @@ def kernel(order: Parameter, offsets: Count) -> Numbers:
     return jnp.concatenate([first[None], first * jnp.cumprod((m - s) / (m + 1 + s), axis=0)])
 
 
-def total(order: Number) -> Numbers:
+@checked
+def total(order: Parameter) -> Numbers:
     """Sum of all weights on both sides, Gamma(1 + 2s)/Gamma(1 + s)^2: what holds a site whose neighbours are fixed."""
     s = jnp.asarray(order)
     return jnp.exp(gammaln(1 + 2 * s) - 2 * gammaln(1 + s))
@@ -51,7 +53,8 @@ def symbol(order: Parameter, k: Parameter) -> Numbers:
     return jnp.where(inside, jnp.exp(s * jnp.log(jnp.where(inside, x, 1.0))), 0.0)
 
 
-def wave_numbers(sites: int) -> np.ndarray:
+@checked
+def wave_numbers(sites: Count) -> np.ndarray:
     """Wave numbers 2 pi j/N of a ring, j = 0 ... N-1, exactly paired about pi."""
     j = np.arange(sites)
     return 2 * np.pi * np.minimum(j, sites - j) / sites
@@ -67,3 +70,37 @@ def ring_kernel(order: Parameter, sites: Count) -> Numbers:
     sites = whole("sites", sites, 2)
     values = symbol(order, wave_numbers(sites))
     return -jnp.moveaxis(jnp.fft.fft(jnp.moveaxis(values, 0, -1)).real / sites, -1, 0)[1:]
+
+
+# images of a ring that are summed one by one; the rest is a series of Euler and Maclaurin
+IMAGES = 16
+
+
+@checked
+def to_the_right(order: Parameter, sites: Count) -> Numbers:
+    """The part of `ring_kernel` that goes to the right, sum_{j >= 0} K(m + j N), m = 1, ..., N-1; N - m has the rest.
+
+    What a law needs that tells left from right, such as alpha e^2.
+    """
+    s, sites = checked_order(order), whole("sites", sites, 2)
+    both = ring_kernel(s, sites)
+    near = jnp.concatenate([jnp.zeros((1, *s.shape), s.dtype), kernel(s, IMAGES * sites - 1)])
+    near = jnp.sum(near.reshape(IMAGES, sites, *s.shape), axis=0)[1:]
+    far = jnp.arange(1, sites, dtype=s.dtype).reshape(-1, *[1] * s.ndim) + IMAGES * sites
+    right = near + _beyond(s, far, sites)
+    return (both + right - right[::-1]) / 2
+
+
+def _beyond(s, z, spacing):
+    """sum_{j >= 0} K(z + j N) for large z, by K = C z^{-1-2s} exp(a/z^2 + b/z^4 + ...)."""
+    a = s * (s + 1) * (2 * s + 1) / 6
+    b = (s**5 + 2.5 * s**4 + 5 / 3 * s**3 - s / 6) / 10
+    parts = ((1.0, 1 + 2 * s), (a, 3 + 2 * s), (b + a * a / 2, 5 + 2 * s))
+    x = spacing / z
+
+    def tail(q):  # over z^{-q}
+        rising = q * (q + 1) * (q + 2)
+        return 1 / (x * (q - 1)) + 0.5 + q * x / 12 - rising * x**3 / 720 + rising * (q + 3) * (q + 4) * x**5 / 30240
+
+    scale = jnp.exp(gammaln(1 + 2 * s)) * jnp.sin(jnp.pi * s) / jnp.pi
+    return scale * sum(weight * z**-q * tail(q) for weight, q in parts)

@@ -396,6 +396,7 @@ def _(seed):
     gx.first_order.soliton(gx.first_order.DNLS(41, 1.0, chi), -2.0 - 0.1 * seed)
     gx.first_order.electrical(8, inductance=chi).norm(np.ones(8)), gx.first_order.tau_0(1.5 + 0.1 * seed)
     gx.fractional.kernel(0.5 + 0.1 * seed, 9), gx.fractional.ring_kernel(0.5 + 0.1 * seed, 9)
+    gx.fractional.to_the_right(0.5 + 0.1 * seed, 9)
 
 
 # public functions that no row calls by name, by their modules, and why
@@ -403,7 +404,7 @@ WITHIN = {
     **dict.fromkeys(("checks", "entry.checked", "entry.kinds", "printing", "programs", "variables", "cli.commands",
                      "interrupts", "outside", "tuning", "materials", "canonical.scenes", "scenes.chains",
                      "scenes.resonators", "scenes.softening",
-                     "scenes.disorder", "scenes.on_site",
+                     "scenes.disorder", "scenes.fractional", "scenes.on_site",
                      "work_precision.measuring", "orbits.symmetry", "laws.power"),
                     "numbers, words and Python: no program of their own"),
     **dict.fromkeys(("exchange.datasets", "files", "fit.files", "reading.reader", "reading.tables"),

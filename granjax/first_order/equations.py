@@ -61,7 +61,8 @@ def refuse_split(equation: Any) -> Any:
            "Take diffrax.Dopri8(). SplitStep is for DNLS on a ring, or on a chain of at most 512 sites.")
 
 
-def field(t: Number, psi: Pytree, equation: Equation) -> Pytree:
+@checked
+def field(t: Any, psi: Pytree, equation: Equation) -> Pytree:
     """dpsi/dt = -i dH/dpsi*: a vector field f(t, psi, args) for `gx.Flow(steps, solver, field)` and diffrax."""
     return -1j * equation.gradient(psi)
 

@@ -6,6 +6,7 @@ A batch of scenes is `jax.vmap(lambda ratio: scenes.dimer(60, ratio), out_axes=-
 from .bead_chain import beads
 from .chains import defects, dimer, fput, monomer, n_to_one, pattern, taper, toda, trimer
 from .disorder import disordered
+from .fractional import fractional, fractional_fput, fractional_sine_gordon
 from .modulated import modulated, travelling_modulation
 from .on_site import cradle, klein_gordon, sine_gordon
 from .resonators import mass_in_mass, mass_with_mass, woodpile
@@ -17,6 +18,7 @@ __all__ = [
     "beads",
     "defects", "dimer", "fput", "monomer", "n_to_one", "pattern", "taper", "toda", "trimer",
     "disordered",
+    "fractional", "fractional_fput", "fractional_sine_gordon",
     "modulated", "travelling_modulation",
     "cradle", "klein_gordon", "sine_gordon",
     "mass_in_mass", "mass_with_mass", "woodpile",

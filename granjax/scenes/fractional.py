@@ -1,0 +1,136 @@
+"""Fractional lattices: chains whose differences are a discrete fractional Laplacian, of FPUT and of sine-Gordon."""
+
+import jax.numpy as jnp
+
+from ..checks import non_negative, one_of, parameter, positive, refuse
+from ..entry import checked
+from ..fractional import checked_order, kernel, ring_kernel, to_the_right, total
+from ..lattice import Lattice
+from ..laws import Law, Linear, Polynomial, Scaled, Sine
+from ..strains import BOUNDARIES, Shift
+from ..terms import Bond, LongRange, OnSite
+from ..types import Count, Parameter
+from ..units import PART
+from .chains import _sites
+
+_COUPLED = "Sites without coupling are coupling=0."
+
+
+class _BothSides(Law):
+    """What the sites at rest beyond both ends exert, F(e) - F(-e)."""
+
+    dimensions = {"law": PART}
+    law: Law
+
+    @property
+    def opens(self):
+        return self.law.opens
+
+    def force(self, e):
+        return self.law.force(e) - self.law.force(-e)
+
+    def energy(self, e):
+        return self.law.energy(e) + self.law.energy(-e)
+
+
+def _weighted(sites, order, law, boundary):
+    """Terms of bonds with fractional weights, to all sites of the chain and, of fixed ends, to all beyond."""
+    order = checked_order(order)
+    if order.ndim:
+        refuse("order", "one order", f"shape {order.shape}", "A batch is jax.vmap(scene, out_axes=-1)(orders).")
+    if boundary == "periodic":
+        return (LongRange(_around(sites, order, law), law, boundary),)
+    weights = kernel(order, sites - 1)
+    bonds = (LongRange(weights, law, boundary),)
+    if boundary == "free":
+        return bonds
+    return (*bonds, OnSite(_BothSides(Scaled(law, jnp.maximum(total(order) / 2 - jnp.sum(weights), 0)))))
+
+
+def _around(sites, order, law):
+    """Weights of the offsets on a ring: of both ways to a site, or of the shorter where the law does not tell them."""
+    if not law.is_linear:
+        return to_the_right(order, sites)
+    both = ring_kernel(order, sites)[: sites // 2]
+    return both if sites % 2 else both.at[-1].divide(2)
+
+
+def _checked(sites, boundary):
+    one_of("boundary", boundary, BOUNDARIES)
+    sites = _sites(sites)
+    if boundary == "periodic" and sites < 3:
+        refuse("sites", "at least 3 on a ring", f"{sites}")
+    return sites
+
+
+@checked
+def fractional(
+    sites: Count, order: Parameter = 0.5, *, law: Law | None = None, on_site: Law | None = None,
+    mass: Parameter = 1.0, boundary: str = "periodic",
+) -> Lattice:
+    r"""Fractional lattice: differences of second order replaced by the discrete fractional Laplacian of order s.
+
+    m u_n'' = -sum_{m != 0} K_s(m) F(u_n - u_{n+m}) = -k ((-Delta)^s u)_n for a linear law,  omega^2 = (k/m)(4 sin^2
+    (q/2))^s; K_s is `gx.fractional.kernel`, with a tail m^{-1-2s}. s = 1 is the chain of next neighbours.
+
+    **Arguments:**
+
+    - `sites`: N >= 2, on a ring >= 3. `order`: s in (0, 1]; traced, differentiated, in lanes by `jax.vmap`.
+    - `law`: F of every bond, `Linear(1)` by default; one of your own. `on_site`: -on_site.force(u) on each site.
+    - `mass`: m > 0, a number, or one per site.
+    - `boundary`: `"periodic"`: the weights' sums over all images, so that modes have the frequencies above exactly.
+      `"fixed"`: the infinite chain, of which all sites beyond the ends are held at u = 0 (all of their weights count).
+      `"free"`: bonds within the chain alone.
+
+    **Returns:** a `Lattice`; polynomial laws cost a few FFTs a force. **Raises** ValueError for s outside (0, 1] and as
+    `monomer` does. Typical: s = 0.3 ... 1. Sources: Ciaurri et al., Adv. Math. 330, 688 (2018); Molina, Phys. Lett. A
+    384, 126180 (2020); Cuevas-Maraver, Kevrekidis (eds.), Fractional Dispersive Models and Applications (2024).
+    """
+    sites = _checked(sites, boundary)
+    terms = _weighted(sites, order, Linear(1.0) if law is None else law, boundary)
+    return Lattice(mass, terms if on_site is None else (*terms, OnSite(on_site)), sites=sites)
+
+
+@checked
+def fractional_fput(
+    sites: Count, order: Parameter = 0.5, *, alpha: Parameter = 0.25, beta: Parameter = 0.0,
+    nonlinear: str = "all", mass: Parameter = 1.0, stiffness: Parameter = 1.0, boundary: str = "fixed",
+) -> Lattice:
+    r"""Fractional FPUT chain: F(e) = k e + alpha e^2 + beta e^3 with the weights of the fractional Laplacian.
+
+    `nonlinear="all"`: every bond is F with its weight; `"neighbours"`: k e with the weights, and alpha e^2 + beta e^3
+    between next neighbours alone. s = 1 is `fput` either way.
+
+    **Arguments:** `alpha` [N/m^2], `beta` [N/m^3], `stiffness`: k > 0 [N/m], one number each; the others as in
+    `fractional`. **Returns:** a `Lattice`. **Raises** ValueError as `fractional`, and for k not above zero.
+    Source: Macias-Diaz, Bountis, Commun. Nonlinear Sci. Numer. Simul. 102, 105917 (2021).
+    """
+    sites = _checked(sites, boundary)
+    stiffness = positive("stiffness", stiffness)
+    alpha, beta = parameter("alpha", alpha), parameter("beta", beta)
+    if one_of("nonlinear", nonlinear, ("all", "neighbours")) == "all":
+        terms = _weighted(sites, order, Polynomial(stiffness, alpha, beta), boundary)
+    else:
+        local = Polynomial(jnp.zeros_like(stiffness), alpha, beta)
+        terms = (*_weighted(sites, order, Linear(stiffness), boundary), Bond(Shift(1, boundary), local))
+    return Lattice(mass, terms, sites=sites)
+
+
+@checked
+def fractional_sine_gordon(
+    sites: Count, order: Parameter = 0.5, coupling: Parameter = 1.0, *, mass: Parameter = 1.0,
+    stiffness: Parameter = 1.0, wavenumber: Parameter = 1.0, boundary: str = "periodic",
+) -> Lattice:
+    r"""Fractional sine-Gordon chain: m u_n'' = -C ((-Delta)^s u)_n - (k/q) sin(q u_n).
+
+    Kinks and breathers have algebraic tails, u ~ n^{-1-2s}, for s < 1. The band is k/m <= omega^2 <= (k + 4^s C)/m.
+
+    **Arguments:** `coupling`: C >= 0 [N/m], one number. `stiffness`: k > 0 [N/m], `wavenumber`: q > 0, a number, or one
+    per site. The others as in `fractional`; a kink needs free ends.
+    **Returns:** a `Lattice`. **Raises** ValueError as `fractional` and `sine_gordon`.
+    Source: Alfimov, Pierantozzi, Vazquez, Fractional Differentiation and its Applications, 644 (2004).
+    """
+    sites = _checked(sites, boundary)
+    on_site = Sine(positive("stiffness", stiffness), positive("wavenumber", wavenumber, "The period is 2 pi/q."))
+    terms = _weighted(sites, order, Linear(non_negative("coupling", coupling, _COUPLED)), boundary)
+    return Lattice(mass, (*terms, OnSite(on_site)), sites=sites)
