@@ -28,6 +28,7 @@ Lattices
     Drag                a force of the velocity's square
     LongRange           bonds to all neighbours of a chain, with weights of the distance
     Drive               a force of time on a site
+    CaputoDamping       a damping with the history of the velocity
     PlasticContact      contacts that yield, and remember their largest overlap
     Wall                a wall that yields, or moves
     Modulated           a term times a function of time
@@ -59,7 +60,9 @@ Laws
 Motion
     simulate            run a lattice in time
     Run                 what it returns
-    RunWithMemory       what it returns where forces remember
+    caputo              a vector field with Caputo's derivative in time
+    CaputoRun           what it returns
+    RunWithMemory       what `simulate` returns where forces remember
     Peak                a record: the highest value between the steps
     Lowest              the lowest
     Arrival             the time at which a quantity passes a threshold
@@ -146,6 +149,7 @@ from .design import Design, design, smooth_peak  # noqa: E402
 from .fit import Fit, Traces, fit  # noqa: E402
 from .flow import (  # noqa: E402
     Arrival,
+    CaputoRun,
     Derivative,
     Flow,
     Integral,
@@ -155,6 +159,7 @@ from .flow import (  # noqa: E402
     Reversible,
     Run,
     RunWithMemory,
+    caputo,
     derivative,
     simulate,
 )
@@ -189,6 +194,7 @@ from .strains import Pairs, Shift, StrainMap, Stretch  # noqa: E402
 from .terms import (  # noqa: E402
     Bond,
     Breaks,
+    CaputoDamping,
     Damping,
     Dashpot,
     Drag,
@@ -225,14 +231,14 @@ _LAZY = {
 _WITHIN = {"Resonator": ".travelling", "explore": ".notebook", "sweep": ".sweeps"}
 
 __all__ = [
-    "Arrival", "Bond", "Breaks", "Damping", "Dashpot", "Derivative", "Design", "Drag", "Drive", "Fit", "Flow",
-    "Harmonic", "Hertz", "Integral", "KahanLi8", "Lattice", "Law", "Linear", "LongRange", "Lowest", "Modulated",
-    "Network", "OnSite", "Pairs", "Peak", "PlasticContact", "PlasticLaw", "Polynomial", "PowerLaw", "RKN1210", "RKN86",
-    "Record", "Resonator", "Result", "Reversible", "Run", "RunWithMemory", "SRKN11b", "SRKN14a", "SRKN6b", "Shift",
-    "Sine", "SofroniouSpaletta10", "Spline", "Square", "State", "StrainMap", "Stretch", "Term", "Thornton", "Toda",
-    "Traces", "Units", "VelocityVerlet", "ViscousContact", "Wall", "WaltonBraun", "WorkPrecision", "Yielding", "clear",
-    "derivative", "design", "explore", "fit", "laws", "simulate", "smooth_peak", "solvers", "strains", "sweep", "terms",
-    "tune", "vector_field", "work_precision", *_LAZY,
+    "Arrival", "Bond", "Breaks", "CaputoDamping", "CaputoRun", "Damping", "Dashpot", "Derivative", "Design", "Drag",
+    "Drive", "Fit", "Flow", "Harmonic", "Hertz", "Integral", "KahanLi8", "Lattice", "Law", "Linear", "LongRange",
+    "Lowest", "Modulated", "Network", "OnSite", "Pairs", "Peak", "PlasticContact", "PlasticLaw", "Polynomial",
+    "PowerLaw", "RKN1210", "RKN86", "Record", "Resonator", "Result", "Reversible", "Run", "RunWithMemory", "SRKN11b",
+    "SRKN14a", "SRKN6b", "Shift", "Sine", "SofroniouSpaletta10", "Spline", "Square", "State", "StrainMap", "Stretch",
+    "Term", "Thornton", "Toda", "Traces", "Units", "VelocityVerlet", "ViscousContact", "Wall", "WaltonBraun",
+    "WorkPrecision", "Yielding", "caputo", "clear", "derivative", "design", "explore", "fit", "laws", "simulate",
+    "smooth_peak", "solvers", "strains", "sweep", "terms", "tune", "vector_field", "work_precision", *_LAZY,
 ]
 
 

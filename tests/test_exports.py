@@ -118,6 +118,7 @@ def planar():
 MAKERS = {
     "Run": run, "Branch": branch, "Fit": fitted, "Attractor": settled, "Way": way, "Sweep": sweep, "ForceLaw": law,
     "WorkPrecision": table, "RunWithMemory": yielded,
+    "CaputoRun": lambda: gx.caputo(lambda t, y, args: -y, np.ones(2), 1.0, order=0.5, steps=8),
     "Orbit": lambda: branch().orbit(-1), "OrbitRun": lambda: branch().orbit(-1).run(4),
     "OrbitError": lambda: branch().orbit(-1).error, "Floquet": lambda: branch().orbit(-1).floquet(steps=64),
     "Bifurcation": lambda: gx.breathers.Bifurcation("torus", 0.5, 1, state(), 1j, 0, 1),

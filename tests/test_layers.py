@@ -82,7 +82,7 @@ KINDS = {
                   "Strained", "Yielding", "Indented")),
         ("strains", ("Shift", "Stencil", "Pairs", "Stretch", "LinearMap")),
         ("terms", ("Bond", "Modulated", "OnSite", "Damping", "Dashpot", "ViscousContact", "Drag", "Drive", "LongRange",
-                   "Wall", "PlasticContact")),
+                   "Wall", "PlasticContact", "CaputoDamping")),
     ) for name in names
 }
 

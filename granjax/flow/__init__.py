@@ -1,7 +1,7 @@
 """Flow: integrating a lattice in time."""
 
 from .derivative import Derivative, derivative
-from .memory import RunWithMemory
+from .memory import CaputoRun, RunWithMemory, caputo
 from .record import Arrival, Integral, Lowest, Peak, Record
 from .reversible import Reversible, return_error
 from .run import Run
@@ -10,6 +10,6 @@ from .stepping import Flow
 from .stiffness import frequency_bound, linear_frequency
 
 __all__ = [
-    "Arrival", "Derivative", "Flow", "Integral", "Lowest", "Peak", "Record", "Reversible", "Run", "RunWithMemory",
-    "derivative", "frequency_bound", "linear_frequency", "return_error", "simulate",
+    "Arrival", "CaputoRun", "Derivative", "Flow", "Integral", "Lowest", "Peak", "Record", "Reversible", "Run",
+    "RunWithMemory", "caputo", "derivative", "frequency_bound", "linear_frequency", "return_error", "simulate",
 ]

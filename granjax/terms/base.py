@@ -195,6 +195,10 @@ class Term(Dimensional):
         """The internal variables after a time step from the state y0 to y1."""
         return variables
 
+    def fractional_damping(self) -> tuple | None:
+        """(field, order, coefficient) of a damping by Caputo's derivative, which has a solver, or `None`."""
+        return None
+
     def lost(self, variables: dict[str, Numbers]) -> Any:
         """The energy dissipated so far, which these variables say, an array over bonds; `None` where none is."""
         return None

@@ -4,7 +4,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ..checks import non_negative, positive, refuse
+from ..checks import concrete, non_negative, positive, refuse, show, within
 from ..entry import checked
 from ..laws import plus_power
 from ..strains import StrainMap
@@ -130,6 +130,60 @@ class ViscousContact(_Viscous):
         open_or_not = plus_power(self.overlap + self.strain_map.strain(u), self.exponent)
         pull = self.strain_map.pull(u, self.coefficient * open_or_not * self.strain_map.rate(u, v))
         return jax.tree.map(jnp.negative, pull)
+
+
+class CaputoDamping(Term):
+    r"""Damping of each site with a memory: force -c D^a u, Caputo's derivative of order 0 < a < 1.
+
+    D^a u(t) = 1/Gamma(1 - a) times the integral over s < t of v(s)/(t - s)^a: between a spring (a = 0) and a damper
+    (a = 1), as of polymers. `gx.simulate` runs it by velocity Verlet with the whole history from t0 on, before which
+    the lattice was at rest: error ~ h^2, memory T N, cost T^2 N for T steps and N sites. What needs a motion that
+    depends on its present state alone refuses it.
+
+    **Arguments:** `coefficient`: c >= 0 [N s^a/m], scalar or one per site; `order`: a in (0, 1), one number (or one
+    per lane); `field`: as in `OnSite`, `None` for all. Typical: a = 0.2 ... 0.6 for rubber and PTFE.
+    **Raises** ValueError for c < 0, or a outside (0, 1): order 1 is `Damping`. Source: M. Caputo, Geophys. J. R. Astr.
+    Soc. 13, 529 (1967).
+    """
+
+    dimensions = {"coefficient": lambda term: (1, -1, term.order), "order": (0, 0, 0)}
+    coefficient: jax.Array
+    order: jax.Array
+    field: str | None = eqx.field(static=True)
+
+    @checked
+    def __init__(self, coefficient: Parameter, order: Parameter, field: str | None = None):
+        self.coefficient, self.field = non_negative("coefficient", coefficient), field
+        remedy = "Order 1 is gx.Damping, order 0 a spring."
+        self.order = within("order", order, 0, 1, open_low=True, remedy=remedy)
+        known = concrete(self.order)
+        if known is not None and not (known < 1).all():
+            refuse("order", "an order below 1", show(known), remedy)
+
+    def remembers(self):
+        return {"velocity": "m/s"}
+
+    def check(self, name, lattice):
+        if jnp.ndim(self.order) > len(lattice.lanes):
+            refuse(name, "one order for all sites", f"orders of shape {jnp.shape(self.order)}",
+                   "Several dampings may stand side by side, each of some fields.")
+
+    def per_vector(self, axes):
+        return one_a_vector(self, axes)
+
+    def fractional_damping(self):
+        return self.field, self.order, self.coefficient
+
+    def dependence(self, lattice):
+        return Dependence(velocity=True)
+
+    def span(self):
+        return ()
+
+    def force(self, t, u, v, mass):
+        """Zero: of a motion that begins; what else it is, the past says."""
+        own = v if self.field is None else {self.field: v[self.field]}
+        return jax.tree.map(lambda v: 0 * self.coefficient * v, own)
 
 
 class Drag(Term):

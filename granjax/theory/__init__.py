@@ -7,6 +7,7 @@
 - `localisation`: how far waves reach in a weakly disordered chain.
 - `long_wave`: the long-wave equations of a chain: residuals, linear waves, the wave of the regularised one.
 - `nls`: the nonlinear Schroedinger equation of wave packets in a periodic chain; its solitons and instability.
+- `mittag_leffler`: of fractional relaxation.
 - `restitution`: of two bodies that collide, plastic ones.
 - `simple_wave`: the state behind a velocity step of any law, rarefaction fans.
 - `stokes`: periodic waves of small amplitude to the third order.
@@ -28,8 +29,9 @@ from . import (
     toda,
 )
 from .fitting import FittedEdges, shock_edges
+from .relaxation import mittag_leffler
 
 __all__ = [
-    "FittedEdges", "compacton", "elliptic", "kdv", "linear_shock", "localisation", "long_wave", "nls", "restitution",
-    "shock_edges", "simple_wave", "stokes", "toda",
+    "FittedEdges", "compacton", "elliptic", "kdv", "linear_shock", "localisation", "long_wave", "mittag_leffler", "nls",
+    "restitution", "shock_edges", "simple_wave", "stokes", "toda",
 ]

@@ -1,6 +1,7 @@
 """Runs of lattices whose forces read the past."""
 
+from .caputo import CaputoRun, caputo
 from .dispatch import with_memory
 from .run import RunWithMemory
 
-__all__ = ["RunWithMemory", "with_memory"]
+__all__ = ["CaputoRun", "RunWithMemory", "caputo", "with_memory"]

@@ -1,19 +1,23 @@
 """From `simulate` to the solver that serves what a lattice remembers."""
 
+import math
 from typing import Any
 
 import diffrax
 import jax
 import numpy as np
 
-from ...checks import refuse, show, traced
+from ...checks import concrete, refuse, show, traced
 from ...lattice import Lattice
+from ...terms.tracing import reads
 from ...types import Scalar, StateLike
 from ..control import least_tolerance
 from ..dispatch import facts
-from ..inputs import checked_save_at, checked_size, checked_state, checked_times
+from ..inputs import checked_save_at, checked_size, checked_state, checked_times, held_frames
 from ..method import number
 from ..run import COMPLETED, Run, named
+from ..stiffness import frequency_bound
+from .damped import STEP_FRACTION, march
 from .internal import integrate
 
 TOLERANCE = 1e-11
@@ -38,10 +42,13 @@ def with_memory(lattice: Lattice, state: StateLike, t1: Scalar, keywords: dict[s
     save_ts, _, every = checked_save_at(save_at, t0, t1, state)
     if every:
         refuse("save_at", "times or a number of them, for a lattice whose forces read the past", "'steps'")
+    fractional = any(term.fractional_damping() is not None for term in lattice.terms)
     for i, term in enumerate(lattice.terms):
-        if term.remembers() and term.variables(lattice) is None:
-            refuse(f"terms[{i}] ({type(term).__name__})", "a term whose memory has a solver", "one that has none",
-                   "PlasticContact stands in the lattice by itself, not within another term.")
+        if term.remembers() and (term.fractional_damping() if fractional else term.variables(lattice)) is None:
+            refuse(f"terms[{i}] ({type(term).__name__})", "a term whose memory has a solver here", "one that has none",
+                   "PlasticContact and CaputoDamping stand by themselves, not within another term or side by side.")
+    if fractional:
+        return _damped(lattice, state, t0, t1, step, tolerance, save_ts, throw)
     dtype, step = facts(lattice).dtype, checked_size("step", step)
     tolerance = checked_size("tolerance", tolerance)
     least = least_tolerance(dtype)
@@ -56,6 +63,37 @@ def with_memory(lattice: Lattice, state: StateLike, t1: Scalar, keywords: dict[s
     said = "traced" if traced(tolerance) else show(np.asarray(tolerance))
     choice = f"adaptive steps that carry internal variables, tolerance {said}"
     run = named(run, "Dopri8", choice, "", mark=lattice._mark)
+    return _completed(run, throw)
+
+
+def _damped(lattice, state, t0, t1, step, tolerance, save_ts, throw):
+    """The run of a lattice with Caputo damping, by equal steps."""
+    if tolerance is not None:
+        refuse("tolerance", "None with Caputo damping, whose steps are equal", show(np.asarray(tolerance)),
+               "Give step=; the error falls with its square.")
+    others = [type(term).__name__ for term in lattice.terms if term.fractional_damping() is None
+              and term.exact_damping() is None and reads(term, lattice).velocity]
+    if others:
+        refuse("lattice", "no force of velocities beside CaputoDamping and Damping", ", ".join(others))
+    step, dtype = checked_size("step", step), facts(lattice).dtype
+    if traced((step, t0, t1)):
+        refuse("step, t0, t1", "known numbers, which say how many steps of history are kept", "traced ones")
+    omega = concrete(frequency_bound(lattice, state, t0, t1)) if step is None or not traced((lattice, state)) else None
+    if step is None:
+        if omega is None or not omega > 0:
+            refuse("step", "a time step, where the highest frequency is not known or zero", "None",
+                   f"h omega = {STEP_FRACTION} is usual with Caputo damping.")
+        step = STEP_FRACTION / float(omega)
+    elif omega is not None and step * omega >= 2:
+        refuse("step", f"below {2 / float(omega):.3g}, where velocity Verlet is stable", show(np.asarray(step)))
+    steps = max(math.ceil((t1 - t0) / step * (1 - 1e-9)), 2)
+    held_frames("step", steps, state, "steps of history")
+    run = march(lattice, state, number(t0, dtype), number(t1, dtype), save_ts, steps)
+    choice = f"equal steps of {(t1 - t0) / steps:.4g} with the whole history, error ~ h^2"
+    return _completed(named(run, "velocity Verlet", choice, "", mark=lattice._mark), throw)
+
+
+def _completed(run, throw):
     known = not traced(run.code)
     if known and not (np.asarray(run.code) == COMPLETED).all() and (throw is None or throw):
         raise RuntimeError(run.outcome)

@@ -1,0 +1,144 @@
+"""Vector fields with Caputo's derivative in time: D^a y = f(t, y), with the whole history."""
+
+from typing import Any, ClassVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+from jax.scipy.special import gammaln
+
+from ...checks import concrete, held_in_memory, parameter, refuse, show, whole, within
+from ...entry import checked
+from ...outside import Outside
+from ...programs import waited
+from ...results import Result
+from ...types import Count, Number, Pytree, Scalar, Times, VectorField
+from ...variables import Held
+from ..inputs import checked_times
+
+# of Newton's method at each step: most iterations, and where they end, over the size of the solution
+ITERATIONS, SETTLED = 20, 1e-13
+
+
+class CaputoRun(Result):
+    """What `caputo` returns.
+
+    - `ts` (T + 1,), `ys`: times and solution, of the structure of y with the times first.
+    - `error`: how far it may be from the truth, in the largest entry and at any time: from a second run with half the
+      steps. `residual`: the largest change that Newton's method left, over the size of the solution.
+    """
+
+    held: ClassVar[dict[str, Held]] = {"ts": Held("time", "s", "time"), "ys": Held("time ...")}
+    ts: Times
+    ys: Pytree
+    error: Number
+    residual: Number
+
+    @property
+    def outcome(self) -> str:
+        """What became of the run, in a sentence (only where it is not traced)."""
+        if concrete(self.error) is None:
+            return "Not known while traced."
+        if not np.isfinite(self.error):
+            return "The solution is not finite: it grew beyond all bounds, or the steps are too long."
+        return "Completed." if self.residual < 1e-8 else "Newton's method has not converged in some step: more steps."
+
+
+@checked
+def caputo(
+    field: VectorField, y: Pytree, t1: Scalar, *, order: Scalar, steps: Count = 200, t0: Scalar = 0.0, args: Any = None,
+    grading: Scalar | None = None,
+) -> CaputoRun:
+    r"""Solve D^a y = f(t, y, args), y(t0) = y0, with Caputo's derivative of order 0 < a < 1 in time.
+
+    D^a y(t) = 1/Gamma(1 - a) times the integral over s < t of y'(s)/(t - s)^a. The L1 scheme: y is linear within each
+    step, the new value is found by Newton's method (implicit: no bound on the step from stability), and the whole
+    history is kept: memory T n, cost T^2 n, and T Jacobians of n x n, for T steps and n numbers. Solutions start as
+    t^a, whose slope is infinite; times t0 + (t1 - t0) (j/T)^r, r = (2 - a)/a, make the error fall as T^{-(2 - a)} at
+    all times, where equal steps give T^{-a}. A history that is cut short is no such equation: what is left out decays
+    as slowly as the solution.
+
+    **Arguments:** `field`: f(t, y, args); `y`: start, arrays; `order`: a in (0, 1); `steps`: T, even, at least 4;
+    `grading`: r >= 1, 1 for equal steps, `None` for (2 - a)/a, 12 at most (below a = 0.15 the order is 12 a).
+
+        run = gx.caputo(lambda t, y, args: -y, 1.0, 5.0, order=0.6)     # run.ys is E_a(-t^a)
+
+    **Returns:** `CaputoRun`. Derivatives in forward mode. **Raises** ValueError for a outside (0, 1), T odd or small,
+    times that are not in order. Source: M. Stynes, E. O'Riordan, J. L. Gracia, SIAM J. Numer. Anal. 55, 1057 (2017).
+    """
+    t0, t1 = checked_times(t0, t1)
+    order = _inside("order", order)
+    steps = whole("steps", steps, 4)
+    if steps % 2:
+        refuse("steps", "an even number, as a second run with half of them tells the error", f"{steps}")
+    grading = jnp.minimum((2 - order) / order, 12.0) if grading is None else parameter("grading", grading)
+    known = concrete(grading)
+    if known is not None and not known >= 1:
+        refuse("grading", "at least 1, equal steps", show(known))
+    y = jax.tree.map(lambda x: jnp.asarray(x, jnp.result_type(x, float)), y)
+    size = sum(x.size for x in jax.tree.leaves(y))
+    held_in_memory("steps", steps, 16 * size, "steps of such a state")
+    got = jax.eval_shape(field, t0, y, args)
+    if jax.tree.structure(got) != jax.tree.structure(y) or any(
+            a.shape != b.shape for a, b in zip(jax.tree.leaves(got), jax.tree.leaves(y))):
+        refuse("field", "a function (t, y, args) that returns what y is", f"{jax.tree.map(lambda x: x.shape, got)}")
+    t0, t1 = (jnp.asarray(t, float) for t in (t0, t1))
+    return _solved(field, y, t0, t1, order, grading, steps, args, Outside((field, args)))
+
+
+def _inside(name, order):
+    order = within(name, order, 0, 1, open_low=True, remedy="Order 1 is the plain derivative: gx.simulate, diffrax.")
+    known = concrete(order)
+    if known is not None and not (known < 1).all():
+        refuse(name, "an order below 1", show(known), "Order 1 is the plain derivative: gx.simulate, diffrax.")
+    return order
+
+
+@waited
+def _solved(field, y, t0, t1, order, grading, steps, args, outside):
+    flat, unravel = ravel_pytree(y)
+    ends = (jnp.arange(steps + 1) / steps) ** grading * (t1 - t0)
+
+    def f(t, x):
+        return ravel_pytree(field(t0 + t, unravel(x), args))[0]
+
+    fine, residual = _marched(f, flat, ends, order)
+    coarse, _ = _marched(f, flat, ends[::2], order)
+    # the order is approached from below
+    error = jnp.max(jnp.abs(fine[::2] - coarse)) / (2 ** (0.8 * (2 - order)) - 1)
+    error = jnp.where(jnp.all(jnp.isfinite(fine)), error, jnp.nan)
+    return CaputoRun(t0 + ends, jax.vmap(unravel)(fine), error, residual)
+
+
+def _marched(f, y0, ends, order):
+    """The solution at the ends of steps, (T + 1, n), and what Newton's method left."""
+    count, gaps = len(ends) - 1, jnp.diff(ends)
+    gamma = jnp.exp(gammaln(2 - order))
+
+    def step(carry, n):
+        slopes, y, worst = carry
+        t = ends[n + 1]
+        # of the history: the integral of (t - s)^{-a} over each past step
+        since, gap = t - ends[1:], gaps
+        past = jnp.arange(count) < n
+        since = jnp.where(past, since, 1.0)
+        parts = since ** (1 - order) * jnp.expm1((1 - order) * jnp.log1p(gap / since)) / gamma
+        history = jnp.where(past, parts, 0.0) @ slopes
+        own = gaps[n] ** -order / gamma
+        residual = lambda x: own * (x - y) + history - f(t, x)
+
+        def newton(state):
+            x, _, k = state
+            move = jnp.linalg.solve(jax.jacfwd(residual)(x), residual(x))
+            size = jnp.max(jnp.abs(move)) / jnp.maximum(jnp.max(jnp.abs(x)), jnp.finfo(x.dtype).tiny)
+            return x - move, size, k + 1
+
+        start = y, jnp.asarray(jnp.inf, y.dtype), 0
+        x, left, _ = jax.lax.while_loop(lambda s: (s[1] > SETTLED) & (s[2] < ITERATIONS), newton, start)
+        slopes = jax.lax.dynamic_update_slice(slopes, ((x - y) / gaps[n])[None], (n, 0))
+        return (slopes, x, jnp.maximum(worst, left)), x
+
+    begin = jnp.zeros((count, y0.size), y0.dtype), y0, jnp.zeros((), y0.dtype)
+    (_, _, worst), found = jax.lax.scan(step, begin, jnp.arange(count))
+    return jnp.concatenate([y0[None], found]), worst

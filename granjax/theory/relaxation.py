@@ -1,0 +1,49 @@
+"""The Mittag-Leffler function, which is to fractional relaxation what the exponential is to the plain one."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..checks import concrete, parameter, positive, refuse, show, within
+from ..entry import checked
+from ..programs import compiled
+from ..types import Number, Parameter
+
+# of the parabola of Weideman and Trefethen; the error falls as 2.85^-NODES, and rounding grows as exp(0.13 NODES)
+NODES = 32
+
+
+@checked
+def mittag_leffler(z: Parameter, order: Parameter, second: Parameter = 1.0) -> Number:
+    r"""E_{a,b}(z) = sum over k of z^k/Gamma(a k + b), for z <= 0 and 0 < a <= 1.
+
+    E_a(-t^a) solves D^a y = -y, y(0) = 1, with Caputo's derivative: it falls as 1 - t^a/Gamma(1 + a) at first, and as
+    t^{-a}/Gamma(1 - a) at last. E_1(z) = exp(z), E_{1/2}(-x) = exp(x^2) erfc(x).
+
+    By its inverse Laplace transform, (1/2 pi i) times the integral of e^s s^{a-b}/(s^a - z), on a parabola around the
+    negative axis: for these arguments no pole is near it. Error below 2e-14 for b up to 1, 1e-12 for
+    b = 2, 2e-11 for b = 3.
+
+    **Arguments:** `z`: real, <= 0; `order`: a in (0, 1]; `second`: b > 0; they broadcast. Differentiable in all.
+    **Raises** ValueError for others; z > 0 grows as exp(z^{1/a})/a, and orders above 1 oscillate: their poles are not
+    counted here. Source: J. A. C. Weideman, L. N. Trefethen, Math. Comput. 76, 1341 (2007); R. Garrappa, SIAM J.
+    Numer. Anal. 53, 1350 (2015).
+    """
+    z, second = parameter("z", z), positive("second", second)
+    order = within("order", order, 0, 1, open_low=True, remedy="Relaxation has orders up to 1.")
+    known = concrete(z)
+    if known is not None and not (known <= 0).all():
+        refuse("z", "z <= 0", show(known), "E_a(-t^a) is what decays.")
+    return _by_contour(z, order, second)
+
+
+@compiled
+def _by_contour(z, order, second):
+    theta = (2 * np.arange(NODES // 2) + 1) * np.pi / NODES
+    s = jnp.asarray(NODES * (0.1309 - 0.1194 * theta**2 + 0.25j * theta))
+    weight = jnp.exp(s) * NODES * (-0.2388 * theta + 0.25j) * (2 / NODES)
+    z, order, second = (x[..., None] for x in jnp.broadcast_arrays(z, order, second))
+    log = jnp.log(s)
+    # the other half of the parabola is the mirror image
+    found = jnp.imag(weight * jnp.exp((order - second) * log) / (jnp.exp(order * log) - z)).sum(-1)
+    return jax.lax.convert_element_type(found, z.dtype)
