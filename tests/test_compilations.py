@@ -270,6 +270,7 @@ own_period = lambda omega: 2 * jnp.pi / omega
 @also("rectifier", STUDY)
 def _(seed):
     gx.studies.rectifier(np.array([1e-8, 2e-8]) * (1 + 0.1 * seed), sites=6, periods=60, damping_time=2e-4)
+    gx.studies.rectifier_branch(1e-8, 2e-8 * (1 + 0.1 * seed), sites=6, damping_time=2e-4, arclength=1.0)
 
 
 @also("spectra", SLOW)

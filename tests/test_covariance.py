@@ -1103,6 +1103,13 @@ def _(s):
     return [speed(found.up.response), energy(found.up.energy), found.up.multiple, found.outcome]
 
 
+@row("two_way", slow=(closed,))
+def _(s):
+    found = gx.studies.two_way(s.lattice, s.m(np.array([1e-3, 2e-3])), s.hertz(0.8), damping=s.hertz(0.25), steps=48)
+    left, right = (Of(x, 1, 0, 0) for x in (found.from_left, found.from_right))
+    return left, right, About(Of(found.from_left_error, 1, 0, 0)), found.amplitudes.shape
+
+
 # public, with a lattice among the arguments, and not in the table
 ELSEWHERE = {
     "split_system": "a solver's working form of the same forces: `simulate`", "variational": "`floquet`",
@@ -1126,7 +1133,8 @@ def test_every_public_function_that_takes_a_lattice_is_in_the_table():
 # rows of several compiled programs; of orbits `bright_guess` and `single_site` always run
 LONG = {"breather", "simulate", "simulate_tolerance", "frequency_bound", "fit", "fit_from_zero", "family",
         "forced_orbit", "forced_branch", "settle", "sweep", "lyapunov"}
-LONGER = {"law_power law", "law_polynomial", "law_spline", "law_network", "physics_informed", "wall_modulus"}
+LONGER = {"law_power law", "law_polynomial", "law_spline", "law_network", "physics_informed", "two_way",
+          "wall_modulus"}
 
 
 def cases():

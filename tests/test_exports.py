@@ -164,6 +164,7 @@ MAKERS = {
     "DarkBreather": lambda: studies.DarkBreather(
         settled(), chain(), 1.0, 2.0, np.ones(N), np.ones(N + 1), 1.0, 0.5, 3.0, -0.9, np.ones((6, N))),
     "Rectifier": lambda: studies.Rectifier(np.ones(3), sweep(), sweep(), 1.0, np.inf, np.ones(3), 1.0, 2.0, 3.0),
+    "TwoWay": lambda: studies.TwoWay(np.ones(3), 1.0, *np.ones((4, 3)), **OTHER),
     "CellWave": lambda: gx.travelling.cell_wave(gx.Hertz(), [1.0], speed=1.0),
     "Oscillations": lambda: Oscillations(np.ones(3), np.ones(3), 41),
     "ResonanceMap": lambda: ResonanceMap(

@@ -58,4 +58,9 @@ def test_a_defect_beside_the_driver_rectifies():
     radii[1] = 7e-3
     chain = gx.scenes.beads("steel 316", radii, 8.0)
     lattice = driven.driven_chain(chain, amplitudes[-1], omega, ends="left", damping=1 / 1.75e-3)
+    # that is where a pair of multipliers leaves the unit circle: two methods that share nothing but the forces
+    branch = studies.rectifier_branch(0.16e-6, 0.19e-6, transient=600, arclength=0.5)
+    (onset,) = branch.bifurcations
+    assert onset.kind == "Neimark-Sacker" and onset.p == pytest.approx(0.17919e-6, rel=1e-4)
+    assert found.threshold_near == pytest.approx(onset.p, rel=0.02) and branch.verdict[0] == "stable"
     assert driven.lyapunov(lattice, last, 2 * np.pi / omega, periods=1000).chaotic

@@ -5,9 +5,10 @@
 
 from .bright_breather import BrightBreather, bright_by_instability
 from .dark_breather import DarkBreather, dark_by_interference, steel_chain
-from .rectifier import Rectifier, rectifier
+from .rectifier import Rectifier, rectifier, rectifier_branch
+from .two_way import TwoWay, two_way
 
 __all__ = [
-    "BrightBreather", "DarkBreather", "Rectifier", "bright_by_instability", "dark_by_interference", "rectifier",
-    "steel_chain",
+    "BrightBreather", "DarkBreather", "Rectifier", "TwoWay", "bright_by_instability", "dark_by_interference",
+    "rectifier", "rectifier_branch", "steel_chain", "two_way",
 ]
