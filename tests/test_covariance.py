@@ -997,6 +997,22 @@ def _(s):
     return branch_of(gx.breathers.family(s.lattice, until=beyond(s)), p=rate)
 
 
+class WithCoupling(eqx.Module):
+    """The lattice `hard` over the stiffness of its springs."""
+
+    lattice: gx.Lattice
+
+    def __call__(self, coupling):
+        return eqx.tree_at(lambda x: x.terms[0].law.stiffness, self.lattice, coupling)
+
+
+@row("anticontinuous", slow=(hard,))
+def _(s):
+    coupling = float(s.lattice.terms[0].law.stiffness)
+    branch = gx.breathers.anticontinuous(WithCoupling(s.lattice), coupling, 1.3 * upper_edge(s))
+    return branch_of(branch, p=lambda p: p / coupling)
+
+
 @row("breather", chain_9, slow=(hard,))
 def _(s):
     b = gx.breathers.breather(s.lattice, beyond(s), check=False)

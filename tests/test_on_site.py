@@ -191,3 +191,29 @@ def test_what_has_no_such_limit_is_refused():
     ):
         with pytest.raises(ValueError, match=words):
             gx.breathers.anticontinuous(scene, coupling, omega)
+
+
+@pytest.mark.slow
+def test_branches_over_the_coupling_that_turn_back_and_that_change(over_coupling):
+    soft = lambda c: gx.scenes.klein_gordon(9, c, beta=-1.0)
+    apart = gx.breathers.anticontinuous(soft, 0.3, 0.8, [3, 4], amplitudes=[1, -1], stability=False)
+    # two sites meet more of them at a fold
+    assert "turned back at the coupling 0.26" in apart.outcome and len(apart.folds) and apart.p[-1] == 0
+    sizes = np.abs(apart.u[-1] / apart.u[0, 3])
+    np.testing.assert_allclose(sizes, np.round(sizes), atol=1e-9)
+    assert 2 < sizes.sum() < 5
+    dark = gx.breathers.anticontinuous(soft, 0.02, 0.8, [0, 1, 2, 3, 5, 6, 7, 8], amplitudes=[1, -1, 1, -1] * 2,
+                                       stability=False)
+    assert dark.p[-1] == 0.02 and gx.breathers.localisation(soft(0.02), dark.orbit(-1).state).dark
+    # near the barrier of the soft force, where the third harmonic meets the band
+    near = gx.breathers.anticontinuous(soft, 0.4, 0.45, stability=False)
+    assert near.p[-1] == pytest.approx((1.35**2 - 1) / 4, rel=1e-3) and "3 omega = 1.35 meets" in near.outcome
+    assert gx.breathers.bifurcations(over_coupling) == []
+
+
+@pytest.mark.slow
+def test_a_breather_of_the_cradle_falls_off_faster_than_exponentially():
+    branch = gx.breathers.anticontinuous(lambda A: gx.scenes.cradle(9, stiffness=A, length=1.0), 0.02, 0.9,
+                                         stability=False, points=12, steps=64)
+    decay = np.diff(np.log(np.abs(branch.u[-1][4:9])))
+    assert branch.p[-1] == 0.02 and np.all(decay[1:] < 1.3 * decay[:-1])

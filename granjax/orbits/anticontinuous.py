@@ -21,7 +21,7 @@ from ..tuning import one_thread
 from ..types import Count, Scalar, Site
 from .branch import Branch
 from .breather import refuse_resonance, resonant_harmonic
-from .confirm import BRANCH, LEFT_ON_BRANCH, newtons
+from .confirm import LEFT_ON_BRANCH, newtons
 from .families import breathers_on, checked_lattice, enough_steps, half_steps
 from .guesses.sites import single_site
 from .localised import FEWEST, localisation
@@ -30,6 +30,8 @@ from .repeats import largest
 
 # along the branch, in the amplitude of the limit and in the whole way of the coupling: first, longest and least step
 ARCLENGTH, LONGEST, LEAST = 0.1, 4.0, 1e-4
+# of its amplitude, to which a breather is known
+TOLERANCE = 1e-10
 # what continuation says before the reason of a veto
 VETOED = "vetoed, "
 # of the largest force in the limit, what other sites may move and feel: rounding
@@ -42,7 +44,7 @@ def anticontinuous(
     scene: Callable[[Any], Any], coupling: Scalar, omega: Scalar, sites: Site | Sequence[Site] | None = None, *,
     amplitudes: Sequence[Scalar] | None = None, field: str | None = None, arclength: Scalar = ARCLENGTH,
     points: Count = 100, steps: Count | None = None, solver: AbstractSolver | None = None,
-    tolerance: Scalar = BRANCH, stability: bool = True,
+    tolerance: Scalar = TOLERANCE, stability: bool = True,
 ) -> Branch:
     r"""Breathers of one frequency over the coupling, from the limit of none, in which each site moves by itself.
 
@@ -54,17 +56,19 @@ def anticontinuous(
     **Arguments:**
 
     - `scene(coupling)`: the `Lattice`, traced: `lambda c: gx.scenes.klein_gordon(21, c)`; conservative, its sites not
-      coupled at 0. The same function again compiles nothing.
+      coupled at 0. The same function again compiles nothing. Contacts couple too, of which the breathers fall off
+      faster than exponentially: `lambda A: gx.scenes.cradle(9, stiffness=A, length=1.0)`.
     - `coupling`: where the branch ends, not zero; in the unit that the scene takes.
     - `omega` [rad/s]: above the frequency of small oscillations where the force on the sites hardens, below it where it
       softens.
     - `sites`: an index or several (on a grid a pair or several pairs), which oscillate in the limit; `None` is the
       middle. `amplitudes`: their signs +-1 (None: all in phase), a code of a multibreather; `field`: where a cell
-      holds several.
+      holds several. All sites but one make a dark breather.
     - `arclength`: first step along the branch, in which the way of the coupling counts 1, and so does a change of a
       displacement by the amplitude in the limit; `points`: the most breathers.
     - `steps`: time steps in a period, an even number; `None` doubles them until half as many confirm the largest
-      breather to `tolerance`, relative to its amplitude, and its tangent map to 1e-8. `solver`: a splitting method.
+      breather to `tolerance`, relative to its amplitude, and its tangent map to 1e-8: many where contacts open.
+      `solver`: a splitting method.
     - `stability`: also the multipliers.
 
     **Returns:** `Branch`, with the coupling as `p`; `branch.orbit(-1)` is the breather at the last one, which
@@ -81,12 +85,14 @@ def anticontinuous(
     if end == 0 or not np.isfinite(end):
         refuse("coupling", "a coupling to go to, not zero", repr(end), "At zero every site is by itself.")
     period = 2 * np.pi / omega
-    lattices = [checked_lattice(made(scene, period, c)[0]) for c in (0.0, end)]
+    made(scene, period, end)
+    scene = _Traced(scene, Outside((scene,)))
+    lattices = [checked_lattice(scene(jnp.asarray(c))) for c in (0.0, end)]
     limit = _limit(lattices[0], omega, sites, amplitudes, field)
     length = float(largest(limit.u))
     count = max(half_steps(lattice, period, steps, limit) for lattice in lattices)
     half = Shooting.half(lattices[0], Flow(jnp.asarray(count, int), solver or KahanLi8()), length=length, omega=omega)
-    family = Family(half, scene, jnp.asarray(period), jnp.zeros(()), jnp.asarray(end), Outside((scene,)))
+    family = Family(half, scene, jnp.asarray(period), jnp.zeros(()), jnp.asarray(end))
     start = np.asarray(half.guess(limit))
 
     def follow(count):
@@ -97,13 +103,33 @@ def anticontinuous(
             linearise=problem.linearise, tolerance=newtons(tolerance, lattices[0].dtype, LEFT_ON_BRANCH),
             veto=_veto(problem, omega, limit))
         why = curve.outcome.partition(VETOED)[2]
-        return problem, dataclasses.replace(curve, outcome=f"Ended: beyond its last point {why}") if why else curve
+        if why:
+            curve = dataclasses.replace(curve, outcome=f"Ended: beyond its last point {why}")
+        elif len(curve.p) > 1 and curve.p[-1] == 0:
+            turned = f"turned back at the coupling {curve.p.max() * end:.6g}, a fold, to another breather without"
+            curve = dataclasses.replace(curve, outcome=f"Ended: {turned}; none leads to {end:.6g}.")
+        return problem, curve
 
     problem, curve = follow(count)
     enough = count if steps else enough_steps(problem, curve, count, tolerance, stability)
     if enough > count:
         problem, curve = follow(enough)
     return breathers_on(problem, curve, stability)
+
+
+class _Traced(eqx.Module):
+    """A scene that sees no number, so that one which refuses a coupling of zero is made too."""
+
+    scene: Callable
+    outside: Outside
+
+    def __call__(self, coupling):
+        return _scene(self.scene, coupling, self.outside)
+
+
+@eqx.filter_jit
+def _scene(scene, coupling, outside):
+    return scene(coupling)
 
 
 def _limit(lattice, omega, sites, amplitudes, field):
@@ -127,15 +153,17 @@ def _limit(lattice, omega, sites, amplitudes, field):
 def _veto(problem, omega, limit):
     """Why a point of the branch is no breather: a harmonic among the waves, or an orbit that has spread."""
     first = localisation(problem.scene(jnp.zeros(()))[0], limit)
+    # what fills the lattice may be a dark breather, whose first harmonic is a wave's
+    kind, least = ("any", 2) if first.fills else ("bright", 1)
 
     def why(x, q, *before):
         lattice = problem.scene(jnp.asarray(q))[0]
-        found = resonant_harmonic(lattice, omega)
+        found = resonant_harmonic(lattice, omega, least)
         if found is not None:
             n, (low, high), _ = found
             return f"{n} omega = {n * omega:.6g} meets the waves of {low:.6g} ... {high:.6g}"
         spread = localisation(lattice, problem.shooting.state(jnp.asarray(x)))
-        if spread.cells < FEWEST or spread.why_not("bright", first) is None:
+        if spread.cells < FEWEST or spread.why_not(kind, first) is None:
             return None
         return f"it is not localised, {spread} (participation number; {first.participation:.3g} in the limit)"
 

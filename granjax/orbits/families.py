@@ -219,7 +219,7 @@ def breathers_on(problem: Family, curve: Curve, stability: bool) -> Branch:
         p, periods, states, energy, None, state_error, energy_error, None, multipliers, error,
         np.array([s.step_error for s in found]), verdict, tuple(special_of(problem, curve)),
         problem.outcome(curve), 0.0, Flow(2 * half.steps, half.solver), problem, curve,
-        **problem.scene(jnp.asarray(curve.p[0]))[0].origin)
+        **problem.scene(jnp.asarray(curve.p[-1]))[0].origin)
 
 
 def checked_lattice(lattice: Lattice) -> Lattice:
@@ -266,9 +266,12 @@ def over_frequency(
 
 @eqx.filter_jit
 def energy_slope(problem: Family, z: Numbers, tangent: Numbers) -> Numbers:
-    """dE/ds along a tangent (x, omega) of a branch."""
-    total = lambda x: (lambda y: problem.make.energy(0.0, y.u, y.v))(problem.shooting.state(x))
-    return jax.jvp(total, (z[:-1],), (tangent[:-1],))[1]
+    """dE/ds along a tangent (x, q) of a branch."""
+    def total(z):
+        state = problem.shooting.state(z[:-1])
+        return problem.scene(z[-1])[0].energy(0.0, state.u, state.v)
+
+    return jax.jvp(total, (z,), (tangent,))[1]
 
 
 def _members(problem, curve, aparts):

@@ -121,5 +121,6 @@ def _dip(energies):
         if len(e) > 2:
             left, right = np.maximum.accumulate(e)[:-2], np.maximum.accumulate(e[::-1])[::-1][2:]
             beside = np.maximum(np.minimum(left, right), np.finfo(e.dtype).tiny)
-            least = min(least, np.min(e[1:-1] / beside))
+            with np.errstate(over="ignore"):  # beside cells at rest
+                least = min(least, np.min(e[1:-1] / beside))
     return float(least)

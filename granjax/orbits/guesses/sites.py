@@ -297,21 +297,31 @@ def _amplitude(lattice, omega, place, sign):
         """On the way, negative until the first return to rest."""
         return sign * np.asarray(_path(lattice, jnp.abs(one), a * one, half)[1])[:, place]
 
+    def highest(low, top):
+        """The largest amplitude below a barrier: from beyond it the site does not come back."""
+        while low < (low + top) / 2 < top:
+            middle = (low + top) / 2
+            low, top = (middle, top) if velocities(middle)[0] < 0 else (low, middle)
+        return low
+
     def between(low, high):
-        before = velocities(low)[-1]
+        before = velocities(low)
         while low < high:
-            now = velocities(GROW * low)[-1]
-            if not np.isfinite(now):
+            top, now = GROW * low, velocities(GROW * low)
+            if before[0] < 0 and not now[0] < 0:
+                top = high = highest(low, top)
+                now = velocities(top)
+            if not np.isfinite(now[-1]):
                 return None
-            if before * now <= 0:
+            if before[-1] * now[-1] <= 0:
                 try:
-                    found = brentq(lambda a: velocities(a)[-1], low, GROW * low, xtol=1e-14 * low, rtol=1e-14)
+                    found = brentq(lambda a: velocities(a)[-1], low, top, xtol=1e-14 * low, rtol=1e-14)
                 except ValueError:  # not finite on the way
                     return None
                 # a later return belongs to a faster motion
                 if np.all(velocities(found)[:-1] < 0):
                     return found
-            low, before = GROW * low, now
+            low, before = top, now
         return None
 
     grid = 2.0 ** np.arange(-ORDERS, ORDERS + 1)
