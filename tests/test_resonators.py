@@ -196,7 +196,7 @@ def test_why_there_is_no_bright_breather():
     precompressed = scenes.mass_in_mass(12, 0.3, 1.2, precompression=1.0)
     with pytest.raises(ValueError, match="only dark"):
         gx.breathers.breather(precompressed, 2.0, "bright")
-    only_pushes = gx.orbits.breather.only_pushes
+    only_pushes = gx.orbits.breather._only_pushes
     assert only_pushes(scenes.mass_in_mass(12, 5.0, 1.0)) and only_pushes(scenes.monomer(12))
     held = gx.Lattice(1.0, (*scenes.monomer(12).terms, gx.OnSite(gx.Linear(1.0))), sites=12)
     assert not any(map(only_pushes, (precompressed, held, scenes.toda(12))))
@@ -228,3 +228,41 @@ def test_bright_breather_without_precompression_decays_super_exponentially():
     # log e_{n+1} = (3/2) log e_n + ...
     assert bright.converged and len(ratios) >= 2 and np.all(ratios > 1.5)
     np.testing.assert_allclose(ratios[-1], 1.5, atol=0.05)
+
+
+@pytest.mark.slow
+def test_a_tail_free_wave_leaves_no_resonator_swinging():
+    kappa = float(gx.travelling.tail_free_stiffness(1.0, 0.1))
+    wave = gx.travelling.solitary_wave(gx.Hertz(), speed=1.0, resonator=gx.Resonator(0.1, kappa))
+    chain = scenes.mass_in_mass(40, 0.1, kappa, boundary="free")
+    run = gx.simulate(chain, wave.state(40, 10.0), 15.0, tolerance=1e-11)
+    known = wave.state(40, 25.0)
+    for name in ("bead", "resonator"):
+        np.testing.assert_allclose(run.final.v[name], known.v[name], rtol=0, atol=1e-9)
+    with pytest.raises(ValueError, match="a stiffness of 3.588947"):
+        gx.travelling.solitary_wave(gx.Hertz(), speed=1.0, resonator=gx.Resonator(0.1, 1.05 * kappa))
+
+
+@pytest.mark.slow
+def test_heavy_resonators_hold_a_bright_breather_for_long():
+    # relative to its resonator a bead is a cradle's: m (m + mu)/mu, kappa (m + mu)^2/mu^2, until the pairs have drifted
+    kappa, sites = 1.0, 11
+    left = []
+    for mu in (100.0, 10000.0):
+        mass, spring = (1 + mu) / mu, kappa * ((1 + mu) / mu) ** 2
+        contacts = gx.Bond(gx.Shift(1, "free"), gx.Hertz())
+        cradle = gx.Lattice(mass, (contacts, gx.OnSite(gx.Linear(spring))), sites=sites)
+        omega = 1.1 * np.sqrt(spring / mass)
+        start = gx.breathers.breather(cradle, omega).state.u
+        chain = scenes.mass_in_mass(sites, mu, kappa, boundary="free")
+        state = gx.State({"bead": start, "resonator": -start / mu}, chain.zeros())
+        run = gx.simulate(chain, state, 20 * 2 * np.pi / omega, save_at=201)
+        push = np.maximum(-np.diff(np.asarray(run.us["bead"]), axis=1), 0)
+        first, last = (np.sort(push[i].max(0))[::-1] for i in (slice(0, 11), slice(-11, None)))
+        left.append(last[0] / first[0])
+    assert left[0] < 0.8 and left[1] > 0.97
+    # of the one that lasts, each strain is nearly the power 3/2 of that before
+    tail = push[-11:].max(0)
+    tail = np.log(tail[np.argmax(tail) + 1 :])
+    steps = np.diff(tail)
+    assert np.all(steps[1:] / steps[:-1] > 1.3) and len(steps) >= 3

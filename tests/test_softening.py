@@ -91,3 +91,74 @@ def test_a_contact_that_re_opens_is_said_to_be_infinitely_stiff():
     chain = scenes.foam(8, boundary="free")
     run = gx.simulate(chain, gx.states.impact(chain, velocity=-3.0), 4.0)
     assert run.opening != "no" and "infinitely stiff" in repr(run)
+
+
+class Mirrored(gx.Law):
+    """F(e) = -F_law(-e): the chain seen after u -> -u, which hardens where the other one softens."""
+
+    opens = False
+    law: gx.Law
+
+    @property
+    def preload(self):
+        return -self.law.preload
+
+    def force(self, e):
+        return -self.law.force(-e)
+
+    def energy(self, e):
+        return self.law.energy(-e)
+
+
+@pytest.mark.parametrize("p", [0.5, pytest.param(jnp.asarray(0.37), marks=pytest.mark.slow)])
+def test_rarefaction_pulses_mirror_those_of_the_hardening_chain(p):
+    law = scenes.origami(5, p, stiffness=1.3, precompression=0.8).terms[0].law
+    speed = 1.1 * float(jnp.sqrt(law.derivative(0.0)))
+    soft, hard = (gx.travelling.solitary_wave(x, speed=speed) for x in (law, Mirrored(law)))
+    assert soft.amplitude < 0 < hard.amplitude and soft.error < 1e-12
+    np.testing.assert_allclose(soft.strains, -np.asarray(hard.strains), rtol=0, atol=4e-16 * float(hard.amplitude))
+    np.testing.assert_allclose(soft.energy, hard.energy, rtol=1e-13)
+    with pytest.raises(ValueError, match="above that of sound"):
+        gx.travelling.solitary_wave(law, speed=0.9 * speed)
+
+
+@pytest.mark.slow
+def test_a_rarefaction_shock_mirrors_the_shock_of_the_hardening_chain():
+    law = scenes.hollow_cylinders(5).terms[0].law
+    found = []
+    for own, side in ((law, -1), (Mirrored(law), 1)):
+        chain = gx.Lattice(1.0, gx.Bond(gx.Shift(1, "free"), own), sites=240)
+        run = gx.shocks.velocity_shock(chain, 0.2 * side).run(130.0, step=0.2)
+        found.append((run, gx.shocks.measure(run), gx.theory.shock_edges(own, 0.2 * side)))
+    (soft, shock, edges), (hard, mirror, others) = found
+    np.testing.assert_array_equal(soft.final.u, -np.asarray(hard.final.u))
+    np.testing.assert_array_equal(soft.final.v, -np.asarray(hard.final.v))
+    assert shock.mean < 0 and float(shock.mean) == -float(mirror.mean)
+    np.testing.assert_allclose(shock.leading_speed, mirror.leading_speed, rtol=1e-10)
+    assert shock.outcome.startswith("A shock of rarefaction") and mirror.outcome.startswith("A shock of compression")
+    np.testing.assert_allclose(edges.mean, -others.mean, rtol=1e-13)
+    np.testing.assert_allclose(shock.mean, edges.mean, rtol=2e-3)
+    np.testing.assert_allclose(shock.leading_speed, edges.leading_speed, rtol=2e-2)
+
+
+@pytest.mark.slow
+def test_a_step_up_in_compression_spreads():
+    chain = scenes.foam(100, boundary="free")
+    with pytest.raises(ValueError, match="This is a rarefaction|softens in compression"):
+        gx.shocks.measure(gx.shocks.velocity_shock(chain, 0.1).run(40.0))
+
+
+@pytest.mark.slow
+def test_bright_breathers_above_the_band():
+    chain = scenes.foam(61, boundary="free")
+    omega = 1.003 * np.sqrt(2)
+    bright = gx.breathers.breather(chain, omega, "bright", steps=64)
+    guess = gx.breathers.guesses.bright_guess(chain, omega)
+    own, envelope = (-np.diff(x.u) for x in (bright.state, guess))
+    assert bright.converged and np.abs(own - envelope).max() < 0.04 * np.abs(own).max()
+    assert np.abs(own).max() < 1  # contacts stay closed, d0 = 1
+    with pytest.raises(ValueError, match="only bright"):
+        gx.breathers.breather(chain, 0.99 * np.sqrt(2), "dark")
+    hard = scenes.monomer(61, precompression=1.0, boundary="free")
+    with pytest.raises(ValueError, match="only dark"):
+        gx.breathers.breather(hard, 1.003 * np.sqrt(6), "bright")

@@ -139,13 +139,12 @@ def _unguessed(lattice, omega, steps, solver, tolerance, check):
         if found.converged and localisation(lattice, found.state).bright:
             return found.state, 2 * count
     if failed is not None:
-        why = f" {PUSHES}" if only_pushes(lattice) else ""
+        why = f" {PUSHES}" if _only_pushes(lattice) else ""
         raise type(failed)(f"{failed} No breather about a site was found either.{why}") from None
     return start
 
 
-@checked
-def only_pushes(lattice: Lattice) -> bool:
+def _only_pushes(lattice):
     """Whether all sites beyond some place can be moved away from the others without any force."""
     shapes = set(lattice.sites.values()) if lattice.fields else {lattice.sites}
     if lattice.dimension or len(shapes) > 1 or lattice.axes != 1:

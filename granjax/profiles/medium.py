@@ -100,7 +100,7 @@ def fine_force(law: Law, e: Numbers) -> Numbers:
     """
     plain = law.force(e)
     mean = sum(w / 2 * law.derivative((1 + t) / 2 * e) for t, w in zip(_NODES, _WEIGHTS))
-    close = jnp.abs(e * mean - plain) <= ROUNDING * jnp.finfo(plain.dtype).eps * (jnp.abs(plain) + law.preload)
+    close = jnp.abs(e * mean - plain) <= ROUNDING * jnp.finfo(plain.dtype).eps * (jnp.abs(plain) + jnp.abs(law.preload))
     return jnp.where(close & (law.preload != 0), e * mean, plain)
 
 
