@@ -449,6 +449,7 @@ OWN = {
     "sweeps.sweep.sweep.function": lambda: lambda x: x, "sweeps.points.paired.parameters": lambda: {"x": [1.0, 2.0]},
     "sweeps.points.random.bounds": lambda: {"x": (0.0, 1.0)}, "sweeps.sweep.read.store": lambda: kept(),
     "scenes.resonators.woodpile.masses": lambda: [0.5], "scenes.resonators.woodpile.stiffnesses": lambda: [1.0],
+    "scenes.modulated.travelling_modulation.sites": lambda: 6,
     "scenes.chains.pattern.masses": lambda: [1.0, 0.5], "scenes.chains.defects.masses": lambda: {2: 0.5},
     "orbits.guesses.sites.single_site.sites": lambda: [2], "orbits.forced_branch.forced_branch.start": lambda: 0.8,
     "orbits.anticontinuous.anticontinuous.scene": lambda: lambda c: gx.scenes.klein_gordon(SITES, c),

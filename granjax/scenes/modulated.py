@@ -11,7 +11,7 @@ from ..laws import Law, Linear
 from ..strains import BOUNDARIES, Shift
 from ..terms import Bond, Damping, Harmonic, Modulated, OnSite, Square
 from ..types import Count, Parameter
-from .chains import _sites
+from .chains import _number, _sites
 
 _SHAPES = {"cosine": Harmonic, "square": Square}
 _TURNS = 1e-9
@@ -39,8 +39,9 @@ def modulated(
     Source: Kim, Chong, Hajarolasvadi, Wang, Daraio, Phys. Rev. E 107, 034211 (2023); Chong, Kim, Wallace, Daraio,
     Phys. Rev. Res. 6, 023045 (2024).
     """
-    wave = _SHAPES[one_of("shape", shape, tuple(_SHAPES))](amplitude, _rate(omega), phase, 1.0)
-    return _chain(_sites(sites), wave, one_of("on", on, ("bonds", "sites")), law, grounding, damping, mass, boundary)
+    sites, places = _places(sites, on, boundary)
+    wave = _wave(shape, amplitude, omega, phase, places)
+    return _chain(sites, wave, on, law, grounding, damping, mass, boundary)
 
 
 @checked
@@ -61,8 +62,8 @@ def travelling_modulation(
     divide.
     Source: Swinteck, Matsuo, Runge, Vasseur, Lucas, Deymier, J. Appl. Phys. 118, 063103 (2015).
     """
+    sites, places = _places(sites, on, boundary)
     wavelength, value = parameter("wavelength", wavelength), concrete(wavelength)
-    sites = _sites(sites)
     if value is not None:
         if value.ndim or not abs(value) >= 2:
             refuse("wavelength", "a number of sites, 2 or more in size", repr(value.tolist()))
@@ -70,24 +71,32 @@ def travelling_modulation(
         if boundary == "periodic" and abs(turns - round(turns)) > _TURNS * sites:
             refuse("wavelength", f"one that goes into a ring of {sites} sites", repr(float(value)),
                    "Take as many sites as several wavelengths, or free ends.")
-    one_of("on", on, ("bonds", "sites")), one_of("boundary", boundary, BOUNDARIES)
-    walls = {"fixed": 1, "free": -1, "periodic": 0}[boundary] if on == "bonds" else 0
     # the bond to a left wall comes first
-    place = np.arange(sites + walls) - (walls == 1)
-    phase = -2 * np.pi * place / wavelength
-    wave = _SHAPES[one_of("shape", shape, tuple(_SHAPES))](amplitude, _rate(omega), phase, 1.0)
+    place = places - (on == "bonds" and boundary == "fixed")
+    wave = _wave(shape, amplitude, omega, -2 * np.pi * place / wavelength, places)
     return _chain(sites, wave, on, law, grounding, damping, mass, boundary)
 
 
-def _rate(omega):
-    return positive("omega", omega, "The modulation has a period.")
+def _places(sites: Count, on: str, boundary: str) -> tuple:
+    """The number of sites, and the numbers of the bonds or sites that are modulated."""
+    sites, walls = _sites(sites), {"fixed": 1, "free": -1}.get(one_of("boundary", boundary, BOUNDARIES), 0)
+    return sites, np.arange(sites + walls * (one_of("on", on, ("bonds", "sites")) == "bonds"))
+
+
+def _wave(shape: str, amplitude: Parameter, omega: Parameter, phase: Parameter, places: np.ndarray) -> Callable:
+    for name, x in (("amplitude", amplitude), ("phase", phase)):
+        if np.shape(x)[:1] not in ((), (1,), (len(places),)):
+            refuse(name, f"one number, or one for each that is modulated, shape ({len(places)},)",
+                   f"shape {np.shape(x)}")
+    omega = positive("omega", _number("omega", omega), "The modulation has a period.")
+    return _SHAPES[one_of("shape", shape, tuple(_SHAPES))](amplitude, omega, phase, 1.0)
 
 
 def _chain(
     sites: int, wave: Callable, on: str, law: Law | None, grounding: Parameter, damping: Parameter, mass: Parameter,
     boundary: str,
 ) -> Lattice:
-    bond = Bond(Shift(1, one_of("boundary", boundary, BOUNDARIES)), Linear() if law is None else law)
+    bond = Bond(Shift(1, boundary), Linear() if law is None else law)
     grounding, damping = non_negative("grounding", grounding), non_negative("damping", damping)
     value, still = concrete(grounding), concrete(damping)
     grounded = value is None or bool(np.any(value))
