@@ -75,6 +75,8 @@ Motion
     first_order         DNLS, electrical lattices, the discrete p-Schroedinger equation; solitons, self-trapping
     fractional          kernel and symbol of the discrete fractional Laplacian
     measures            contact forces, energies, spectra, fronts, localisation of a state or a run
+    equilibrium         where a lattice rests, and the loads that hold it
+    Equilibrium         what it returns
     linear              modes, dispersion, bands, speed of sound
 Solvers
     VelocityVerlet      order 2
@@ -228,17 +230,20 @@ _LAZY = {
         "travelling",
     )
 } | {"reproduce": ".studies.reproduce", "resonance": ".studies.resonance"}
-_WITHIN = {"Resonator": ".travelling", "explore": ".notebook", "sweep": ".sweeps"}
+_WITHIN = {
+    "Equilibrium": ".equilibria", "Resonator": ".travelling", "equilibrium": ".equilibria", "explore": ".notebook",
+    "sweep": ".sweeps",
+}
 
 __all__ = [
     "Arrival", "Bond", "Breaks", "CaputoDamping", "CaputoRun", "Damping", "Dashpot", "Derivative", "Design", "Drag",
-    "Drive", "Fit", "Flow", "Harmonic", "Hertz", "Integral", "KahanLi8", "Lattice", "Law", "Linear", "LongRange",
-    "Lowest", "Modulated", "Network", "OnSite", "Pairs", "Peak", "PlasticContact", "PlasticLaw", "Polynomial",
-    "PowerLaw", "RKN1210", "RKN86", "Record", "Resonator", "Result", "Reversible", "Run", "RunWithMemory", "SRKN11b",
-    "SRKN14a", "SRKN6b", "Shift", "Sine", "SofroniouSpaletta10", "Spline", "Square", "State", "StrainMap", "Stretch",
-    "Term", "Thornton", "Toda", "Traces", "Units", "VelocityVerlet", "ViscousContact", "Wall", "WaltonBraun",
-    "WorkPrecision", "Yielding", "caputo", "clear", "derivative", "design", "explore", "fit", "laws", "simulate",
-    "smooth_peak", "solvers", "strains", "sweep", "terms", "tune", "vector_field", "work_precision", *_LAZY,
+    "Drive", "Equilibrium", "Fit", "Flow", "Harmonic", "Hertz", "Integral", "KahanLi8", "Lattice", "Law", "Linear",
+    "LongRange", "Lowest", "Modulated", "Network", "OnSite", "Pairs", "Peak", "PlasticContact", "PlasticLaw",
+    "Polynomial", "PowerLaw", "RKN1210", "RKN86", "Record", "Resonator", "Result", "Reversible", "Run", "RunWithMemory",
+    "SRKN11b", "SRKN14a", "SRKN6b", "Shift", "Sine", "SofroniouSpaletta10", "Spline", "Square", "State", "StrainMap",
+    "Stretch", "Term", "Thornton", "Toda", "Traces", "Units", "VelocityVerlet", "ViscousContact", "Wall", "WaltonBraun",
+    "WorkPrecision", "Yielding", "caputo", "clear", "derivative", "design", "equilibrium", "explore", "fit", "laws",
+    "simulate", "smooth_peak", "solvers", "strains", "sweep", "terms", "tune", "vector_field", "work_precision", *_LAZY,
 ]
 
 

@@ -404,7 +404,7 @@ def _(seed):
 WITHIN = {
     **dict.fromkeys(("checks", "entry.checked", "entry.kinds", "printing", "programs", "variables", "cli.commands",
                      "interrupts", "outside", "tuning", "materials", "canonical.scenes", "scenes.chains",
-                     "scenes.resonators", "scenes.softening",
+                     "scenes.long_range", "scenes.resonators", "scenes.softening",
                      "scenes.disorder", "scenes.fractional", "scenes.on_site",
                      "work_precision.measuring", "orbits.symmetry", "laws.power"),
                     "numbers, words and Python: no program of their own"),

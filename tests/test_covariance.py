@@ -499,6 +499,13 @@ def _(s):
     return Of(a, 0.5, 0.5, 1), Of(da, 0.5, 0.5, 0), energy(shares)
 
 
+@row("equilibrium", closed, slow=(mixed, pairs, fields, plane))
+def _(s):
+    weights = jax.tree.map(lambda x: s.newton(1e-3) * np.cos(np.arange(x.size)).reshape(x.shape), s.state.u)
+    found = gx.equilibrium(s.lattice, loads=weights, throw=False)
+    return Of(found.state.u, 0, 1, 0), Of(found.stiffness, 1, -1, 0), found.verdict
+
+
 # linear theory
 @row("normal_modes", closed, vacuum, slow=AUTONOMOUS[1:])
 def _(s):

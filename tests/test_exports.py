@@ -124,6 +124,7 @@ MAKERS = {
     "Bifurcation": lambda: gx.breathers.Bifurcation("torus", 0.5, 1, state(), 1j, 0, 1),
     "LocalisationLength": lambda: linear.localisation_length(chain(), [0.3, 0.5]),
     "NormalModes": lambda: linear.normal_modes(chain()), "Bands": lambda: linear.bands(ring()),
+    "Equilibrium": lambda: gx.equilibrium(chain()),
     "Dispersion": lambda: linear.dispersion(ring(), np.linspace(0.1, 3.0, 4)),
     "FloquetBands": lambda: linear.floquet_bands(ring(), np.linspace(0.1, 3.0, 4), 1.0),
     "GapBreather": lambda: gx.breathers.GapBreather(

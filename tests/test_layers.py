@@ -17,6 +17,7 @@ FLOORS = (
     {"laws", "strains", "materials", "solvers", "newton", "parameters", "descent", "plots", "fractional"},
     {"terms", "continuation"},
     {"lattice"},
+    {"equilibria"},
     {"flow", "profiles", "scenes"},
     {"theory"},
     {"first_order", "linear", "measures", "states"},

@@ -7,6 +7,7 @@ from .bead_chain import beads
 from .chains import defects, dimer, fput, monomer, n_to_one, pattern, taper, toda, trimer
 from .disorder import disordered
 from .fractional import fractional, fractional_fput, fractional_sine_gordon
+from .long_range import long_range, magnets
 from .modulated import modulated, travelling_modulation
 from .on_site import cradle, klein_gordon, sine_gordon
 from .resonators import mass_in_mass, mass_with_mass, woodpile
@@ -21,6 +22,7 @@ __all__ = [
     "fractional", "fractional_fput", "fractional_sine_gordon",
     "modulated", "travelling_modulation",
     "cradle", "klein_gordon", "sine_gordon",
+    "long_range", "magnets",
     "mass_in_mass", "mass_with_mass", "woodpile",
     "alternating", "foam", "hollow_cylinders", "origami", "tensegrity",
 ]

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import refuse
-from ..laws import Law, Scaled
+from ..laws import Law, Scaled, Strained
 from ..printing import told
 from ..types import Displacements, Number, Numbers, Pytree
 from ..units import PART, Dimensional
@@ -155,6 +155,10 @@ class Term(Dimensional):
         """The term with its force times a factor: a number, or an array over its bonds where it has bonds."""
         return Multiplied(self, jnp.asarray(factor))
 
+    def measured_from(self, lattice: Any, u: Displacements) -> Any:
+        """The term with its forces beyond those at displacements `u`, which are counted from there."""
+        return MeasuredFrom(self, u) if self.dependence(lattice).displacement else self
+
     def check(self, name: str, lattice: Any) -> None:
         """Refuse a lattice that has no place for the term."""
 
@@ -206,6 +210,13 @@ class Term(Dimensional):
     def walls(self) -> tuple[str, ...]:
         """The ends of a chain that the term ties to a wall: of "left" and "right"."""
         return ()
+
+    def wall_loads(self, u: Displacements) -> Any:
+        """The total forces with which rigid walls press on the left and right end of a chain, (2,) and lanes.
+
+        `None` where the term reaches none, or does not know.
+        """
+        return None
 
     def without_walls(self, lattice: Any, field: str | None = None) -> tuple | None:
         """(the term between free ends, law at the left wall, law at the right wall), or `None` where there are none."""
@@ -319,6 +330,60 @@ def each_tangent(function: Callable, reads: Dependence, axis: int = -1):
         return jax.tree.map(lambda x: jnp.moveaxis(x, 0, axis), jax.lax.map(lambda x: function(*x), first))
 
     return one_by_one
+
+
+class MeasuredFrom(Term):
+    """A term whose displacements are counted from others, and whose forces from those that it has there."""
+
+    dimensions = {"term": PART, "start": (0, 1, 0)}
+    term: Term
+    start: Any
+
+    def _moved(self, u):
+        return jax.tree.map(lambda s, x: jnp.broadcast_to(s.reshape(s.shape + (1,) * (x.ndim - s.ndim)), x.shape) + x,
+                            self.start, u)
+
+    def force(self, t, u, v, mass):
+        still = jax.tree.map(jnp.zeros_like, u)
+        held = self.term.force(t, self._moved(still), still, mass)
+        return jax.tree.map(jnp.subtract, self.term.force(t, self._moved(u), v, mass), held)
+
+    def energy(self, t, u):
+        energy = self.term.energy(t, self._moved(u))
+        if energy is None:
+            return None
+        start = self._moved(jax.tree.map(jnp.zeros_like, u))
+        held, work = jax.jvp(lambda u: self.term.energy(t, u), (start,), (u,))
+        return jax.tree.map(lambda e, held, work: e - held - work, energy, held, work)
+
+    def preload_force(self, u):
+        still = jax.tree.map(jnp.zeros_like, u)
+        force, held = self.term.force(jnp.zeros(()), self._moved(still), still, 1.0), self.term.preload_force(u)
+        return force if held is None else jax.tree.map(jnp.add, force, held)
+
+    def compressions(self, t, u):
+        start = self._moved(jax.tree.map(jnp.zeros_like, u))
+        found = zip(self.term.compressions(t, self._moved(u)), self.term.compressions(t, start))
+        return tuple(c._replace(law=Strained(c.law, s.compression), compression=c.compression - s.compression)
+                     for c, s in found)
+
+    def linearised(self, lattice, t, u, v):
+        return self.term.linearised(lattice, t, self._moved(u), v)
+
+    def at(self, t):
+        return MeasuredFrom(self.term.at(t), self.start)
+
+    def check(self, name, lattice):
+        self.term.check(name, lattice)
+
+    def jumps(self):
+        return self.term.jumps()
+
+    def span(self):
+        return self.term.span()
+
+    def walls(self):
+        return self.term.walls()
 
 
 class Multiplied(Term):

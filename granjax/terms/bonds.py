@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..entry import checked
-from ..laws import Law, Linear, Scaled
+from ..laws import Law, Linear, Scaled, Strained
 from ..strains import Shift, StrainMap
 from ..types import Number, Parameter, Waveform
 from ..units import PART, Signal
@@ -87,9 +87,20 @@ class Bond(Joined):
             return super().linearised(lattice, t, u, v)
         return eqx.tree_at(lambda term: term.law, wider(self), spring(self.law, self.strain_map.strain(u)))
 
+    def measured_from(self, lattice, u):
+        if not self.strain_map.linear:
+            return super().measured_from(lattice, u)
+        return eqx.tree_at(lambda term: term.law, self, Strained(self.law, self.strain_map.strain(u)))
+
     def next_neighbours(self, field=None):
         boundary = self.strain_map.next_neighbours(field)
         return None if boundary is None else (self.law, boundary)
+
+    def wall_loads(self, u):
+        if self.strain_map.next_neighbours() != "fixed":
+            return None
+        force = Compression(self.law, self.strain_map.strain(u)).force
+        return jnp.stack([force[0], force[-1]])
 
     def without_walls(self, lattice, field=None):
         fields = None if field is None else (field, field)

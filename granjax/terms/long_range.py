@@ -6,12 +6,13 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
-from ..checks import one_of, parameter, refuse
+from ..checks import one_of, parameter, refuse, whole
 from ..entry import checked
-from ..laws import Law, Scaled
+from ..laws import Law, Scaled, Strained
 from ..strains import BOUNDARIES
-from ..types import Parameter
+from ..types import Count, Parameter
 from ..units import PART
 from .base import Compression, Term, get, put, wider
 from .reach import Reached, steepest
@@ -42,23 +43,31 @@ class LongRange(Term):
       ends, as far as the kernel reaches), `"periodic"` (every offset of the kernel goes around the ring, several times
       where M is larger: what an infinite chain does whose motion repeats after the ring; nothing is cut).
     - `takes`: "displacement" or "strain". `field`: as in `OnSite`.
+    - `beyond`: how many sites at rest there are beyond each end of a fixed chain, `None` for as many as the kernel
+      reaches; 1 for magnets between two that are held.
+    - `rest`: displacements (N,) at which forces are measured to be zero, `None` for none: `gx.equilibrium` finds them.
 
-    Typical: 1/m^2 ... 1/m^5. A free chain whose law has a preload is not at rest at u = 0: `gx.equilibrium`.
+    Typical: 1/m^2 ... 1/m^5. Of a law with a preload a free chain, or one with few sites beyond, is at rest at u = 0
+    by loads on its sites alone (`Lattice.unbalanced`): `gx.equilibrium` finds where it rests without them.
     **Raises** ValueError for a kernel that is no row of numbers, a law with parameters of its own for each bond, and a
     lattice that is no chain. Source: Flach, Phys. Rev. E 58, R4116 (1998); Chong et al., Phys. Rev. Lett. 131, 117201.
     """
 
-    dimensions = {"kernel": (0, 0, 0), "law": PART}
+    dimensions = {"kernel": (0, 0, 0), "law": PART, "rest": (0, 1, 0)}
     kernel: jax.Array
     law: Law
+    rest: jax.Array | None
     boundary: str = eqx.field(static=True)
     takes: str = eqx.field(static=True)
     field: str | None = eqx.field(static=True)
+    beyond: int | None = eqx.field(static=True)
 
     @checked
     def __init__(self, kernel: Parameter, law: Law, boundary: str = "fixed", *, takes: str = "displacement",
-                 field: str | None = None):
+                 field: str | None = None, beyond: Count | None = None, rest: Parameter | None = None):
         self.kernel, self.law, self.field = parameter("kernel", kernel), law, field
+        self.beyond = None if beyond is None else whole("beyond", beyond, 1, "Without any the chain is free.")
+        self.rest = None if rest is None else parameter("rest", rest)
         if self.kernel.ndim != 1 or not self.kernel.size:
             refuse("kernel", "a row of weights, one for each offset from 1 on", f"shape {self.kernel.shape}")
         self.boundary, self.takes = one_of("boundary", boundary, BOUNDARIES), one_of("takes", takes, TAKES)
@@ -75,16 +84,30 @@ class LongRange(Term):
     def per_vector(self, axes):
         return eqx.tree_at(lambda x: x.kernel, self, self.kernel[..., None])
 
+    def measured_from(self, lattice, u):
+        rest = get(u, self.field) + (0 if self.rest is None else self.rest)
+        return eqx.tree_at(lambda x: x.rest, self, rest, is_leaf=lambda x: x is None)
+
     def span(self):
         return (self.kernel.shape[0],)
+
+    def resists(self, lattice, moves):
+        if self.boundary != "fixed":
+            return np.zeros((0, len(moves)))
+        return np.stack([np.ravel(get(move, self.field)) for move in moves], -1)
 
     def walls(self):
         return ("left", "right") if self.boundary == "fixed" else ()
 
-    def next_neighbours(self):
-        if self.kernel.shape[0] > 1 or self.field is not None:
+    def next_neighbours(self, field=None):
+        if self.kernel.shape[0] > 1 or self.field != field:
             return None
-        return Scaled(self.law, self.kernel), self.boundary
+        return self._nearest(), self.boundary
+
+    def _nearest(self):
+        """The law of the bonds to the next site, as they are at rest."""
+        law = self.law if self.rest is None else Strained(self.law, _strains(self.rest, self.boundary))
+        return Scaled(law, self.kernel[:1])
 
     def scaled(self, factor):
         if jnp.ndim(factor) > self.kernel.ndim - 1:
@@ -97,44 +120,76 @@ class LongRange(Term):
         return None if self.kernel.shape[0] <= FEW else self.law.powers
 
     def force(self, t, u, v, mass):
-        return put(self._sums(get(u, self.field)).force(self.law), self.field)
+        x = get(u, self.field)
+        if self.rest is None:
+            return put(self._sums(x).force(self.law), self.field)
+        rest = self._at_rest(x)
+        return put(self._sums(rest + x).force(self.law) - self._sums(rest).force(self.law), self.field)
 
     def energy(self, t, u):
-        return self._sums(get(u, self.field)).energy(self.law)
+        x = get(u, self.field)
+        if self.rest is None:
+            return self._sums(x).energy(self.law)
+        rest = self._at_rest(x)
+        held, work = jax.jvp(lambda x: self._sums(x).energy(self.law), (rest,), (x,))
+        return self._sums(rest + x).energy(self.law) - held - work
 
     def site_energy(self, lattice, t, u):
         return put(self.energy(t, u), self.field)
 
+    def _at_rest(self, x):
+        return jnp.broadcast_to(self.rest.reshape(self.rest.shape + (1,) * (x.ndim - self.rest.ndim)), x.shape)
+
     def _sums(self, x):
         offsets = self._kernel(x)
-        return (_Bonds if self._powers is None else _Powers)(*offsets, x, self.boundary)
+        return (_Bonds if self._powers is None else _Powers)(*offsets, x, self.boundary, self.beyond)
 
     def _kernel(self, x):
         """Weights and spacings of the offsets that count, with axes for all of the lanes of `x`."""
-        c = self.kernel[: x.shape[0] - 1] if self.boundary == "free" else self.kernel
+        most = self.kernel.shape[0]
+        if self.boundary == "free" or self.boundary == "fixed" and self.beyond is not None:
+            most = x.shape[0] - 1 + (self.beyond if self.boundary == "fixed" else 0)
+        c = self.kernel[:most]
         c = c.reshape(c.shape + (1,) * (x.ndim - c.ndim))
         m = jnp.arange(1, c.shape[0] + 1, dtype=c.dtype).reshape((-1,) + (1,) * (c.ndim - 1))
         return c, m if self.takes == "strain" else jnp.ones_like(m)
 
     def preload_force(self, u):
         x = get(u, self.field)
-        c, _ = self._kernel(x)
-        if self.boundary != "free":
-            return None
-        before = jnp.concatenate([jnp.zeros_like(c[:1]), jnp.cumsum(c, 0)])
-        before = before[jnp.minimum(jnp.arange(x.shape[0]), c.shape[0])]
-        return put(jnp.broadcast_to(self.law.preload * (before - before[::-1]), x.shape).astype(x.dtype), self.field)
+        force = jnp.zeros_like(x)
+        if self.boundary == "free" or self.beyond is not None:
+            right, left = _bonds_within(self._kernel(x)[0], x.shape[0], self.boundary, self.beyond)
+            force = jnp.broadcast_to(self.law.preload * (left - right), x.shape).astype(x.dtype)
+        if self.rest is not None:
+            force = force + self._sums(self._at_rest(x)).force(self.law)
+        return put(force, self.field)
 
     def compressions(self, t, u):
         """Those of next neighbours."""
-        x, c = get(u, self.field), self.kernel[0]
-        c = c.reshape(c.shape + (1,) * (x.ndim - 1 - c.ndim))
-        return (Compression(Scaled(self.law, c), _strains(x, self.boundary)),)
+        law, x = self._nearest(), get(u, self.field)
+        c = law.factor.reshape(law.factor.shape + (1,) * (x.ndim - law.factor.ndim))
+        return (Compression(Scaled(law.law, c), _strains(x, self.boundary)),)
+
+    def wall_loads(self, u):
+        if self.boundary != "fixed":
+            return None
+        x = get(u, self.field)
+        x = x if self.rest is None else x + self._at_rest(x)
+        count = self.kernel.shape[0] if self.beyond is None else self.beyond
+        # what is at rest beyond an end, as sites of a free chain, pushed by all on the other side
+        whole = LongRange(self.kernel, self.law, "free", takes=self.takes)
+        wide = jnp.pad(x, [(count, count)] + [(0, 0)] * (x.ndim - 1))
+        force = whole.force(0.0, wide, wide, 1.0) + whole.preload_force(wide)
+        return jnp.stack([-force[:count].sum(0), force[-count:].sum(0)])
 
     def linearised(self, lattice, t, u, v):
-        return LongRangeTangent(wider(self), get(u, self.field)[..., None])
+        x = get(u, self.field)
+        about = x if self.rest is None else self._at_rest(x) + x
+        return LongRangeTangent(wider(self), about[..., None])
 
     def stiffness_bound(self, lattice, reach, factor=1.0):
+        if self.rest is not None and self.takes != "strain" and not self.law.is_linear:
+            return super().stiffness_bound(lattice, reach, factor)
         c, m = self._kernel(get(lattice.zeros(), self.field))
         k = jnp.abs(self._steepest(jnp.abs(c), m, reach) * factor)
 
@@ -149,10 +204,9 @@ class LongRange(Term):
         """Largest stiffness of the bonds of each offset, (M, lanes...)."""
         if self.takes == "strain":
             # a mean of m compressions side by side: none is above the largest
-            first = jnp.where(c[0] > 0, c[0], 1)
-            k = reach.stiffest(Scaled(self.law, first), 0)
-            k = jnp.max(k, 0, keepdims=True) if k.ndim == c.ndim else k[None]
-            return k / first * c / m
+            first = jnp.where(c[:1] > 0, c[:1], 1)
+            k = reach.stiffest(Scaled(self._nearest().law, first), 0)
+            return jnp.max(k, 0, keepdims=True) / first * c / m
         if isinstance(reach, Reached):
             offsets = jnp.arange(1, c.shape[0] + 1, dtype=c.dtype).reshape((-1,) + (1,) * (c.ndim - 1))
             low, high = jnp.min(reach.low[0], 0) * offsets, jnp.max(reach.high[0], 0) * offsets
@@ -181,6 +235,7 @@ class _Bonds(NamedTuple):
     m: jax.Array
     x: jax.Array
     boundary: str
+    beyond: int | None
 
     def force(self, law):
         return self._sum(lambda e, own, c, m: c * law.force(e / m), lambda left, right: left - right)
@@ -198,21 +253,22 @@ class _Bonds(NamedTuple):
         arrays = (self.x,) if w is None else (self.x, w)
         wide = [jnp.pad(x, [(count, count)] + [(0, 0)] * (x.ndim - 1), mode=mode) for x in arrays]
         place = jnp.arange(n).reshape((-1,) + (1,) * (self.x.ndim - 1))
+        ends = self.boundary == "free" or self.boundary == "fixed" and self.beyond is not None
+        more = self.beyond if ends and self.boundary == "fixed" else 0
 
-        def side(offset, c, m, sign, there):
+        def side(offset, c, m, sign, away):
+            inside, there = away < n, away < n + more
             es = [sign * (x - jax.lax.dynamic_slice_in_dim(far, count + sign * offset, n))
                   for x, far in zip(arrays, wide)]
-            if self.boundary == "free":
-                es = [jnp.where(there, e, 0) for e in es]
+            es = [jnp.where(there, e, 0) for e in es] if ends else es
             value = bond(es[0], es[-1], c, m)
-            if self.boundary == "free":
-                value = jnp.where(there, value, 0)
-            whole = (self.boundary == "fixed") & ~there
+            value = jnp.where(there, value, 0) if ends else value
+            whole = (self.boundary == "fixed") & ~inside
             return jnp.where(whole, value, value / 2) if halves else value
 
         def both(total, offset, c, m):
-            right = side(offset, c, m, 1, place + offset < n)
-            left = side(offset, c, m, -1, place - offset >= 0)
+            right = side(offset, c, m, 1, place + offset)
+            left = side(offset, c, m, -1, n - 1 - place + offset)
             return total + joined(left, right)
 
         total = jnp.zeros_like(arrays[-1])
@@ -231,6 +287,7 @@ class _Powers(NamedTuple):
     m: jax.Array
     x: jax.Array
     boundary: str
+    beyond: int | None
 
     def force(self, law):
         x, parts = self._centred(), law.powers
@@ -275,22 +332,23 @@ class _Powers(NamedTuple):
 
     def _all(self, c, parity):
         """The sum of the weights of all bonds of a site."""
-        if self.boundary != "free":
-            return (1 + parity) * c.sum(0)
-        right, left = self._within(c)
+        right, left = _bonds_within(c, self.x.shape[0], self.boundary, self.beyond)
         return right + parity * left
-
-    def _within(self, c):
-        """The sums of the weights to the right and to the left that stay in the chain."""
-        n, count = self.x.shape[0], c.shape[0]
-        sums = jnp.concatenate([jnp.zeros_like(c[:1]), jnp.cumsum(c, 0)])
-        left = sums[jnp.minimum(jnp.arange(n), count)]
-        return left[::-1], left
 
     def _beyond(self, k):
         c, parity = self._weights(k)
-        right, left = self._within(c)
-        return c.sum(0) - right + parity * (c.sum(0) - left)
+        inside = _bonds_within(c, self.x.shape[0], "free", None)
+        right, left = (a - b for a, b in zip(_bonds_within(c, self.x.shape[0], "fixed", self.beyond), inside))
+        return right + parity * left
+
+
+def _bonds_within(c, n, boundary, beyond):
+    """The sums of the weights of all bonds to the right and to the left of each site."""
+    if boundary == "periodic" or boundary == "fixed" and beyond is None:
+        return c.sum(0), c.sum(0)
+    sums = jnp.concatenate([jnp.zeros_like(c[:1]), jnp.cumsum(c, 0)])
+    left = sums[jnp.minimum(jnp.arange(n) + (beyond if boundary == "fixed" else 0), c.shape[0])]
+    return left[::-1], left
 
 
 def _strains(x, boundary):

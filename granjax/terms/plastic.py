@@ -43,7 +43,7 @@ class PlasticContact(Bond):
             refuse("largest", f"at least the overlap at equilibrium, {show(low)}", show(high))
         super().__init__(strain_map, Indented(law, overlap, largest))
 
-    def next_neighbours(self):
+    def next_neighbours(self, field=None):
         return None
 
     def without_walls(self, lattice, field=None):

@@ -1,0 +1,356 @@
+"""Where a lattice rests: by Newton's method, with the loads that hold it."""
+
+from collections.abc import Sequence
+from typing import ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+
+from .checks import is_whole, one_of, refuse, traced, whole
+from .entry import checked
+from .lattice import Lattice, State
+from .lattice.model import check_shape
+from .newton import newton
+from .programs import waited
+from .results import STATE, Held, Result
+from .types import Count, Displacements, Numbers
+
+# unknowns up to which Newton's method has a dense derivative
+DENSE = 4000
+TIGHT, ROUNDING = 1e-13, 64
+HOLDS = ("ends", "loads", "nothing")
+
+
+class Equilibrium(Result):
+    """A state of rest, and what holds the lattice there.
+
+    **Fields:** `state`: displacements, from where the lattice was built, and velocities, which are zero. `loads`: the
+    forces from outside that hold each site, beside walls: of the shape of the displacements, zero where nothing holds.
+    `ends`: (2,) the forces that press on the left and right end of a chain, of its walls or else loads, compression
+    positive; `None` where a term does not know its walls. `residual`: the largest force that is left over on a site;
+    `largest`: the largest force there is, of a contact or of a term on a site. `stiffness`: the least eigenvalue of the
+    stiffness of all that can move (uniform displacements of a ring left out), below zero at a saddle; `error` of it.
+    `lattice`: the lattice measured from there, which rests at u = 0.
+    """
+
+    held: ClassVar[dict[str, Held]] = {
+        "state": Held("site ...", STATE), "loads": Held("site ...", "N"), "ends": Held("end", "N"),
+        "residual": Held("", "N"), "largest": Held("", "N"), "stiffness": Held("", "N/m"),
+        "error": Held("", "N/m"), "lattice": Held(None),
+    }
+    state: State
+    loads: Displacements
+    ends: Numbers | None
+    residual: Numbers
+    largest: Numbers
+    stiffness: Numbers | None
+    error: Numbers | None
+    lattice: Lattice
+    _code: str = eqx.field(static=True)
+    _moved: bool = eqx.field(static=True)
+
+    @property
+    def verdict(self) -> str:
+        """Of the state of rest: "stable", "unstable", or "undecided" where the least stiffness is rounding."""
+        if traced((self.stiffness, self.error)) or self.stiffness is None:
+            return "undecided"
+        least, error = float(self.stiffness), float(self.error)
+        return "stable" if least > error else "unstable" if least < -error else "undecided"
+
+    @property
+    def found(self) -> bool:
+        """Whether what is left over is rounding of the largest force."""
+        return bool(self.residual <= TIGHT * self.largest)
+
+    @property
+    def outcome(self) -> str:
+        """What was found: a minimum, a saddle, or none."""
+        if traced((self.residual, self.largest)):
+            return "traced"
+        share = float(self.residual) / float(self.largest) if float(self.largest) else 0.0
+        left = f"{self._told('residual', self.residual)} is left over, {share:.1e} of the largest force"
+        if not self.found:
+            return f"No state of rest was found: {left}. {self._code}"
+        kind = {
+            "stable": "A stable state of rest", "unstable": "A saddle, no stable state of rest (start from another "
+            "`guess`, moved along the mode that grows)", "undecided": "A state of rest; whether it is stable is not "
+            "known, as its least stiffness is zero to rounding",
+        }[self.verdict]
+        if self.stiffness is None:
+            kind = f"A state of rest; whether it is stable is not known for more than {DENSE} displacements"
+        moved = " At u = 0 only loads on inner sites hold the lattice as it is: simulate that of `lattice`."
+        return f"{kind}: {left}.{moved * self._moved}"
+
+
+class _Problem(eqx.Module):
+    """What the residual of Newton's method reads.
+
+    `loads` from outside, who `holds` at the guess, and uniform moves that cost nothing, orthonormal columns `free`.
+    """
+
+    lattice: Lattice
+    loads: jax.Array
+    holds: jax.Array
+    guess: jax.Array
+    free: jax.Array
+    scale: jax.Array
+
+    def total(self, x):
+        """All forces on the sites, those of preloads and loads among them, as one row."""
+        return ravel_pytree(_total(self.lattice, _shaped(self.lattice, x)))[0] + self.loads
+
+    def residual(self, x):
+        """Forces on what can move; what cannot is tied to the guess."""
+        force, away = jnp.where(self.holds, 0, self.total(x)), x - self.guess
+        force = force + self.free @ (self.free.T @ (self.scale * away - force))
+        return jnp.where(self.holds, self.scale * away, force)
+
+
+def _residual(x, problem):
+    return problem.residual(x)
+
+
+def _total(lattice, u):
+    zeros = jax.tree.map(jnp.zeros_like, u)
+    forces = lattice.force(jnp.zeros((), lattice.dtype), u, zeros)
+    return jax.tree.map(jnp.add, forces, lattice.unbalanced())
+
+
+def _shaped(lattice, x):
+    return ravel_pytree(lattice.zeros())[1](x)
+
+
+@checked
+def equilibrium(
+    lattice: Lattice, *, hold: str | Sequence = "ends", loads: Displacements | None = None,
+    guess: Displacements | State | None = None, max_steps: Count = 50, throw: bool | None = None,
+) -> Equilibrium:
+    r"""The state of rest of any lattice: displacements where all forces vanish, and the loads that hold it.
+
+    sum of force(u) + preloads + loads = 0 on every site that can move. Laws are measured from a preload, and at u = 0
+    that is taken to be held: where preloads do not balance at inner sites (magnets, each of which repels every other,
+    in equal spacings) loads on these would be needed, and the lattice goes elsewhere without them. The result's
+    `lattice` is measured from there: simulate that one.
+
+    **Arguments:**
+
+    - `lattice`: one `Lattice`, with fields, vectors, terms of your own; drives are left out, walls stand still, t = 0.
+    - `hold`: what holds a lattice that a uniform displacement costs nothing. `"ends"`: its outermost sites stay where
+      they are, `loads` are found; `"loads"`: the loads that their preloads need at u = 0 stay, where they go is found;
+      `"nothing"`: neither. Or a list of sites that stay (first axis). A ring is held nowhere and keeps its mean, one
+      between walls is held by these.
+    - `loads`: further forces on the sites from outside [N], such as weights.
+    - `guess`: displacements (or a `State`) where Newton's method begins, by default u = 0.
+    - `max_steps`: of Newton's method. `throw`: raise where there is no rest; `None` does so outside of transformations.
+
+    **Returns:** `Equilibrium`; a saddle says so. Differentiable in parameters and loads, in both modes.
+    Cost: n^3 for n displacements, up to 4000; beyond that a lattice that already rests.
+    **Raises** ValueError for a batch (`jax.vmap(gx.equilibrium, in_axes=-1)`), and a guess at which a force is not
+    finite, as of magnets that touch; RuntimeError where no state of rest is found.
+    """
+    max_steps = whole("max_steps", max_steps, 1)
+    problem = _posed(_still(lattice), hold, loads, guess)
+    if problem.guess.size > DENSE:
+        return _result(problem, problem.guess, None, f"More than {DENSE} displacements are not solved for.", throw)
+    x = problem.guess
+    for _ in range(2):
+        # forces at the guess may be far above those at rest: the second time counts
+        largest, scale = jax.lax.stop_gradient(_sizes(problem, x))
+        problem = eqx.tree_at(lambda p: p.scale, problem, scale)
+        root = newton(_residual, jax.lax.stop_gradient(x), problem, tolerance=TIGHT / 4 * largest,
+                      max_steps=max_steps, throw=False)
+        x = root.x
+    code = "" if traced(root) or root.converged else root.outcome
+    return _result(problem, x, root.jacobian, code, throw)
+
+
+def _still(lattice):
+    if lattice.lanes:
+        refuse("lattice", "one lattice", f"a batch with lanes {lattice.lanes}",
+               "Use jax.vmap(gx.equilibrium, in_axes=-1)(lattice).")
+    return eqx.tree_at(lambda x: x.terms, lattice, tuple(term.undriven() for term in lattice.terms))
+
+
+def _posed(lattice, hold, loads, guess):
+    start = lattice.zeros() if guess is None else guess.u if isinstance(guess, State) else guess
+    loads = lattice.zeros() if loads is None else loads
+    check_shape(lattice, "guess", start)
+    check_shape(lattice, "loads", loads)
+    start, own = (ravel_pytree(jax.tree.map(lambda x: jnp.asarray(x, lattice.dtype), x))[0] for x in (start, loads))
+    none = jnp.zeros(start.size, bool)
+    problem = _Problem(lattice, own, none, start, jnp.zeros((start.size, 0), start.dtype), jnp.ones((), start.dtype))
+    if not traced(problem) and not np.all(np.isfinite(_total_of(problem, start))):
+        refuse("guess", "displacements at which every force is finite", "others",
+               "Magnets that touch have no force: start where all of them are apart.")
+    moves = _free_moves(problem)
+    edges = _edges(problem)
+    if isinstance(hold, str):
+        one_of("hold", hold, HOLDS)
+        holds = edges if hold == "ends" and moves.shape[1] and bool(np.any(edges)) else none
+    else:
+        holds = _chosen(lattice, hold)
+    if bool(np.any(holds)):
+        moves = moves[:, :0]
+    dead = jnp.zeros_like(edges) if hold == "nothing" else edges & ~holds
+    return eqx.tree_at(lambda p: (p.loads, p.holds, p.free), problem, (_loaded(lattice, own, dead), holds, moves))
+
+
+@eqx.filter_jit
+def _loaded(lattice, own, dead):
+    """The loads from outside: those given, and on some sites those that the preloads need at u = 0."""
+    return own + jnp.where(dead, -ravel_pytree(lattice.unbalanced())[0], 0)
+
+
+@eqx.filter_jit
+def _total_of(problem, x):
+    return problem.total(x)
+
+
+def _free_moves(problem):
+    """Uniform displacements that no term resists, as orthonormal columns (n, k)."""
+    lattice = problem.lattice
+    moves = []
+    for component in range(lattice.dimension or 1):
+        at = (Ellipsis, component) if lattice.dimension else (Ellipsis,)
+        moves.append(jax.tree.map(lambda s: _ones(s, at), lattice.template()))
+    resisted = np.zeros(len(moves), bool)
+    for term in lattice.terms:
+        answers = np.asarray(term.resists(lattice, moves)).reshape(-1, len(moves))
+        resisted |= np.any(answers != 0, 0) if len(answers) else False
+    free = [np.asarray(ravel_pytree(move)[0]) for move, held in zip(moves, resisted) if not held]
+    columns = [x / np.linalg.norm(x) for x in free]
+    return jnp.asarray(np.stack(columns, -1) if columns else np.zeros((problem.guess.size, 0)), problem.guess.dtype)
+
+
+def _ones(s, at):
+    x = np.zeros(s.shape, s.dtype)
+    x[at] = 1
+    return x
+
+
+def _edges(problem):
+    """The outermost sites of all axes that do not go around, but those at a wall of a chain, as one row."""
+    lattice = problem.lattice
+    walls = {side for term in lattice.terms for side in term.walls()} if lattice.axes == 1 else set()
+    edges = np.zeros(problem.guess.size, bool)
+    for axis in range(lattice.axes):
+        sides = [name for name, end in (("left", 0), ("right", -1)) if name not in walls]
+        if sides and not _goes_around(problem, axis):
+            for end in (0 if name == "left" else -1 for name in sides):
+                edges |= _slab(lattice, axis, end)
+    return jnp.asarray(edges)
+
+
+def _stand_in(x):
+    """The value, or ones in its place where it is traced."""
+    x = jax.lax.stop_gradient(x)
+    return jnp.ones(x.shape, x.dtype) if isinstance(x, jax.core.Tracer) else x
+
+
+def _goes_around(problem, axis):
+    """Whether the first sites of an axis act on the last ones more than on those half way between."""
+    lattice = problem.lattice
+    size = min(s.shape[axis] for s in jax.tree.leaves(lattice.template()))
+    first, middle, last = (_slab(lattice, axis, end) for end in (0, size // 2, -1))
+    push = np.where(first, np.random.default_rng(0).uniform(1, 2, first.size), 0).astype(lattice.dtype)
+    numbers, flags = eqx.partition(problem, eqx.is_inexact_array)
+    with jax.ensure_compile_time_eval():
+        plain = eqx.combine(jax.tree.map(_stand_in, numbers), flags)
+        answer = np.abs(_response(plain, jnp.asarray(push)))
+    return size > 3 and bool(answer[last].max() > 2 * answer[middle].max())
+
+
+def _slab(lattice, axis, end):
+    """The displacements of all sites at one place along an axis, as flags in one row."""
+    def of(s):
+        flags = np.zeros(s.shape, bool)
+        flags[(slice(None),) * axis + (end,)] = True
+        return flags
+
+    return np.asarray(ravel_pytree(jax.tree.map(of, lattice.template()))[0])
+
+
+@eqx.filter_jit
+def _response(problem, push):
+    return jax.jvp(problem.total, (problem.guess,), (push,))[1]
+
+
+def _chosen(lattice, hold):
+    """The flags of some sites, counted along the first axis."""
+    sites = min(s.shape[0] for s in jax.tree.leaves(lattice.template()))
+    flags = np.zeros(len(ravel_pytree(lattice.zeros())[0]), bool)
+    for site in hold:
+        if not is_whole(site) or not -sites <= site < sites:
+            refuse("hold", f"{', '.join(map(repr, HOLDS))}, or sites from 0 to {sites - 1}", repr(hold))
+        flags |= _slab(lattice, 0, int(site))
+    return jnp.asarray(flags)
+
+
+@eqx.filter_jit
+def _sizes(problem, x):
+    """(largest force there is, stiffness that ties what cannot move)."""
+    lattice = problem.lattice
+    u, time = _shaped(lattice, x), jnp.zeros((), lattice.dtype)
+    zeros = jax.tree.map(jnp.zeros_like, u)
+    forces = [term.force(time, u, zeros, lattice.mass) for term in lattice.terms]
+    forces += [c.force for term in lattice.terms for c in term.compressions(time, u)] + [lattice.unbalanced()]
+    forces = [jnp.max(jnp.abs(f)) for f in jax.tree.leaves(forces)] + [jnp.max(jnp.abs(problem.loads))]
+    slope = jax.jvp(problem.total, (x,), (jnp.cos(jnp.arange(x.size) ** 2.0).astype(x.dtype),))[1]
+    scale = jnp.max(jnp.abs(slope))
+    return jnp.max(jnp.stack(forces)), jnp.where(scale > 0, scale, 1)
+
+
+def _least(jacobian, problem):
+    """The least eigenvalue of the stiffness of what can move, and its error."""
+    stiffness, n = -(jacobian + jacobian.T) / 2, problem.guess.size
+    tied, free = problem.holds, problem.free
+    stiffness = jnp.where(tied[:, None] | tied, 0, stiffness)
+    stiffness = stiffness - free @ (free.T @ stiffness)
+    stiffness = stiffness - (stiffness @ free) @ free.T
+    scale = jnp.max(jnp.abs(stiffness))
+    out = jnp.diag(tied.astype(stiffness.dtype)) + free @ free.T
+    values = jnp.linalg.eigvalsh(stiffness + 4 * n * scale * out)
+    return values[0], ROUNDING * n * jnp.finfo(values.dtype).eps * scale
+
+
+@waited
+def _finished(problem, x, jacobian):
+    """What is known at the state of rest: (state, loads, residual, largest force, least stiffness, lattice, ends)."""
+    lattice, u = problem.lattice, _shaped(problem.lattice, x)
+    force = problem.total(x)
+    residual = jnp.max(jnp.where(problem.holds, 0, jnp.abs(force)))
+    loads = _shaped(lattice, problem.loads - jnp.where(problem.holds, force, 0))
+    measured = eqx.tree_at(lambda x: x.terms, lattice, tuple(
+        term.measured_from(lattice, u) for term in lattice.terms))
+    inner = jnp.abs(ravel_pytree(_total(lattice, lattice.zeros()))[0] + problem.loads)
+    inner = jnp.max(jnp.where(problem.holds, 0, inner))
+    least = None if jacobian is None else _least(jax.lax.stop_gradient(jacobian), problem)
+    state = State(u, jax.tree.map(jnp.zeros_like, u))
+    return state, loads, residual, _sizes(problem, x)[0], inner, least, measured, _ends(lattice, u, loads)
+
+
+def _result(problem, x, jacobian, code, throw):
+    state, loads, residual, largest, inner, least, measured, ends = _finished(problem, x, jacobian)
+    moved = not traced((inner, largest)) and bool(inner > TIGHT * largest)
+    least, error = (None, None) if least is None else least
+    found = Equilibrium(state, loads, ends, residual, largest, least, error, measured, code, moved,
+                        **problem.lattice.origin)
+    if not traced(found) and (throw is None or throw) and not found.found:
+        raise RuntimeError(found.outcome)
+    return found
+
+
+def _ends(lattice, u, loads):
+    """The forces that press on the ends of a chain of one field: of walls, or of loads where there is none."""
+    if lattice.fields or lattice.axes != 1 or lattice.dimension:
+        return None
+    walls = {side for term in lattice.terms for side in term.walls()}
+    found = [term.wall_loads(u) for term in lattice.terms if term.walls()]
+    if any(x is None for x in found):
+        return None
+    by_walls = sum(found, jnp.zeros(2, lattice.dtype))
+    held = jnp.stack([loads[0], -loads[-1]])
+    return jnp.where(np.array(["left" in walls, "right" in walls]), by_walls, held)

@@ -1,0 +1,123 @@
+"""Chains in which every site acts on every other: repelling magnets, algebraic kernels."""
+
+from functools import lru_cache
+
+import jax.numpy as jnp
+import numpy as np
+
+from ..checks import concrete, non_negative, one_of, parameter, positive, refuse, show, whole
+from ..entry import checked
+from ..equilibria import equilibrium
+from ..lattice import Lattice
+from ..laws import Polynomial, PowerLaw
+from ..strains import BOUNDARIES
+from ..terms import LongRange
+from ..types import Count, Parameter, Scalar
+from ..units import SCALED
+from .chains import _number, _sites
+
+# sites up to which the rest of a finite chain of magnets is looked for
+MANY = 2000
+
+
+@checked
+def magnets(
+    sites: Count, exponent: Scalar = -4.0, *, mass: Parameter = 1.0, stiffness: Scalar = 1.0, spacing: Scalar = 1.0,
+    diameter: Scalar = 0.0, reach: Count | None = None, boundary: str = "fixed", units: str = SCALED,
+) -> Lattice:
+    r"""Chain of repelling magnets, each of which repels every other: force A r^p at a distance r, p < 0.
+
+    m_n u_n'' = sum over j < n of A (x_n - x_j)^p - sum over j > n of A (x_j - x_n)^p. The ends of a finite chain push
+    their neighbours apart less than inner ones do, so that equal spacings are no rest: its positions of rest are found
+    (`gx.equilibrium`), and u is measured from there.
+
+    **Arguments:**
+
+    - `sites`: number of magnets N >= 2 that move; `mass`: a number, or one per magnet (a light one is a defect).
+    - `exponent`: p < 0: -4 two dipoles far apart, about -2.7 to -4.5 as fitted to ring magnets. `stiffness`: A > 0.
+    - `spacing`: mean distance d of neighbours; `diameter`: of a magnet, which is less.
+    - `reach`: neighbours on either side that a magnet feels, `None` for all (of a ring those nearer than half way
+      round); 1 is the chain of next neighbours, `PowerLaw(A, p, A d^p)`.
+    - `boundary`: `"fixed"` (two more magnets are held at the ends, (N + 1) d apart), `"free"` (the outermost are
+      pressed by the load that holds them at rest, (N - 1) d apart), `"periodic"`.
+    - `units`: "SI" where the numbers are; as in `Lattice`.
+
+    The end loads: `gx.equilibrium(lattice).ends`. Magnets that meet in a run are an outcome of it.
+    **Returns:** a `Lattice`. Differentiable in all numbers but `diameter`. **Raises** ValueError for p >= 0, magnets
+    that touch (a spacing not above the diameter), a ring too short for its reach, more than 2000 magnets between ends.
+    Source: Moleron, Leonard, Daraio, J. Appl. Phys. 115, 184901 (2014); Chong et al., Phys. Rev. Lett. 131, 117201
+    (2023).
+    """
+    sites, boundary = _sites(sites), one_of("boundary", boundary, BOUNDARIES)
+    p, A, d = _number("exponent", exponent), positive("stiffness", stiffness), positive("spacing", spacing)
+    value, size = concrete(p), concrete(non_negative("diameter", diameter))
+    if value is not None and value >= 0:
+        refuse("exponent", "p < 0, magnets that repel less further apart", show(value))
+    if size is not None and concrete(d) is not None and np.any(size >= concrete(d)):
+        refuse("spacing", f"more than the diameter of a magnet, {show(size)}", show(concrete(d)), "These touch.")
+    power = exponent if isinstance(exponent, (int, float)) else p
+    reach, kernel = _kernel(sites, p, reach, boundary)
+    beyond = 1 if boundary == "fixed" and reach > 1 else None
+    law = PowerLaw(A, power, A * d**p)
+    rest = None
+    if boundary != "periodic" and reach > 1:
+        rest = d * _rest(sites, power, reach, boundary)
+    return Lattice(mass, LongRange(kernel, law, boundary, takes="strain", beyond=beyond, rest=rest), sites=sites,
+                   units=units)
+
+
+def _kernel(sites, p, reach, boundary):
+    """(Neighbours on either side, m^p)."""
+    most = {"fixed": sites + 1, "free": sites - 1, "periodic": max((sites - 1) // 2, 1)}[boundary]
+    reach = most if reach is None else whole("reach", reach, 1)
+    if boundary == "periodic" and reach > most:
+        refuse("reach", f"at most {most}, less than half way round a ring of {sites} sites", f"{reach}")
+    return min(reach, most), jnp.arange(1.0, min(reach, most) + 1) ** p
+
+
+def _rest(sites, p, reach, boundary):
+    """Displacements from equal spacings at rest, in spacings: they depend on the exponent alone."""
+    if sites > MANY:
+        refuse("sites", f"at most {MANY} magnets between ends", f"{sites}",
+               "A ring is at rest in equal spacings: boundary='periodic'; or let them feel next neighbours, reach=1.")
+    return jnp.asarray(_known_rest(sites, p, reach, boundary)) if isinstance(p, (int, float)) else (
+        _found_rest(sites, p, reach, boundary))
+
+
+@lru_cache(maxsize=64)
+def _known_rest(sites, p, reach, boundary):
+    return np.asarray(_found_rest(sites, p, reach, boundary))
+
+
+def _found_rest(sites, p, reach, boundary):
+    term = LongRange(_kernel(sites, jnp.asarray(p, float), reach, boundary)[1], PowerLaw(1.0, p, 1.0), boundary,
+                     takes="strain", beyond=1 if boundary == "fixed" else None)
+    return equilibrium(Lattice(1.0, term, sites=sites)).state.u
+
+
+@checked
+def long_range(
+    sites: Count, exponent: Scalar = 3.0, *, mass: Parameter = 1.0, stiffness: Scalar = 1.0, alpha: Scalar = 0.0,
+    beta: Scalar = 0.0, reach: Count | None = None, boundary: str = "fixed", units: str = SCALED,
+) -> Lattice:
+    r"""Chain with long-range interactions: springs to all neighbours, weaker by m^{-s} with their distance m.
+
+    Force of the spring between n and n + m: m^{-s} (K e + alpha e^2 + beta e^3), e = u_n - u_{n+m}: by FFT. Breathers
+    have algebraic tails, |u_n| ~ |n|^{-s}. omega^2(k) = (2K/M) sum_m m^{-s} (1 - cos k m), of mass M.
+
+    **Arguments:** `sites`: N; `exponent`: s > 0; `mass`: a number, or one per site; `stiffness`: K; `alpha`, `beta`;
+    `reach`: neighbours on either side, `None` for all (of a ring those nearer than half way round). `boundary`:
+    `"fixed"` (one site at rest beyond either end), `"free"`, `"periodic"`. `units`: as in `Lattice`. Typical: s = 3.
+
+    **Returns:** a `Lattice`. **Raises** ValueError for s <= 0, K <= 0, a ring too short for its reach.
+    Source: Flach, Phys. Rev. E 58, R4116 (1998).
+    """
+    sites, boundary = _sites(sites), one_of("boundary", boundary, BOUNDARIES)
+    s = positive("exponent", _number("exponent", exponent), "Interactions weaken with the distance.")
+    K = positive("stiffness", stiffness, "At rest the springs hold the chain.")
+    for name, x in (("alpha", alpha), ("beta", beta)):
+        parameter(name, x)
+    _, kernel = _kernel(sites, -s, reach, boundary)
+    beyond = 1 if boundary == "fixed" else None
+    term = LongRange(kernel, Polynomial(K, alpha, beta), boundary, beyond=beyond)
+    return Lattice(mass, term, sites=sites, units=units)
