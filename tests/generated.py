@@ -80,7 +80,7 @@ MADE = (gx.Arrival, gx.Peak, gx.Integral, gx.Lowest, gx.Flow, gx.orbits.Symmetry
 # whose methods are what a kind answers to the library, inside of traced programs, or the parts of a computation
 KINDS = (
     gx.Law, gx.Term, gx.StrainMap, gx.Record, diffrax.AbstractSolver, Shooting, Problem,
-    Dimensional, Coordinates, Split,
+    Dimensional, Coordinates, Split, gx.first_order.Equation,
 )
 
 
@@ -405,6 +405,7 @@ def kept():
 
 
 VALID = {
+    "equation": lambda: gx.first_order.DNLS(SITES),
     "lattice": lattice, "state": y, "y": y, "run": run, "traces": traces, "scene": lambda: scene,
     "make": lambda: shaken, "law": lambda: gx.Hertz(1.0, 0.3), "sites": lambda: 5, "start": lambda: {"stiffness": 1.0},
     "ts": times, "times": times, "t": lambda: 0.0, "t0": lambda: 0.0, "t1": lambda: 1.0, "period": lambda: 6.0,
@@ -452,6 +453,12 @@ OWN = {
     "scenes.modulated.travelling_modulation.sites": lambda: 6,
     "scenes.chains.pattern.masses": lambda: [1.0, 0.5], "scenes.chains.defects.masses": lambda: {2: 0.5},
     "orbits.guesses.sites.single_site.sites": lambda: [2], "orbits.forced_branch.forced_branch.start": lambda: 0.8,
+    "first_order.equations.field.psi": lambda: np.ones(SITES) + 1j,
+    "first_order.equations.DpS.state.psi": lambda: np.ones(SITES) + 1j,
+    "first_order.evolution.evolve.psi": lambda: np.ones(SITES), "first_order.evolution.evolve.step": lambda: 0.1,
+    "first_order.solitons.soliton.omega": lambda: -1.0, "first_order.solitons.soliton.guess": lambda: "site",
+    "first_order.trapping.self_trapping.scene": lambda: lambda chi: gx.first_order.DNLS(SITES, 1.0, chi),
+    "first_order.trapping.self_trapping.low": lambda: 1.0, "first_order.trapping.self_trapping.high": lambda: 9.0,
     "orbits.anticontinuous.anticontinuous.scene": lambda: lambda c: gx.scenes.klein_gordon(SITES, c),
     "orbits.anticontinuous.anticontinuous.coupling": lambda: 0.05,
     "orbits.anticontinuous.anticontinuous.omega": lambda: 1.5, "orbits.anticontinuous.anticontinuous.sites": lambda: 2,

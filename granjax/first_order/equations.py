@@ -15,7 +15,7 @@ from ..lattice import State
 from ..laws import Law, Linear
 from ..printing import told
 from ..strains import BOUNDARIES
-from ..types import Amplitudes, Count, Flags, Number, Numbers, Parameter, Pytree, Scalar
+from ..types import Amplitudes, Count, Flags, Number, Numbers, Parameter, Scalar
 from .coupling import Coupling, of_order, of_weights, trailing
 
 
@@ -61,9 +61,16 @@ def refuse_split(equation: Any) -> Any:
            "Take diffrax.Dopri8(). SplitStep is for DNLS on a ring, or on a chain of at most 512 sites.")
 
 
+def check_shape(psi: Any, equation: Any) -> None:
+    """Refuse what is no psi of an equation."""
+    if jnp.ndim(psi) == 0 or jnp.shape(psi)[0] != equation.sites:
+        refuse("psi", f"shape ({equation.sites},), then lanes", f"shape {jnp.shape(psi)}")
+
+
 @checked
-def field(t: Any, psi: Pytree, equation: Equation) -> Pytree:
+def field(t: Any, psi: Amplitudes, equation: Equation) -> Amplitudes:
     """dpsi/dt = -i dH/dpsi*: a vector field f(t, psi, args) for `gx.Flow(steps, solver, field)` and diffrax."""
+    check_shape(psi, equation)
     return -1j * equation.gradient(psi)
 
 

@@ -15,7 +15,7 @@ from ..outside import Outside
 from ..programs import waited
 from ..results import Held, Result
 from ..types import Amplitudes, Count, Flags, Number, Numbers, Parameter, Scalar, Times
-from .equations import Equation, field
+from .equations import Equation, check_shape, field
 from .split_step import SplitStep
 
 # steps times the fastest rate, of the first of two runs
@@ -125,8 +125,7 @@ def evolve(
 def _start(equation, psi):
     psi = jnp.asarray(psi)
     psi = psi.astype(jnp.result_type(psi, jnp.complex64))
-    if psi.ndim == 0 or psi.shape[0] != equation.sites:
-        refuse("psi", f"shape ({equation.sites},), then lanes", f"shape {psi.shape}")
+    check_shape(psi, equation)
     value = concrete(psi)
     if value is not None and not np.isfinite(value).all():
         refuse("psi", "finite numbers", f"{np.count_nonzero(~np.isfinite(value))} that are not")

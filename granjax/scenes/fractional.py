@@ -123,7 +123,8 @@ def fractional_sine_gordon(
 ) -> Lattice:
     r"""Fractional sine-Gordon chain: m u_n'' = -C ((-Delta)^s u)_n - (k/q) sin(q u_n).
 
-    Kinks and breathers have algebraic tails, u ~ n^{-1-2s}, for s < 1. The band is k/m <= omega^2 <= (k + 4^s C)/m.
+    For s < 1 tails are algebraic, n^{-2s} of kinks and n^{-1-2s} of breathers; at s = 1/2 and C k >> 1 the kink is that
+    of Peierls and Nabarro, pi + 2 atan(k x/C) for q = 1. The band is k/m <= omega^2 <= (k + 4^s C)/m.
 
     **Arguments:** `coupling`: C >= 0 [N/m], one number. `stiffness`: k > 0 [N/m], `wavenumber`: q > 0, a number, or one
     per site. The others as in `fractional`; a kink needs free ends.
