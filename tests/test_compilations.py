@@ -420,6 +420,8 @@ WITHIN = {
                     "studies of minutes, made of what is called here"),
 }
 UNCALLED = {
+    "caputo": "in tests/test_caputo.py", "mittag_leffler": "a formula", "thornton": "a formula",
+    "walton_braun": "a formula",
     "checked_order": "`kernel`", "total": "`kernel`", "symbol": "`ring_kernel`", "wave_numbers": "NumPy",
     "field": "`evolve`", "self_trapping": "`evolve`",
     "paired": "NumPy", "read": "a file", "table": "NumPy",

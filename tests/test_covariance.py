@@ -1135,6 +1135,7 @@ def _(s):
 
 # public, with a lattice among the arguments, and not in the table
 ELSEWHERE = {
+    "FloquetBands.state": "`floquet_bands`",
     "split_system": "a solver's working form of the same forces: `simulate`", "variational": "`floquet`",
     "in_blocks": "the same for long chains",
     "Record.value": "`simulate`", "Problem.state": "`fit`", "return_error": "rounding alone; `fit` and `Reversible`",
