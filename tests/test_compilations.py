@@ -405,7 +405,7 @@ WITHIN = {
     **dict.fromkeys(("checks", "entry.checked", "entry.kinds", "printing", "programs", "variables", "cli.commands",
                      "interrupts", "outside", "tuning", "materials", "canonical.scenes", "scenes.chains",
                      "scenes.long_range", "scenes.resonators", "scenes.softening",
-                     "scenes.disorder", "scenes.fractional", "scenes.on_site",
+                     "scenes.disorder", "scenes.fractional", "scenes.modulated", "scenes.on_site",
                      "work_precision.measuring", "orbits.symmetry", "laws.power"),
                     "numbers, words and Python: no program of their own"),
     **dict.fromkeys(("exchange.datasets", "files", "fit.files", "reading.reader", "reading.tables"),
