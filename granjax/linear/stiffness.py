@@ -145,7 +145,11 @@ def blocks(lattice: Lattice, reach: Any, product_with: Callable) -> Any:
     every = jax.vmap(jax.vmap(answer, (None, 0), -1), (0, None), -2)
     answers = every(np.arange(colour.max() + 1), np.arange(width))
     there = np.stack([np.roll(colour, [-o for o in offset], range(len(sites))) for offset in offsets(reach)], -1)
-    return jnp.take_along_axis(answers[..., None, :, :, :], there[..., None, None, None], -2)[..., 0, :]
+    found = jnp.take_along_axis(answers[..., None, :, :, :], there[..., None, None, None], -2)[..., 0, :]
+    # half way around a ring is one place for both ways
+    twice = np.prod([np.where((n == 2 * r) & (abs(np.array(offset)) == r), 0.5, 1.0)
+                     for n, r, offset in zip(sites, reach, zip(*offsets(reach)))], axis=0)
+    return found * twice[:, None, None].astype(lattice.dtype) if np.any(twice != 1) else found
 
 
 @eqx.filter_jit
