@@ -71,6 +71,16 @@ def test_edges_say_how_well_they_are_known(layers):
     assert (np.abs(coarse.edges - fine.edges) <= coarse.edge_error).all()
 
 
+@pytest.mark.slow
+def test_a_period_of_few_digits_counts_in_the_error(layers):
+    for lattice in (layers, modulated(12, 0.1, 2.0)):
+        known, rough = (floquet_bands(lattice, 1.0, T) for T in (PERIOD, 3.14159265))
+        off = np.abs(known.multipliers - rough.multipliers).max()
+        assert 1e-10 < off < rough.error.max() < 1e-6
+    few = floquet_bands(layers.astype(np.float32), 1.0, PERIOD)
+    assert np.abs(few.multipliers - floquet_bands(layers, 1.0, PERIOD).multipliers).max() < 1e-7
+
+
 def test_growth_in_a_ring(layers):
     """A wave of the ring grows as its multiplier says, in a run of several periods."""
     found = floquet_bands(layers, K, PERIOD)
@@ -192,6 +202,7 @@ def test_derivatives():
 @pytest.mark.parametrize(("call", "sentence"), [
     (lambda s: floquet_bands(s, K, 3.0), "period: expected one after which the stiffness repeats"),
     (lambda s: floquet_bands(s, K, PERIOD / 2), "period: expected one after which the stiffness repeats"),
+    (lambda s: floquet_bands(s, K, PERIOD * 1.0001), "period: expected one after which the"),
     (lambda s: floquet_bands(s, K, -1.0), "period"),
     (lambda s: floquet_bands(s, [], PERIOD), "k: expected at least one"),
     (lambda s: floquet_bands(s, 1.0, PERIOD).gaps, "gaps: expected a chain, and several"),

@@ -190,7 +190,7 @@ def floquet_bands(
     u, v = (unpack_waves(found, x.reshape(shape + x.shape[1:])) for x in _parted(found, vectors, period))
     rho, error = rho.reshape(shape + rho.shape[1:]), error.reshape(shape + error.shape[1:])
     return FloquetBands(
-        k, rho, error, jnp.log(jnp.abs(rho)) / period, -_angle(rho) / period, u, v, *gaps, period, t0,
+        k, rho, error, jnp.log(jnp.abs(rho)) / period, 0.0 - _angle(rho) / period, u, v, *gaps, period, t0,
         known.steps if known else steps, found.cell, **lattice.origin)
 
 
@@ -215,7 +215,8 @@ class _Known:
         self.conserves = cell.conserves
         self.turned = self.omega * float(period)
         # what the forces miss the period by changes M by its integral, at most
-        self.missed = float(period) * (cell.missed[0] / self.omega + cell.missed[1])
+        stiff, lost, late = cell.missed
+        self.missed = float(period) * (stiff / self.omega + lost) + 2 * self.omega * late
         if PER_RADIAN * self.turned > MOST_STEPS:
             refuse("period", f"one of at most {MOST_STEPS / PER_RADIAN:.3g} radians of the fastest waves",
                    f"{float(period):.6g}, which is {self.turned:.3g} of them", "Look at its unit.")

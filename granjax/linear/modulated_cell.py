@@ -23,7 +23,8 @@ LATER = (1, 2, 5)
 # of what time changes, by which the forces may miss their period: the error that it makes counts
 MISSED = 1e-6
 # Gauss' of a step
-NODES = 0.5 + np.array([-1, 0, 1]) * np.sqrt(15) / 10
+ROOT = 15**0.5
+NODES = 0.5 - ROOT / 10, 0.5, 0.5 + ROOT / 10
 
 
 class ModulatedCell(eqx.Module):
@@ -90,6 +91,8 @@ def modulated_cell(lattice: Lattice, cell: Cell, t0: Number, period: Number) -> 
     period after which the forces do not repeat.
     """
     lattice = undriven(lattice)
+    if lattice.dtype != jnp.result_type(float):  # numbers of few digits are followed with all that there are
+        lattice = lattice.astype(jnp.result_type(float))
     sites, given = grid(lattice), None if cell is None else given_cell(cell, grid(lattice))
     plain, known = stand_in(lattice)
     start, length = (float(jax.lax.stop_gradient(x) if isinstance(x, jax.core.Tracer) else x) for x in (t0, period))
@@ -106,7 +109,7 @@ def modulated_cell(lattice: Lattice, cell: Cell, t0: Number, period: Number) -> 
 
     reach, stiffness, mass = reach_of(plain, measure)
     found = settled(_sampled, plain, reach, ts, w)[0]
-    missed = (0.0, 0.0)
+    missed = (0.0, 0.0, 0.0)
     if known:
         missed = _missed(plain, reach, ts, w, found, length, float(mass.min()))
     over = np.abs(stiffness).max((-1, -2))
@@ -140,7 +143,21 @@ def _missed(lattice, reach, ts, w, found, period, lightest):
                f"{period!r}, after which it differs by {share:.2g} of what the modulation changes",
                "Give the modulation's period 2 pi/omega, or a multiple; several modulations need a common one.")
     rounding = 1e2 * eps * change
-    return tuple(float(x) for x in np.maximum(off - rounding, 0) / lightest)
+    return (*(float(x) for x in np.maximum(off - rounding, 0) / lightest), _late(lattice, period, eps))
+
+
+def _late(lattice, period, eps):
+    """The time by which jumps that repeat miss the period; refused where that is more than rounding makes."""
+    late = 0.0
+    with jax.ensure_compile_time_eval():
+        repeating = [np.ravel(b.period) for b in lattice.breaks if b.period is not None]
+    for own in (float(x) for periods in repeating for x in periods):
+        turns = period / own
+        off = abs(turns - round(turns))
+        if off > MISSED or turns < 0.5:
+            refuse("period", f"one after which the breaks repeat, a multiple of {own:.10g}", repr(period))
+        late = max(late, off * own if off > 8 * eps * turns else 0.0)
+    return late
 
 
 @waited
@@ -189,7 +206,7 @@ def monodromies(
 
 def _magnus(first, middle, last):
     a = middle
-    b = np.sqrt(15) / 3 * (last - first)
+    b = ROOT / 3 * (last - first)
     c = 10 / 3 * (last - 2 * middle + first)
     near = _commutator(a, b)
     far = -_commutator(a, 2 * c + near) / 60
@@ -205,7 +222,7 @@ def exponential(x: ComplexNumbers) -> ComplexNumbers:
     powers = [jnp.broadcast_to(jnp.eye(x.shape[-1], dtype=x.dtype), x.shape), x]
     for _ in range(4):
         powers.append(powers[-1] @ x)
-    weights = 1 / np.cumprod(np.maximum(np.arange(25.0), 1))
+    weights = (1 / np.cumprod(np.maximum(np.arange(25.0), 1))).tolist()
     parts = [sum(weights[5 * j + i] * powers[i] for i in range(5)) for j in range(5)]
     total = parts[-1]
     for part in parts[-2::-1]:

@@ -26,11 +26,13 @@ from .steps import default_steps, fixed_step_solver
 BEGIN, WIDE = 50.0, 4.0
 # periods beyond those that growth alone takes; how many there may be
 MORE, MOST = 24, 20_000
-# searches for the start; times that steps are doubled; sizes at which a nonlinearity is looked for
-SEARCHES, DOUBLINGS = 12, 6
+# searches for the start; times that steps are doubled; energy that has returned; sizes of a nonlinearity
+SEARCHES, DOUBLINGS, RETURNED = 12, 4, 1e-10
 SIZES, CLOSER = 2.0 ** np.arange(-100, 101), 5
 # of a wave, by which a period of the ring may miss its multiplier
 FITS = 1e-6
+# of its energy, by which a breather may miss it
+RETURNS = 1e-3
 
 
 class GapBreather(Result):
@@ -110,13 +112,14 @@ def k_gap_breather(
     ring = _Ring(lattice, bands, wave, period, t0, solver)
     ring.checked(count)
     begin = ring.size() if amplitude is None else float(positive("amplitude", amplitude))
-    found = ring.sought(begin, count, amplitude is None)
-    for _ in range(DOUBLINGS if steps is None else 1):
-        finer = ring.sought(found.begin, 2 * count, False)
-        error = abs(finer.returned_of(found))
-        found, count = finer, 2 * count
-        if error <= tolerance:
+    free = amplitude is None
+    for i in range(DOUBLINGS if steps is None else 1):
+        found = ring.sought(begin, count, free)
+        finer = ring.from_amplitude(found.begin, 2 * count, found.back)
+        error, begin, free = abs(finer.returned - found.returned), found.begin, False
+        if error <= tolerance or steps is not None or i == DOUBLINGS - 1:
             break
+        count *= 2
     return ring.result(found, count, error)
 
 
@@ -152,11 +155,6 @@ class _Found(eqx.Module):
     vs: Any
     energy: np.ndarray
     back: int
-
-    def returned_of(self, other: Any) -> float:
-        """How far the energies that return differ, relative to that of the start."""
-        return self.energy[self.back] / self.energy[0] - other.energy[other.back] / other.energy[0] \
-            if self.back == other.back else np.inf
 
     @property
     def returned(self) -> float:
@@ -229,18 +227,30 @@ class _Ring:
 
     def sought(self, begin: float, steps: int, free: bool) -> _Found:
         """The breather that begins with about an amplitude; where that is `free`, one of about 1/50 of its peak."""
-        for _ in range(SEARCHES):
-            found = self._back(begin, steps)
+        found = self._back(begin, steps)
+        for _ in range(SEARCHES if free else 0):
             peak = max(np.abs(x).max() for x in jax.tree.leaves(found.us))
-            if free:
-                free, begin = not 1 / WIDE <= peak / (BEGIN * begin) <= WIDE, peak / BEGIN
-                continue
-            miss = np.log1p(found.returned)
-            if abs(miss) < 1e-10:
+            near = 1 / WIDE <= peak / (BEGIN * found.begin) <= WIDE
+            found = self._back(peak / BEGIN, steps)
+            if near:
                 break
-            # begun larger, it is ahead: its energy at the start is more, that at the same time of its return less
-            begin = begin * np.exp(np.clip(miss / 4, -1, 1))
-        return found
+        # begun larger it is ahead: the energy at the start is more, that at the same time of its return is less
+        best, slope = found, -4.0
+        for _ in range(SEARCHES):
+            miss = np.log1p(found.returned)
+            step = np.clip(-miss / slope, -0.7, 0.7)
+            before, found = (found.begin, miss), self.from_amplitude(found.begin * np.exp(step), steps, found.back)
+            change = np.log1p(found.returned) - before[1]
+            slope = np.clip(change / step, -40.0, -0.5) if step else slope
+            best = found if abs(found.returned) < abs(best.returned) else best
+            if abs(found.returned) < RETURNED or abs(step) < 1e-14:
+                break
+        return best
+
+    def from_amplitude(self, begin: float, steps: int, back: int) -> _Found:
+        """The motion from an amplitude, over as many periods."""
+        (us, vs), energy = self.run(self.state(begin), back, steps)
+        return _Found(begin, us, vs, energy, back)
 
     def _back(self, begin, steps):
         """The motion from an amplitude until its energy, once a period, is next to that of the start."""
@@ -268,8 +278,10 @@ class _Ring:
         amplitude = np.max([np.abs(x).reshape(end, -1).max(-1) for x in jax.tree.leaves(us)], axis=0)
         stray = self._stray(jax.tree.map(lambda x: x[-1], (us, vs)))
         times = found.energy.max() / found.energy[0]
+        back = max(abs(found.returned), error) <= RETURNS
         outcome = (f"The energy grew {times:.4g} times and returned within {abs(found.returned):.1e} +- {error:.1e} of "
-                   f"itself after {found.back} periods; {stray:.1e} of what returned is other waves.")
+                   f"itself after {found.back} periods; {stray:.1e} of what returned is other waves."
+                   + ("" if back else " It breaks up: other waves took part."))
         return GapBreather(
             self.t0 + self.period * np.arange(end), us, vs, found.energy[:end], amplitude, self.k, self.growth,
             found.returned, float(error), stray, self.period, int(steps), outcome, **self.lattice.origin)
