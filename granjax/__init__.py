@@ -28,6 +28,7 @@ Lattices
     Drag                a force of the velocity's square
     LongRange           bonds to all neighbours of a chain, with weights of the distance
     Drive               a force of time on a site
+    BrilliantovContact  viscoelastic spheres that do not pull
     CaputoDamping       a damping with the history of the velocity
     PlasticContact      contacts that yield, and remember their largest overlap
     Wall                a wall that yields, or moves
@@ -196,6 +197,7 @@ from .strains import Pairs, Shift, StrainMap, Stretch  # noqa: E402
 from .terms import (  # noqa: E402
     Bond,
     Breaks,
+    BrilliantovContact,
     CaputoDamping,
     Damping,
     Dashpot,
@@ -236,14 +238,15 @@ _WITHIN = {
 }
 
 __all__ = [
-    "Arrival", "Bond", "Breaks", "CaputoDamping", "CaputoRun", "Damping", "Dashpot", "Derivative", "Design", "Drag",
-    "Drive", "Equilibrium", "Fit", "Flow", "Harmonic", "Hertz", "Integral", "KahanLi8", "Lattice", "Law", "Linear",
-    "LongRange", "Lowest", "Modulated", "Network", "OnSite", "Pairs", "Peak", "PlasticContact", "PlasticLaw",
-    "Polynomial", "PowerLaw", "RKN1210", "RKN86", "Record", "Resonator", "Result", "Reversible", "Run", "RunWithMemory",
-    "SRKN11b", "SRKN14a", "SRKN6b", "Shift", "Sine", "SofroniouSpaletta10", "Spline", "Square", "State", "StrainMap",
-    "Stretch", "Term", "Thornton", "Toda", "Traces", "Units", "VelocityVerlet", "ViscousContact", "Wall", "WaltonBraun",
-    "WorkPrecision", "Yielding", "caputo", "clear", "derivative", "design", "equilibrium", "explore", "fit", "laws",
-    "simulate", "smooth_peak", "solvers", "strains", "sweep", "terms", "tune", "vector_field", "work_precision", *_LAZY,
+    "Arrival", "Bond", "Breaks", "BrilliantovContact", "CaputoDamping", "CaputoRun", "Damping", "Dashpot", "Derivative",
+    "Design", "Drag", "Drive", "Equilibrium", "Fit", "Flow", "Harmonic", "Hertz", "Integral", "KahanLi8", "Lattice",
+    "Law", "Linear", "LongRange", "Lowest", "Modulated", "Network", "OnSite", "Pairs", "Peak", "PlasticContact",
+    "PlasticLaw", "Polynomial", "PowerLaw", "RKN1210", "RKN86", "Record", "Resonator", "Result", "Reversible", "Run",
+    "RunWithMemory", "SRKN11b", "SRKN14a", "SRKN6b", "Shift", "Sine", "SofroniouSpaletta10", "Spline", "Square",
+    "State", "StrainMap", "Stretch", "Term", "Thornton", "Toda", "Traces", "Units", "VelocityVerlet", "ViscousContact",
+    "Wall", "WaltonBraun", "WorkPrecision", "Yielding", "caputo", "clear", "derivative", "design", "equilibrium",
+    "explore", "fit", "laws", "simulate", "smooth_peak", "solvers", "strains", "sweep", "terms", "tune", "vector_field",
+    "work_precision", *_LAZY,
 ]
 
 

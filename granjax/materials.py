@@ -178,6 +178,26 @@ def hertz_coefficient(
 
 
 @checked
+def yield_overlap(
+    pressure: Parameter, material_1: str | Material, radius_1: Parameter, material_2: str | Material | None = None,
+    radius_2: Parameter | None = None,
+) -> Number:
+    r"""Overlap at which the pressure at a contact's centre reaches a limit, s_y = (pi p_y/(2 E*))^2 R* [m].
+
+    **Arguments:** `pressure`: p_y > 0 [Pa], 1.6 times the yield stress where yielding begins, up to 3 times for
+    contacts that are plastic all over; materials and radii as in `hertz_coefficient`. **Returns:** s_y, for
+    `gx.Thornton(stiffness, s_y)`. Typical: 3e-6 m for steel beads of 1 cm radius and 1.6e9 Pa. **Raises** ValueError
+    as `hertz_coefficient` does. Source: C. Thornton, J. Appl. Mech. 64, 383 (1997).
+    """
+    first = named("material_1", material_1)
+    second = first if material_2 is None else named("material_2", material_2)
+    modulus = _effective_modulus(first, second)
+    # sqrt(R*), by the contact's coefficient (4/3) E* sqrt(R*)
+    root = 0.75 * hertz_coefficient(first, radius_1, second, radius_2) / modulus
+    return (jnp.pi * positive("pressure", pressure) / (2 * modulus) * root) ** 2
+
+
+@checked
 def bead_mass(material: str | Material, radius: Parameter) -> Number:
     """Mass of a solid sphere, m = (4/3) pi R^3 rho [kg].
 

@@ -83,7 +83,8 @@ KINDS = {
                   "Strained", "Yielding", "Indented")),
         ("strains", ("Shift", "Stencil", "Pairs", "Stretch", "LinearMap")),
         ("terms", ("Bond", "Modulated", "OnSite", "Damping", "Dashpot", "ViscousContact", "Drag", "Drive", "LongRange",
-                   "Wall", "PlasticContact", "CaputoDamping")),
+                   "Wall", "PlasticContact", "CaputoDamping",
+                   "BrilliantovContact")),
     ) for name in names
 }
 

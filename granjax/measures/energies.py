@@ -11,6 +11,7 @@ import numpy as np
 from ..checks import described, refuse
 from ..entry import checked, shape_of
 from ..lattice import Lattice
+from ..terms.tracing import reads
 from ..types import Displacements, Number, StateLike, Values
 from .states_of import parts
 
@@ -44,6 +45,33 @@ def momentum(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
     _, v = parts(lattice, y, t)
     axes = tuple(range(lattice.axes))
     return sum(jax.tree.leaves(jax.tree.map(lambda m, v: (m * v).sum(axes), lattice.mass, v)))
+
+
+@checked
+def power(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
+    """How fast the `energy` changes [W]: what drives, moving walls and modulations give less what damping takes.
+
+    F.v of all terms that do not keep the energy, and the rate of what they store. Shape of the lanes. Its integral is
+    the balance of the energy, to the last joule:
+
+        chain = gx.Lattice(1.0, (gx.Bond(gx.Shift(1), gx.Hertz()), gx.Damping(0.1)), sites=4)
+        work = gx.Integral(lambda t, y, lattice: gx.measures.power(lattice, y, t))
+        run = gx.simulate(chain, gx.states.impact(chain), 3.0, tolerance=1e-10, record={"work": work})
+
+    **Raises** ValueError for a state of another shape than the lattice's.
+    """
+    u, v = parts(lattice, y, t)
+    terms = [term for term in lattice.terms if not reads(term, lattice).conserves]
+    force = lattice.sum_forces(jnp.asarray(t), u, v, terms)
+    axes = range(lattice.axes + (lattice.dimension is not None))
+    work = jax.tree.map(lambda f, v: (f * v).sum(tuple(axes)), force, v)
+    total = sum(jax.tree.leaves(work)) + jnp.zeros(lattice.lanes, lattice.dtype)
+    along = (jnp.asarray(t, lattice.dtype), u), (jnp.ones(jnp.shape(t), lattice.dtype), v)
+    for term in terms:
+        if reads(term, lattice).energy:
+            rates = jax.jvp(term.energy, *along)[1]
+            total = total + sum(r.sum(tuple(range(r.ndim - len(lattice.lanes)))) for r in jax.tree.leaves(rates))
+    return total
 
 
 @checked

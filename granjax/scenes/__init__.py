@@ -13,6 +13,7 @@ from .on_site import cradle, klein_gordon, sine_gordon
 from .resonators import mass_in_mass, mass_with_mass, woodpile
 from .softening import alternating, foam, hollow_cylinders, origami, tensegrity
 from .units import ScaledLattice, Units, scaled
+from .yielding import plastic
 
 __all__ = [
     "ScaledLattice", "Units", "scaled",
@@ -23,6 +24,7 @@ __all__ = [
     "modulated", "travelling_modulation",
     "cradle", "klein_gordon", "sine_gordon",
     "long_range", "magnets",
+    "plastic",
     "mass_in_mass", "mass_with_mass", "woodpile",
     "alternating", "foam", "hollow_cylinders", "origami", "tensegrity",
 ]

@@ -5,7 +5,7 @@ A term that a scene does not need is not in the tuple, and then costs nothing.
 
 from .base import Compression, Excitation, Term
 from .bonds import Bond, Modulated
-from .dissipation import CaputoDamping, Damping, Dashpot, Drag, ViscousContact
+from .dissipation import BrilliantovContact, CaputoDamping, Damping, Dashpot, Drag, ViscousContact
 from .long_range import LongRange
 from .plastic import PlasticContact
 from .reach import Reach, Reached
@@ -15,7 +15,7 @@ from .walls import Wall
 from .waveforms import Breaks, Function, Harmonic, Square
 
 __all__ = [
-    "Bond", "Breaks", "CaputoDamping", "Compression", "Damping", "Dashpot", "Dependence", "Drag", "Drive", "Excitation",
-    "Function", "Harmonic", "LongRange", "Modulated", "OnSite", "PlasticContact", "Reach", "Reached", "Square",
-    "Term", "ViscousContact", "Wall",
+    "Bond", "Breaks", "BrilliantovContact", "CaputoDamping", "Compression", "Damping", "Dashpot", "Dependence", "Drag",
+    "Drive", "Excitation", "Function", "Harmonic", "LongRange", "Modulated", "OnSite", "PlasticContact", "Reach",
+    "Reached", "Square", "Term", "ViscousContact", "Wall",
 ]

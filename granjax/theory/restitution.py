@@ -6,6 +6,9 @@ from ..checks import non_negative, positive
 from ..entry import checked
 from ..types import Number, Parameter
 
+# (4/5) B(3/5, 3/2) (5/4)^{3/5}, B the beta function
+FIRST = 1.1534488581
+
 
 @checked
 def walton_braun(loading: Parameter, unloading: Parameter) -> Number:
@@ -27,3 +30,24 @@ def thornton(speed: Parameter, yield_speed: Parameter) -> Number:
     r = yield_speed / jnp.maximum(speed, yield_speed)
     inner = r / (r + 2 * jnp.sqrt((6 - r * r) / 5))
     return jnp.sqrt(6 * jnp.sqrt(3.0) / 5 * (1 - r * r / 6)) * inner**0.25
+
+
+@checked
+def viscoelastic(
+    speed: Parameter, stiffness: Parameter, dissipative_time: Parameter, reduced_mass: Parameter = 0.5,
+) -> Number:
+    r"""Viscoelastic spheres whose dissipation is weak.
+
+        e = 1 - 1.15344 x + 0.79826 x^2,   x = (3/2) tau (A/m)^{2/5} V^{1/5}.
+
+    Of Hertz beside Kuwabara and Kono's `ViscousContact(3 A tau/2)`, but for 0.6 x^3; `BrilliantovContact(..., A, tau)`,
+    which does not pull, parts faster by up to 0.03 x^2.
+
+    **Arguments:** `speed`: V [m/s]; `stiffness`: A [N/m^{3/2}]; `dissipative_time`: tau [s]; `reduced_mass`: m [kg],
+    half of each of two equal ones. Source: R. Ramirez, T. Poeschel, N. V. Brilliantov, T. Schwager, Phys. Rev. E 60,
+    4465 (1999).
+    """
+    speed, stiffness = non_negative("speed", speed), positive("stiffness", stiffness)
+    time, mass = non_negative("dissipative_time", dissipative_time), positive("reduced_mass", reduced_mass)
+    x = 1.5 * time * (stiffness / mass) ** 0.4 * speed**0.2
+    return 1 - FIRST * x + 0.6 * (FIRST * x) ** 2

@@ -1,0 +1,41 @@
+"""Chains whose contacts yield."""
+
+import jax.numpy as jnp
+
+from ..checks import non_negative, one_of, parameter, positive
+from ..entry import checked
+from ..lattice import Lattice
+from ..laws import Thornton, plus_power
+from ..strains import BOUNDARIES, Shift
+from ..terms import PlasticContact
+from ..types import Count, Parameter
+from ..units import SCALED
+from .chains import _sites, check_contacts
+
+
+@checked
+def plastic(
+    sites: Count, *, mass: Parameter = 1.0, stiffness: Parameter = 1.0, yield_overlap: Parameter = 0.02,
+    precompression: Parameter = 0.0, boundary: str = "free", units: str = SCALED,
+) -> Lattice:
+    r"""A chain of elastic-plastic spheres (Thornton's): Hertz up to the overlap s_y, then a straight line.
+
+    Unloading leaves an indentation: each contact remembers its largest overlap. `gx.simulate` runs it, and returns the
+    overlaps and the energy lost; pulses fall off along the chain, the faster the higher they are.
+
+    **Arguments:** `sites`: N >= 2; `mass`: m > 0, a number or one per bead; `stiffness`: A, `yield_overlap`: s_y,
+    numbers or one per contact, as in `gx.Thornton`; `precompression`: F0 >= 0; `boundary`: `"free"`, `"fixed"` or
+    `"periodic"`; `units`: "scaled" or "SI". In SI: `gx.materials.bead_mass`, `hertz_coefficient`, `yield_overlap`.
+    **Returns:** a `Lattice`. **Raises** ValueError as `monomer` does, and for s_y that is not above zero.
+    Source: C. Thornton, J. Appl. Mech. 64, 383 (1997).
+    """
+    sites = _sites(sites)
+    one_of("boundary", boundary, BOUNDARIES)
+    stiffness, yields = positive("stiffness", stiffness), positive("yield_overlap", yield_overlap)
+    F0 = non_negative("precompression", precompression, "A chain under tension falls apart.")
+    check_contacts(sites, boundary, {"stiffness": stiffness, "yield_overlap": yields, "precompression": F0})
+    # the overlap that F0 presses virgin contacts to
+    first = stiffness * plus_power(yields, 1.5)
+    overlap = jnp.where(F0 > first, yields * (2 * F0 / first + 1) / 3, plus_power(F0 / stiffness, 2 / 3))
+    contacts = PlasticContact(Shift(1, boundary), Thornton(stiffness, yields), overlap)
+    return Lattice(parameter("mass", mass), contacts, sites=sites, units=units)
