@@ -47,7 +47,8 @@ def total(order: Parameter) -> Numbers:
 @checked
 def symbol(order: Parameter, k: Parameter) -> Numbers:
     """(4 sin^2(k/2))^s at wave numbers k of any shape; the order's lanes come last."""
-    s, k = checked_order(order), jnp.asarray(k, float)
+    s = checked_order(order)
+    k = jnp.asarray(k, s.dtype)
     x = 4 * jnp.sin(k.reshape(*k.shape, *[1] * s.ndim) / 2) ** 2
     inside = x > 0
     return jnp.where(inside, jnp.exp(s * jnp.log(jnp.where(inside, x, 1.0))), 0.0)

@@ -92,6 +92,16 @@ def test_fractional_coupling_lowers_the_threshold_of_self_trapping():
     assert found[1].nonlinearity < 0.7 * found[0].nonlinearity
 
 
+def test_a_staggered_soliton_stands_still():
+    found = soliton(DNLS(41, 1.0, -1.0, boundary="fixed"), 5.0)
+    assert found.residual < 1e-12 and found.tail < 1e-6 and (found.psi[20] * found.psi[21]) < 0
+    with pytest.raises(ValueError, match=r"omega: expected a frequency outside of the band \[0, 3.99"):
+        soliton(DNLS(41), 1.0)
+    with pytest.raises(ValueError, match="a site by itself"):
+        soliton(DNLS(41), 5.0)
+
+
+@pytest.mark.slow
 def test_solitons_stand_still_and_are_those_of_the_continuum():
     for guess in ("site", "bond"):
         found = soliton(DNLS(61, 16.0, 2.0), -1.0, guess=guess)
@@ -102,10 +112,12 @@ def test_solitons_stand_still_and_are_those_of_the_continuum():
         assert found.residual < 1e-12 and found.tail < 0.05
         run = evolve(equation, found.psi, 5.0)
         np.testing.assert_allclose(run.final, found.psi * np.exp(-5j * omega), atol=1e-9)
-    with pytest.raises(ValueError, match=r"omega: expected a frequency outside of the band \[0, 3.99"):
-        soliton(DNLS(41), 1.0)
-    with pytest.raises(ValueError, match="a site by itself"):
-        soliton(DNLS(41), 5.0)
+    def norm_at(s):
+        return soliton(DNLS(41, 1.0, 1.0, order=s), -2.0, guess=start).norm
+
+    start = soliton(DNLS(41, 1.0, 1.0, order=0.6), -2.0).psi
+    slope = (norm_at(0.6 + 1e-5) - norm_at(0.6 - 1e-5)) / 2e-5
+    assert float(jax.grad(norm_at)(0.6)) == pytest.approx(float(slope), rel=1e-6)
 
 
 def test_the_p_schroedinger_equation_has_compact_looking_breathers():
@@ -179,6 +191,7 @@ def test_lanes_laws_and_derivatives():
     for i, chi in enumerate(chis):
         alone = evolve(DNLS(N, 0.7, chi, order=0.4), start[:, i], 1.0)
         np.testing.assert_allclose(together.final[:, i], alone.final, atol=1e-9)
+        assert together.to_xarray(lanes={"chi": chis}).psi_real.dims == ("time", "site", "chi")
         np.testing.assert_allclose(together.energy[0, i], alone.energy[0], rtol=1e-10)
     cubic = evolve(DNLS(N, 0.7, gx.Linear(0.5), order=0.4), start[:, 0], 1.0)
     np.testing.assert_allclose(cubic.final, together.final[:, 0], atol=1e-9)
@@ -191,14 +204,23 @@ def test_lanes_laws_and_derivatives():
     np.testing.assert_allclose(both, difference, rtol=1e-7)
 
 
+def test_float32_stays():
+    small = DNLS(N, jnp.float32(0.7), jnp.float32(1.3), order=jnp.float32(0.5))
+    for equation, dtype in ((small, jnp.complex64), (DNLS(N), jnp.complex128)):
+        run = evolve(equation, jnp.asarray(PSI, jnp.complex64), 1.0, tolerance=1e-4)
+        assert run.final.dtype == dtype and run.norm_error < 1e-5
+
+
 def test_refusals():
     ring = DNLS(N)
+    lanes = jax.vmap(lambda chi: DNLS(N, 1.0, chi), out_axes=-1)(jnp.ones(2))
     for make, words in (
         (lambda: DNLS(N, order=0.0), r"order: expected numbers in \(0, 1\]"),
         (lambda: DNLS(N, order=1.2), "order"), (lambda: DNLS(2), "dimer is two sites"),
         (lambda: DNLS(N, order=0.5, kernel=np.ones(2)), "kernel: expected a kernel, or an order"),
         (lambda: DNLS(N, potential=np.ones(4)), r"potential: .*\(9,\)"), (lambda: DpS(N, exponent=1.0), "exponent"),
         (lambda: evolve(ring, np.ones(4), 1.0), r"psi: expected shape \(9,\)"),
+        (lambda: evolve(lanes, np.ones(N), 1.0), "psi: .*lanes"),
         (lambda: evolve(ring, np.ones(N), 0.0), "t1"), (lambda: evolve(ring, np.full(N, np.nan), 1.0), "psi"),
         (lambda: evolve(ring, PSI, 1.0, step=0.0), "step"), (lambda: evolve(ring, PSI, 1.0, save_at=[2.0]), "save_at"),
         (lambda: evolve(DpS(N), PSI, 1.0, solver=SplitStep()), "solver: .*DpS"),

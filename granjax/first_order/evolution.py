@@ -15,6 +15,7 @@ from ..outside import Outside
 from ..programs import waited
 from ..results import Held, Result
 from ..types import Amplitudes, Count, Flags, Number, Numbers, Parameter, Scalar, Times
+from ..variables import Layout
 from .equations import Equation, check_shape, field
 from .split_step import SplitStep
 
@@ -50,6 +51,10 @@ class Evolution(Result):
     step: Number
     tolerance: Number
     solver: str
+
+    def _layout(self, fields: dict[str, object], space: tuple[int, int] | None) -> Layout:
+        lanes, mapped = np.shape(self.norm_error), np.ndim(self.ts) - 1
+        return Layout(*(space or (None, 0)), lanes, mapped)
 
     @property
     def final(self) -> Amplitudes:
@@ -97,8 +102,9 @@ def evolve(
       by the fastest rate at the start, and halves it until the tolerance is met, six times at most.
     - `tolerance`: of |psi_n|, over the root of the norm.
 
-    **Returns:** `Evolution`; its `outcome` says how well it is known. It differentiates in both modes in the start and
-    in the numbers of the equation: then the step must be given.
+    **Returns:** `Evolution`; `gx.plots.space_time(run.densities, ts=run.ts)` is its picture, and its `outcome` says how
+    well it is known. It differentiates in both modes in the start and in the numbers of the equation: then the step
+    must be given.
     **Raises** ValueError for another shape, numbers not finite, times out of order, a step that is not above zero.
     """
     psi = _start(equation, psi)
@@ -129,11 +135,14 @@ def _start(equation, psi):
     value = concrete(psi)
     if value is not None and not np.isfinite(value).all():
         refuse("psi", "finite numbers", f"{np.count_nonzero(~np.isfinite(value))} that are not")
-    shape = jax.eval_shape(equation.gradient, psi).shape
-    if shape != psi.shape:
-        refuse("psi", f"shape {shape}, with the lanes of the equation", f"shape {psi.shape}",
-               "Give the start lanes too, last.")
-    return psi
+    lanes = "Give the start the equation's lanes, last."
+    try:
+        found = jax.eval_shape(equation.gradient, psi)
+    except TypeError as error:  # JAX's words for shapes that do not fit
+        refuse("psi", "a start that the equation takes", f"shape {psi.shape}: {error}", lanes)
+    if found.shape != psi.shape:
+        refuse("psi", f"shape {found.shape}, with the lanes of the equation", f"shape {psi.shape}", lanes)
+    return psi.astype(found.dtype)
 
 
 def _times(t0, t1, save_at):

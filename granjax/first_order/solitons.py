@@ -3,10 +3,11 @@
 from typing import ClassVar
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import described, one_of, parameter, refuse
+from ..checks import described, one_of, parameter, refuse, traced
 from ..entry import checked
 from ..newton import Root, newton
 from ..results import Held, Result
@@ -55,6 +56,7 @@ def soliton(
     - `centre`: of the words, N // 2 by default.
     - `throw`: raise where Newton's method does not converge, or what it finds is flat; `None` does so.
 
+    Beside a profile as `guess` the numbers of the equation and omega may be traced: it differentiates in both modes.
     **Returns:** `Soliton`; it stands still at `equation`, so `evolve` turns it alone.
     **Raises** ValueError for a frequency in the band or on the side where a site by itself has none, or lanes;
     RuntimeError with the outcome. Source: MacKay, Aubry, Nonlinearity 7, 1623 (1994).
@@ -73,7 +75,7 @@ def soliton(
         root = newton(_residual, phi, (equation, omega, jnp.ones_like(omega)), tolerance=_tolerance(phi, omega),
                       max_steps=60, throw=False)
     made = _made(equation, omega, root)
-    if (throw is None or throw) and made.outcome != FOUND:
+    if (throw is None or throw) and not traced(made) and made.outcome != FOUND:
         raise RuntimeError(made.outcome)
     return made
 
@@ -89,7 +91,7 @@ def _residual(phi, args):
 
 
 def _tolerance(phi, omega):
-    return 1e-12 * float(jnp.max(jnp.abs(phi)) * jnp.abs(omega)) + 1e-300
+    return 1e-12 * jax.lax.stop_gradient(jnp.max(jnp.abs(phi)) * jnp.abs(omega))
 
 
 def _raised(equation, omega, guess, centre):
@@ -171,10 +173,12 @@ def _made(equation, omega, root: Root):
     left = _residual(phi, args)
     step = jnp.linalg.lstsq(root.jacobian, left)[0]
     psi = phi.astype(jnp.result_type(phi, jnp.complex64))
-    tail = _tail(equation, np.abs(np.asarray(phi)) / float(size))
-    if not bool(root.converged):
+    tail = _tail(equation, jnp.abs(phi) / size)
+    if traced((phi, tail)):
+        outcome = "Not known while traced."
+    elif not bool(root.converged):
         outcome = root.outcome
-    elif not highest > 0 or float(highest) < 1e-8 * float(jnp.max(jnp.abs(psi)) + 1e-300):
+    elif not highest > 0:
         outcome = "Newton's method fell to zero: start from a larger profile."
     elif tail > LOCALISED:
         outcome = f"Not localised: far away it is {tail:.2g} of its height; take a longer chain or another frequency."
@@ -187,9 +191,8 @@ def _made(equation, omega, root: Root):
 
 def _tail(equation, shape):
     """The largest of the sites farthest from the highest one."""
-    top, n = int(np.argmax(shape)), np.arange(len(shape))
-    apart = np.abs(n - top)
+    apart = jnp.abs(jnp.arange(len(shape)) - jnp.argmax(shape))
     ring = getattr(equation, "boundary", None) == "periodic" or (
         isinstance(equation, DNLS) and equation.laplacian.diagonal is None)
-    apart = np.minimum(apart, len(shape) - apart) if ring else apart
-    return float(shape[apart == apart.max()].max())
+    apart = jnp.minimum(apart, len(shape) - apart) if ring else apart
+    return jnp.max(jnp.where(apart == apart.max(), shape, 0.0))

@@ -48,7 +48,13 @@ class _Flows:
     def __init__(self, equation: Any):
         if not getattr(equation, "has_flows", False):
             refuse_split(equation)
-        self.drift, self.kick = equation.drift, equation.kick
+        self.equation = equation
+
+    def drift(self, w, ah):
+        return self.equation.drift(w, ah.astype(jnp.real(w).dtype))
+
+    def kick(self, w, bh):
+        return self.equation.kick(w, bh.astype(jnp.real(w).dtype))
 
     def refresh(self, w, t):
         return w
@@ -62,19 +68,14 @@ class _Flows:
 class _TangentFlows(_Flows):
     """The same of a state and its tangents."""
 
-    def __init__(self, equation):
-        super().__init__(equation)
-        self.drift, self.kick = _lifted(equation.drift), _lifted(equation.kick)
+    def drift(self, w, ah):
+        return _pushed(lambda psi: super(_TangentFlows, self).drift(psi, ah), *w)
+
+    def kick(self, w, bh):
+        return _pushed(lambda psi: super(_TangentFlows, self).kick(psi, bh), *w)
 
     def restore(self, w, before):
         return super().restore(w[0], before[0]), w[1]
-
-
-def _lifted(flow):
-    def both(w, time):
-        return _pushed(lambda y: flow(y, time), *w)
-
-    return both
 
 
 def _pushed(function, psi, tangents):
