@@ -172,6 +172,11 @@ def test_dark_breathers_of_precompressed_chains(branch):
     dark = gx.breathers.breather(chain, 0.994 * top, "dark", steps=64)
     assert dark.converged and float(jnp.abs(dark.error.state.u["bead"]).max()) < 1e-7
     guess = gx.breathers.guesses.dark_guess(chain, 0.994 * top)
+    if branch:
+        axes = gx.plots.breather(dark, field="resonator")
+        assert axes.shape == (2, 2) and gx.plots.breather(dark, axes=axes).shape == (2, 2)
+        with pytest.raises(ValueError, match="field: expected one of 'bead', 'resonator'"):
+            gx.plots.breather(dark, field="ring")
     for name in ("bead", "resonator"):
         own, envelope_of = (-np.diff(x.u[name]) for x in (dark.state, guess))
         # the dip, and of the envelope's the middle; constant forces end a chain with strains of their own
@@ -266,3 +271,15 @@ def test_heavy_resonators_hold_a_bright_breather_for_long():
     tail = np.log(tail[np.argmax(tail) + 1 :])
     steps = np.diff(tail)
     assert np.all(steps[1:] / steps[:-1] > 1.3) and len(steps) >= 3
+
+
+def test_envelopes_in_other_units():
+    own = scenes.mass_in_mass(8, 0.3, 1.2, precompression=1.0)
+    far = scenes.mass_in_mass(
+        8, 0.3 * 2e-3, 1.2 * 2e-3 / 5e-5**2, bead_mass=2e-3, precompression=2e-3 * 3e-6 / 5e-5**2,
+        contact_stiffness=2e-3 * 3e-6 / 5e-5**2 / 3e-6**1.5, units="SI")
+    for branch in (0, 1):
+        a, b = (envelope.dressed(x).coefficients(branch) for x in (own, far))
+        np.testing.assert_allclose(b.omega * 5e-5, a.omega, rtol=1e-12)
+        np.testing.assert_allclose(b.nu2 * 5e-5, a.nu2, rtol=1e-11)
+        np.testing.assert_allclose(b.nu3_force * 5e-5 * 3e-6**2, a.nu3_force, rtol=1e-11)

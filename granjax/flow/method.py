@@ -129,14 +129,14 @@ def fixed_step(
         step = fraction / bound
         _refuse_useless(step, t0, t1)
         choice = f"default step, h omega_max <= {fraction:.3g}"
-        if "softens" not in known:
-            known["softens"] = softens(lattice)
-        if known["softens"]:
-            remark = "An exponent below 1: a contact that re-opens is infinitely stiff, and no step bound exists there."
     else:
         _refuse_unstable(lattice, state, t0, t1, step, solver, limit)
         if isinstance(step, jax.core.Tracer):
             step = jnp.where(step > 0, step, jnp.nan)  # what the outcome then says
+    if "softens" not in known:
+        known["softens"] = softens(lattice)
+    if known["softens"]:
+        remark = "An exponent below 1: a contact that re-opens is infinitely stiff, and no step bound exists there."
     span = _known((t1 - t0) / frames)
     count = _ceil(span / step)
     steps = None if isinstance(count, jax.core.Tracer) else int(count) * frames

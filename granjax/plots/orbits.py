@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from scipy.interpolate import Akima1DInterpolator
 
-from ..checks import refuse
+from ..checks import one_of, refuse
 from ..entry import checked
 from ..types import Count
 from ..units import UnitsOrWords
@@ -84,7 +84,7 @@ def unstable_of(fl: Any) -> np.ndarray:
 @checked
 def breather(
     breather: Any, fl: Any = None, axes: Sequence[Axes] | np.ndarray | None = None, *, mode: Count | None = None,
-    units: UnitsOrWords = None,
+    field: str | None = None, units: UnitsOrWords = None,
 ) -> np.ndarray:
     """A breather in four panels: displacements, Floquet multipliers, displacement and velocity of an eigenvector.
 
@@ -99,25 +99,28 @@ def breather(
       has none: (c) then is the strain u_n - u_{n+1}, and (d), where the breather has `run()`, the velocity over a
       period. The eigenvector is turned so that its largest displacement is real, positive and 1; imaginary parts, of
       complex multipliers, are dashed.
+    - `field`: which is shown, where a cell holds several; by default `"bead"`.
     - `units`: `("um", "us", "mm/s")`, as in `granjax.plots`.
 
-    **Returns:** the Axes, (2, 2) or as given. **Raises** ValueError for several fields or lanes, other than four Axes,
-    a mode that is not there.
+    **Returns:** the Axes, (2, 2) or as given. **Raises** ValueError for several fields without a name of one, lanes,
+    other than four Axes, a mode that is not there.
     """
     having("breather", breather, "an Orbit", "state", *(["floquet"] if fl is None else []))
     fl = breather.floquet() if fl is None else fl
     having("fl", fl, "a Floquet", "multipliers", "vectors", "krein", "error", "expected", "rate", "period")
     axes = _axes(axes, 2, 2, 8.4, 6.4)
     a, b, c, d = axes.ravel()
-    u = numbers("breather.state.u", breather.state[0], 1)
+    if field is None and isinstance(breather.state[0], dict) and "bead" in breather.state[0]:
+        field = "bead"
+    u = numbers("breather.state.u", _field_of(breather.state[0], field), 1)
     site = np.arange(len(u))
     mode = _mode(fl, mode)
     history = breather.run() if mode is None and hasattr(breather, "run") else None
     still = [Axis("displacement $u_n(0)$", u), Axis("strain $u_n - u_{n+1}$", u[:-1] - u[1:])]
     # what a stable orbit shows takes its words of another one too
-    ts, vs = (0.0, 0.0) if history is None else (history.ts, history.vs)
+    ts, vs = (0.0, 0.0) if history is None else (history.ts, _field_of(history.vs, field))
     moving = [Axis("time", ts), Axis("velocity", vs)]
-    u_part, v_part = (None, None) if mode is None else _parts(fl, mode, len(u))
+    u_part, v_part = (None, None) if mode is None else _parts(fl, mode, breather.state[0], field)
     growing = [] if mode is None else [Axis("velocity of the mode", np.abs(v_part), "1/s")]
     by = drawn_in(units, units_of(breather), *still, *moving, *growing)
     _bars(a, site, scaled_by(u, by[0].factor), COLOURS[0])
@@ -127,7 +130,7 @@ def breather(
         _bars(c, site[:-1] + 0.5, scaled_by(u[:-1] - u[1:], by[1].factor), COLOURS[0])
         c.set_ylabel(by[1].label)
         c.set_title("no mode grows", loc="left")
-        _period(d, history, by[2:4])
+        _period(d, history, by[2:4], field)
     else:
         shown = (("displacement of the mode", c, u_part), (by[4].label, d, scaled_by(v_part, by[4].factor)))
         complex_pair = abs(fl.multipliers[mode].imag) > fl.error[mode]
@@ -146,19 +149,33 @@ def breather(
     return axes
 
 
-def _parts(fl, mode, sites):
-    """Displacements and velocities of an eigenvector whose largest displacement is 1."""
+def _field_of(u, field):
+    """One field of displacements or velocities, those of the plain array where there is one."""
+    if not isinstance(u, dict):
+        if field is not None:
+            refuse("field", "None, as a cell holds one", repr(field))
+        return u
+    return u[one_of("field", field, tuple(u))]
+
+
+def _parts(fl, mode, u, field):
+    """Displacements and velocities of an eigenvector, of the field shown, whose largest displacement there is 1."""
     vector = np.asarray(fl.vectors)[:, mode]
-    return np.split(vector / vector[np.argmax(np.abs(vector[:sites]))], 2)
+    if isinstance(u, dict):
+        sizes = {name: np.size(u[name]) for name in sorted(u)}
+        first = sum(sizes[name] for name in sizes if name < field)
+        own = first + np.arange(sizes[field])
+        vector = vector[np.concatenate([own, len(vector) // 2 + own])]
+    return np.split(vector / vector[np.argmax(np.abs(vector[: len(vector) // 2]))], 2)
 
 
-def _period(ax, run, by):
+def _period(ax, run, by, field):
     """A period of the velocities over sites and time, where there is a run of it."""
     if run is None:
         ax.text(0.5, 0.5, "no growing mode", ha="center", va="center", color="0.35", transform=ax.transAxes)
         return
     by_time, by_velocity = by
-    ts, vs = (scaled_by(numbers("run", x), way.factor) for x, way in zip((run.ts, run.vs), by))
+    ts, vs = (scaled_by(numbers("run", x), way.factor) for x, way in zip((run.ts, _field_of(run.vs, field)), by))
     top = float(np.abs(vs).max()) or 1.0
     ends = (-0.5, vs.shape[1] - 0.5, ts[0], 2 * ts[-1] - ts[-2])
     image = ax.imshow(vs, origin="lower", aspect="auto", extent=ends, cmap="RdBu_r", vmin=-top, vmax=top)
