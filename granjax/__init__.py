@@ -94,6 +94,7 @@ Solvers
 Periodic orbits
     breathers           breathers and their families
     forced              orbits of driven lattices, and their branches
+    kinks               what joins two wells of on-site forces: at rest, its Peierls-Nabarro barrier, moving
     driven              where driven lattices settle: attractors, sweeps, Lyapunov exponents
     floquet             stability of periodic orbits
     orbits              what these are made of: any orbit, its symmetry
@@ -226,7 +227,7 @@ __version__ = "0.1.0"
 _LAZY = {
     name: f".{name}" for name in (
         "breathers", "canonical", "continuation", "driven", "exchange", "first_order", "floquet", "forced",
-        "fractional", "identify", "linear", "materials", "measures", "newton",
+        "fractional", "identify", "kinks", "linear", "materials", "measures", "newton",
         "orbits", "plots", "scenes", "shocks", "states", "studies", "sweeps",
         "theory",
         "travelling",

@@ -459,6 +459,9 @@ OWN = {
     "first_order.solitons.soliton.omega": lambda: -1.0, "first_order.solitons.soliton.guess": lambda: "site",
     "first_order.trapping.self_trapping.scene": lambda: lambda chi: gx.first_order.DNLS(SITES, 1.0, chi),
     "first_order.trapping.self_trapping.low": lambda: 1.0, "first_order.trapping.self_trapping.high": lambda: 9.0,
+    **{f"kinks.{name}.{argument}": make for name in ("kink", "peierls_nabarro", "moving") for argument, make in (
+        ("lattice", lambda: gx.scenes.sine_gordon(30, 0.5)), ("right", lambda: 2 * np.pi), ("left", lambda: 0.0))},
+    "kinks.kink.centre": lambda: 14.5, "kinks.moving.velocity": lambda: 0.1, "kinks.moving.centre": lambda: 14.5,
     "orbits.anticontinuous.anticontinuous.scene": lambda: lambda c: gx.scenes.klein_gordon(SITES, c),
     "orbits.anticontinuous.anticontinuous.coupling": lambda: 0.05,
     "orbits.anticontinuous.anticontinuous.omega": lambda: 1.5, "orbits.anticontinuous.anticontinuous.sites": lambda: 2,

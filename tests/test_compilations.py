@@ -188,6 +188,12 @@ def _(seed):
     return branch.orbit(-1).floquet(), gx.breathers.bifurcations(branch)
 
 
+@also("kinks", SLOW)
+def _(seed):
+    lattice = gx.scenes.sine_gordon(30, 0.5 + 0.02 * seed)
+    return gx.kinks.peierls_nabarro(lattice, 2 * np.pi), gx.kinks.moving(lattice, 0.1 + 0.01 * seed, 2 * np.pi)
+
+
 @also("derivative", SLOW)
 def _(seed):
     gx.derivative(final, {"mass": masses(rng_of(seed), PLAIN), "v": moving(seed).v}, 0.05 + 0.01 * seed)

@@ -1005,6 +1005,31 @@ def _(s):
     return branch_of(gx.breathers.family(s.lattice, until=beyond(s)), p=rate)
 
 
+def pendula(s):
+    """A sine-Gordon chain with free ends in the scene's units, and its second well."""
+    k = s.w(1.0, 1, -1, 0)
+    return gx.scenes.sine_gordon(16, 0.2 * k, mass=s.w(1.0, 1, -1, 2), stiffness=k, wavenumber=s.w(1.0, 0, -1, 0)), (
+        s.m(2 * np.pi))
+
+
+@row("kink", slow=(hard,))
+def _(s):
+    found = gx.kinks.kink(*pendula(s))
+    return state(found.state), energy(found.energy), rate(found.omega), found.verdict
+
+
+@row("peierls_nabarro", slow=(hard,))
+def _(s):
+    found = gx.kinks.peierls_nabarro(*pendula(s))
+    return energy([found.barrier, found.site, found.bond]), rate(found.omega)
+
+
+@row("moving", slow=(hard,))
+def _(s):
+    lattice, well = pendula(s)
+    return state(gx.kinks.moving(lattice, s.hertz(0.1), well))
+
+
 class WithCoupling(eqx.Module):
     """The lattice `hard` over the stiffness of its springs."""
 

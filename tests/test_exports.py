@@ -130,6 +130,8 @@ MAKERS = {
     "GapBreather": lambda: gx.breathers.GapBreather(
         T, np.outer(T, np.ones(N)), np.ones((33, N)), T, T, 1.0, 0.1, 0.0, 1e-9, 1e-4, 0.1, 64, "Back.", **OTHER),
     "ClosedForms": lambda: gx.travelling.ClosedForms(np.array([1.1, 1.2]), np.array(1.0), *np.ones((4, 2)), **OTHER),
+    "Kink": lambda: gx.kinks.kink(gx.scenes.sine_gordon(16, 0.1), 2 * np.pi),
+    "PeierlsNabarro": lambda: gx.kinks.peierls_nabarro(gx.scenes.sine_gordon(16, 0.1), 2 * np.pi),
     "Peaks": lambda: measures.peak_times(T, np.outer(np.sin(T), np.ones(3))),
     "Front": lambda: measures.front_speed(T, np.exp(-((T[:, None] - np.arange(0.5, 1.6, 0.5)) ** 2))),
     "Trace": lambda: measures.velocity_trace(T, np.ones((33, 2)), 0, sampling=5.0),

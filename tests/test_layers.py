@@ -22,7 +22,7 @@ FLOORS = (
     {"theory"},
     {"first_order", "linear", "measures", "states"},
     {"orbits"},
-    {"breathers", "canonical", "driven", "floquet", "forced", "travelling", "shocks"},
+    {"breathers", "canonical", "driven", "floquet", "forced", "kinks", "shocks", "travelling"},
     {"sweeps", "fit", "design", "work_precision"},
     {"identify", "studies"},
 )

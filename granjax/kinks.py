@@ -1,0 +1,295 @@
+"""Kinks: what joins two wells of the force on the sites, at rest, over the Peierls-Nabarro barrier, and moving."""
+
+from typing import ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .checks import parameter, refuse, traced
+from .entry import checked
+from .lattice import Lattice, State, spread_mass
+from .newton import newton
+from .programs import waited
+from .results import STATE, Held, Result
+from .types import Number, Numbers, Scalar
+
+# of the largest force on the way from well to well: what is none, and what Newton's method leaves
+WELL, LEFT = 1e-9, 1e-13
+# of the way between the wells, by which a kink that is let go moves at most; of the largest force, what pushes one that
+# rests all the same, as in the continuum
+NEAR, PUSHED = 0.1, 1e-9
+# of the way between the wells, how far from them the ends of a chain with a kink may be
+ENDS = 0.05
+# displacements at which the forces between the wells are looked at; of the largest curvature, what may be rounding
+WAY, FLAT = 65, 1e-9
+ROUNDING = 16
+# points in a site of the profile that is moved
+FAR = 12
+
+
+class Kink(Result):
+    """A kink at rest: F(u) = 0 with one well far left and another far right.
+
+    **Fields:** `state`: (N,) at rest. `energy`: above that of the left well. `error` (N,), `energy_error`: estimated
+    distances from the truth. `omega` (N,): frequencies of small oscillations, ascending; where the kink is unstable
+    the first are zero and `growth` is its rate [1/s], else zero. The lowest one of a stable kink is the
+    Peierls-Nabarro frequency. `residual`: largest force over that on the way between the wells. `verdict`: "stable",
+    "unstable" or "undecided" (its curvature is not known from zero: a chain near the continuum). `outcome`.
+    """
+
+    held: ClassVar[dict[str, Held]] = {
+        "state": Held("site", STATE), "energy": Held(unit="J"), "error": Held("site", "m"),
+        "energy_error": Held(unit="J"), "omega": Held("mode", "rad/s"), "growth": Held(unit="1/s"),
+        "residual": Held(unit="1"),
+    }
+    state: State
+    energy: Number
+    error: Numbers
+    energy_error: Number
+    omega: Numbers
+    growth: Number
+    residual: Number
+    verdict: str = eqx.field(static=True)
+    outcome: str = eqx.field(static=True)
+
+
+class PeierlsNabarro(Result):
+    """The barrier against moving a kink by a site.
+
+    **Fields:** `barrier`: energy of the kink that is higher less that of the lower one; `error` of it. `site`,
+    `bond`: energies of the kinks centred on a site and on a bond. `omega`: of small oscillations of the lower one in
+    its valley, the Peierls-Nabarro frequency. `outcome`: which is the lower one.
+    """
+
+    held: ClassVar[dict[str, Held]] = {
+        "barrier": Held(unit="J"), "error": Held(unit="J"), "site": Held(unit="J"), "bond": Held(unit="J"),
+        "omega": Held(unit="rad/s"),
+    }
+    barrier: Number
+    error: Number
+    site: Number
+    bond: Number
+    omega: Number
+    outcome: str = eqx.field(static=True)
+
+
+@checked
+def kink(lattice: Lattice, right: Scalar, left: Scalar = 0.0, *, centre: Scalar | None = None) -> Kink:
+    r"""A kink at rest, u -> left and u -> right at the two ends, by Newton's method.
+
+    **Arguments:**
+
+    - `lattice`: a conservative chain of scalar displacements with free ends and a force on every site.
+    - `left`, `right`: wells, displacements of the whole chain in which nothing is pushed: 0 and 2 pi of
+      `scenes.sine_gordon`, 0 and -2 of `scenes.klein_gordon(stiffness=2.0, alpha=3.0, beta=1.0)`. `right` < `left` is
+      an antikink.
+    - `centre`: a site, or 10.5 for a bond; `None` the bond in the middle. Where it is given about neither, the
+      kink that Newton's method leads to.
+
+    **Returns:** `Kink`. **Raises** ValueError for what is no well and for other lattices; RuntimeError where Newton's
+    method does not converge, or the ends are too near. Typical: an energy of 8 sqrt(C) in the sine-Gordon continuum.
+    Source: Braun, Kivshar, The Frenkel-Kontorova Model (2004), chapter 2.
+    """
+    left, right, scale = _checked_wells(lattice, right, left)
+    n = np.arange(lattice.sites[0])
+    middle = (len(n) - 1) // 2 + 0.5 if centre is None else float(parameter("centre", centre))
+    if not 0 < middle < len(n) - 1:
+        refuse("centre", f"a place between the first and the last of {len(n)} sites", f"{middle:g}")
+    guess = left + (right - left) * 2 / np.pi * np.arctan(np.exp((n - middle) / _width(lattice, left)))
+    size = jnp.asarray(abs(right - left), lattice.dtype)
+    problem = _Rest(size, jnp.asarray(scale, lattice.dtype))
+    wanted = max(LEFT, 50 * float(jnp.finfo(lattice.dtype).eps) * float(_stiffest(lattice, left) * size / scale))
+    begin = jnp.asarray(guess, lattice.dtype) / size
+    # held at its place, along which a wide kink is pushed by next to nothing, and then let go
+    held = newton(_Held(problem, begin), jnp.append(begin, 0.0), lattice, tolerance=wanted, max_steps=60, throw=False)
+    free = newton(problem, held.x[:-1], lattice, tolerance=wanted, max_steps=10, throw=False)
+    let_go = free.converged and float(jnp.max(jnp.abs(free.x - held.x[:-1]))) <= NEAR
+    pushed = float(jnp.max(jnp.abs(problem(held.x[:-1], lattice))))
+    if not let_go and held.converged and pushed > PUSHED:
+        _refuse_ends(f"{pushed:.1g} of the largest force pushes it there", middle, len(n))
+    x = free.x if let_go else held.x[:-1]
+    if not (let_go or held.converged):
+        raise RuntimeError(held.outcome)
+    away = abs(float(x[0] * size) - left), abs(float(x[-1] * size) - right)
+    if max(away) > ENDS * float(size):
+        _refuse_ends(f"its ends are {max(away):.3g} from the wells", middle, len(n))
+    return _told(lattice, problem, x, left)
+
+
+def _refuse_ends(why, middle, sites):
+    raise RuntimeError(f"No kink at rest at {middle:g}: {why}; the ends are too near. Give the chain more sites, "
+                       f"or the kink the centre {(sites - 1) / 2:g}.")
+
+
+@checked
+def peierls_nabarro(lattice: Lattice, right: Scalar, left: Scalar = 0.0) -> PeierlsNabarro:
+    """The Peierls-Nabarro barrier: the energies of kinks centred on a site and on a bond, in the middle of a chain.
+
+    `lattice`, `right`, `left`: as in `kink`. **Returns:** `PeierlsNabarro`, whose barrier falls exponentially with
+    the width of the kink; where it is below its `error` the outcome says so. **Raises** as `kink`.
+    """
+    _checked_wells(lattice, right, left)
+    place = (lattice.sites[0] - 1) // 2
+    site, bond = (kink(lattice, right, left, centre=place + off) for off in (0.0, 0.5))
+    low = site if float(site.energy) < float(bond.energy) else bond
+    barrier, error = jnp.abs(site.energy - bond.energy), site.energy_error + bond.energy_error
+    said = "a site" if low is site else "a bond"
+    if barrier <= error:
+        outcome = "The barrier is below its error: the kink moves as in the continuum."
+    else:
+        outcome = f"The kink rests on {said}; the other one is {(site if low is bond else bond).verdict}."
+    return PeierlsNabarro(barrier, error, site.energy, bond.energy, low.omega[0], outcome, **lattice.origin)
+
+
+@checked
+def moving(
+    lattice: Lattice, velocity: Scalar, right: Scalar, left: Scalar = 0.0, *, centre: Scalar | None = None,
+) -> State:
+    r"""A state that moves as a kink: the one at rest, contracted, u_n = U(g (n - c)), v_n = -V g U'(g (n - c)).
+
+    g = 1/sqrt(1 - V^2/c0^2), with c0 the speed of long waves without the force on the sites, sqrt(C/m). On a chain a
+    kink radiates as it moves, is slowed down by it, and rests at last where it cannot pass the barrier any more.
+
+    **Arguments:** `velocity`: V [sites/s], |V| < c0. The others as in `kink`; `centre` is any place.
+    **Returns:** a `State`, to `gx.simulate`. **Raises** ValueError for |V| >= c0, and as `kink`.
+    """
+    rest = kink(lattice, right, left)
+    speed, top = float(parameter("velocity", velocity)), _long_waves(lattice, float(left))
+    if not abs(speed) < top:
+        refuse("velocity", f"a speed below {top:.6g}, that of long waves", f"{speed:g}")
+    n = np.arange(lattice.sites[0])
+    middle = (len(n) - 1) // 2 + 0.5
+    begin = middle if centre is None else float(parameter("centre", centre))
+    stretch = 1 / np.sqrt(1 - (speed / top) ** 2)
+    profile, slope = _profile(np.asarray(rest.state.u), stretch * (n - begin) + middle, float(left), float(right))
+    return State(jnp.asarray(profile, lattice.dtype), jnp.asarray(-speed * stretch * slope, lattice.dtype))
+
+
+def _profile(u, x, left, right):
+    """A kink and its slope between the sites, through six of them at a time, and the wells beyond."""
+    wide = np.concatenate([np.full(FAR, left), u, np.full(FAR, right)])
+    first = np.clip(np.floor(x).astype(int) + FAR - 2, 0, len(wide) - 6)
+    s = np.clip(x + FAR - first, 0, 5)
+    nodes = np.arange(6.0)
+    powers = np.linalg.inv(np.vander(nodes, increasing=True))
+    coefficients = powers @ wide[first[None, :] + np.arange(6)[:, None]]
+    value = sum(c * s**k for k, c in enumerate(coefficients))
+    slope = sum(k * c * s ** (k - 1) for k, c in enumerate(coefficients) if k)
+    beyond = (x < -FAR) | (x > len(u) - 1 + FAR)
+    return value, np.where(beyond, 0, slope)
+
+
+class _Rest(eqx.Module):
+    """Forces over their scale at displacements over theirs."""
+
+    size: jax.Array
+    scale: jax.Array
+
+    def __call__(self, x, lattice):
+        return _forces(lattice, self.size * x) / self.scale
+
+
+class _Held(eqx.Module):
+    """The same, for a kink held at the place of a guess by a force along its slope, the last unknown."""
+
+    rest: _Rest
+    guess: jax.Array
+
+    def __call__(self, z, lattice):
+        slope = jnp.gradient(self.guess)
+        forces = self.rest(z[:-1], lattice) + z[-1] * slope
+        return jnp.append(forces, slope @ (z[:-1] - self.guess))
+
+
+def _forces(lattice, u):
+    return lattice.force(jnp.zeros((), u.dtype), u, jnp.zeros_like(u))
+
+
+@eqx.filter_jit
+def _uniform(lattice, levels):
+    """Largest force on the whole chain, displaced to each level."""
+    ones = jnp.ones_like(lattice.zeros())
+    return jax.lax.map(lambda level: jnp.max(jnp.abs(_forces(lattice, level * ones))), levels)
+
+
+@eqx.filter_jit
+def _stiffness(lattice, u):
+    return -jax.jacfwd(lambda u: _forces(lattice, u))(u)
+
+
+def _stiffest(lattice, level):
+    return jnp.max(jnp.abs(_stiffness(lattice, level * jnp.ones_like(lattice.zeros()))))
+
+
+def _at_middle(lattice, level):
+    """What couples the site in the middle to all, sum j^2 k_j/2, and its own force's slope."""
+    row = np.asarray(_stiffness(lattice, level * jnp.ones_like(lattice.zeros())))
+    place = len(row) // 2
+    return -np.sum((np.arange(len(row)) - place) ** 2 * row[place]) / 2, row[place].sum(), place
+
+
+def _width(lattice, level):
+    coupling, own, _ = _at_middle(lattice, level)
+    return max(np.sqrt(max(coupling, 0) / own), 0.1) if own > 0 else 1.0
+
+
+def _long_waves(lattice, level):
+    coupling, _, place = _at_middle(lattice, level)
+    return float(np.sqrt(max(coupling, 0) / np.asarray(spread_mass(lattice))[place]))
+
+
+@waited
+def _known(problem, lattice, x, left):
+    """(u, energy above the left well, error of u, of the energy, squares of the frequencies)."""
+    u = problem.size * x
+    stiffness = _stiffness(lattice, u)
+    inverse, force = jnp.linalg.inv(stiffness), _forces(lattice, u)
+    eps = jnp.finfo(u.dtype).eps
+    rounding = ROUNDING * eps * jnp.max(jnp.sum(jnp.abs(stiffness), 1)) * jnp.max(jnp.abs(u))
+    error = jnp.abs(inverse @ force) + jnp.sum(jnp.abs(inverse), 1) * rounding
+    rest, zero = left * jnp.ones_like(u), jnp.zeros_like(u)
+    energy = lattice.energy(0.0, u, zero) - lattice.energy(0.0, rest, zero)
+    # what is at rest has an energy of second order in the error, beside rounding
+    energy_error = jnp.sum(jnp.abs(force) * error) + ROUNDING * eps * (
+        jnp.abs(lattice.energy(0.0, u, zero)) + jnp.abs(lattice.energy(0.0, rest, zero)))
+    root = jnp.sqrt(spread_mass(lattice))
+    squares = jnp.linalg.eigvalsh((stiffness + stiffness.T) / 2 / root[:, None] / root)
+    return u, energy, error, energy_error, squares
+
+
+def _told(lattice, problem, x, left):
+    u, energy, error, energy_error, squares = _known(problem, lattice, x, jnp.asarray(left, lattice.dtype))
+    least = float(squares[0])
+    known = abs(least) > FLAT * float(jnp.max(jnp.abs(squares)))
+    verdict = ("stable" if least > 0 else "unstable") if known else "undecided"
+    growth = jnp.sqrt(jnp.maximum(-squares[0], 0))
+    outcome = f"A kink at rest, {verdict}: its energy is {float(energy):.6g}."
+    return Kink(State(u, jnp.zeros_like(u)), energy, error, energy_error, jnp.sqrt(jnp.maximum(squares, 0)), growth,
+                jnp.max(jnp.abs(problem(x, lattice))), verdict, outcome, **lattice.origin)
+
+
+def _checked_wells(lattice, right, left):
+    """(left, right, the largest force between them), of a chain in which both are wells."""
+    if traced((lattice, right, left)):
+        refuse("lattice", "numbers known before tracing", "traced ones", "A kink has no derivative here.")
+    if lattice.lanes or isinstance(lattice.template(), dict) or lattice.dimension is not None or lattice.axes != 1:
+        refuse("lattice", "one chain of scalar displacements", f"one of shape {lattice.shape}")
+    if not lattice.conserves:
+        refuse("lattice", "forces that depend on positions alone", ", ".join(lattice.unkept()))
+    left, right = (float(parameter(name, x)) for name, x in (("left", left), ("right", right)))
+    if left == right:
+        refuse("right", "another well than the left one", f"{right:g}")
+    forces = np.asarray(_uniform(lattice, jnp.linspace(left, right, WAY)))
+    scale = forces[1:-1].max()
+    if not scale > 0:
+        refuse("lattice", "a force on the sites between the wells", "none")
+    for name, x, force in (("left", left, forces[0]), ("right", right, forces[-1])):
+        if not force <= WELL * scale:
+            refuse(name, "a well, in which nothing is pushed", f"{x:g}, with {force / scale:.2g} of the largest force "
+                   "on the way", "Ends must be free: walls at u = 0 hold no other well.")
+    for name, x in (("left", left), ("right", right)):
+        if not _at_middle(lattice, x)[1] > 0:
+            refuse(name, "a well, to which sites come back", f"{x:g}, the top of a barrier")
+    return left, right, scale

@@ -1,0 +1,88 @@
+"""Kinks against the continuum, against SciPy, and against the limit of zero coupling."""
+
+import numpy as np
+import pytest
+from scipy.optimize import fsolve
+
+import granjax as gx
+
+N = 80
+
+
+def double_well(coupling):
+    return gx.scenes.klein_gordon(N, coupling, stiffness=2.0, alpha=3.0, beta=1.0)
+
+
+def pendula(coupling):
+    return gx.scenes.sine_gordon(N, coupling)
+
+
+def test_kinks_have_the_energies_of_the_continuum():
+    for make, right, exact in ((pendula, 2 * np.pi, 8.0), (double_well, -2.0, 2 * np.sqrt(2) / 3)):
+        off = []
+        for h in (0.8, 0.4):
+            found = gx.kinks.kink(make(1 / h**2), right)
+            off.append(float(found.energy) * h - exact)
+            assert found.residual < 1e-10 and np.isfinite(found.energy_error)
+        assert abs(off[1]) < 0.01 * exact and off[0] / off[1] == pytest.approx(4, rel=0.15)
+
+
+def test_a_kink_is_that_of_an_independent_root():
+    def rest(u):
+        return 0.3 * np.diff(np.diff(u, prepend=u[0], append=u[-1])) - np.sin(u)
+
+    found = gx.kinks.kink(pendula(0.3), 2 * np.pi, centre=39)
+    u = fsolve(rest, np.where(np.arange(N) == 39, np.pi, np.where(np.arange(N) < 39, 0, 2 * np.pi)), xtol=1e-13)
+    np.testing.assert_allclose(found.state.u, u, atol=1e-11)
+    assert found.verdict == "unstable" and found.growth > 0
+    energy = np.sum(1 - np.cos(u)) + 0.15 * np.sum(np.diff(u) ** 2)
+    assert float(found.energy) == pytest.approx(energy, rel=1e-12)
+
+
+def test_the_barrier():
+    # weakly coupled the one on a site has a pendulum upside down, and the other has none
+    weak = gx.kinks.peierls_nabarro(pendula(1e-4), 2 * np.pi)
+    assert float(weak.barrier) == pytest.approx(2, abs=2e-3) and float(weak.omega) == pytest.approx(1, abs=1e-3)
+    barriers = [gx.kinks.peierls_nabarro(pendula(c), 2 * np.pi) for c in (0.5, 1.0, 2.0)]
+    assert np.all(np.diff([float(b.barrier) for b in barriers]) < 0)
+    assert all(b.error < 1e-12 and "rests on a bond" in b.outcome for b in barriers)
+    # softer than its error in the continuum
+    assert "below its error" in gx.kinks.peierls_nabarro(pendula(12.0), 2 * np.pi).outcome
+
+
+def test_in_si_and_as_an_antikink():
+    kg, metre, second = 2e-3, 1e-5, 1e-4
+    k = kg / second**2
+    lattice = gx.scenes.sine_gordon(N, 0.5 * k, mass=kg, stiffness=k, wavenumber=1 / metre).counted_in("SI")
+    there, here = gx.kinks.kink(lattice, -2 * np.pi * metre), gx.kinks.kink(pendula(0.5), 2 * np.pi)
+    np.testing.assert_allclose(-there.state.u / metre, here.state.u, atol=1e-11)
+    np.testing.assert_allclose(there.omega * second, here.omega, rtol=1e-9)
+    assert there.to_xarray().omega.attrs["units"] == "rad/s"
+
+
+@pytest.mark.slow
+def test_a_kink_moves_at_its_speed():
+    lattice = gx.scenes.sine_gordon(161, 4.0)
+    start = gx.kinks.moving(lattice, 1.0, 2 * np.pi, centre=40.0)
+    x, stretch = np.arange(161) - 40.0, 1 / np.sqrt(1 - 0.25)
+    np.testing.assert_allclose(start.u, 4 * np.arctan(np.exp(stretch * x / 2)), atol=0.05)
+    run = gx.simulate(lattice, start, 60.0)
+    u = np.asarray(run.final.u)
+    place = np.interp(np.pi, u, np.arange(161))
+    assert place == pytest.approx(100, rel=0.03)
+
+
+def test_what_is_no_well_is_refused():
+    for make, words in (
+        (lambda: gx.kinks.kink(pendula(0.5), 3.0), "right: .*a well"),
+        (lambda: gx.kinks.kink(pendula(0.5), 0.0), "another well"),
+        (lambda: gx.kinks.kink(pendula(0.5), np.pi), "right: .*barrier"),
+        (lambda: gx.kinks.kink(gx.scenes.sine_gordon(N, 0.5, boundary="fixed"), 2 * np.pi), "free"),
+        (lambda: gx.kinks.kink(pendula(0.5), 2 * np.pi, centre=99), "centre"),
+        (lambda: gx.kinks.moving(pendula(0.25), 0.6, 2 * np.pi), "velocity: .*0.5, that of long waves"),
+        (lambda: gx.kinks.kink(gx.scenes.toda(9, boundary="free"), 1.0), "force on the sites"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            make()
+    with pytest.raises(RuntimeError, match="the ends are too near"):
+        gx.kinks.kink(gx.scenes.sine_gordon(12, 9.0), 2 * np.pi, centre=4.5)
