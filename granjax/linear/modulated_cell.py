@@ -151,7 +151,7 @@ def _late(lattice, period, eps):
     late = 0.0
     with jax.ensure_compile_time_eval():
         repeating = [np.ravel(b.period) for b in lattice.breaks if b.period is not None]
-    for own in (float(x) for periods in repeating for x in periods):
+    for own in (float(x) for some in repeating for x in some):
         turns = period / own
         off = abs(turns - round(turns))
         if off > MISSED or turns < 0.5:

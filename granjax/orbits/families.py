@@ -227,7 +227,8 @@ def checked_lattice(lattice: Lattice) -> Lattice:
     if lattice.lanes:
         remedy = "Use jax.vmap(function, in_axes=-1)(lattice) for gx.breathers.breather with a guess."
         refuse("lattice", "one lattice", f"a batch with lanes {lattice.lanes}", remedy)
-    if any(term.stiffness_changes(lattice) for term in lattice.terms):
+    if not lattice.conserves and any(term.dependence(lattice).time and term.stiffness_changes(lattice)
+                                     for term in lattice.terms):
         refuse("lattice", "a stiffness that is constant in time", "one that is modulated",
                "In a gap in the wave number waves grow, and no breather stays: gx.breathers.k_gap_breather finds those "
                "that come and go. Orbits of the period of the modulation: gx.forced.forced_orbit.")

@@ -14,7 +14,7 @@ from ..entry import checked
 from ..flow import Flow
 from ..lattice import Lattice, State
 from ..linear import FloquetBands, floquet_bands
-from ..programs import shared_size, waited
+from ..programs import waited
 from ..results import Held, Result
 from ..solvers import KahanLi8
 from ..tuning import one_thread
@@ -26,6 +26,8 @@ from .steps import default_steps, fixed_step_solver
 BEGIN, WIDE = 50.0, 4.0
 # periods beyond those that growth alone takes; how many there may be
 MORE, MOST = 24, 20_000
+# periods of one program
+PIECE = 16
 # searches for the start; times that steps are doubled; energy that has returned; sizes of a nonlinearity
 SEARCHES, DOUBLINGS, RETURNED = 12, 4, 1e-10
 SIZES, CLOSER = 2.0 ** np.arange(-100, 101), 5
@@ -193,11 +195,14 @@ class _Ring:
         return State(*jax.tree.map(part, self.up))
 
     def run(self, state: State, periods: int, steps: int) -> tuple:
-        """States and energies once a period, the start first."""
-        flow = Flow(jnp.asarray(steps), self.solver)
-        us, vs, energy = _strobed(flow, self.lattice, state, jnp.asarray(self.t0), jnp.asarray(self.period),
-                                  shared_size(periods))
-        return jax.tree.map(np.asarray, (us, vs)), np.asarray(energy)
+        """States and energies once a period, the start first, so many and up to `PIECE` more."""
+        flow, parts = Flow(jnp.asarray(steps), self.solver), []
+        for _ in range(-(-periods // PIECE)):
+            state, part = _strobed(flow, self.lattice, state, jnp.asarray(self.t0), jnp.asarray(self.period))
+            parts.append(jax.tree.map(np.asarray, part))
+        last = jax.tree.map(lambda x: np.asarray(x)[None], (state, self.lattice.energy(self.t0, *state)))
+        states, energy = jax.tree.map(lambda *x: np.concatenate(x), *parts, last)
+        return tuple(states), energy
 
     def checked(self, steps: int) -> None:
         """Refuse a lattice in which the wave is not multiplied by rho: one with ends."""
@@ -298,16 +303,12 @@ class _Ring:
 
 
 @waited
-def _strobed(flow, lattice, state, t0, period, periods):
-    """u, v and energy at t0 + j T, j = 0 ... periods; every period begins at the same phase."""
+def _strobed(flow, lattice, state, t0, period):
+    """The state `PIECE` periods later, states and energies before each; every period begins at the same phase."""
     def one(y, _):
-        after = flow(y, t0, t0 + period, lattice)
-        return after, (after, lattice.energy(t0, *after))
+        return flow(y, t0, t0 + period, lattice), (y, lattice.energy(t0, *y))
 
-    _, (states, energy) = jax.lax.scan(one, state, length=periods)
-    start = (state, lattice.energy(t0, *state))
-    states, energy = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), start, (states, energy))
-    return states.u, states.v, energy
+    return jax.lax.scan(one, state, length=PIECE)
 
 
 @waited
