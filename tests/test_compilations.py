@@ -417,12 +417,12 @@ WITHIN = {
     **dict.fromkeys(("exchange.datasets", "files", "fit.files", "reading.reader", "reading.tables"),
                     "files, read and written by NumPy"),
     **dict.fromkeys(("plots.cells", "plots.style", "plots.curves", "plots.fits", "plots.orbits", "plots.shocks",
-                     "plots.travelling"),
+                     "plots.spreading", "plots.travelling"),
                     "drawn by NumPy; `plots`"),
     **dict.fromkeys(("lattice.split", "lattice.tangents", "lattice.blocks", "split_system"), "`simulate`"),
     **dict.fromkeys(("studies.bright_breather", "studies.dark_breather", "studies.reproduce.registry",
                      "studies.reproduce.making", "studies.resonance.decay", "studies.resonance.finite",
-                     "studies.resonance.maps", "studies.resonance.oscillations"),
+                     "studies.resonance.maps", "studies.resonance.oscillations", "studies.spreading"),
                     "studies of minutes, made of what is called here"),
 }
 UNCALLED = {

@@ -168,6 +168,9 @@ MAKERS = {
         settled(), chain(), 1.0, 2.0, np.ones(N), np.ones(N + 1), 1.0, 0.5, 3.0, -0.9, np.ones((6, N))),
     "Rectifier": lambda: studies.Rectifier(np.ones(3), sweep(), sweep(), 1.0, np.inf, np.ones(3), 1.0, 2.0, 3.0),
     "TwoWay": lambda: studies.TwoWay(np.ones(3), 1.0, *np.ones((4, 3)), **OTHER),
+    "Spreading": lambda: studies.Spreading(
+        T, *np.ones((2, 5, 33)), (0.5, 2.0), *[studies.Exponent(1.5, 0.1, 0.1, 0.1)] * 3, *np.ones((2, 33)),
+        sites=N, reached=0.0, energy_error=0.1, lost=0),
     "CellWave": lambda: gx.travelling.cell_wave(gx.Hertz(), [1.0], speed=1.0),
     "Oscillations": lambda: Oscillations(np.ones(3), np.ones(3), 41),
     "ResonanceMap": lambda: ResonanceMap(

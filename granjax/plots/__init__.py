@@ -21,6 +21,7 @@ from .histories import space_time, traces
 from .orbits import branch, breather, floquet_circle, hysteresis, strain_map
 from .precision import work_precision
 from .shocks import modulation, shock, shock_core, shock_map
+from .spreading import spreading
 from .style import COLOURS, drawn, figure, save, style
 from .sweeps import sweep
 from .travelling import front, reflection, wave, wave_errors, wave_family
@@ -29,6 +30,6 @@ from .waves import dispersion, floquet_bands
 __all__ = [
     "COLOURS", "branch", "breather", "cell_wave", "corner", "dispersion", "drawn", "figure", "fit", "floquet_bands",
     "floquet_circle", "front", "hysteresis", "law", "modulation", "planar", "profile", "reflection", "resonance_map",
-    "save", "shock", "shock_core", "shock_map", "space_time", "strain_map", "style", "sweep", "traces", "transmission",
-    "wave", "wave_errors", "wave_family", "work_precision",
+    "save", "shock", "shock_core", "shock_map", "space_time", "spreading", "strain_map", "style", "sweep", "traces",
+    "transmission", "wave", "wave_errors", "wave_family", "work_precision",
 ]
