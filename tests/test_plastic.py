@@ -20,6 +20,20 @@ def struck(law, speed, t1, **how):
     return gx.simulate(lattice, gx.states.impact(lattice, velocity=speed), t1, **how)
 
 
+@pytest.mark.slow
+def test_measures_along_a_run_know_what_it_had_in_memory():
+    lattice = gx.Lattice(1.0, tuple(gx.PlasticContact(FREE, gx.WaltonBraun(k, 2.0)) for k in (1.0, 0.5)), sites=2)
+    run = gx.simulate(lattice, gx.states.impact(lattice, velocity=0.8), 9.0, save_at=12)
+    assert [x["largest_overlap"].shape for x in run.by_term] == [(12, 1)] * 2
+    energies = gx.measures.along(gx.measures.energy, lattice, run)
+    assert np.abs(energies / energies[0] - 1).max() < 1e-9
+    # the force that sites feel, and that of contacts
+    pushes = gx.measures.along(lambda lattice, y, t: lattice.force(t, y.u, y.v)[1], lattice, run)
+    forces = gx.measures.along(lambda lattice, y, t: sum(
+        c.force[0] for c in gx.measures.contacts(lattice, y, t)), lattice, run)
+    assert np.allclose(pushes, forces) and forces[-1] == 0 and run.memory["largest_overlap"][-1] > 0
+
+
 def restitution(run, speed):
     return (run.final.v[1] - run.final.v[0]) / speed
 

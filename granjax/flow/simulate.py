@@ -87,6 +87,11 @@ def simulate(
     exponent 1) it converges with the first power of the step, erratically, and at the default step tens of per cent
     may be missing, with nothing to be seen: `gx.derivative(function, x, step)` gives its error.
 
+    Where forces read the past (`PlasticContact`, `CaputoDamping`), solvers of their own run the lattice, without
+    `solver`, `record` and `save_at="steps"`: adaptive steps to a tolerance of 1e-11 by default, which carry internal
+    variables, all lanes together, with derivatives in forward mode; or equal steps with the whole history, h omega =
+    1/50 by default. A `RunWithMemory` is what they return.
+
     **Returns:** `Run`.
 
     **Raises** ValueError for input that cannot be meant (a sentence says argument, expected, got, remedy);

@@ -9,6 +9,8 @@ from jax.flatten_util import ravel_pytree
 
 from ..checks import described, refuse, returned
 from ..entry import checked, takes
+from ..flow import RunWithMemory
+from ..flow.memory import recalled
 from ..lattice import Lattice, State
 from ..types import Displacements, Number, Numbers, Pytree
 
@@ -19,6 +21,7 @@ def along(measure: Callable, lattice: Lattice, run: Any, **options: Any) -> Pytr
 
     **Arguments:** `measure`: such as `contact_force`, or a function of (lattice, y, t); `run`: anything with `ts`,
     `us`, `vs`, such as the result of `simulate`; `options`: keywords of the measure, such as `bond=1`.
+    Where forces remember, the lattice holds at each frame what the run had in memory then.
     **Returns:** what the measure returns, each array with T in front. All frames are held at once; to keep less, record
     the quantity while simulating. **Raises** ValueError for a measure that cannot be called or a run without frames.
     """
@@ -29,10 +32,12 @@ def along(measure: Callable, lattice: Lattice, run: Any, **options: Any) -> Pytr
         also = f", and of {', '.join(options)}" if options else ""
         refuse("measure", f"a function of (lattice, y, t){also}", described(measure))
 
-    def of_frame(t, u, v):
-        return returned("measure", measure(lattice, State(u, v), t, **options))
+    def of_frame(t, u, v, memory):
+        now = lattice if memory is None else recalled(lattice, memory)
+        return returned("measure", measure(now, State(u, v), t, **options))
 
-    return jax.vmap(of_frame)(run.ts, run.us, run.vs)
+    memory = run.by_term if isinstance(run, RunWithMemory) and run.memory else None
+    return jax.vmap(of_frame)(run.ts, run.us, run.vs, memory)
 
 
 @checked

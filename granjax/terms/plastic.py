@@ -21,7 +21,9 @@ class PlasticContact(Bond):
 
     Force on the sites: -(de/du)^T (F(s, P) - F0), s = d0 + e, F0 = F(d0, d0) the static force of a contact that has
     never been pressed further. P is an internal variable, one per bond. `gx.simulate` carries it, and returns a
-    `RunWithMemory`; whatever needs a motion that depends on its present state alone refuses such a lattice.
+    `RunWithMemory`; whatever needs a motion that depends on its present state alone refuses such a lattice. Measures
+    of a state take P as the lattice holds it, at least the present overlap: that of `run.lattice` is the one at the
+    end of a run, and `gx.measures.along(measure, lattice, run)` puts in that of each frame.
 
     **Arguments:** `strain_map`, such as `Shift(1, "fixed")`; `law`: `gx.WaltonBraun`, `gx.Thornton`, or a
     `gx.PlasticLaw` of one's own; `overlap`: d0 >= 0 at equilibrium [m], zero without precompression; `largest`: P at

@@ -2,6 +2,7 @@
 
 from .caputo import CaputoRun, caputo
 from .dispatch import with_memory
+from .internal import recalled
 from .run import RunWithMemory
 
 __all__ = ["CaputoRun", "RunWithMemory", "caputo", "with_memory"]

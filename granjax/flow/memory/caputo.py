@@ -76,7 +76,7 @@ def caputo(
     known = concrete(grading)
     if known is not None and not known >= 1:
         refuse("grading", "at least 1, equal steps", show(known))
-    y = jax.tree.map(lambda x: jnp.asarray(x, jnp.result_type(x, float)), y)
+    y = jax.tree.map(lambda x: parameter("y", x), y)
     # plain numbers are inputs of what is compiled, not a part of it
     args = jax.tree.map(lambda x: jnp.asarray(x) if type(x) in (int, float, complex) else x, args)
     size = sum(x.size for x in jax.tree.leaves(y))

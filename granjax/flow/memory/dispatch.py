@@ -7,7 +7,7 @@ import diffrax
 import jax
 import numpy as np
 
-from ...checks import concrete, refuse, show, traced
+from ...checks import concrete, refuse, show, traced, whole
 from ...lattice import Lattice
 from ...terms.tracing import reads
 from ...types import Scalar, StateLike
@@ -50,6 +50,7 @@ def with_memory(lattice: Lattice, state: StateLike, t1: Scalar, keywords: dict[s
     if fractional:
         return _damped(lattice, state, t0, t1, step, tolerance, save_ts, throw)
     dtype, step = facts(lattice).dtype, checked_size("step", step)
+    max_steps = None if max_steps is None else whole("max_steps", max_steps, 1)
     tolerance = checked_size("tolerance", tolerance)
     least = least_tolerance(dtype)
     if tolerance is None:

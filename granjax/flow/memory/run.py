@@ -37,6 +37,16 @@ class RunWithMemory(Run):
     _kinds: tuple = eqx.field(static=True, default=())
 
     @property
+    def by_term(self) -> tuple[dict[str, Numbers] | None, ...]:
+        """The internal variables at the saved times, one dict for each term of the lattice; `None` for the others."""
+        names = iter(name for name, _ in self._kinds)
+        found = []
+        for term in self.lattice.terms:
+            own = term.variables(self.lattice)
+            found.append(None if own is None else {key: self.memory[next(names)] for key in own})
+        return tuple(found)
+
+    @property
     def held(self) -> dict[str, Held]:
         return {**super().held, **{name: Held("time bond", unit) for name, unit in self._kinds}}
 
