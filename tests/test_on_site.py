@@ -217,3 +217,24 @@ def test_a_breather_of_the_cradle_falls_off_faster_than_exponentially():
                                          stability=False, points=12, steps=64)
     decay = np.diff(np.log(np.abs(branch.u[-1][4:9])))
     assert branch.p[-1] == 0.02 and np.all(decay[1:] < 1.3 * decay[:-1])
+
+
+def test_a_boomeron_turns_back_by_itself():
+    # James, Kevrekidis, Cuevas, Physica D 251, 39 (2013): an impact, Hertz contacts, a hard force on the beads
+    n, times = 20, np.linspace(0.0, 300.0, 61)
+    lattice = gx.scenes.cradle(n, law=gx.Polynomial(1.0, 0.0, 2.0))
+    run = gx.simulate(lattice, gx.states.impact(lattice, velocity=1.2), 300.0, save_at=times)
+    places = np.asarray(gx.measures.along(gx.measures.site_energy, lattice, run)).argmax(1)
+
+    def slope(t, y):
+        u = y[:n]
+        push = np.pad(np.maximum(u[:-1] - u[1:], 0) ** 1.5, 1)
+        return np.concatenate([y[n:], push[:-1] - push[1:] - u - 2 * u**3])
+
+    y0 = np.zeros(2 * n)
+    y0[n] = 1.2
+    ys = solve_ivp(slope, (0, 300), y0, method="DOP853", rtol=1e-8, atol=1e-11, t_eval=times).y
+    own = ys[n:] ** 2 / 2 + ys[:n] ** 2 / 2 + ys[:n] ** 4 / 2
+    alone = own.argmax(0)
+    assert np.all(np.abs(places - alone) <= 1)
+    assert 10 <= places.max() <= 12 and 20 < places.argmax() < 50 and places[-1] <= places.max() - 2

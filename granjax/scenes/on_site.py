@@ -28,7 +28,7 @@ def _on_sites(sites, mass, law, on_site, boundary, parameters, per_site):
 def cradle(
     sites: Count, *, mass: Parameter = 1.0, stiffness: Parameter = 1.0, exponent: Parameter = 1.5,
     precompression: Parameter = 0.0, pendulum: Parameter = 1.0, length: Parameter | None = None,
-    boundary: str = "free",
+    law: Law | None = None, boundary: str = "free",
 ) -> Lattice:
     r"""Newton's cradle: beads that touch, each on a pendulum of its own.
 
@@ -36,7 +36,9 @@ def cradle(
 
     or -k u_n for strings so long that their arc is straight. Without precompression the chain has no linear
     coupling: all sites swing at sqrt(k/m), and breathers and travelling waves of small amplitude obey the discrete
-    p-Schroedinger equation. For beads of mass m on strings of length L in gravity g: k = m g/L.
+    p-Schroedinger equation. For beads of mass m on strings of length L in gravity g: k = m g/L. On cantilevers that
+    harden, `law=gx.Polynomial(1.0, 0.0, 2.0)`, an impact makes a breather that travels and turns back by itself, a
+    boomeron: at a velocity of 1.2 (A = k = m = 1) it comes as far as bead 11.
 
     **Arguments:**
 
@@ -45,14 +47,20 @@ def cradle(
     - `stiffness`, `exponent`, `precompression`: A, p and F0 of the contacts, as in `monomer`.
     - `pendulum`: k > 0 [N/m], a number, or one per bead.
     - `length`: L > 0 of the strings, a number, or one per bead; `None` for straight arcs.
+    - `law`: another force -law.force(u) on each bead, instead of `pendulum` and `length`.
     - `boundary`: `"free"`, `"fixed"` (walls beside the end beads) or `"periodic"`.
 
-    **Returns:** a `Lattice`. **Raises** ValueError as `monomer` does, and for k or L that is not above zero. Typical:
+    **Returns:** a `Lattice`. **Raises** ValueError as `monomer` does, for k or L that is not above zero, and for a law
+    beside a length. Typical:
     amplitudes of 0.01 ... 1 with A = k = m = 1; 9.53 mm steel beads on 10 cm: m = 28.4 g, k = 2.8 N/m.
     Source: James, Kevrekidis, Cuevas, Physica D 251, 39 (2013).
     """
     pendulum = positive("pendulum", pendulum, "It is m g/L of each bead.")
-    if length is None:
+    if law is not None:
+        if length is not None:
+            refuse("law", "a law, or strings of a length", "both", "Leave one of them out.")
+        swing, per_site = law, {}
+    elif length is None:
         swing, per_site = Linear(pendulum), {"pendulum": pendulum}
     else:
         length = positive("length", length, "None is a string so long that the arc is straight.")
