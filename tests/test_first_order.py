@@ -99,6 +99,8 @@ def test_a_staggered_soliton_stands_still():
         soliton(DNLS(41), 1.0)
     with pytest.raises(ValueError, match="a site by itself"):
         soliton(DNLS(41), 5.0)
+    with pytest.raises(ValueError, match="centre: expected one of the first 40 sites"):
+        soliton(DNLS(41, boundary="free"), -1.0, guess="bond", centre=-1)
 
 
 @pytest.mark.slow

@@ -114,6 +114,7 @@ def test_refusals():
         (lambda: scenes.fractional_fput(N, -0.5), "order"), (lambda: scenes.fractional_sine_gordon(N, np.nan), "order"),
         (lambda: scenes.fractional(2, 0.5), "sites"), (lambda: scenes.fractional_sine_gordon(N, 0.5, -1.0), "coupling"),
         (lambda: scenes.fractional_fput(N, nonlinear="some"), "nonlinear"),
+        (lambda: scenes.fractional_sine_gordon(N, stiffness=np.ones(N + 1)), r"stiffness: .*\(12,\)"),
         (lambda: fractional.kernel(0.5, 0), "offsets"),
     ):
         with pytest.raises(ValueError, match=words):

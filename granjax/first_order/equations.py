@@ -223,8 +223,7 @@ class DpS(Equation):
 
     def energy(self, psi):
         p = self.exponent
-        squared = jnp.abs(self._steps(psi)) ** 2 if not jnp.iscomplexobj(psi) else self._squared(self._steps(psi))
-        return -2 * self.stiffness / (p + 1) * jnp.sum(_power(squared, (p + 1) / 2), axis=0)
+        return -2 * self.stiffness / (p + 1) * jnp.sum(_power(self._squared(self._steps(psi)), (p + 1) / 2), axis=0)
 
     def gradient(self, psi):
         steps = self._steps(psi)

@@ -97,8 +97,9 @@ def _tolerance(phi, omega):
 def _raised(equation, omega, guess, centre):
     """The solution at the full coupling, from sites that are alone."""
     omega_ = _outside_the_band(equation, float(omega))
-    if not -equation.sites <= centre < equation.sites:
-        refuse("centre", f"a site of {equation.sites}", described(centre))
+    last = equation.sites - (guess == "bond" and equation.laplacian.diagonal is not None)
+    if not -equation.sites <= centre < equation.sites or not centre % equation.sites < last:
+        refuse("centre", f"one of the first {last} sites", described(centre))
     sign = 1.0 if omega_ < 0 else -1.0
     places = [centre % equation.sites] + ([(centre + 1) % equation.sites] if guess == "bond" else [])
     phi = np.zeros(equation.sites)

@@ -132,6 +132,11 @@ def fractional_sine_gordon(
     Source: Alfimov, Pierantozzi, Vazquez, Fractional Differentiation and its Applications, 644 (2004).
     """
     sites = _checked(sites, boundary)
-    on_site = Sine(positive("stiffness", stiffness), positive("wavenumber", wavenumber, "The period is 2 pi/q."))
+    stiffness = positive("stiffness", stiffness)
+    wavenumber = positive("wavenumber", wavenumber, "The period is 2 pi/q.")
+    for name, x in {"stiffness": stiffness, "wavenumber": wavenumber}.items():
+        if x.shape[:1] not in ((), (1,), (sites,)):
+            refuse(name, f"one number, or one per site, shape ({sites},)", f"shape {x.shape}")
+    on_site = Sine(stiffness, wavenumber)
     terms = _weighted(sites, order, Linear(non_negative("coupling", coupling, _COUPLED)), boundary)
     return Lattice(mass, (*terms, OnSite(on_site)), sites=sites)
