@@ -12,7 +12,7 @@ from jax.flatten_util import ravel_pytree
 from .checks import is_whole, one_of, refuse, traced, whole
 from .entry import checked
 from .lattice import Lattice, State
-from .lattice.model import check_shape
+from .lattice.model import check_shape as _check_shape
 from .newton import newton
 from .programs import waited
 from .results import STATE, Held, Result
@@ -177,8 +177,8 @@ def _still(lattice):
 def _posed(lattice, hold, loads, guess):
     start = lattice.zeros() if guess is None else guess.u if isinstance(guess, State) else guess
     loads = lattice.zeros() if loads is None else loads
-    check_shape(lattice, "guess", start)
-    check_shape(lattice, "loads", loads)
+    _check_shape(lattice, "guess", start)
+    _check_shape(lattice, "loads", loads)
     start, own = (ravel_pytree(jax.tree.map(lambda x: jnp.asarray(x, lattice.dtype), x))[0] for x in (start, loads))
     none = jnp.zeros(start.size, bool)
     problem = _Problem(lattice, own, none, start, jnp.zeros((start.size, 0), start.dtype), jnp.ones((), start.dtype))

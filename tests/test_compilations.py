@@ -411,7 +411,7 @@ WITHIN = {
     **dict.fromkeys(("checks", "entry.checked", "entry.kinds", "printing", "programs", "variables", "cli.commands",
                      "interrupts", "outside", "tuning", "materials", "canonical.scenes", "scenes.chains",
                      "scenes.long_range", "scenes.resonators", "scenes.softening",
-                     "scenes.disorder", "scenes.fractional", "scenes.modulated", "scenes.on_site",
+                     "scenes.disorder", "scenes.fractional", "scenes.modulated", "scenes.on_site", "scenes.yielding",
                      "work_precision.measuring", "orbits.symmetry", "laws.power"),
                     "numbers, words and Python: no program of their own"),
     **dict.fromkeys(("exchange.datasets", "files", "fit.files", "reading.reader", "reading.tables"),
@@ -427,7 +427,7 @@ WITHIN = {
 }
 UNCALLED = {
     "caputo": "in tests/test_caputo.py", "mittag_leffler": "a formula", "thornton": "a formula",
-    "walton_braun": "a formula",
+    "walton_braun": "a formula", "viscoelastic": "a formula",
     "checked_order": "`kernel`", "total": "`kernel`", "symbol": "`ring_kernel`", "wave_numbers": "NumPy",
     "field": "`evolve`", "self_trapping": "`evolve`",
     "paired": "NumPy", "read": "a file", "table": "NumPy",
