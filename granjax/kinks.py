@@ -119,7 +119,7 @@ def kink(lattice: Lattice, right: Scalar, left: Scalar = 0.0, *, centre: Scalar 
 
 
 def _refuse_ends(why, middle, sites):
-    raise RuntimeError(f"No kink at rest at {middle:g}: {why}; the ends are too near. Give the chain more sites, "
+    raise RuntimeError(f"No kink at rest at {middle:g}: {why}; the ends are too near. Give the chain more sites and free ends, "
                        f"or the kink the centre {(sites - 1) / 2:g}.")
 
 
@@ -274,7 +274,9 @@ def _checked_wells(lattice, right, left):
     """(left, right, the largest force between them), of a chain in which both are wells."""
     if traced((lattice, right, left)):
         refuse("lattice", "numbers known before tracing", "traced ones", "A kink has no derivative here.")
-    if lattice.lanes or isinstance(lattice.template(), dict) or lattice.dimension is not None or lattice.axes != 1:
+    if lattice.lanes:
+        refuse("lattice", "one lattice", f"a batch with lanes {lattice.lanes}", "Ask for one lane at a time.")
+    if isinstance(lattice.template(), dict) or lattice.dimension is not None or lattice.axes != 1:
         refuse("lattice", "one chain of scalar displacements", f"one of shape {lattice.shape}")
     if not lattice.conserves:
         refuse("lattice", "forces that depend on positions alone", ", ".join(lattice.unkept()))

@@ -134,7 +134,7 @@ def _scene(scene, coupling, outside):
 
 def _limit(lattice, omega, sites, amplitudes, field):
     """The state at rest of the limit, of a lattice whose sites do not feel each other."""
-    refuse_resonance(lattice, omega, False)
+    refuse_resonance(lattice, omega, False, "")
     if sites is None:
         shape = lattice.sites
         shape = shape[field or lattice.fields[0]] if isinstance(shape, dict) else shape

@@ -280,7 +280,9 @@ def resonant_harmonic(lattice: Lattice, omega: Scalar, first: Count = 1) -> tupl
     return None
 
 
-def refuse_resonance(lattice: Lattice, omega: Scalar, dark: bool) -> None:
+def refuse_resonance(
+    lattice: Lattice, omega: Scalar, dark: bool, remedy: str = " check=False tries all the same.",
+) -> None:
     """Refuse a frequency one of whose harmonics (of a dark breather from the second on) is a wave of the chain."""
     found = resonant_harmonic(lattice, omega, 2 if dark else 1)
     if found is None:
@@ -289,5 +291,5 @@ def refuse_resonance(lattice: Lattice, omega: Scalar, dark: bool) -> None:
     refuse(
         "omega", f"a frequency whose harmonics lie in gaps, for a {'dark' if dark else 'bright'} breather",
         f"{omega:.6g}", f"n = {n}: {n} omega = {n * omega:.6g} lies in the band {low:.6g} ... {high:.6g}, where waves "
-        f"carry energy away; the finite lattice's nearest frequency is {nearest:.6g}. check=False tries all the same.",
+        f"carry energy away; the finite lattice's nearest frequency is {nearest:.6g}.{remedy}",
     )
