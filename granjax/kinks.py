@@ -119,8 +119,8 @@ def kink(lattice: Lattice, right: Scalar, left: Scalar = 0.0, *, centre: Scalar 
 
 
 def _refuse_ends(why, middle, sites):
-    raise RuntimeError(f"No kink at rest at {middle:g}: {why}; the ends are too near. Give the chain more sites and free ends, "
-                       f"or the kink the centre {(sites - 1) / 2:g}.")
+    raise RuntimeError(f"No kink at rest at {middle:g}: {why}; the ends are too near. Give the chain more sites "
+                       f"and free ends, or the kink the centre {(sites - 1) / 2:g}.")
 
 
 @checked
