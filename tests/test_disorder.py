@@ -141,6 +141,15 @@ def test_random_dimers_let_waves_pass_where_their_spectrum_is_zero(keywords, cor
 
 
 @pytest.mark.slow
+def test_random_dimers_of_two_masses_pass_two_waves_exactly():
+    """m omega^2 = 2 K of either mass: two such beads in a row only turn the sign (Dunlap, Wu, Phillips)."""
+    omega = np.sqrt(2 / np.array([1.2, 1.0, 0.8]))
+    chains = realisations(200, 4000, 0.2, distribution="binary", correlation="alike")
+    heavy, between, light = gx.linear.localisation_length(chains, omega).gamma
+    assert abs(float(heavy)) < 1e-4 and abs(float(light)) < 1e-4 and float(between) > 5e-3
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("of, correlations", [("stiffness", []), ("position", [-0.5])])
 def test_contacts_localise_as_their_linearisation_says(of, correlations):
     x = np.random.default_rng(0).uniform(-0.3, 0.3, 10**6)

@@ -74,7 +74,8 @@ def localisation_length(lattice: Lattice, omega: Parameter) -> LocalisationLengt
 
     norms being taken out at each site. Lanes are realisations:
 
-        chains = jax.vmap(lambda n: gx.scenes.disordered(5000, 0.2, n, law=gx.Linear), out_axes=-1)(jnp.arange(200))
+        import jax, jax.numpy as jnp
+        chains = jax.vmap(lambda n: gx.scenes.disordered(5000, 0.2, n, law=gx.Linear), out_axes=-1)(jnp.arange(64))
         gx.linear.localisation_length(chains, 0.5)
 
     **Arguments:** `lattice`: a chain of N sites with bonds between next neighbours, one or a batch. `omega` > 0

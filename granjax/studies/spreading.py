@@ -27,7 +27,7 @@ KICKS = ("velocity", "displacement")
 DRAWS, LEAST = 400, 4
 # neighbours on either side, of which a local exponent is the slope
 BESIDE = 3
-# an exponent that is known to change by more per decade of time drifts, by less than twice that has converged
+# an exponent that is known to change by more per decade of time drifts, by less it has converged
 STEADY = 0.075
 # what the outermost cells may add to the second moment, relative to it
 REACHED = 1e-4
@@ -49,7 +49,7 @@ class Exponent(NamedTuple):
         """`"converged"`, `"drifting"`, or `"undecided"`, where samples are too few or the drift is slight."""
         if abs(self.drift) - 2 * self.drift_error > STEADY:
             return DRIFTING
-        return CONVERGED if abs(self.drift) + 2 * self.drift_error <= 2 * STEADY else UNDECIDED
+        return CONVERGED if abs(self.drift) + 2 * self.drift_error <= STEADY else UNDECIDED
 
     def __str__(self) -> str:
         said = {
@@ -196,11 +196,8 @@ def spreading(
     the energy. An ordered chain has gamma = 2; a linear chain of random masses 3/2 after a kick of momentum and 1/2
     after a displacement, because of the long waves that disorder does not stop; a sonic vacuum 1.7 after long times.
 
-        def chain(seed):
-            return gx.scenes.disordered(3000, 0.8, seed, law=gx.Linear)
-
-        found = gx.studies.spreading(chain, 1200.0, samples=200)
-        gx.plots.spreading(found)
+    `gx.studies.spreading(lambda seed: gx.scenes.disordered(3000, 0.8, seed, law=gx.Linear), 1200.0, samples=200)`, and
+    `gx.plots.spreading` of what it returns.
 
     **Arguments:**
 
@@ -217,7 +214,8 @@ def spreading(
 
     **Returns:** `Spreading`. The exponent is the slope of log m2 over log t in the window. A slope still drifts where
     it was fitted too early, however small its standard error: `exponent.drift` is the change between the halves of the
-    window, per decade of time; its verdict `"drifting"` (by more than 0.075) says that it has not converged.
+    window, per decade of time. Its verdict is `"drifting"` where that is known to be more than 0.075, `"converged"`
+    where it is known to be less (twice its error counted), else `"undecided"`.
     A chain that floats freely keeps the energy of its mean motion, p^2/(2 M): nothing in a long chain, all in a short
     one.
     **Raises** ValueError for what is no chain, a window outside the times, fewer than two samples; RuntimeError where

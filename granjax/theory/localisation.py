@@ -7,7 +7,7 @@ Every wave decays as exp(-gamma |n|). To the second order in the disorder, with 
 where c_r are the correlations of the disorder over r sites: its spectrum at the wavenumber that turns a wave back. For
 equal springs and masses drawn one by one gamma = <dm^2> omega^2/(8 K <m>)/(1 - omega^2 <m>/(4K)).
 
-    gx.theory.localisation.lyapunov_exponent(0.5, mass_deviation=0.2)        # 1.3333e-3
+    gamma = gx.theory.localisation.lyapunov_exponent(0.5, mass_deviation=0.2)        # 1.3333e-3
 
 Source: Ishii, Prog. Theor. Phys. Suppl. 53, 77 (1973); Matsuda, Ishii, Prog. Theor. Phys. Suppl. 45, 56 (1970);
 correlations: Izrailev, Krokhin, Phys. Rev. Lett. 82, 4062 (1999).
@@ -36,8 +36,9 @@ def lyapunov_exponent(
     between beads at random positions, whose differences they are.
 
     **Returns:** gamma, of the shape of omega. Errs by the third power of the deviations: 0.1 % for 0.2 at omega = 1/2.
-    At band centre (k = pi/2) and near the edge the series is another one. **Raises** ValueError for omega outside the
-    band, m or K <= 0, deviations below zero.
+    At band centre (k = pi/2) and near the edge the series is another one; random dimers of two alike of masses m1 and
+    m2 let waves pass at omega^2 = 2K/m1 and 2K/m2, exactly, in place of k = pi/2 between.
+    **Raises** ValueError for omega outside the band, m or K <= 0, deviations below zero.
     """
     omega = non_negative("omega", omega, "It is an angular frequency.")
     mass, stiffness = positive("mass", mass), positive("stiffness", stiffness, "At rest the springs hold the chain.")
