@@ -86,6 +86,9 @@ def test_a_few_beads_may_carry_a_mass():
     first, second = all_of_them.force(0.0, u, zero), every.force(0.0, u, zero)
     for name in u:
         np.testing.assert_allclose(first[name], second[name], rtol=1e-14)
+    defect = scenes.mass_with_mass(7, 0.3, 1.2, at=[3])
+    run = gx.simulate(defect, gx.states.impact(defect, velocity=1.0), 6.0)
+    assert run.final.u["resonator"].shape == (1,) and abs(float(run.final.u["resonator"][0])) > 0.01
     u = {"bead": u["bead"], "resonator": u["resonator"][:2]}
     pull = some.force(0.0, u, jax.tree.map(jnp.zeros_like, u))["resonator"]
     np.testing.assert_allclose(pull, 1.2 * (np.asarray(u["bead"])[[2, 4]] - np.asarray(u["resonator"])), rtol=1e-14)
@@ -203,6 +206,10 @@ def test_why_there_is_no_bright_breather():
         gx.breathers.breather(precompressed, 2.0, "bright")
     only_pushes = gx.orbits.breather._only_pushes
     assert only_pushes(scenes.mass_in_mass(12, 5.0, 1.0)) and only_pushes(scenes.monomer(12))
+    chain = scenes.mass_in_mass(6, 5.0, 1.0)
+    start = gx.State({"bead": 0.01 * jnp.eye(6)[2], "resonator": jnp.zeros(6)}, chain.zeros())
+    with pytest.raises(RuntimeError, match="push and never pull"):
+        gx.breathers.breather(chain, 1.2, start, steps=32)
     held = gx.Lattice(1.0, (*scenes.monomer(12).terms, gx.OnSite(gx.Linear(1.0))), sites=12)
     assert not any(map(only_pushes, (precompressed, held, scenes.toda(12))))
 

@@ -71,8 +71,12 @@ class Lattice(eqx.Module):
             self.mass = {name: b[0] for name, b in built.items()}
             self._sites = tuple((name, b[1]) for name, b in sorted(built.items()))
             self._per_site = tuple((name, b[2]) for name, b in sorted(built.items()))
+            count = sum(math.prod(b[1]) for b in built.values())
         else:
             self.mass, self._sites, self._per_site = self._one_mass("mass", mass, sites)
+            count = math.prod(self._sites)
+        if count < 2:
+            refuse("mass", "at least two sites", f"{count}", "A lattice has bonds.")
         terms = (terms,) if isinstance(terms, Term) else terms
         self.terms = tuple(terms)
         self._mark = _one(self.axes + (self.dimension is not None), mark_of(units))
@@ -104,8 +108,6 @@ class Lattice(eqx.Module):
         if per_site and mass.shape != shape:
             refuse(name, f"shape {shape}, one mass per site", f"shape {mass.shape}")
         count = math.prod(shape)
-        if count < 2:
-            refuse(name, "at least two sites", f"{count}", "A lattice has bonds.")
         held_in_memory("sites", count)
         if per_site and self.dimension is not None:
             mass = mass[..., None]

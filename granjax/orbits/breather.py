@@ -105,7 +105,10 @@ def breather(
         guess = _from_envelope(lattice, flow, float(omega), guess, centre, tolerance)
     settings = {"tolerance": tolerance, "max_steps": max_steps, "refine": steps is None}
     if energy is None:
-        found = _solve(lattice, flow, guess, omega, throw=throw, **settings)
+        try:
+            found = _solve(lattice, flow, guess, omega, throw=throw, **settings)
+        except RuntimeError as failed:
+            raise RuntimeError(f"{failed}{_why_none(lattice)}") from None
         return checked_localised(found, kind, guess, throw) if check else found
     if not unknown:  # a step of its own to omega: the guess's energy may be far off
         found = _solve(lattice, flow, guess, omega, throw=throw, **settings | {"refine": False})
@@ -139,9 +142,14 @@ def _unguessed(lattice, omega, steps, solver, tolerance, check):
         if found.converged and localisation(lattice, found.state).bright:
             return found.state, 2 * count
     if failed is not None:
-        why = f" {PUSHES}" if _only_pushes(lattice) else ""
-        raise type(failed)(f"{failed} No breather about a site was found either.{why}") from None
+        said = f"{failed} No breather about a site was found either.{_why_none(lattice)}"
+        raise type(failed)(said) from None
     return start
+
+
+def _why_none(lattice):
+    """A reason why no bright breather can be found, where one is known."""
+    return f" {PUSHES}" if not traced(lattice) and _only_pushes(lattice) else ""
 
 
 def _only_pushes(lattice):
