@@ -238,3 +238,26 @@ def test_a_boomeron_turns_back_by_itself():
     alone = own.argmax(0)
     assert np.all(np.abs(places - alone) <= 1)
     assert 10 <= places.max() <= 12 and 20 < places.argmax() < 50 and places[-1] <= places.max() - 2
+
+
+@pytest.mark.slow
+def test_a_breather_that_travels_on_the_chain():
+    # the moving breather of the continuum is the guess of one that reappears four sites further on after its period
+    h, w, n, cells = 0.6, 0.7, 40, 4
+    speed = 0.0
+    for _ in range(60):
+        stretch = (1 - speed**2) ** -0.5
+        period = 2 * np.pi * stretch / w
+        speed = h * cells / period
+    x, s = h * (np.arange(n) - n // 2), np.sqrt(1 - w * w)
+
+    def continuum(t):
+        turning = jnp.cos(w * stretch * (t - speed * x))
+        return 4 * jnp.arctan(s / w * turning / jnp.cosh(s * stretch * (x - speed * t)))
+
+    ring = gx.scenes.sine_gordon(n, 1 / h**2, boundary="periodic")
+    guess = gx.State(*jax.jvp(continuum, (0.0,), (1.0,)))
+    orbit = gx.orbits.orbit(ring, guess, period, symmetry=gx.orbits.Translation(cells), steps=216)
+    assert orbit.converged and float(jnp.max(jnp.abs(orbit.state.u - guess.u))) < 0.1
+    run = gx.simulate(ring, orbit.state, 5 * period)
+    np.testing.assert_allclose(run.final.u, np.roll(orbit.state.u, 5 * cells), atol=1e-5)

@@ -122,7 +122,8 @@ def sine_gordon(
 
     With m = k = q = 1 and C = 1/h^2 it is the equation u_tt = u_xx - sin u on sites x = n h, with errors of h^2: the
     kink 4 atan(exp((x - v t)/sqrt(1 - v^2))) of energy 8/(h sqrt(1 - v^2)) in the units of the chain (8 per unit
-    length of x), and the breather 4 atan(sqrt(1 - w^2)/w cos(w t)/cosh(sqrt(1 - w^2) x)).
+    length of x), and the breather 4 atan(sqrt(1 - w^2)/w cos(w t)/cosh(sqrt(1 - w^2) x)). At rest on the chain kinks
+    are `gx.kinks.kink`; a breather that travels on a ring is `gx.orbits.orbit` with the symmetry `Translation(j)`.
 
     **Arguments:**
 
