@@ -151,8 +151,8 @@ def reach_of(lattice: Lattice, measure: Callable) -> tuple:
     for term in lattice.terms:
         for axis, span in enumerate(term.span() or ()):
             reach[axis] = max(reach[axis], span)
-    # half way around a long ring the blocks of both ways are a half each; two sites may be a ring or not
-    short = [axis for axis, (n, r) in enumerate(zip(sites, reach)) if n < 2 * r + (r < 2)]
+    # half way around a ring the blocks of both ways are a half each; four sites and less are no ring to tell that from
+    short = [axis for axis, (n, r) in enumerate(zip(sites, reach)) if n < 2 * r + (r < 3)]
     if short:
         n, r = sites[short[0]], reach[short[0]]
         refuse("lattice", f"at least {2 * r + 1} sites along axis {short[0]}, where bonds reach {r}", f"{n}",
