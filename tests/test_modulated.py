@@ -38,7 +38,7 @@ def layers():
 
 
 def test_mathieu():
-    sites = gx.Lattice(1.0, gx.Modulated(gx.OnSite(gx.Linear(1.0)), gx.Harmonic(0.1, 2.0, mean=1.0)), sites=4)
+    sites = gx.Lattice(1.0, gx.Modulated(gx.OnSite(gx.Linear(1.0)), gx.Harmonic(0.1, 2.0, mean=1.0)), sites=2)
     found = floquet_bands(sites, [0.0, 1.0], PERIOD)
     np.testing.assert_allclose(found.multipliers, [[-1.08168155, -0.92448651]] * 2, atol=6e-9)
     assert found.error.max() < 1e-10 and found.gaps == [(-np.pi, np.pi)]

@@ -147,7 +147,7 @@ def reach_of(lattice: Lattice, measure: Callable) -> tuple:
     `measure(lattice, reach)` gives the blocks, the masses, and by how much the blocks miss K.
     """
     sites = grid(lattice)
-    reach = [1] * len(sites)
+    reach = [0 if all(term.span() == () for term in lattice.terms) else 1] * len(sites)
     for term in lattice.terms:
         for axis, span in enumerate(term.span() or ()):
             reach[axis] = max(reach[axis], span)

@@ -81,7 +81,7 @@ def _sampled(lattice, reach, ts, w):
         return (jnp.stack([blocks(lattice, reach, one) for one in maps], -1),
                 jnp.stack([pack(lattice, one(w)) for one in maps], -1))
 
-    return *jax.lax.map(at, ts), masses(lattice)
+    return *jax.vmap(at)(ts), masses(lattice)
 
 
 def modulated_cell(lattice: Lattice, cell: Cell, t0: Number, period: Number) -> ModulatedCell:
@@ -146,12 +146,16 @@ def _missed(lattice, reach, ts, w, found, period, lightest):
     return (*(float(x) for x in np.maximum(off - rounding, 0) / lightest), _late(lattice, period, eps))
 
 
+@eqx.filter_jit
+def _repeating(lattice):
+    """The periods of the breaks that repeat."""
+    return [b.period for b in lattice.breaks if b.period is not None]
+
+
 def _late(lattice, period, eps):
     """The time by which jumps that repeat miss the period; refused where that is more than rounding makes."""
     late = 0.0
-    with jax.ensure_compile_time_eval():
-        repeating = [np.ravel(b.period) for b in lattice.breaks if b.period is not None]
-    for own in (float(x) for some in repeating for x in some):
+    for own in (float(x) for some in settled(_repeating, lattice) for x in np.ravel(some)):
         turns = period / own
         off = abs(turns - round(turns))
         if off > MISSED or turns < 0.5:
