@@ -453,7 +453,7 @@ row("energy", *EVERY)(lambda s: energy(gx.measures.energy(s.lattice, s.state, s.
 row("potential_energy", *EVERY)(lambda s: energy(gx.measures.potential_energy(s.lattice, s.state, s.s(0.7))))
 row("kinetic_energy", *EVERY)(lambda s: energy(gx.measures.kinetic_energy(s.lattice, s.state)))
 row("momentum", *EVERY)(lambda s: Of(gx.measures.momentum(s.lattice, s.state), 1, 0, 1))
-row("power", *EVERY)(lambda s: Of(gx.measures.power(s.lattice, s.state, s.s(0.7)), 1, 1, -1))
+row("power", closed, slow=(mixed, plane))(lambda s: Of(gx.measures.power(s.lattice, s.state, s.s(0.7)), 1, 1, -1))
 row("site_energy", *EVERY)(lambda s: energy(gx.measures.site_energy(s.lattice, s.state, s.s(0.7))))
 row("species_energy", closed, mixed)(
     lambda s: energy(gx.measures.species_energy(s.lattice, s.state, s.s(0.7), species=[0, 1] * 3)))

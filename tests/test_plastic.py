@@ -58,6 +58,7 @@ def test_restitution_of_thornton():
     assert gx.theory.restitution.thornton(0.5 * first, first) == 1
 
 
+@pytest.mark.slow
 def test_derivative_of_restitution_against_yield():
     def simulated(y):
         return restitution(struck(gx.Thornton(1.0, y), 0.1, 100.0), 0.1)
