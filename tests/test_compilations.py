@@ -420,7 +420,7 @@ WITHIN = {
                      "plots.spreading", "plots.travelling"),
                     "drawn by NumPy; `plots`"),
     **dict.fromkeys(("lattice.split", "lattice.tangents", "lattice.blocks", "split_system"), "`simulate`"),
-    **dict.fromkeys(("studies.bright_breather", "studies.dark_breather", "studies.reproduce.registry",
+    **dict.fromkeys(("studies.bright_breather", "studies.dark_breather", "studies.gates", "studies.reproduce.registry",
                      "studies.reproduce.making", "studies.resonance.decay", "studies.resonance.finite",
                      "studies.resonance.maps", "studies.resonance.oscillations", "studies.spreading"),
                     "studies of minutes, made of what is called here"),

@@ -1167,6 +1167,7 @@ ELSEWHERE = {
     "Record.value": "`simulate`", "Problem.state": "`fit`", "return_error": "rounding alone; `fit` and `Reversible`",
     "cell_of": "`bright_guess`", "edges_beside": "`bright_guess`", "edge_of": "`breather`",
     "steps_per_period": "`settle`, `sweep`",
+    "switch": "as `truth_table`", "truth_table": "sums over runs of `simulate`, whose times the caller gives",
     "dark_by_interference": "an experiment in SI: its numbers are of one laboratory",
 }
 

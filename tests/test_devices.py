@@ -1,4 +1,4 @@
-"""Devices: what passes both ways."""
+"""Devices: what passes both ways, logic gates, a switch."""
 
 import numpy as np
 import pytest
@@ -43,3 +43,25 @@ def test_two_way_refuses_what_it_cannot_follow():
         gx.studies.two_way(chain, [2e-9, 1e-9], 1e4)
     with pytest.raises(ValueError, match="fixed"):
         gx.studies.two_way(gx.scenes.monomer(6, boundary="free"), [1e-3], 1.0)
+
+
+@pytest.mark.slow
+def test_gates_and_a_switch():
+    chain = gx.scenes.beads("steel 316", np.full(10, 9.53e-3), 8.0)
+    cutoff = float(gx.linear.normal_modes(chain).omega[-1])
+    common = {"damping": DAMPING, "settling": 20e-3, "watch": 20e-3}
+    # in the gap neither signal passes, their difference does; in the band each does, and both more
+    gap = gx.studies.truth_table(chain, [0.1e-6, 0.1e-6], cutoff * np.array([1.5, 1.1]), **common)
+    band = gx.studies.truth_table(chain, [0.05e-6, 0.05e-6], cutoff * np.array([0.4, 0.7]), **common)
+    low, high = gap.thresholds("AND")
+    assert gap.inputs.tolist() == [[0, 0], [0, 1], [1, 0], [1, 1]] and high > 40 * low
+    assert gap.table((low * high) ** 0.5).tolist() == [0, 0, 0, 1] and gap.thresholds("XOR") is None
+    assert band.thresholds("OR")[1] > 5e-4 and band.table(1e-4).tolist() == [0, 1, 1, 1]
+    assert gap.output[3] == pytest.approx(8.5774e-5, rel=0.01)
+    # what the difference carries is proportional to either
+    half = gx.studies.truth_table(chain, [0.05e-6, 0.1e-6], cutoff * np.array([1.5, 1.1]), **common)
+    assert half.output[3] == pytest.approx(gap.output[3] / 2, rel=0.1)
+    with pytest.raises(ValueError, match="threshold"):
+        gap.table(gap.output[3])
+    with pytest.raises(ValueError, match="omegas"):
+        gx.studies.truth_table(chain, [1e-7, 1e-7], cutoff, **common)

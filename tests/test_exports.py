@@ -167,6 +167,9 @@ MAKERS = {
     "DarkBreather": lambda: studies.DarkBreather(
         settled(), chain(), 1.0, 2.0, np.ones(N), np.ones(N + 1), 1.0, 0.5, 3.0, -0.9, np.ones((6, N))),
     "Rectifier": lambda: studies.Rectifier(np.ones(3), sweep(), sweep(), 1.0, np.inf, np.ones(3), 1.0, 2.0, 3.0),
+    "Switch": lambda: studies.Switch(np.arange(1.0, 4.0), *np.arange(1.0, 13.0).reshape(4, 3), **OTHER),
+    "TruthTable": lambda: studies.TruthTable(
+        np.array([[0, 0], [0, 1], [1, 0], [1, 1]]), np.arange(4.0), np.full(4, 0.1), *np.ones((2, 2)), **OTHER),
     "TwoWay": lambda: studies.TwoWay(np.ones(3), 1.0, *np.ones((4, 3)), **OTHER),
     "Spreading": lambda: studies.Spreading(
         T, *np.ones((2, 5, 33)), (0.5, 2.0), *[studies.Exponent(1.5, 0.1, 0.1, 0.1)] * 3, *np.ones((2, 33)),

@@ -5,11 +5,12 @@
 
 from .bright_breather import BrightBreather, bright_by_instability
 from .dark_breather import DarkBreather, dark_by_interference, steel_chain
+from .gates import Switch, TruthTable, switch, truth_table
 from .rectifier import Rectifier, rectifier, rectifier_branch
 from .spreading import Exponent, Spreading, spreading
 from .two_way import TwoWay, two_way
 
 __all__ = [
-    "BrightBreather", "DarkBreather", "Exponent", "Rectifier", "Spreading", "TwoWay", "bright_by_instability",
-    "dark_by_interference", "rectifier", "rectifier_branch", "spreading", "steel_chain", "two_way",
+    "BrightBreather", "DarkBreather", "Rectifier", "Switch", "TruthTable", "TwoWay", "bright_by_instability",
+    "dark_by_interference", "rectifier", "rectifier_branch", "steel_chain", "switch", "truth_table", "two_way",
 ]
