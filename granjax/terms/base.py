@@ -376,6 +376,9 @@ class MeasuredFrom(Term):
     def check(self, name, lattice):
         self.term.check(name, lattice)
 
+    def remembers(self):
+        return self.term.remembers()
+
     def jumps(self):
         return self.term.jumps()
 
