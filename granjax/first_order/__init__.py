@@ -2,10 +2,13 @@
 
 They are complex vector fields f(t, psi, args) over `gx.Flow` and diffrax, the equation being `args`:
 
-    equation = gx.first_order.DNLS(64, coupling=1.0, nonlinearity=3.0, order=0.5)
+    import numpy as np
+
+    equation = gx.first_order.DNLS(16, coupling=1.0, nonlinearity=3.0, order=0.5)
+    psi = np.eye(16)[8] + 0j
     run = gx.first_order.evolve(equation, psi, 20.0, save_at=200)
     flow = gx.Flow(100, gx.first_order.SplitStep(), gx.first_order.field)
-    psi1, moved = flow.tangents(psi, tangents, 0.0, 20.0, equation)
+    end = flow(psi, 0.0, 20.0, equation)
 """
 
 from .equations import DNLS, DpS, Equation, electrical, field, tau_0

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import concrete, described, positive, refuse, show, traced
+from ..checks import tolerance as checked_tolerance
 from ..entry import checked
 from ..flow import Flow
 from ..outside import Outside
@@ -109,7 +110,7 @@ def evolve(
     """
     psi = _start(equation, psi)
     times, first = _times(t0, t1, save_at)
-    positive("tolerance", tolerance)
+    checked_tolerance("tolerance", tolerance)
     solver = solver or (SplitStep() if equation.has_flows else diffrax.Dopri8())
     known = not traced((equation, psi))
     halve = known and step is None

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import described, positive, refuse, within
+from ..checks import tolerance as checked_tolerance
 from ..entry import checked
 from ..results import Held, Result
 from ..types import Count, Number, Numbers, Scalar
@@ -59,7 +60,7 @@ def self_trapping(
     if not low < high:
         refuse("high", f"a nonlinearity above low = {low:g}", f"{high:g}")
     within("share", share, 0, 1, open_low=True, open_high=True)
-    positive("tolerance", tolerance)
+    checked_tolerance("tolerance", tolerance)
     equation = returned_equation(scene, low)
     if not -equation.sites <= site < equation.sites:
         refuse("site", f"a site of {equation.sites}", described(site))

@@ -2,7 +2,7 @@
 
 import jax.numpy as jnp
 
-from ..checks import non_negative, one_of, parameter, positive, refuse
+from ..checks import non_negative, one_of, positive, refuse
 from ..entry import checked
 from ..fractional import checked_order, kernel, ring_kernel, to_the_right, total
 from ..lattice import Lattice
@@ -11,7 +11,7 @@ from ..strains import BOUNDARIES, Shift
 from ..terms import Bond, LongRange, OnSite
 from ..types import Count, Parameter
 from ..units import PART
-from .chains import _sites
+from .chains import _number, _sites
 
 _COUPLED = "Sites without coupling are coupling=0."
 
@@ -106,8 +106,8 @@ def fractional_fput(
     Source: Macias-Diaz, Bountis, Commun. Nonlinear Sci. Numer. Simul. 102, 105917 (2021).
     """
     sites = _checked(sites, boundary)
-    stiffness = positive("stiffness", stiffness)
-    alpha, beta = parameter("alpha", alpha), parameter("beta", beta)
+    stiffness = positive("stiffness", _number("stiffness", stiffness))
+    alpha, beta = _number("alpha", alpha), _number("beta", beta)
     if one_of("nonlinear", nonlinear, ("all", "neighbours")) == "all":
         terms = _weighted(sites, order, Polynomial(stiffness, alpha, beta), boundary)
     else:

@@ -25,7 +25,7 @@ from ..types import AnyArray, Number, Numbers, Parameter, Scalar, StateLike
 GATES = {"OR": lambda row: any(row), "AND": lambda row: all(row), "XOR": lambda row: sum(row) % 2 == 1}
 
 
-class Signals(eqx.Module):
+class _Signals(eqx.Module):
     """w(t) = sum_k a_k sin(omega_k t): `amplitudes` (K,), then lanes; `omegas` (K,)."""
 
     amplitudes: AnyArray
@@ -127,7 +127,7 @@ def truth_table(
     r"""Output of a chain for every combination of signals on one wall: a logic gate with a threshold.
 
     w(t) = sum of a_k sin(omega_k t) over the signals that are on; the output is the root mean square velocity of one
-    site after the start has died out. All 2^K combinations are lanes of one run. Signals in the band pass each by
+    site after the start has died out. All 2^K combinations are lanes of one run. _Signals in the band pass each by
     itself: an OR. Of two in the gap neither does, but their difference in frequency, which the contacts make, may lie
     in the band: an AND. A chain whose contacts make both serves as either, by its threshold.
 
@@ -197,7 +197,7 @@ def _outputs(lattice, amplitudes, omegas, end, site, damping, settling, watch):
 
     def moved(a):
         wall = -2 if end == "left" else -1
-        return eqx.tree_at(lambda c: c.terms[wall].motion, still, Signals(a, jnp.asarray(omegas)))
+        return eqx.tree_at(lambda c: c.terms[wall].motion, still, _Signals(a, jnp.asarray(omegas)))
 
     lanes = jax.vmap(moved, in_axes=-1, out_axes=-1)(jnp.asarray(amplitudes.T))
     period = 2 * np.pi / float(omegas.max())

@@ -2,13 +2,14 @@
 
 from typing import Any, ClassVar
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 from jax.scipy.special import gammaln
 
-from ...checks import concrete, held_in_memory, parameter, refuse, show, whole, within
+from ...checks import concrete, described, held_in_memory, parameter, refuse, show, whole, within
 from ...entry import checked
 from ...outside import Outside
 from ...programs import waited
@@ -79,12 +80,15 @@ def caputo(
     y = jax.tree.map(lambda x: parameter("y", x), y)
     # plain numbers are inputs of what is compiled, not a part of it
     args = jax.tree.map(lambda x: jnp.asarray(x) if type(x) in (int, float, complex) else x, args)
+    strange = [x for x in jax.tree.leaves(args) if not (eqx.is_array(x) or callable(x))]
+    if strange:
+        refuse("args", "arrays, numbers and functions", described(strange[0]))
     size = sum(x.size for x in jax.tree.leaves(y))
     held_in_memory("steps", steps, 16 * size, "steps of such a state")
-    got = jax.eval_shape(field, t0, y, args)
+    got = eqx.filter_eval_shape(field, t0, y, args)
     if jax.tree.structure(got) != jax.tree.structure(y) or any(
-            a.shape != b.shape for a, b in zip(jax.tree.leaves(got), jax.tree.leaves(y))):
-        refuse("field", "a function (t, y, args) that returns what y is", f"{jax.tree.map(lambda x: x.shape, got)}")
+            getattr(a, "shape", None) != b.shape for a, b in zip(jax.tree.leaves(got), jax.tree.leaves(y))):
+        refuse("field", "a function (t, y, args) that returns what y is", described(got))
     t0, t1 = (jnp.asarray(t, float) for t in (t0, t1))
     return _solved(field, y, t0, t1, order, grading, steps, args, Outside((field, args)))
 
