@@ -22,6 +22,8 @@ from ..results import Held, Result
 from ..states import places
 from ..types import AnyArray, Number, Numbers, Parameter, Scalar, StateLike
 
+# lanes of a run: any number of signals and controls is one program
+LANES = 8
 GATES = {"OR": lambda row: any(row), "AND": lambda row: all(row), "XOR": lambda row: sum(row) % 2 == 1}
 
 
@@ -74,7 +76,8 @@ class TruthTable(Result):
     def outcome(self) -> str:
         """As which gates it serves, a sentence."""
         found = {gate: self.thresholds(gate) for gate in GATES}
-        said = [f"{gate} for a threshold between {x[0]:.4g} and {x[1]:.4g}" for gate, x in found.items() if x]
+        said = [f"{gate} for a threshold between {' and '.join(self._told('output', one) for one in x)}"
+                for gate, x in found.items() if x]
         return f"{', '.join(said)}." if said else "No threshold makes it an OR, an AND or a XOR."
 
 
@@ -83,14 +86,17 @@ class Switch(Result):
 
     - `amplitudes` (P,) of the control [m]. `output` (P,): root mean square velocity [m/s] of the site that is watched,
       with signal and control; `alone` (P,): with the control alone. `output_error`, `alone_error` (P,).
-    - `threshold`: amplitude [m] at which the output first passes the geometric mean of its least and its largest,
-      interpolated in logarithms. `contrast`: the largest output over the least.
+    - `contrast`: the largest output is at least so many times the least, errors off.
+    - `threshold`: control [m] at which the output first passes half of its largest, `threshold_error` [m]: half of the
+      way between the controls, of those that were run, where it is below and above for certain. NaN where there are
+      none.
     """
 
     held: ClassVar[dict[str, Held]] = {
         "amplitudes": Held("amplitudes", "m"), "output": Held("amplitudes", "m/s"),
         "output_error": Held("amplitudes", "m/s"), "alone": Held("amplitudes", "m/s"),
-        "alone_error": Held("amplitudes", "m/s"),
+        "alone_error": Held("amplitudes", "m/s"), "contrast": Held(unit="1"), "threshold": Held(unit="m"),
+        "threshold_error": Held(unit="m"),
     }
     amplitudes: Float[np.ndarray, " P"]
     output: Float[np.ndarray, " P"]
@@ -100,23 +106,38 @@ class Switch(Result):
 
     @property
     def contrast(self) -> float:
-        """Largest output over the least."""
-        return float(self.output.max() / self.output.min())
+        """By how many times the largest output exceeds the least, at least."""
+        return float((self.output - self.output_error).max() / (self.output + self.output_error).min())
 
     @property
     def threshold(self) -> float:
-        """Control at which the output passes the geometric mean of its extremes [m]."""
-        x = np.log(self.output)
-        excess = x - (x.min() + x.max()) / 2
-        i = int(np.argmax((excess[:-1] < 0) & (excess[1:] >= 0)))
-        share = -excess[i] / (excess[i + 1] - excess[i])
-        return float(self.amplitudes[i] + share * (self.amplitudes[i + 1] - self.amplitudes[i]))
+        """Control at which the output passes half of its largest [m]."""
+        return float(np.mean(self._bracket))
+
+    @property
+    def threshold_error(self) -> float:
+        """Half of the way between the controls about the threshold [m]."""
+        return float(np.diff(self._bracket)[0] / 2)
+
+    @property
+    def _bracket(self):
+        """The last control at which the output is below half of its largest for certain, the first that is above."""
+        top = int(np.argmax(self.output))
+        half, error = self.output[top] / 2, self.output_error[top] / 2
+        above = int(np.argmax(self.output - self.output_error > half + error))
+        below = np.flatnonzero(self.output[:above] + self.output_error[:above] < half - error)
+        return self.amplitudes[[below[-1], above]] if len(below) else np.full(2, np.nan)
 
     @property
     def outcome(self) -> str:
         """What was found, a sentence."""
-        return f"The control raises the output {self.contrast:.3g} times, half of that (in logarithms) at " \
-               f"{self.threshold:.4g}."
+        if not self.contrast > 1:
+            return "It does not switch: the output changes by no more than its error."
+        said = f"The control raises the output at least {self.contrast:.4g} times"
+        if np.isnan(self.threshold):
+            return f"{said}; from the first on it is not below half of the largest."
+        between = " and ".join(self._told("amplitudes", x) for x in self._bracket)
+        return f"{said}; it passes half of the largest between {between}."
 
 
 @checked
@@ -199,10 +220,15 @@ def _outputs(lattice, amplitudes, omegas, end, site, damping, settling, watch):
         wall = -2 if end == "left" else -1
         return eqx.tree_at(lambda c: c.terms[wall].motion, still, _Signals(a, jnp.asarray(omegas)))
 
-    lanes = jax.vmap(moved, in_axes=-1, out_axes=-1)(jnp.asarray(amplitudes.T))
     period = 2 * np.pi / float(omegas.max())
     step = period / int(steps_per_period(still, period))
-    halves = np.array([_halves(lanes, step / n, settling, watch, site) for n in (1, 2)])
+    # as many lanes for any number of rows
+    padded = np.zeros((-(-len(amplitudes) // LANES) * LANES, len(omegas)))
+    padded[: len(amplitudes)] = amplitudes
+    parts = [jax.vmap(moved, in_axes=-1, out_axes=-1)(jnp.asarray(part.T))
+             for part in np.split(padded, len(padded) // LANES)]
+    halves = [np.concatenate([_halves(part, step / n, settling, watch, site) for part in parts], 1) for n in (1, 2)]
+    halves = np.array(halves)[..., : len(amplitudes)]
     coarse, fine = np.sqrt(halves.mean(1))
     return fine, np.abs(fine - coarse) + np.abs(np.diff(np.sqrt(halves[1]), axis=0)[0]), omegas
 
@@ -214,10 +240,10 @@ def _squared(t: Number, y: StateLike, lattice: Lattice) -> Numbers:
 
 def _halves(lanes, step, settling, watch, site):
     """Mean square velocity of a site over either half of the watch, (2, lanes)."""
-    run = simulate(lanes, State(lanes.zeros(), lanes.zeros()), settling, step=step)
-    means = []
-    for i in range(2):
-        ends = [settling + watch * j / 2 for j in (i, i + 1)]
-        run = simulate(lanes, run.final, ends[1], t0=ends[0], step=step, record={"mean": Integral(_squared)})
-        means.append(np.asarray(run.recorded["mean"])[site] * 2 / watch)
-    return means
+    ends = [0.0, settling, settling + watch / 2, settling + watch]
+    state, means = State(lanes.zeros(), lanes.zeros()), []
+    for begin, end in itertools.pairwise(ends):
+        run = simulate(lanes, state, end, t0=begin, step=step, record={"mean": Integral(_squared)})
+        state = run.final
+        means.append(np.asarray(run.recorded["mean"])[site] / (end - begin))
+    return means[1:]

@@ -4,6 +4,7 @@ import math
 from typing import ClassVar
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -12,15 +13,22 @@ from ..checks import held_in_memory, non_negative, one_of, positive, refuse, who
 from ..checks import tolerance as checked_tolerance
 from ..driven import Sweep, driven_chain, sweep
 from ..entry import checked
+from ..flow import Flow
 from ..forced import Branch, forced_branch
 from ..lattice import Lattice
 from ..linear import normal_modes
+from ..orbits.attractors import steps_per_period
 from ..orbits.driven_chain import SIDES
+from ..orbits.steps import history
+from ..programs import shared_size, waited
 from ..results import SI, Held, Result
 from ..scenes import beads
+from ..solvers import SRKN11b
 from ..types import AnyArray, Count, Parameter, Scalar
 
 RADIUS, DEFECT_RADIUS, DEFECT = 9.53e-3, 7e-3, 1
+# periods over which power is taken, frames of each, and how often more of a motion that does not repeat
+WATCH, FRAMES, AGAIN = 60, 32, 3
 
 
 class Rectifier(Result):
@@ -29,13 +37,16 @@ class Rectifier(Result):
     - `amplitudes` (P,) [m] of the driven wall. `near`, `far`: the two `Sweep`s, with the wall beside the defect moving,
       and with the other; their response is the transmitted power [W].
     - `threshold_near`, `threshold_far`: the amplitude [m] from which on the motion does not repeat every period, to
-      1 %; infinity where it always does. `asymmetry` (P,): power from the defect's side over that from the other.
+      1 %; infinity where it always does. `asymmetry` (P,): power from the defect's side over that from the other;
+      `asymmetry_error` (P,): estimated distance from the truth, by those of the two powers (`Way.response_error`; of a
+      motion that does not repeat, by how much the next 60 periods differ).
     - `frequency` of the drive, `defect` mode, `cutoff` of the band [Hz].
     """
 
     _else: ClassVar[str | None] = SI
     held: ClassVar[dict[str, Held]] = {
         "amplitudes": Held("amplitudes", "m"), "asymmetry": Held("amplitudes", "1"),
+        "asymmetry_error": Held("amplitudes", "1"),
         "threshold_near": Held(unit="m"), "threshold_far": Held(unit="m"), "frequency": Held(unit="Hz"),
         "defect": Held(unit="Hz"), "cutoff": Held(unit="Hz"),
     }
@@ -45,16 +56,23 @@ class Rectifier(Result):
     threshold_near: float
     threshold_far: float
     asymmetry: Float[np.ndarray, " P"]
+    asymmetry_error: Float[np.ndarray, " P"]
     frequency: float
     defect: float
     cutoff: float
 
     @property
     def outcome(self) -> str:
-        return (
-            f"From the defect's side up to {self.asymmetry.max():.3g} times the power from the other; its motion "
-            f"repeats every period below {self.threshold_near:.3g} m, the other's below {self.threshold_far:.3g} m."
-        )
+        least = np.nanmax(self.asymmetry - self.asymmetry_error, initial=0.0)
+        times = f"up to at least {least:.3g} times" if least > 0 else "within its error"
+        near, far = (self._repeating(x) for x in (self.threshold_near, self.threshold_far))
+        return (f"From the defect's side {times} the power from the other; there the motion repeats every period "
+                f"{near}, from the other side {far}.")
+
+    def _repeating(self, threshold):
+        if threshold <= self.amplitudes[0]:
+            return "at no amplitude"
+        return f"below {threshold:.3g} m (to 1 %)" if math.isfinite(threshold) else "at all amplitudes"
 
 
 class _Driven(eqx.Module):
@@ -107,18 +125,44 @@ def rectifier(
     amplitudes = np.asarray(non_negative("amplitudes", amplitudes), float)
     lattice, modes, omega, damping = _chain(sites, detuning, defect_radius, precompression, damping_time)
 
-    def one(end, *beyond):
-        return sweep(
-            _Driven(lattice, *map(jnp.asarray, (omega, damping)), end), amplitudes, 2 * math.pi / omega,
-            response=_Power(jnp.asarray(damping), *beyond), periods=periods, tolerance=tolerance, watch=60, down=False,
-            jump=0.5, accuracy=0.01,
-        )
-
-    near, far = one("left", sites // 2, sites), one("right", 0, sites // 2)
+    T = 2 * math.pi / omega
+    steps = shared_size(int(steps_per_period(lattice, T)))
+    ways = []
+    for end, *beyond in ("left", sites // 2, sites), ("right", 0, sites // 2):
+        driven = _Driven(lattice, *map(jnp.asarray, (omega, damping)), end)
+        power = _Power(jnp.asarray(damping), *beyond)
+        found = sweep(driven, amplitudes, T, response=power, periods=periods, tolerance=tolerance, watch=WATCH,
+                      steps=steps, down=False, jump=0.5, accuracy=0.01)
+        ways.append((found, _errors(found.up, driven, power, amplitudes, T, steps)))
+    (near, near_error), (far, far_error) = ways
+    asymmetry = near.up.response / far.up.response
+    error = asymmetry * (near_error / near.up.response + far_error / far.up.response)
     return Rectifier(
-        amplitudes, near, far, _threshold(near), _threshold(far), near.up.response / far.up.response,
-        omega / (2 * math.pi), float(modes[-1]) / (2 * math.pi), float(modes[-2]) / (2 * math.pi),
+        amplitudes, near, far, _threshold(near), _threshold(far), asymmetry, error, 1 / T,
+        float(modes[-1]) / (2 * math.pi), float(modes[-2]) / (2 * math.pi),
     )
+
+
+def _errors(way, driven, power, amplitudes, period, steps):
+    """Errors of the power: of a motion that does not repeat the largest change in the times that follow."""
+    errors = np.array(way.response_error)
+    for i in np.flatnonzero(way.multiple == 0):
+        y = jax.tree.map(lambda x, i=i: jnp.asarray(x[i]), way.states)
+        after = _later(driven, power, jnp.asarray(amplitudes[i]), y, jnp.asarray(period), jnp.asarray(steps))
+        errors[i] = np.abs(np.asarray(after) - way.response[i]).max()
+    return errors
+
+
+@waited
+def _later(driven, power, amplitude, y, period, steps):
+    """The power over each of the next `AGAIN` stretches of `WATCH` periods, (AGAIN,)."""
+    lattice, flow = driven(amplitude), Flow(steps, SRKN11b())
+
+    def one(y, _):
+        end, ts, ys = history(flow, lattice, y, 0.0, period, FRAMES, WATCH)
+        return end, power(lattice, ys.u, ys.v, ts)
+
+    return jax.lax.scan(one, y, length=AGAIN)[1]
 
 
 @checked
