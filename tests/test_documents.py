@@ -43,12 +43,20 @@ def is_code(block):
     return any(isinstance(node, (ast.Call, ast.Import, ast.ImportFrom)) for node in nodes)
 
 
+def builders(node):
+    """What may have a docstring, at any depth; expressions, most of a tree, are not looked into."""
+    if isinstance(node, BUILDERS):
+        yield node
+    for name in ("body", "orelse", "handlers", "finalbody", "cases"):
+        for inner in getattr(node, name, ()):
+            yield from builders(inner)
+
+
 def docstrings():
     """(where, block) of every block of code in a docstring."""
     for path in sorted((ROOT / "granjax").rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text())):
-            text = ast.get_docstring(node) if isinstance(node, BUILDERS) else None
-            for block in indented(text or ""):
+        for node in builders(ast.parse(path.read_text())):
+            for block in indented(ast.get_docstring(node) or ""):
                 if is_code(block):
                     yield f"{path.relative_to(ROOT)}: {getattr(node, 'name', 'module')}", block
 

@@ -43,14 +43,15 @@ def light(target=None, *, typechecker=None):
         return _fields_checked(target)
     if not inspect.isfunction(target) or not target.__annotations__:
         return target
-    strict = jaxtyped(target, typechecker=typechecker)
+    # made at the first call: most of what is imported is never called by a worker
+    strict = functools.cache(lambda: jaxtyped(target, typechecker=typechecker))
 
     @functools.wraps(target)
     def call(*args, **kwargs):
         if not _on[0]:
             return target(*args, **kwargs)
         try:
-            return strict(*args, **kwargs)
+            return strict()(*args, **kwargs)
         except jaxtyping.TypeCheckError as error:
             if "checking the parameters" in str(error) and not hasattr(error, "seen"):
                 error.seen = True
