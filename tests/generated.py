@@ -602,6 +602,8 @@ BLANK = (
     "plots.orbits.branch", "plots.orbits.breather", "plots.orbits.floquet_circle", "plots.orbits.hysteresis",
     "plots.precision.work_precision", "plots.shocks.modulation", "plots.shocks.shock", "plots.shocks.shock_core",
     "plots.shocks.shock_map", "plots.spreading.spreading", "plots.sweeps.sweep",
+    "plots.devices.rectifier", "plots.devices.switch", "plots.devices.truth_table", "plots.devices.two_way",
+    "plots.evolutions.evolution", "plots.evolutions.gap_breather", "plots.rest.equilibrium", "plots.rest.kink",
     "plots.waves.dispersion", "plots.waves.floquet_bands",
     "linear.floquet_bands.FloquetBands.state", "studies.resonance.finite.refine",
     "studies.gates.TruthTable.table", "studies.gates.TruthTable.thresholds",

@@ -103,9 +103,8 @@ def evolve(
       by the fastest rate at the start, and halves it until the tolerance is met, six times at most.
     - `tolerance`: of |psi_n|, over the root of the norm.
 
-    **Returns:** `Evolution`; `gx.plots.space_time(run.densities, ts=run.ts)` is its picture, and its `outcome` says how
-    well it is known. It differentiates in both modes in the start and in the numbers of the equation: then the step
-    must be given.
+    **Returns:** `Evolution`; its picture is `gx.plots.evolution`, and its `outcome` says how well it is known. It
+    differentiates in both modes in the start and in the numbers of the equation: then the step must be given.
     **Raises** ValueError for another shape, numbers not finite, times out of order, a step that is not above zero.
     """
     psi = _start(equation, psi)

@@ -16,10 +16,13 @@ be told apart by colour-blind eyes.
 
 from .cells import cell_wave, resonance_map
 from .curves import profile, transmission
+from .devices import rectifier, switch, truth_table, two_way
+from .evolutions import evolution, gap_breather
 from .fits import corner, fit, law, planar
 from .histories import space_time, traces
 from .orbits import branch, breather, floquet_circle, hysteresis, strain_map
 from .precision import work_precision
+from .rest import equilibrium, kink
 from .shocks import modulation, shock, shock_core, shock_map
 from .spreading import spreading
 from .style import COLOURS, drawn, figure, save, style
@@ -28,8 +31,9 @@ from .travelling import front, reflection, wave, wave_errors, wave_family
 from .waves import dispersion, floquet_bands
 
 __all__ = [
-    "COLOURS", "branch", "breather", "cell_wave", "corner", "dispersion", "drawn", "figure", "fit", "floquet_bands",
-    "floquet_circle", "front", "hysteresis", "law", "modulation", "planar", "profile", "reflection", "resonance_map",
-    "save", "shock", "shock_core", "shock_map", "space_time", "spreading", "strain_map", "style", "sweep", "traces",
-    "transmission", "wave", "wave_errors", "wave_family", "work_precision",
+    "COLOURS", "branch", "breather", "cell_wave", "corner", "dispersion", "drawn", "equilibrium", "evolution",
+    "figure", "fit", "floquet_bands", "floquet_circle", "front", "gap_breather", "hysteresis", "kink", "law",
+    "modulation", "planar", "profile", "rectifier", "reflection", "resonance_map", "save", "shock", "shock_core",
+    "shock_map", "space_time", "spreading", "strain_map", "style", "sweep", "switch", "traces", "transmission",
+    "truth_table", "two_way", "wave", "wave_errors", "wave_family", "work_precision",
 ]

@@ -14,7 +14,7 @@ from ..units import UnitsOrWords
 from .arrays import having, history, numbers, rising
 from .histories import space_time
 from .quantities import Axis, drawn_in, scaled_by, units_of, units_of_both
-from .style import COLOURS, FAINT, AxesOrNone, add_colour_bar, axes_or_new, style
+from .style import COLOURS, FAINT, AxesOrNone, add_colour_bar, axes_or_new, several_axes
 
 # Krein signature -> colour, mark, what it is called
 _KREIN = {1: (COLOURS[0], "o", "Krein +"), -1: (COLOURS[1], "s", "Krein $-$"), 0: ("0.25", "^", "Krein 0")}
@@ -108,7 +108,7 @@ def breather(
     having("breather", breather, "an Orbit", "state", *(["floquet"] if fl is None else []))
     fl = breather.floquet() if fl is None else fl
     having("fl", fl, "a Floquet", "multipliers", "vectors", "krein", "error", "expected", "rate", "period")
-    axes = _axes(axes, 2, 2, 8.4, 6.4)
+    axes = several_axes(axes, 2, 2, 8.4, 6.4)
     a, b, c, d = axes.ravel()
     if field is None and isinstance(breather.state[0], dict) and "bead" in breather.state[0]:
         field = "bead"
@@ -183,19 +183,6 @@ def _period(ax, run, by, field):
     add_colour_bar(ax, image, by_velocity.label)
 
 
-def _axes(axes, rows, columns, width, height):
-    """The Axes that were given, as an array, or those of a new pyplot figure in the house style."""
-    if axes is None:
-        import matplotlib.pyplot as plt
-
-        with style():
-            return plt.subplots(rows, columns, figsize=(width, height), layout="constrained")[1]
-    axes = np.asarray(axes, dtype=object)
-    if axes.size != rows * columns:
-        refuse("axes", f"{rows * columns} Axes", f"{axes.size}")
-    return axes
-
-
 def _mode(fl, mode):
     if mode is None:
         outside = unstable_of(fl)
@@ -255,7 +242,7 @@ def branch(
     by, *by_height = drawn_in(units, units_of(br), over, Axis("energy", heights[0]),
                               Axis(r"amplitude $\max_n |u_n|$", heights[1]))
     omega, drawn = scaled_by(omega, by.factor), [scaled_by(x, way.factor) for x, way in zip(heights, by_height)]
-    axes = _axes(axes, 1, 2, 8.4, 3.4)
+    axes = several_axes(axes, 1, 2, 8.4, 3.4)
     room = 0.06 * (np.ptp(omega) or omega[0])
     for ax, height, name in zip(axes.ravel(), drawn, [way.label for way in by_height]):
         _line(ax, omega, height, br, _VERDICTS, marks)

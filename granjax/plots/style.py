@@ -152,6 +152,21 @@ def axes_or_new(ax: AxesOrNone, width: Scalar = 5.0, height: Scalar = 3.6) -> Ax
         return plt.subplots(figsize=(width, height), layout="constrained")[1]
 
 
+def several_axes(
+    axes: Sequence[Axes] | np.ndarray | None, rows: Count, columns: Count, width: Scalar, height: Scalar,
+) -> np.ndarray:
+    """The Axes that were given, as an array, or those of a new pyplot figure in the house style."""
+    if axes is None:
+        import matplotlib.pyplot as plt
+
+        with style():
+            return plt.subplots(rows, columns, figsize=(width, height), layout="constrained")[1]
+    axes = np.asarray(axes, dtype=object)
+    if axes.size != rows * columns:
+        refuse("axes", f"{rows * columns} Axes", f"{axes.size}")
+    return axes
+
+
 def colour(i: Count) -> str:
     """The i-th line colour, around again after the last."""
     return COLOURS[i % len(COLOURS)]

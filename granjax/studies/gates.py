@@ -148,7 +148,7 @@ def truth_table(
     r"""Output of a chain for every combination of signals on one wall: a logic gate with a threshold.
 
     w(t) = sum of a_k sin(omega_k t) over the signals that are on; the output is the root mean square velocity of one
-    site after the start has died out. All 2^K combinations are lanes of one run. _Signals in the band pass each by
+    site after the start has died out. All 2^K combinations are lanes of one run. Signals in the band pass each by
     itself: an OR. Of two in the gap neither does, but their difference in frequency, which the contacts make, may lie
     in the band: an AND. A chain whose contacts make both serves as either, by its threshold.
 
@@ -157,7 +157,8 @@ def truth_table(
     gamma [1/s] of every site, beside what the lattice has. `settling`, `watch`: times [s] before and while the output
     is taken, some 10/gamma, and many beats of the signals.
 
-    **Returns:** `TruthTable`; its errors are what half the step changes, and by how much the halves of `watch` differ.
+    **Returns:** `TruthTable` (`gx.plots.truth_table`); its errors are what half the step changes, and by how much the
+    halves of `watch` differ.
     **Raises** ValueError as `driven_chain` does, for another number of frequencies than amplitudes, a batch, or numbers
     that are not above zero. For derivatives, `gx.simulate` the chain of `gx.driven.driven_chain`.
     Source: Li, Anzel, Yang, Kevrekidis, Daraio, Nature Communications 5, 5311 (2014).
@@ -183,7 +184,7 @@ def switch(
     **Arguments:** `signal`: its amplitude [m] and angular frequency [rad/s]. `amplitudes` (P,): of the control,
     ascending, P >= 2 [m]; `omega`: its angular frequency. Others, errors and source as in `truth_table`.
 
-    **Returns:** `Switch`. **Raises** ValueError as `truth_table` does.
+    **Returns:** `Switch`; its picture is `gx.plots.switch`. **Raises** ValueError as `truth_table` does.
     """
     own = [float(_known(f"signal[{i}]", x, positive)) for i, x in enumerate(signal)]
     amplitudes = np.asarray(_known("amplitudes", amplitudes, non_negative), float)

@@ -115,7 +115,7 @@ def rectifier(
     the defect's mode. `defect_radius` [m], below 9.53 mm; `precompression` [N]; `damping_time`: tau [s]; `periods`,
     `tolerance`: as in `sweep`.
 
-    **Returns:** `Rectifier`. **Raises** ValueError as `sweep` does.
+    **Returns:** `Rectifier`; its picture is `gx.plots.rectifier`. **Raises** ValueError as `sweep` does.
     Typical: amplitudes of 0.02 to 0.4 um. Measured: from the defect's side the motion ceases to be periodic at 0.177
     um and transmits 4 to 12 mW from 0.2 um on; from the other side it stays periodic to 0.48 um and transmits 1e-14 W
     there, an asymmetry of 1e12 in the absence of noise.
@@ -181,7 +181,8 @@ def rectifier_branch(
     rest at `low` before Newton begins; where two orbits are stable it chooses between them. `arclength`: the first
     step's, a fifth of the longest, as in `gx.forced.forced_branch`. Others as in `rectifier`.
 
-    **Returns:** `Branch`; its picture is `gx.plots.branch`. **Raises** ValueError and RuntimeError as `forced_branch`.
+    **Returns:** `Branch`, whose picture is `gx.plots.branch(found, p_label="drive amplitude")`; `gx.plots.rectifier`
+    marks its onset. **Raises** ValueError and RuntimeError as `forced_branch`.
     Measured: from 0.02 um on, folds at 0.0828 and 0.0511 um (two stable orbits between), onset of quasi-periodicity at
     0.1792 um. Source: as `rectifier`.
     """

@@ -76,9 +76,9 @@ def two_way(
     [rad/s]. `damping`: gamma [1/s] of every site, a number or (N,), beside what the lattice has. `field`: the one that
     the walls touch, where a cell holds several. `steps`: per period, as in `forced_orbit`.
 
-    **Returns:** `TwoWay`. **Raises** ValueError as `driven_chain` does, for amplitudes that do not ascend from above
-    zero, or a batch of lattices; RuntimeError where an orbit is not found. Not under a transformation: it continues
-    from orbit to orbit.
+    **Returns:** `TwoWay`; its picture is `gx.plots.two_way`. **Raises** ValueError as `driven_chain` does, for
+    amplitudes that do not ascend from above zero, or a batch of lattices; RuntimeError where an orbit is not found. Not
+    under a transformation: it continues from orbit to orbit.
     Typical: 1e-5 ... 1e-2 of the static overlap. Source: Rayleigh, The Theory of Sound, section 107 (reciprocity);
     Boechler, Theocharis, Daraio, Nature Materials 10, 665 (2011) (its end).
     """
