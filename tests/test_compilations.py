@@ -406,6 +406,42 @@ def _(seed):
     gx.fractional.to_the_right(0.5 + 0.1 * seed, 9)
 
 
+@also("self_trapping", SLOW)
+def _(seed):
+    gx.first_order.self_trapping(dimer, 3.0 + 0.1 * seed, 5.0, 12.0 + seed, tolerance=0.05, frames=20)
+
+
+def dimer(chi):
+    return gx.first_order.DNLS(2, 1.0, chi, boundary="fixed")
+
+
+@also("spreading", SLOW)
+def _(seed):
+    gx.studies.spreading(light_and_heavy, 20.0, samples=4, seed=4 * seed, frames=24, chunk=4, progress=False)
+
+
+def light_and_heavy(seed):
+    return gx.scenes.disordered(60, 0.3, seed, law=gx.Linear)
+
+
+@also("caputo", SLOW)
+def _(seed):
+    f = 1 + 0.1 * seed
+    gx.caputo(relaxing, f, 2.0 * f, order=0.5 + 0.1 * seed, args=f, steps=40)
+    gx.theory.mittag_leffler(-np.linspace(0.1, 2.0 * f, 5), 0.5 + 0.1 * seed)
+
+
+def relaxing(t, y, args):
+    return -args * y
+
+
+@also("restitution")
+def _(seed):
+    own, speed = gx.theory.restitution, np.linspace(0.1, 1.0 + seed, 4)
+    own.thornton(speed, 0.2 + 0.1 * seed), own.walton_braun(1.0, 2.0 + seed)
+    own.viscoelastic(speed, 1.0, 0.01 * (1 + seed))
+
+
 # public functions that no row calls by name, by their modules, and why
 WITHIN = {
     **dict.fromkeys(("checks", "entry.checked", "entry.kinds", "printing", "programs", "variables", "cli.commands",
@@ -416,20 +452,18 @@ WITHIN = {
                     "numbers, words and Python: no program of their own"),
     **dict.fromkeys(("exchange.datasets", "files", "fit.files", "reading.reader", "reading.tables"),
                     "files, read and written by NumPy"),
-    **dict.fromkeys(("plots.cells", "plots.devices", "plots.evolutions", "plots.style", "plots.curves", "plots.fits",
-                     "plots.orbits", "plots.rest", "plots.shocks", "plots.spreading", "plots.travelling"),
+    **dict.fromkeys(("plots.cells", "plots.evolutions", "plots.style", "plots.curves", "plots.fits", "plots.orbits",
+                     "plots.shocks", "plots.travelling"),
                     "drawn by NumPy; `plots`"),
     **dict.fromkeys(("lattice.split", "lattice.tangents", "lattice.blocks", "split_system"), "`simulate`"),
-    **dict.fromkeys(("studies.bright_breather", "studies.dark_breather", "studies.gates", "studies.reproduce.registry",
+    **dict.fromkeys(("studies.bright_breather", "studies.dark_breather", "studies.reproduce.registry",
                      "studies.reproduce.making", "studies.resonance.decay", "studies.resonance.finite",
-                     "studies.resonance.maps", "studies.resonance.oscillations", "studies.spreading"),
+                     "studies.resonance.maps", "studies.resonance.oscillations"),
                     "studies of minutes, made of what is called here"),
 }
 UNCALLED = {
-    "caputo": "in tests/test_caputo.py", "mittag_leffler": "a formula", "thornton": "a formula",
-    "walton_braun": "a formula", "viscoelastic": "a formula",
     "checked_order": "`kernel`", "total": "`kernel`", "symbol": "`ring_kernel`", "wave_numbers": "NumPy",
-    "field": "`evolve`", "self_trapping": "`evolve`",
+    "field": "`evolve`",
     "paired": "NumPy", "read": "a file", "table": "NumPy",
     "explore": "in tests/test_explore.py, as a notebook does",
     "cell_of": "`bright_guess`", "edge_of": "`breather`", "edges_beside": "`bright_guess`",

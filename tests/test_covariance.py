@@ -1159,6 +1159,29 @@ def _(s):
     return left, right, About(Of(found.from_left_error, 1, 0, 0)), found.amplitudes.shape
 
 
+def walled(rng, w):
+    """A law of one's own between walls."""
+    own = gx.Lattice(masses(rng, PLAIN), gx.Bond(gx.Shift(1, "fixed"), Squeeze(near(rng, 1.0), near(rng, 0.5))))
+    return gx.scenes.scaled(own, units=w.units).lattice
+
+
+def signals(s):
+    return {"damping": s.hertz(0.25), "settling": s.s(30.0), "watch": s.s(30.0)}
+
+
+@row("truth_table", slow=(walled,))
+def _(s):
+    found = gx.studies.truth_table(s.lattice, s.m(np.array([0.05, 0.1])), s.hertz(np.array([0.8, 1.1])), **signals(s))
+    return fields_of(found), speed([x for gate in ("OR", "AND", "XOR") for x in found.thresholds(gate) or ()])
+
+
+@row("switch", slow=(closed,))
+def _(s):
+    controls = s.m(np.array([0.0, 0.05, 0.1]))
+    found = gx.studies.switch(s.lattice, (s.m(0.05), s.hertz(0.8)), controls, s.hertz(1.1), **signals(s))
+    return fields_of(found), found.contrast, length([found.threshold, found.threshold_error])
+
+
 # public, with a lattice among the arguments, and not in the table
 ELSEWHERE = {
     "FloquetBands.state": "`floquet_bands`",
@@ -1167,7 +1190,6 @@ ELSEWHERE = {
     "Record.value": "`simulate`", "Problem.state": "`fit`", "return_error": "rounding alone; `fit` and `Reversible`",
     "cell_of": "`bright_guess`", "edges_beside": "`bright_guess`", "edge_of": "`breather`",
     "steps_per_period": "`settle`, `sweep`",
-    "switch": "as `truth_table`", "truth_table": "sums over runs of `simulate`, whose times the caller gives",
     "dark_by_interference": "an experiment in SI: its numbers are of one laboratory",
 }
 
