@@ -70,6 +70,7 @@ def orders(errors):
     return np.log2(np.asarray(errors[:-1]) / errors[1:])
 
 
+@pytest.mark.slow
 def test_a_splitting_method_keeps_its_order():
     """SRKN11b, order 6: errors 1e-4 of those without breaks and less."""
     steps = (0.22, 0.11, 0.055)
@@ -87,7 +88,8 @@ def test_a_flow_keeps_its_order_and_runs_back():
     np.testing.assert_allclose(back.u, START.u, atol=1e-14)
 
 
-@pytest.mark.parametrize("solver", [gx.RKN86(), diffrax.Tsit5()], ids=["RKN86", "Tsit5"])
+@pytest.mark.parametrize("solver", [
+    pytest.param(gx.RKN86(), marks=pytest.mark.slow), diffrax.Tsit5()], ids=["RKN86", "Tsit5"])
 def test_adaptive_steps_land_on_breaks(solver):
     run = gx.simulate(make(), START, 4.0, tolerance=1e-8, solver=solver, save_at="steps")
     assert error(run.final) < 1e-7 and int(run.stats["rejected"]) < 6
@@ -106,6 +108,7 @@ def test_frames_and_records_between_breaks():
     np.testing.assert_allclose(run.recorded["way"], run.final.u - START.u, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_the_derivative_with_respect_to_the_period():
     """The breaks move, and the steps with them."""
     def last(period):
@@ -127,6 +130,7 @@ def test_multipliers_of_a_lattice_whose_stiffness_jumps():
     assert gap.max() < 1e-9 and (gap <= np.asarray(found.error) + 1e-13).all()
 
 
+@pytest.mark.slow
 def test_breaks_in_other_units_and_in_lanes():
     units = gx.scenes.Units(3e-3, 2e-6, 5e-5)
     scaled = gx.scenes.scaled(make(), units=units).lattice

@@ -59,6 +59,7 @@ def test_multipliers_of_the_family_are_those_of_floquet(short):
                                np.abs(fl.multipliers[outside]), rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_another_breather_or_a_pair_is_a_guess(short):
     orbit = short.orbit(-1)
     by_orbit, by_pair = (gx.breathers.breather(dimer(25), 0.985 * OMEGA2, guess, steps=int(short._flow.steps))

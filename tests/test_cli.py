@@ -80,6 +80,7 @@ def test_resonance_prints_a_table(tmp_path, capsys):
     assert (tmp_path / "made" / "here" / "resonance.png").is_file()
 
 
+@pytest.mark.slow
 def test_out_may_name_the_files(tmp_path):
     assert main([*SMALL, "--json", "--out", str(tmp_path / "other.nc")]) == 0
     assert sorted(path.name for path in tmp_path.iterdir()) == ["other.nc", "other.png"]

@@ -27,7 +27,7 @@ def fast():
 
 @pytest.mark.parametrize(("way", "shifts"), [
     pytest.param(1, (1.180269670641735, -2.360539341283469), marks=pytest.mark.slow),
-    (-1, (0.2273362938026457, -0.4546725876052915))],
+    pytest.param(-1, (0.2273362938026457, -0.4546725876052915), marks=pytest.mark.study)],
     ids=["overtaking", "head-on"])
 def test_two_solitons_of_toda_are_shifted_as_the_closed_form_says(fast, way, shifts):
     slow = toda(0.5, way)
@@ -129,6 +129,7 @@ def test_what_has_not_parted_has_no_shift():
     assert np.isnan(soft.delay) and "nothing is known" in soft.outcome
 
 
+@pytest.mark.slow
 def test_refused_with_the_reason(fast):
     calls = [
         (lambda: collide(fast, fast), "second: expected a speed other than the first's"),

@@ -52,6 +52,7 @@ def test_a_shock_takes_at_most_three_times_the_steps_of_what_it_reaches(case):
     assert float(run.energy_error) < 1e-8
 
 
+@pytest.mark.slow
 def test_energy_that_a_drive_brings_is_noticed_and_the_run_taken_again():
     """A hard chain driven in its band takes up far more than a slow push of that force would store."""
     lattice = gx.Lattice(1.0, (*gx.scenes.fput(20, 0.0, 1.0).terms, gx.Drive(gx.Harmonic(2.0, 1.5), 10)), sites=20)

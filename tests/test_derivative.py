@@ -18,6 +18,7 @@ def shaken(stiffness, step):
     return gx.simulate(chain, gx.states.impact(chain, velocity=0.1), 6.0, step=step).final.u[1]
 
 
+@pytest.mark.slow
 def test_a_kink_shows():
     """Against differences of runs at a fine step, whose error is of second order: within the error, which is large."""
     largest = 0.0

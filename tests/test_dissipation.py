@@ -12,7 +12,8 @@ def power(t, y, lattice):
     return gx.measures.power(lattice, y, t)
 
 
-@pytest.mark.parametrize("whole", [False, pytest.param(True, marks=pytest.mark.slow)], ids=["some", "all"])
+@pytest.mark.parametrize("whole", [
+    pytest.param(False, marks=pytest.mark.study), pytest.param(True, marks=pytest.mark.slow)], ids=["some", "all"])
 def test_the_energy_of_every_loss_and_drive_balances(whole):
     some = (gx.BrilliantovContact(WALLS, 1.0, 0.1, 0.2), gx.Damping(0.05), gx.Drive(gx.Harmonic(0.1, 0.8), 1))
     more = (
@@ -33,6 +34,7 @@ def restitution(terms, speed):
     return float(run.final.v[1] - run.final.v[0]) / speed
 
 
+@pytest.mark.slow
 def test_restitution_of_viscoelastic_spheres():
     for time, speed in ((0.01, 0.7), (0.03, 0.5)):
         wanted = float(gx.theory.restitution.viscoelastic(speed, 1.3, time))

@@ -210,6 +210,7 @@ def test_jumps_and_hysteresis_of_a_duffing_oscillator():
     np.testing.assert_allclose(found.up.response[outside], found.down.response[outside], rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_a_period_doubling_is_located_from_either_side():
     make = lambda force: duffing(force, **DOUBLE_WELL)
     found = driven.sweep(make, [0.24, 0.27, 0.282], lambda force: 2 * jnp.pi / 1.2, state=WELL, steps=48)
@@ -321,6 +322,7 @@ def test_an_integrable_ring_is_regular_and_a_beta_chain_chaotic():
     assert found.exponents[0] > 0.03 and found.chaotic and "Chaotic" in found.outcome
 
 
+@pytest.mark.slow
 def test_the_double_well_is_chaotic_where_it_does_not_repeat():
     """0.104 +- 0.004; over 1000 periods 0.097 ... 0.114, by what is rounded."""
     found = driven.lyapunov(duffing(0.5, **DOUBLE_WELL), WELL, 2 * np.pi / 1.2, steps=48, number=4, periods=16_000)

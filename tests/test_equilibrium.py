@@ -17,7 +17,8 @@ def pair_forces(x):
     return np.sum(np.sign(away) * np.abs(away) ** P, 1)
 
 
-@pytest.mark.parametrize("boundary, length", [("fixed", N + 1), ("free", N - 1)])
+@pytest.mark.parametrize("boundary, length", [
+    ("fixed", N + 1), pytest.param("free", N - 1, marks=pytest.mark.slow)])
 def test_magnets_between_ends_rest(boundary, length):
     lattice = gx.scenes.magnets(N, P, boundary=boundary)
     x = np.arange(N) + np.asarray(lattice.terms[0].rest)

@@ -55,6 +55,7 @@ def test_a_ring_whose_uniform_mode_softens_has_a_breather_all_the_same(on_a_ring
     assert u[4] == u.max() > 0.8 and u[0] < 0.01
 
 
+@pytest.mark.slow
 def test_a_uniform_oscillation_is_no_breather():
     uniform = still(np.full(8, 0.685))
     with pytest.raises(RuntimeError, match="Not localised: 8 of 8 cells .*participation number; of the guess 8"):
@@ -79,6 +80,7 @@ def test_a_localised_guess_that_leads_to_a_wave_is_refused():
         gx.breathers.breather(short, 0.98, bump)
 
 
+@pytest.mark.slow
 def test_a_breather_in_other_units_is_the_same_with_the_same_words(on_a_ring):
     units = {"mass": 3e-4, "length": 2e-7, "time": 5e-6}
     other = gx.breathers.breather(soft(**units), 0.8 / 5e-6)
@@ -102,6 +104,7 @@ def test_newtons_cradle_has_breathers(omega, sites, signs):
     assert np.abs(end.y[11:, -1]).max() < 1e-5 * np.abs(u).max()
 
 
+@pytest.mark.slow
 def test_a_site_in_other_units(caplog):
     for make, omega, sites, signs in ((cradle, 1.2, [5, 6], [1, -1]), (soft, 0.8, 4, None)):
         one = single_site(make(), omega, sites, amplitudes=signs)
@@ -216,6 +219,7 @@ def test_a_dark_word_that_leads_to_a_bright_orbit_is_refused(on_a_ring):
     assert checked_localised(orbit, "bright", on_a_ring.state, None).remark == on_a_ring.remark
 
 
+@pytest.mark.slow
 def test_of_few_cells_nothing_is_judged():
     # two coupled sites in phase
     few = gx.breathers.breather(soft(2, boundary="free"), 0.8, still(np.full(2, 0.685)))

@@ -45,8 +45,8 @@ def assert_same(a, b, tolerance=1e-10):
     assert {k: np.shape(x) for k, x in a.stats.items()} == {k: np.shape(x) for k, x in b.stats.items()}
 
 
-@pytest.mark.parametrize("save_at", [
-    pytest.param(7, marks=pytest.mark.slow), [0.0, 0.35, 2.0, 2.01, 2.02, 5.0]], ids=["frames", "times"])
+@pytest.mark.slow
+@pytest.mark.parametrize("save_at", [7, [0.0, 0.35, 2.0, 2.01, 2.02, 5.0]], ids=["frames", "times"])
 def test_pieces_of_equal_steps_are_one_run(save_at, request, monkeypatch):
     lattice = chain()
     state = gx.states.impact(lattice, velocity=0.3)
@@ -102,6 +102,7 @@ def test_what_fails_in_a_piece_is_located(soon):
     assert np.isnan(run.us[-1]).all() and np.isnan(run.energy_error)
 
 
+@pytest.mark.slow
 def test_pieces_keep_the_floating_type_and_their_number_of_steps(soon):
     lattice = chain()
     state = jax.tree.map(lambda x: x.astype("float32"), gx.states.impact(lattice, velocity=0.3))

@@ -81,6 +81,7 @@ def test_a_period_of_few_digits_counts_in_the_error(layers):
     assert np.abs(few.multipliers - floquet_bands(layers, 1.0, PERIOD).multipliers).max() < 1e-7
 
 
+@pytest.mark.slow
 def test_growth_in_a_ring(layers):
     """A wave of the ring grows as its multiplier says, in a run of several periods."""
     found = floquet_bands(layers, K, PERIOD)
@@ -104,7 +105,8 @@ def truncated(k, cell, depth, omega, orders=24):
     return np.linalg.eigvals(np.block([[zero, np.eye(len(m))], [K - shift**2, -2 * shift]]))
 
 
-@pytest.mark.parametrize("wavelength", [3.0, pytest.param(-3.0, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("wavelength", [
+    pytest.param(3.0, marks=pytest.mark.slow), pytest.param(-3.0, marks=pytest.mark.study)])
 def test_space_time_modulation(wavelength):
     depth, omega = 0.3, 1.5
     found = floquet_bands(travelling_modulation(12, depth, omega, wavelength), [-2.1, 0.4, 2.1], 2 * np.pi / omega)

@@ -128,6 +128,7 @@ def phi4_energy(c, u):
     return np.sum(u**2 / 2 + u**4 / 4) + c / 2 * np.sum(np.diff(u) ** 2)
 
 
+@pytest.mark.slow
 def test_breathers_from_no_coupling_to_a_tenth(over_coupling):
     br = over_coupling
     assert br.outcome == "p reached 0.1." and br.p[0] == 0 and br.p[-1] == 0.1 and len(br) > 4
@@ -219,6 +220,7 @@ def test_a_breather_of_the_cradle_falls_off_faster_than_exponentially():
     assert branch.p[-1] == 0.02 and np.all(decay[1:] < 1.3 * decay[:-1])
 
 
+@pytest.mark.slow
 def test_a_boomeron_turns_back_by_itself():
     # James, Kevrekidis, Cuevas, Physica D 251, 39 (2013): an impact, Hertz contacts, a hard force on the beads
     n, times = 20, np.linspace(0.0, 300.0, 61)

@@ -110,6 +110,7 @@ def test_the_half_periods_linearisation(case):
     np.testing.assert_allclose(jacobian, jax.jacfwd(half.residual)(x, (lattice, 2.0)), rtol=0, atol=1e-13)
 
 
+@pytest.mark.slow
 def test_the_orbit_is_at_rest_twice_and_retraces_its_path(breather):
     state, period = breather
     assert gx.measures.overlap(DIMER, state).min() > 0.05
@@ -274,6 +275,7 @@ def rotating():
     return exact, orbit(RING, guess, period, symmetry=Translation(1))
 
 
+@pytest.mark.slow
 def test_a_rotating_wave_of_a_toda_ring_is_the_cnoidal_one(rotating):
     exact, wave = rotating
     end = gx.Flow(64)(exact, 0.0, wave.period, RING)

@@ -48,6 +48,7 @@ def test_the_soliton_of_toda_is_the_wave_of_its_law():
     assert found.toda_error[0] < 1e-12 < 1e-2 < found.kdv_error[0] and "Toda by" in found.outcome
 
 
+@pytest.mark.slow
 def test_a_family_over_its_speed():
     family = gx.travelling.family(gx.Toda(), speed=np.sinh([1.0, 0.9]) / np.array([1.0, 0.9]))
     ax = plots.wave_family(family)
@@ -56,6 +57,7 @@ def test_a_family_over_its_speed():
     assert plots.wave_family(family, quantity="width").get_ylabel() == "width"
 
 
+@pytest.mark.slow
 def test_a_front_with_its_tails():
     front = gx.shocks.dissipative_front(gx.Hertz(), 1.0, dashpot=1.0)
     ax = plots.front(front, units="scaled")

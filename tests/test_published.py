@@ -16,6 +16,7 @@ def contact_force(t, y, lattice):
 FORCES = gx.Peak(contact_force)
 
 
+@pytest.mark.slow
 def test_impact_of_a_monomer_chain():
     # computed with a converged step by two methods: plateau 0.63955423, speed 0.84050877 (A = m = 1, v = 1)
     chain = gx.scenes.monomer(240, boundary="free")

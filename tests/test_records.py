@@ -37,7 +37,8 @@ THRESHOLDS = np.array([0.9, 0.99, 0.9999])
 
 @pytest.mark.parametrize("method,within", [
     pytest.param(dict(solver=gx.RKN1210(), tolerance=1e-9), 1e-9, marks=pytest.mark.slow),
-    pytest.param(dict(solver=gx.RKN1210(), tolerance=1e-6), 1e-6, marks=pytest.mark.slow), ({}, 1e-6),
+    pytest.param(dict(solver=gx.RKN1210(), tolerance=1e-6), 1e-6, marks=pytest.mark.study),
+    pytest.param({}, 1e-6, marks=pytest.mark.slow),
 ], ids=["1e-9", "1e-6", "default"])
 def test_a_crossing_that_rises_and_falls_within_one_step_is_found(site, method, within):
     record = {"arrival": gx.Arrival(thrice, THRESHOLDS), "peak": gx.Peak(place), "integral": gx.Integral(square)}
@@ -83,6 +84,7 @@ def test_a_jump_or_a_kink_has_no_top_above_its_samples(edge, count):
     assert all(top.height[0] <= q.max() for top in tops(q, guesses(q, 2)))
 
 
+@pytest.mark.slow
 def test_every_measure_is_recordable_in_either_order(site):
     lattice, state = site
     measures = {
@@ -182,6 +184,7 @@ def test_lanes_and_float32(site):
     assert np.all(run.recorded["low"] <= 1) and np.all(run.recorded["force"] >= 1)
 
 
+@pytest.mark.slow
 def test_a_run_with_records_is_pickled(site):
     run = gx.simulate(*site, 2.0, step=0.5, record={"peak": gx.Peak(place)})
     back = pickle.loads(pickle.dumps(run))
@@ -190,6 +193,7 @@ def test_a_run_with_records_is_pickled(site):
     assert pickle.loads(pickle.dumps(run)).recorded == run.recorded
 
 
+@pytest.mark.slow
 def test_lanes_that_stand_behind_leave_the_errors_out_of_a_dataset(site):
     lattice, state = site
     run = jax.vmap(lambda v: gx.simulate(lattice, gx.State(state.u, v * state.v), 2.0, step=0.5,

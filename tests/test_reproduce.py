@@ -145,6 +145,7 @@ def test_the_striker_experiment_scales(material, radius, striker):
     assert monomer_pulse.scaled_speed(data) == pytest.approx(monomer_pulse.SPEED, abs=2e-5)
 
 
+@pytest.mark.slow
 def test_velocities_are_in_metres_per_second(data_of):
     data = data_of("fig1.4")
     assert data["velocity"].units == "m/s" and data["time"].units == "s"

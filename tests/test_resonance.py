@@ -179,6 +179,7 @@ def test_light_beads_swing_once_more_at_each_anti_resonance():
     assert "1 to 5 times" in found.outcome
 
 
+@pytest.mark.slow
 def test_swings_of_exact_waves_are_those_of_simulations():
     xi = np.linspace(-9, 9, 3000)
     for count, ratio in ((2, 0.342845781150), (3, 0.154751513885), (4, 0.090127769139)):
@@ -199,6 +200,7 @@ def test_a_map_of_dimers_is_their_decay_rate():
     assert found.force[3, 0] == pytest.approx(MONOMER_FORCE, rel=3e-6)
 
 
+@pytest.mark.slow
 def test_maps_of_larger_cells():
     ratios, stiffness = np.array([0.4, 1.0]), np.array([0.5, 0.8, 1.0])
     found = gx.resonance.resonance_map("2:1", ratios, stiffness, cells=(2, 6))
@@ -267,6 +269,7 @@ def test_bad_input_is_refused(call, message):
         call()
 
 
+@pytest.mark.slow
 def test_nan_is_not_refined():
     sweep = gx.resonance.transmission([0.4, 0.5, 0.6, 1.0], 21)
     broken = gx.resonance.Transmission(

@@ -77,6 +77,7 @@ def test_accelerations_are_the_equations():
     np.testing.assert_allclose(a["resonator_2"], 2.1 * (u - x) / np.asarray(chain.mass["resonator_2"]), rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_few_beads_may_carry_a_mass():
     all_of_them = scenes.mass_with_mass(5, 0.3, 1.2, at=range(5), precompression=1.0)
     every, some = scenes.mass_with_mass(5, 0.3, 1.2, precompression=1.0), scenes.mass_with_mass(5, 0.3, 1.2, at=[2, -1])
@@ -200,6 +201,7 @@ def test_bright_breathers_of_a_softening_chain_with_resonators():
         assert np.abs(own - other).max() < 0.1 * np.abs(own).max()  # the square of strains near d0
 
 
+@pytest.mark.slow
 def test_why_there_is_no_bright_breather():
     precompressed = scenes.mass_in_mass(12, 0.3, 1.2, precompression=1.0)
     with pytest.raises(ValueError, match="only dark"):
@@ -227,6 +229,7 @@ class TwoWays(gx.Law):
         return self.stiffness * 2 / 5 * (gx.laws.plus_power(e, 2.5) + gx.laws.plus_power(-e, 2.5))
 
 
+@pytest.mark.slow
 def test_bright_breather_without_precompression_decays_super_exponentially():
     # pushed and pulled alike, the mean force of every contact is zero: a breather that lasts
     chain = scenes.mass_in_mass(12, 0.5, 1.0, law=TwoWays(jnp.asarray(1.0)), boundary="free")

@@ -152,6 +152,7 @@ def test_a_gradient_through_contact_loss_is_that_of_differences():
         assert float(jax.jit(jax.grad(force))(1.0, adjoint)) == pytest.approx(float(difference), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_the_end_that_is_saved_and_the_energy_error():
     def f(stiffness, adjoint, read):
         chain = gx.scenes.monomer(4, stiffness=stiffness, precompression=1.0)

@@ -86,6 +86,7 @@ class Mirrored(gx.Law):
         return self.law.energy(-e)
 
 
+@pytest.mark.slow
 def test_what_is_no_shock_is_refused(toda):
     for c, law, found in ((-0.3, gx.Toda(1.0, 1.0), "a rarefaction"), (0.3, gx.Linear(1.0), "a linear chain")):
         with pytest.raises(ValueError, match=f"faster sound behind than ahead.*{found}"):

@@ -57,6 +57,7 @@ def test_equal_exponents_are_one_chain():
         np.testing.assert_allclose(a.force(0.0, u, 0 * u), b.force(0.0, u, 0 * u), rtol=1e-12, atol=1e-15)
 
 
+@pytest.mark.slow
 def test_exponents_can_be_swept_and_differentiated():
     batch = jax.vmap(lambda p: scenes.alternating(6, jnp.stack([1.5, p])), out_axes=-1)(jnp.array([0.4, 0.5]))
     assert batch.lanes == (2,)
@@ -87,6 +88,7 @@ def test_refused(make, said):
         make()
 
 
+@pytest.mark.slow
 def test_a_contact_that_re_opens_is_said_to_be_infinitely_stiff():
     chain = scenes.foam(8, boundary="free")
     run = gx.simulate(chain, gx.states.impact(chain, velocity=-3.0), 4.0)
@@ -111,7 +113,8 @@ class Mirrored(gx.Law):
         return self.law.energy(-e)
 
 
-@pytest.mark.parametrize("p", [0.5, pytest.param(jnp.asarray(0.37), marks=pytest.mark.slow)])
+@pytest.mark.parametrize("p", [
+    pytest.param(0.5, marks=pytest.mark.slow), pytest.param(jnp.asarray(0.37), marks=pytest.mark.study)])
 def test_rarefaction_pulses_mirror_those_of_the_hardening_chain(p):
     law = scenes.origami(5, p, stiffness=1.3, precompression=0.8).terms[0].law
     speed = 1.1 * float(jnp.sqrt(law.derivative(0.0)))

@@ -159,6 +159,7 @@ def test_float32_has_a_floor():
 # light masses ------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_light_masses_set_the_step():
     equal, light = dimer(1.0, 1.0), dimer(0.01, 1.0)
 

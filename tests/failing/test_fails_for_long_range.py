@@ -2,6 +2,7 @@
 
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 import granjax as gx
 
@@ -26,6 +27,7 @@ def tail(reach):
     return np.abs(np.asarray(gx.linear.normal_modes(chain).modes)[:, -1])[CENTRE:] + 1e-300
 
 
+@pytest.mark.slow
 def test_a_kernel_cut_short_loses_the_algebraic_tail():
     whole, cut = tail(None), tail(1)
     slope = np.polyfit(np.log(FAR), np.log(whole[FAR]), 1)[0]

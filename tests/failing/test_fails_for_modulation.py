@@ -1,10 +1,12 @@
 """Where steps fall in with a modulation: growth that is not seen."""
 
 import numpy as np
+import pytest
 
 import granjax as gx
 
 
+@pytest.mark.slow
 def test_a_step_that_resonates_with_the_modulation_misses_the_growth():
     """Verlet by half periods of sin sees the mean stiffness alone, and a wave of the k-gap that never grows."""
     omega = 2 * np.sqrt(3.0)  # twice the frequency of k = 2 pi/3, all that moves in a ring of three

@@ -1,6 +1,7 @@
 """An exponent of spreading energy that is fitted before it has converged: a small standard error, and wrong."""
 
 import numpy as np
+import pytest
 
 import granjax as gx
 
@@ -11,6 +12,7 @@ def chain(seed):
     return gx.scenes.disordered(SITES, 0.3, seed, law=gx.Linear, distribution="binary")
 
 
+@pytest.mark.slow
 def test_an_exponent_fitted_before_it_has_converged():
     """Weak disorder, of which early waves know nothing yet: a line through logarithms looks perfect, and is not 3/2."""
     found = gx.studies.spreading(chain, T1, samples=64, step=0.5, frames=24, chunk=32, progress=False)

@@ -20,6 +20,7 @@ def wave():
     return gx.travelling.solitary_wave(gx.Hertz(), speed=1.0)
 
 
+@pytest.mark.slow
 def test_the_plain_fixed_point_diverges_along_the_amplitude(wave):
     """phi <- tent * phi^(3/2), as printed: an error of the amplitude grows by 3/2 each time, either way."""
     exact = np.asarray(wave.strain(X))
@@ -49,6 +50,7 @@ def test_the_fourier_form_has_a_floor_in_the_tail(wave):
     assert float(wave.strain(6.0)) == pytest.approx(PHI_6, rel=1e-8)
 
 
+@pytest.mark.slow
 def test_compactons_as_initial_data_shed_what_the_wave_does_not(wave):
     """Nesterenko's and Ahnert and Pikovsky's at c = 1, set on the lattice, and the wave itself."""
     sites, centre, travel = 60, 12.0, 30

@@ -37,6 +37,7 @@ def test_a_parameter_that_is_rounded_has_no_long_waves():
     assert elliptic.jacobi(u[4], m1=m1).dn == pytest.approx(np.sqrt(m1), rel=1e-12)
 
 
+@pytest.mark.slow
 def test_scipy_s_ellipj_ends_a_dispersive_shock_after_one_crest():
     """At the leading edge of a Toda shock crests are 20 sites apart: by scipy's cn the second is missing altogether."""
     c, m1 = 0.5, 2.0**-34
@@ -52,6 +53,7 @@ def test_scipy_s_ellipj_ends_a_dispersive_shock_after_one_crest():
     np.testing.assert_allclose(strain(elliptic.jacobi(z, m1=m1).cn), want, atol=1e-13)
 
 
+@pytest.mark.slow
 def test_kdv_s_shock_is_no_toda_shock_at_a_half():
     """Edge 1 %, mean 23 %, crest 44 % too much; in the middle as wrong as the wave is high, where Toda's is right."""
     c, sites, t = 0.5, 301, 90.0
