@@ -28,6 +28,7 @@ def short():
     return gx.breathers.family(dimer(25), until=0.985 * OMEGA2)
 
 
+@pytest.mark.slow
 def test_a_family_from_the_linear_mode(short):
     omega = np.asarray(gx.linear.normal_modes(dimer(25)).omega)
     start = omega[omega > OMEGA2].min()

@@ -313,6 +313,7 @@ def test_bench_ends_within_its_time_on_a_slow_machine_and_does_more_on_a_fast_on
     assert code == 0 and len(files) == 6 and "slow (3 of 3), 5 s gone, about 50 s left" in printed.err
 
 
+@pytest.mark.slow
 def test_bench_of_all_scenes_has_no_limit(timed):
     code, printed, files, _ = timed("--all", pace=4.0)
     assert code == 0 and len(files) == 6

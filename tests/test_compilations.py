@@ -332,7 +332,7 @@ def _(seed):
     compacton.nesterenko(n, 1.5 * f), compacton.ahnert_pikovsky(n, 1.5 * f), compacton.rosenau_hyman(n, 2 * f)
 
 
-@also("cell_wave")
+@also("cell_wave", SLOW)
 def _(seed):
     travelling, f = gx.travelling, 1 + 0.01 * seed
     stiffness = travelling.tail_free_stiffness(f, 0.1)

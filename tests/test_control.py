@@ -50,6 +50,7 @@ def test_the_next_step(error, refused, factor):
     assert got == pytest.approx(factor, rel=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_the_last_digit_does_not_decide_how_contacts_that_open_are_met(seed):
     # every force differs in its last digits; 12 contacts open and close many times, and a step too many would show

@@ -1217,6 +1217,8 @@ def cases():
             further = make in r.slow and (r.scenes or make is not r.slow[0]) or r.name in LONGER
             slow = pytest.mark.study if further else pytest.mark.slow
             marks = (*r.marks, slow) if make in r.slow or r.name in LONG else r.marks
+            # of the scenes of a function one or two are in the fast set
+            marks = (*marks, pytest.mark.slow) if make in (plane, foreign) and make in r.scenes[1:] else marks
             yield pytest.param(r, make, id=f"{r.name}-{make.__name__}", marks=marks)
 
 

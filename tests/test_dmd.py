@@ -40,6 +40,7 @@ def positive(omega):
     return np.sort(omega.imag[omega.imag > 1e-3])
 
 
+@pytest.mark.slow
 def test_edge_states_of_the_ssh_chain(edge, modes):
     """Two states in the gap, one part in a thousand apart: their frequencies without a model."""
     found = dmd(edge, DT)

@@ -240,6 +240,7 @@ def test_neither_a_steep_flank_nor_slow_settling_is_a_jump(values, damping):
         assert np.all(np.abs(way.response - speed) <= way.response_error) and np.all(way.response_error < 0.02 * speed)
 
 
+@pytest.mark.slow
 def test_a_second_sweep_compiles_nothing_and_follows_what_its_scene_reads():
     traced, numbers = [], {"damping": 0.3}
 

@@ -33,6 +33,7 @@ def test_magnets_between_ends_rest(boundary, length):
     np.testing.assert_array_equal(lattice.force(0.0, lattice.zeros(), lattice.zeros()), 0)
 
 
+@pytest.mark.slow
 def test_equal_spacings_are_no_rest_and_the_outcome_says_so():
     magnets = gx.LongRange(np.arange(1.0, N) ** P, gx.PowerLaw(1.0, P, 1.0), "free", takes="strain")
     lattice = gx.Lattice(np.linspace(1, 2, N), magnets, sites=N)
@@ -71,6 +72,7 @@ def test_a_saddle_is_called_one_and_a_guess_finds_the_minimum():
     np.testing.assert_allclose(found.state.u, 1e-3, rtol=1e-13)
 
 
+@pytest.mark.slow
 def test_loads_and_their_derivative():
     lattice = gx.scenes.monomer(5, precompression=1.0)
     weight = jnp.full(5, 0.02)

@@ -294,6 +294,7 @@ def test_no_pickle_is_read(tmp_path, monkeypatch):
 # ------------------------------------------------------------------------------------------------ a run that was saved
 
 
+@pytest.mark.slow
 def test_a_run_that_was_saved_is_drawn_and_goes_on(tmp_path):
     import matplotlib.pyplot as plt
 
@@ -427,6 +428,7 @@ print((after - before) / 1024, other / 1024)
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="sparse files, and what a process has held")
 def test_a_waveform_of_gigabytes_costs_what_is_looked_at(tmp_path):
     sparse(tmp_path)

@@ -50,6 +50,7 @@ def explorer(notebook):
     return gx.explore(dimer, 6.0, frames=12)
 
 
+@pytest.mark.slow
 def test_the_map_follows_and_nothing_compiles(explorer):
     assert explorer.values == {"ratio": 0.5, "precompression": 0.0, "amplitude": 1.0}
     np.testing.assert_allclose(shown(explorer), explorer.run.vs)
@@ -80,6 +81,7 @@ def test_it_reads_well(explorer):
         "mass ratio", "precompression", "impact velocity"]
 
 
+@pytest.mark.slow
 def test_what_is_refused_is_said_below_the_map(notebook):
     def scene(ratio, share=1.0):
         if share > 2:
@@ -108,6 +110,7 @@ def test_runs_that_stop_are_said(notebook, monkeypatch):
     assert explorer.said.startswith("Stopped before t1 = 6:") and np.isnan(shown(explorer)[-1]).all()
 
 
+@pytest.mark.slow
 def test_a_lattice_in_si(notebook):
     chain = gx.scenes.beads(["steel 316", "PTFE"], 9.5e-3, cells=4, precompression=20.0)
     explorer = gx.explore(chain, quantity="force", frames=12, units="ms")

@@ -220,7 +220,8 @@ def test_every_result_of_the_face_is_here():
 
 FORMATS = (("nc", None), ("npz", None), ("mat", None), ("mat", "7.3"), ("csv", None))
 # those that take a solved problem to make
-LONG = {"Run", "RunWithMemory", "Fit", "Branch", "Rectifier", "ForceLaw", "Comparison"}
+LONG = {"Run", "RunWithMemory", "Fit", "Branch", "Rectifier", "ForceLaw", "Comparison", "WallModulus", "Attractor",
+        "Orbit", "Collision"}
 
 
 @pytest.mark.parametrize("name", [pytest.param(x, marks=[pytest.mark.slow] * (x in LONG)) for x in MAKERS])

@@ -59,6 +59,7 @@ def test_the_flow_and_its_tangents_are_those_of_another_solver():
         assert abs(equation.norm(end) / equation.norm(PSI) - 1) < 1e-14
 
 
+@pytest.mark.slow
 def test_norm_and_energy_are_kept_to_1e_10():
     start = jnp.zeros(33).at[16].set(1.5)
     for equation in (DNLS(33, 1.0, 2.0, order=0.5), DNLS(33, 1.0, 2.0, boundary="free")):
@@ -80,6 +81,7 @@ def test_the_dimer_is_that_of_kenkre_and_campbell():
         assert (run.densities[:, 0].min() > 0.5) == trapped
 
 
+@pytest.mark.slow
 def test_the_dimer_traps_itself_at_4V():
     found = first_order.self_trapping(lambda chi: DNLS(2, 0.7, chi, boundary="fixed"), 2.0, 4.0, 20.0, tolerance=1e-4)
     assert abs(found.nonlinearity - 2.8) < found.error < 4e-4
@@ -92,6 +94,7 @@ def test_fractional_coupling_lowers_the_threshold_of_self_trapping():
     assert found[1].nonlinearity < 0.7 * found[0].nonlinearity
 
 
+@pytest.mark.slow
 def test_a_staggered_soliton_stands_still():
     found = soliton(DNLS(41, 1.0, -1.0, boundary="fixed"), 5.0)
     assert found.residual < 1e-12 and found.tail < 1e-6 and (found.psi[20] * found.psi[21]) < 0

@@ -78,6 +78,7 @@ def test_each_parameter_is_within_two_deviations_in_most_of_many_draws(velocitie
     assert all(least <= count <= most for count in inside.values()), inside
 
 
+@pytest.mark.slow
 def test_a_fit_of_noisy_traces(velocities, tmp_path):
     fit = gx.fit(scene, START, traced(velocities, 1), state=struck)
     assert tuple(START) == fit.names == tuple(fit.parameters)

@@ -177,6 +177,7 @@ def test_multipliers_of_a_breather_come_in_pairs_and_four_at_one(dimers):
     assert np.abs(fl.monodromy @ f - f).max() < 1e-9 * np.abs(f).max()
 
 
+@pytest.mark.slow
 def test_a_growing_pair_of_pairs_is_called_unstable_at_any_step(dimers):
     b = nearest(dimers, 0.7358)
     rho = b.floquet(tolerance=1e-11).multipliers[:2]

@@ -116,6 +116,7 @@ def test_a_site_in_other_units(caplog):
         np.testing.assert_allclose(np.asarray(other.u) / 2e-7, one.u, atol=1e-7 * np.abs(one.u).max())
 
 
+@pytest.mark.slow
 def test_a_site_between_soft_ones_need_not_have_the_frequency_alone():
     # C = 1/2: alone between its neighbours it has sqrt 2 at most, and escapes before 0.8
     u = np.asarray(single_site(soft(21, 0.5), 0.8, 10).u)
@@ -226,6 +227,7 @@ def test_of_few_cells_nothing_is_judged():
     assert few.converged and "2 of 2 cells share its energy." in few.outcome
 
 
+@pytest.mark.slow
 def test_sites_of_small_masses_are_told_apart(monkeypatch):
     asked = []
     monkeypatch.setattr(sites_module, "single_site", lambda lattice, omega, site, field: asked.append(site))

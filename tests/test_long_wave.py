@@ -77,6 +77,7 @@ def test_how_much_so_many_places_miss(scene):
     assert float(scene.unresolved()) < 1e-9 < 1e-4 < float(coarse.unresolved(coarse.state)) < 0.1
 
 
+@pytest.mark.slow
 def test_the_regularised_wave_travels(scene):
     """Over a third of the box, to 1e-10 of its crest; it keeps its shape, and the box its energy and length."""
     run = gx.simulate(scene.lattice, scene.state, 10.0, step=0.03, solver=gx.SRKN11b(), save_at=3)

@@ -383,6 +383,7 @@ def test_a_guess_that_falls_to_rest_is_no_orbit():
     assert not found.converged and np.abs(found.state.u).max() < 1e-9
 
 
+@pytest.mark.slow
 def test_a_second_call_compiles_nothing(caplog):
     n, k = np.arange(6), np.pi / 3
     guess = gx.State(0.25 * np.cos(k * n), 0.25 * np.sin(k * n))

@@ -86,6 +86,7 @@ def test_a_wave_of_todas_chain_and_a_solitary_one():
     assert abs(soliton.homoclinic().decay / (2 * k) - 1) < 0.02
 
 
+@pytest.mark.slow
 def test_the_interior_of_a_shock():
     x = np.arange(70.0, 108.0)
     y = np.asarray(gx.theory.toda.shock_wave(x, 100.0, 0.3).strain)

@@ -47,6 +47,7 @@ def test_restitution_of_walton_and_braun():
         assert abs(run.lost[-1] - REDUCED / 2 * 0.64 * (1 - k1 / k2)) < 1e-10
 
 
+@pytest.mark.slow
 def test_restitution_of_thornton():
     y = 0.01
     first = np.sqrt(4 * y**2.5 / (5 * REDUCED))

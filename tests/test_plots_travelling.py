@@ -17,6 +17,7 @@ def toda():
     return solitary_wave(gx.Toda(), speed=np.sinh(1.0))
 
 
+@pytest.mark.slow
 def test_a_wave_its_slope_and_its_contacts(toda):
     other = gx.theory.toda.soliton(toda.xi, 0.0, 1.0).strain
     ax = plots.wave(toda, beside={"Toda": other})

@@ -95,6 +95,7 @@ def test_a_few_beads_may_carry_a_mass():
     np.testing.assert_allclose(pull, 1.2 * (np.asarray(u["bead"])[[2, 4]] - np.asarray(u["resonator"])), rtol=1e-14)
 
 
+@pytest.mark.slow
 def test_lanes_units_and_derivatives():
     masses = jnp.array([0.3, 0.5])
     batch = jax.vmap(lambda mu: scenes.mass_in_mass(6, mu, 1.2, precompression=1.0), out_axes=-1)(masses)

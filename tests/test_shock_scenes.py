@@ -272,6 +272,7 @@ BATCHES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["velocity", *(pytest.param(k, marks=pytest.mark.slow) for k in ("step", "piston"))])
 def test_a_batch_is_one_problem(kind):
     make, values = BATCHES[kind]

@@ -20,6 +20,7 @@ def toda():
     return run, gx.shocks.measure(run)
 
 
+@pytest.mark.slow
 def test_a_toda_shock_is_that_of_the_theory(toda):
     theory, shock = gx.theory.toda.ShockEdges(*map(float, gx.theory.toda.velocity_shock(0.3))), toda[1]
     assert shock.mean == pytest.approx(theory.mean, abs=1e-5)
@@ -52,6 +53,7 @@ def test_a_shock_of_a_bare_run_is_recognised(toda):
         np.testing.assert_allclose(found.m, shock.m, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_other_units_measure_the_same(toda):
     shock = toda[1]
     mass, length, time = 3e-3, 2e-6, 5e-5

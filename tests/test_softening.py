@@ -25,6 +25,7 @@ def test_builders_make_the_power_law(make):
     np.testing.assert_allclose(gx.linear.sound_speed(chain), np.sqrt(K2 / 2), rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_envelopes_are_bright_above_the_band_for_softening_alone():
     law = scenes.foam(5, 0.5).terms[0].law
     assert np.isclose(float(nls.B(*gx.laws.taylor(law))), 0.0883883476483184, rtol=1e-12)
@@ -50,6 +51,7 @@ def test_bands_of_alternating_contacts_are_the_closed_form():
                                np.sqrt(2 * np.array([min(K1, K2), max(K1, K2)]) / 1.1), rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_equal_exponents_are_one_chain():
     u = jnp.asarray(0.1 * np.random.default_rng(3).normal(size=6))
     for boundary in ("fixed", "free", "periodic"):

@@ -251,6 +251,7 @@ def test_a_soliton_where_the_length_is_fixed_stretches_all_bonds_alike(boundary,
     np.testing.assert_allclose(y[start : start + 119], alone - alone.sum() / bonds, atol=1e-13)
 
 
+@pytest.mark.slow
 def test_solitons_of_a_batch():
     chains = jax.vmap(lambda k: gx.scenes.monomer(60, stiffness=k, precompression=1.0, boundary="free"), out_axes=-1)(
         jnp.array([1.0, 2.0]))

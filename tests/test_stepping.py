@@ -53,6 +53,7 @@ def test_tangents_of_an_open_contact_and_of_vectors():
     np.testing.assert_allclose(matrix, jax.jacfwd(ends)(flat(STATE)), rtol=0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_step_is_that_of_simulate():
     run = gx.simulate(PLAIN, STATE, 3.0, step=0.1, solver=gx.SRKN14a())
     np.testing.assert_allclose(flat(gx.Flow(30)(STATE, 0.0, 3.0, PLAIN)), flat(run.final), rtol=0, atol=1e-13)

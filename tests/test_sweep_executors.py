@@ -175,6 +175,7 @@ def killed(executor, given, task, told=None):
     assert os.getpid() not in {chunk.columns["process"][0] for chunk in found.values() if chunk.columns}
 
 
+@pytest.mark.slow
 def test_a_process_that_is_killed_in_mid_chunk(tmp_path):
     killed(2, chunks(6), Squares(dies_once=tmp_path / "died"))
 
@@ -220,6 +221,7 @@ def script(tmp_path, last, executor, pause):
                             start_new_session=True, env={**os.environ, "PYTHONPATH": str(ROOT)})
 
 
+@pytest.mark.slow
 def test_a_script_without_a_guard_is_told(tmp_path):
     ended = script(tmp_path, "main()", "2", 0)
     out, err = ended.communicate(timeout=60)
@@ -266,6 +268,7 @@ def client():
             yield client
 
 
+@pytest.mark.slow
 def test_a_worker_of_a_cluster_that_is_killed_in_mid_chunk(client, tmp_path):
     killed(client.get_executor(), chunks(6), Squares(dies_once=tmp_path / "died"))
 

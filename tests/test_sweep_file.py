@@ -456,6 +456,7 @@ def tried(seed, count):
     return good
 
 
+@pytest.mark.slow
 def test_damaged_files_are_a_sweep_or_a_sentence(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert 10 < tried(1, 200) < 150
@@ -493,6 +494,7 @@ def complaints(capsys):
     return [line for line in capsys.readouterr().err.splitlines() if "JAX has started" not in line]
 
 
+@pytest.mark.slow
 def test_a_sweep_from_beginning_to_end(tmp_path, capsys):
     (tmp_path / "tiny.toml").write_text(TINY)
     assert main(["sweep", str(tmp_path / "tiny.toml"), "--out", str(tmp_path / "made")]) == 0
@@ -572,6 +574,7 @@ def test_a_store_of_another_file_is_refused_with_the_difference(tmp_path, capsys
         assert len(told) == 1 and said in told[0], told
 
 
+@pytest.mark.slow
 def test_lanes_that_fail_are_told_and_code_1(tmp_path, capsys):
     text = TINY.partition("through =")[0]
     text += 'when = {kind = "arrival", of = "velocity", site = -1, threshold = 0.9}\n'

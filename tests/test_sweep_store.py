@@ -118,7 +118,7 @@ def killed_and_resumed(script, tmp_path, name, seconds):
     return number
 
 
-@pytest.mark.parametrize("name", ["", ".nc"])
+@pytest.mark.parametrize("name", ["", pytest.param(".nc", marks=pytest.mark.slow)])
 def test_killed_and_resumed_gives_the_same_bits(script, tmp_path, name):
     killed_and_resumed(script("f"), tmp_path, name, [0.02, 0.05] if name else [0.01])
     assert [p for p in tmp_path.iterdir() if p.name.endswith(".chunks")] == []

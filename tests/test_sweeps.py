@@ -39,6 +39,7 @@ def how_of(function, parameters):
     return planned(function, points_of(parameters), None, None).how
 
 
+@pytest.mark.slow
 def test_lanes_are_what_single_runs_give(walls):
     assert how_of(wall, {"ratio": RATIOS, "beads": [7, 5]})[:2] == ("lanes", ("beads",))
     for beads in (5, 7):
@@ -207,6 +208,7 @@ def test_what_cannot_be_traced_is_called_lane_by_lane():
         sweep(gap, {"F0": [1.0], "kind": ["bands"]}, lanes=True)
 
 
+@pytest.mark.slow
 def test_results_become_their_variables():
     def whole(ratio):
         chain = gx.scenes.dimer(4, ratio=ratio)
@@ -313,6 +315,7 @@ def test_no_warning_is_left(walls):
         sweep(wall, {"ratio": RATIOS, "beads": [7, 5]})
 
 
+@pytest.mark.slow
 def test_many_lanes_are_kept_in_one_file(tmp_path):
     """More parameters than an attribute of a netCDF file holds, and a list that the function reads."""
     shifts = [0.1 * i for i in range(5000)]

@@ -71,6 +71,7 @@ def test_numbers_of_a_granular_shock(c, trailing, leading):
     assert found.mean == pytest.approx(((1 + 5 * c) ** 0.8 - 1) / 2, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_a_solitary_wave_tells_how_far_to_trust_the_fit():
     own = shock_edges(gx.Toda(), 0.5, wave=True)
     assert own.wave_speed == pytest.approx(float(own.leading_speed), rel=1e-9)
@@ -113,6 +114,7 @@ def test_edges_beside_a_simulated_granular_shock():
     assert abs(found.trailing_speed - seen[1].trailing_speed) < seen[1].trailing_speed_error + 0.01
 
 
+@pytest.mark.slow
 def test_a_shock_ahead_of_which_there_is_no_sound():
     found = shock_edges(gx.Hertz(), 0.5)
     assert np.isnan(found.trailing_speed) and found.leading_speed == found.wave_speed
@@ -179,6 +181,7 @@ def test_the_chain_may_be_a_lattice_or_strained_before():
     assert before.mean == pytest.approx(float(again.mean) + 0.1, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_edges_differentiate_in_all_their_numbers():
     def edges(x):
         found = shock_edges(gx.Hertz(x[0], x[1]), x[2], x[3], ahead=x[4])
