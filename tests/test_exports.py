@@ -166,7 +166,8 @@ MAKERS = {
         np.ones(6), np.ones(6, int), np.ones(6), 0.6, 5e3, (4e3, 6e3), 2, np.ones(9), 0.1, 3, chain(), state(), "So."),
     "DarkBreather": lambda: studies.DarkBreather(
         settled(), chain(), 1.0, 2.0, np.ones(N), np.ones(N + 1), 1.0, 0.5, 3.0, -0.9, np.ones((6, N))),
-    "Rectifier": lambda: studies.Rectifier(np.ones(3), sweep(), sweep(), 1.0, np.inf, np.ones(3), 1.0, 2.0, 3.0),
+    "Rectifier": lambda: studies.Rectifier(
+        np.ones(3), sweep(), sweep(), 1.0, np.inf, np.ones(3), np.ones(3), 1.0, 2.0, 3.0),
     "Switch": lambda: studies.Switch(np.arange(1.0, 4.0), *np.arange(1.0, 13.0).reshape(4, 3), **OTHER),
     "TruthTable": lambda: studies.TruthTable(
         np.array([[0, 0], [0, 1], [1, 0], [1, 1]]), np.arange(4.0), np.full(4, 0.1), *np.ones((2, 2)), **OTHER),

@@ -20,11 +20,11 @@ FLOOR = 1e-17
 
 @checked
 def evolution(
-    run: Any, axes: Sequence[Axes] | np.ndarray | None = None, *, scale: str = "linear", units: UnitsOrWords = None,
+    found: Any, axes: Sequence[Axes] | np.ndarray | None = None, *, scale: str = "linear", units: UnitsOrWords = None,
 ) -> np.ndarray:
     r"""A run of a first-order lattice: space-time map of |psi_n|^2, and how well norm, energy and psi are known.
 
-    **Arguments:** `run`: an `Evolution`, the result of `gx.first_order.evolve` with `save_at`, or anything with `ts`,
+    **Arguments:** `found`: an `Evolution`, the result of `gx.first_order.evolve` with `save_at`, or anything with `ts`,
     `densities` (T, N), `norm`, `energy` and `error` (T,), `norm_error` and `energy_error`. `axes`: two Axes; by default
     those of a new figure. `scale`: of the map, `"linear"` or `"log"`. `units`: of the time, `"SI"` or `"us"`, as in
     `granjax.plots`.
@@ -34,16 +34,16 @@ def evolution(
     norm.
     **Raises** ValueError for a record without these, lanes, or a single time.
     """
-    having("run", run, "the result of gx.first_order.evolve", "ts", "densities", "norm", "energy", "error",
+    having("found", found, "the result of gx.first_order.evolve", "ts", "densities", "norm", "energy", "error",
            "norm_error", "energy_error")
-    density = numbers("run.densities", run.densities, finite=False)
+    density = numbers("found.densities", found.densities, finite=False)
     if density.ndim != 2 or len(density) < 2:
-        refuse("run", "several times of one lattice: densities (T, N)", f"shape {density.shape}",
+        refuse("found", "several times of one lattice: densities (T, N)", f"shape {density.shape}",
                "Give evolve save_at=, and of a batch draw one lane.")
-    ts = rising("run.ts", run.ts, len(density))
-    norm, energy, error = (numbers(f"run.{name}", getattr(run, name), 1, finite=False)
+    ts = rising("found.ts", found.ts, len(density))
+    norm, energy, error = (numbers(f"found.{name}", getattr(found, name), 1, finite=False)
                            for name in ("norm", "energy", "error"))
-    (by,) = drawn_in(units, units_of(run), Axis("time", ts, "s"))
+    (by,) = drawn_in(units, units_of(found), Axis("time", ts, "s"))
     axes = several_axes(axes, 1, 2, 8.8, 3.6)
     shown, known = axes.ravel()
     t = scaled_by(ts, by.factor)
@@ -51,7 +51,7 @@ def evolution(
     add_colour_bar(shown, shown.images[0] if shown.images else shown.collections[0], r"$|\psi_n|^2$")
     shown.set_ylabel(by.label)
     size = np.sqrt(norm[0]) or 1.0
-    moved = _change(norm, run.norm_error), _change(energy, run.energy_error)
+    moved = _change(norm, found.norm_error), _change(energy, found.energy_error)
     curves = (moved[0], "norm", "-"), (moved[1], "energy", "--"), (error / size, r"error of $\psi$", ":")
     for k, (y, name, dash) in enumerate(curves):
         known.semilogy(t, np.maximum(y, FLOOR), dash, color=COLOURS[k], lw=1.3, label=name)
