@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from cases import ALL_LATTICES, MASS_IN_MASS, assert_ulps, over, random_like, scaled_leaves
+from cases import ALL_LATTICES, MASS_IN_MASS, SAME_LATTICES, assert_ulps, over, random_like, scaled_leaves
 
 import granjax as gx
 from granjax.laws.real_power import root
@@ -59,7 +59,7 @@ def test_inner_forces_sum_to_zero(case):
 
 
 @pytest.mark.slow
-@over(ALL_LATTICES)
+@over(ALL_LATTICES, SAME_LATTICES)
 def test_acceleration_is_force_over_mass_under_jit_as_eagerly(case):
     lattice, u, v, x = facts(case)
     eager = lattice.acceleration(T, u, v)
@@ -78,7 +78,7 @@ def test_energies_add_up(case):
 
 
 @pytest.mark.slow
-@over(ALL_LATTICES)
+@over(ALL_LATTICES, SAME_LATTICES)
 def test_a_batch_of_lattices_is_a_loop(case):
     """`jax.vmap(make, out_axes=-1)` is one Lattice with lanes: acceleration and energy, lane by lane."""
     lattice, u, v, _ = facts(case)

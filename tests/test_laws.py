@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from cases import ALL_LAWS, EPS, EXPONENTS, assert_ulps, over, scaled_leaves
+from cases import ALL_LAWS, EPS, EXPONENTS, SAME_LAWS, assert_ulps, over, scaled_leaves
 
 import granjax as gx
 from granjax.laws import Scaled, plus_power, taylor
@@ -297,7 +297,7 @@ def test_energy_under_load_keeps_its_digits_near_rest(exponent):
 
 
 @pytest.mark.slow
-@over(ALL_LAWS)
+@over(ALL_LAWS, SAME_LAWS)
 def test_jit_is_eager(case):
     e = jnp.array(case.strains)
 
@@ -309,7 +309,7 @@ def test_jit_is_eager(case):
 
 
 @pytest.mark.slow
-@over(ALL_LAWS)
+@over(ALL_LAWS, SAME_LAWS)
 def test_batches_and_arrays_over_bonds_are_loops(case):
     """Three laws at once, by parameters over bonds, by lanes, and by vmap: the same as one at a time."""
     factors = (1.0, 1.1, 0.9)
@@ -327,7 +327,7 @@ def test_batches_and_arrays_over_bonds_are_loops(case):
 
 
 @pytest.mark.slow
-@over(ALL_LAWS)
+@over(ALL_LAWS, SAME_LAWS)
 def test_float32_stays_float32(case):
     law = jax.tree.map(lambda x: x.astype(jnp.float32), case.law)
     e = jnp.array(case.strains, jnp.float32)

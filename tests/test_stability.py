@@ -19,8 +19,8 @@ EVERY = ALL_SOLVERS + RUNGE_KUTTA + TWO_STATES
 FAST = (gx.SRKN11b, gx.RKN86, diffrax.Tsit5)
 
 
-def over(solvers, fast=FAST):
-    marked = [s if s in fast else pytest.param(s, marks=pytest.mark.slow) for s in solvers]
+def over(solvers):
+    marked = [s if s in FAST else pytest.param(s, marks=pytest.mark.slow) for s in solvers]
     return pytest.mark.parametrize("solver", marked, ids=lambda s: s.__name__)
 
 
@@ -70,7 +70,8 @@ def test_limit_is_that_of_the_steps_that_are_taken(solver):
     assert stability_limit(solver) == pytest.approx(high, rel=1e-7)
 
 
-@over(EVERY, fast=())
+@pytest.mark.slow
+@pytest.mark.parametrize("solver", few(EVERY, *range(1, len(EVERY), 3), -1), ids=lambda s: s.__name__)
 def test_runs_grow_outside_alone_and_as_computed(solver):
     limit = stability_limit(solver)
     z = np.array([0.5 * limit, 0.99 * limit, outside(solver)])
