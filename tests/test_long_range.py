@@ -1,5 +1,6 @@
 """Bonds to all neighbours: by FFT as by the direct sum, in every boundary; magnets."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -95,3 +96,89 @@ def test_refusals():
         gx.Lattice(1.0, gx.LongRange([1.0, 0.5], gx.Linear([1.0, 2.0])), sites=2)
     with pytest.raises(ValueError, match="a chain"):
         gx.Lattice(1.0, gx.LongRange([1.0, 0.5], gx.Linear()), sites=(3, 3))
+
+
+@pytest.mark.parametrize("boundary", ["free", "periodic"])
+def test_what_a_run_keeps_gives_the_same_forces_lane_by_lane(boundary):
+    u = jnp.asarray(0.02 * np.random.default_rng(5).normal(size=(N, 2)))
+
+    def made(s):
+        return lattice_of(gx.Polynomial(1.1, -0.4, 0.3), boundary, kernel=jnp.arange(1.0, M + 1) ** -s)
+
+    lanes, other = jnp.asarray([2.5, 3.5]), jnp.asarray([3.0, 2.0])
+    batch = jax.vmap(made, out_axes=-1)(lanes)
+    force = batch.force(0.0, u, u)
+    np.testing.assert_allclose(batch.for_run().force(0.0, u, u), force, rtol=0, atol=1e-14 * jnp.abs(force).max())
+    for lane, s in enumerate(lanes):
+        alone = made(s).force(0.0, u[:, lane], u[:, lane])
+        np.testing.assert_allclose(force[:, lane], alone, rtol=0, atol=1e-13 * jnp.abs(alone).max())
+    # another kernel in place of the first is that which counts: in a run, and in its derivative
+    new = eqx.tree_at(lambda x: x.terms[0].kernel, batch, jnp.arange(1.0, M + 1)[:, None] ** -other)
+
+    def end(kernel, u):
+        lattice = eqx.tree_at(lambda x: x.terms[0].kernel, batch, kernel)
+        return gx.simulate(lattice, gx.State(u, 0 * u), 0.5, step=0.1).final.u
+
+    kernel = new.terms[0].kernel
+    fresh = jax.vmap(made, out_axes=-1)(other)
+    np.testing.assert_array_equal(end(kernel, u), gx.simulate(fresh, gx.State(u, 0 * u), 0.5, step=0.1).final.u)
+    way, h = jnp.zeros_like(kernel).at[2].set(1.0), 1e-5
+    slope = jax.jvp(lambda k: end(k, u), (kernel,), (way,))[1]
+    np.testing.assert_allclose(slope, (end(kernel + h * way, u) - end(kernel - h * way, u)) / (2 * h), rtol=0,
+                               atol=1e-8 * jnp.abs(slope).max())
+
+
+def tail_of_a_breather(s, sites, first, last, reach=None):
+    """(orbit, log-log slope of its tail) of a breather of hardening springs m^-s about a light mass."""
+    centre = sites // 2
+    chain = gx.scenes.long_range(sites, s, mass=np.where(np.arange(sites) == centre, 0.4, 1.0), beta=1.0, reach=reach)
+    modes = gx.linear.normal_modes(chain)
+    start = gx.State(0.3 * modes.modes[:, -1] / modes.modes[centre, -1], chain.zeros())
+    orbit = gx.breathers.breather(chain, 1.02 * float(modes.omega[-1]), start, steps=32)
+    n = np.arange(first, last + 1)
+    return orbit, np.polyfit(np.log(n), np.log(np.abs(np.asarray(orbit.state.u))[centre + n]), 1)[0]
+
+
+@pytest.mark.slow
+def test_a_nonlinear_breather_has_the_tail_of_its_springs():
+    orbit, slope = tail_of_a_breather(3.0, 101, 20, 45)
+    assert abs(slope + 3) < 0.05
+    assert orbit.residual < 1e-11
+    # two per cent above the mode of small displacements
+    assert np.max(np.abs(orbit.state.u)) > 0.15
+    cut, steep = tail_of_a_breather(3.0, 101, 20, 25, reach=1)
+    u = np.abs(np.asarray(cut.state.u))[50:]
+    assert np.ptp(np.log(u[3:13:2] / u[5:15:2])) < 0.05 and u[15] < 1e-6 * u[0]
+
+
+@pytest.mark.study
+@pytest.mark.slow
+@pytest.mark.parametrize("s", [2.5, 3.0, 4.0])
+def test_a_breather_has_the_tail_of_its_springs_from_20_to_200_sites(s):
+    orbit, slope = tail_of_a_breather(s, 451, 20, 200)
+    assert abs(slope + s) < 0.05 and orbit.residual < 1e-11
+
+
+@pytest.mark.parametrize("reach", [1, None])
+def test_magnets_that_meet_are_named(reach):
+    chain = gx.scenes.magnets(6, -4.0, reach=reach)
+    hit = gx.states.impact(chain, velocity=40.0, site=3)
+    run = gx.simulate(chain, hit, 1.0, step=0.2, throw=False)
+    # bond 0 is that at the left end; site 3 flies to the right
+    assert run.met[:2] == (4, 0) and 0 <= run.met[2] <= 0.2 and run.met[3] == ()
+    assert "Magnets met in bond 4 of terms[0]" in run.outcome
+    with pytest.raises(RuntimeError, match="Magnets met in bond 4"):
+        gx.simulate(chain, hit, 1.0, step=0.2)
+
+
+def test_magnets_that_meet_in_a_lane_in_si_and_by_adaptive_steps():
+    lanes = jnp.asarray([1e3, 1.0, 1e-3])
+    batch = jax.vmap(lambda A: gx.scenes.magnets(8, -0.5, stiffness=A, reach=1), out_axes=-1)(lanes)
+    start = gx.State(batch.zeros(), batch.zeros().at[3].set(2.0))
+    run = gx.simulate(batch, start, 1.0, step=0.01, throw=False)
+    assert run.met[0] == 4 and run.met[3] == (2,) and abs(run.met[2] - 0.5) < 0.01 and "of lane 2" in run.outcome
+    run = gx.simulate(batch, start, 1.0, tolerance=1e-6, throw=False)
+    assert run.met[0] == 4 and abs(run.met[2] - 0.5) < 0.01 and "Lane 2: Magnets met" in run.outcome
+    small = gx.scenes.magnets(8, -0.5, stiffness=1e-6, spacing=0.02, mass=1e-3, units="SI", reach=1)
+    run = gx.simulate(small, gx.states.impact(small, velocity=2.0, site=3), 1.0, step=1e-4, throw=False)
+    assert run.met[0] == 4 and abs(run.met[2] - 0.01) < 1e-4

@@ -107,7 +107,7 @@ def _parted(
     elif save_ts is not None:
         subs.append(diffrax.SubSaveAt(ts=save_ts))
     solution = diffrax.diffeqsolve(
-        diffrax.ODETerm(vector_field), stepper, t0, t1, None, state, args=lattice,
+        diffrax.ODETerm(vector_field), stepper, t0, t1, None, state, args=lattice.for_run(),
         saveat=diffrax.SaveAt(subs=subs, solver_state=bool(records)),
         stepsize_controller=controller, adjoint=adjoint, max_steps=max_steps, throw=False,
         progress_meter=diffrax.TqdmProgressMeter() if progress else diffrax.NoProgressMeter(),

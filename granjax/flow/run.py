@@ -14,7 +14,7 @@ from ..results import Held, Result
 from ..types import Counts, Displacements, Flags, Number, Numbers, Pytree, Times
 from ..variables import Layout
 
-COMPLETED, NOT_FINITE, TOO_MANY_STEPS, STEP_TOO_SMALL, FAILED, NOTHING = range(6)
+COMPLETED, NOT_FINITE, TOO_MANY_STEPS, STEP_TOO_SMALL, FAILED, NOTHING, MET = range(7)
 # how far beyond touch, over how far it came from rest, a contact is certainly open
 OPENED = 0.05
 # what has become of a run, by its code
@@ -23,6 +23,8 @@ WHY = {
     TOO_MANY_STEPS: "Stopped at the most steps allowed; give max_steps= or a looser tolerance.",
     STEP_TOO_SMALL: "Stopped: the tolerance asks for steps below what the floating type resolves.",
     FAILED: "The solver reported a failure.",
+    MET: "Magnets met in bond {} of terms[{}] near t = {:g}{}, where their law ends. Powers p <= -1 keep them apart at "
+         "any energy: there the step was too long.",
     NOTHING: "Nothing was integrated: t1 is not after t0, the step or the tolerance is not above zero, or one of them "
              "is no finite number.",
 }
@@ -40,6 +42,7 @@ class Run(Result):
       with "unsure" and "unknown". `unseen`: the terms that may have contacts of which nobody knows whether they opened.
     - `outcome`: a sentence; `completed`: whether the run reached t1 with finite numbers: each lane where they have
       steps of their own (what a lane that stopped would have to show at later times is NaN), else every lane.
+    - `met`: where magnets met, (bond, number of its term, time, lane, () where the outcome names it); else `None`.
     - `stats`: dict, per lane where they have steps of their own, of `steps`, `accepted`, `rejected`, `step` (the
       fixed one, or the mean of adaptive ones),
       `force_evaluations` (NaN for diffrax's own solvers), and where energy might gather beyond the default step's
@@ -68,6 +71,7 @@ class Run(Result):
     unseen: str = eqx.field(static=True)
     _zone: float = eqx.field(static=True)
     _confirmation: Any = None
+    met: tuple[int, int, float, tuple[int, ...]] | None = None
 
     @property
     def held(self) -> dict[str, Held]:
@@ -122,7 +126,7 @@ class Run(Result):
             NOT_FINITE: WHY[NOT_FINITE].replace(":", f"{self._where()}:", 1),
             TOO_MANY_STEPS: WHY[TOO_MANY_STEPS].replace("at the most steps", f"after {steps} steps, the most", 1),
         }
-        sentence = sentence[int(worst)]
+        sentence = sentence[int(worst)] if self.met is None else self._met_in_words()
         if code.ndim and worst:
             first = ", ".join(map(str, np.unravel_index(np.argmax(code), code.shape)))
             sentence = f"{np.count_nonzero(code)} of {code.size} lanes did not complete. Lane {first}: {sentence}"
@@ -178,6 +182,10 @@ class Run(Result):
             return ""
         closest, error = (np.ravel(x)[np.argmin(self._approach[0])] for x in self._approach)
         return f" (smallest overlap {closest:.3g}, known to {error:.1g})"
+
+    def _met_in_words(self):
+        bond, term, time, lane = self.met
+        return WHY[MET].format(bond, term, time, f" of lane {', '.join(map(str, lane))}" if lane else "")
 
     def _where(self):
         if self.failed_at is None:

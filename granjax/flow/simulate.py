@@ -13,7 +13,7 @@ import numpy as np
 
 from ..checks import one_of, refuse, show, traced, whole
 from ..entry import checked
-from ..lattice import Lattice
+from ..lattice import Lattice, State
 from ..outside import Outside
 from ..programs import shared_size, wait
 from ..types import Count, Parameter, Scalar, StateLike
@@ -24,12 +24,13 @@ from .integrate import integrate
 from .lanes import apart
 from .lifted import lift
 from .march import in_pieces, march, refuse_endless
+from .meeting import meeting
 from .memory import with_memory
 from .method import checked_method, doubts, fixed_step, linear_bound, number, passed
 from .opening import approach
 from .record import Record
 from .reversible import Reversible, checked_reversible, refuse_forward_mode, reversible
-from .run import COMPLETED, NOT_FINITE, Run, named
+from .run import COMPLETED, NOT_FINITE, STEP_TOO_SMALL, Run, named
 
 # bounds a traced run whose number of steps is not known; a bound that is not reached costs nothing
 TRACED_STEPS = 2**24
@@ -172,7 +173,7 @@ def simulate(
         run = named(run, run.solver, choice, f"{run.remark} {remark}".strip(), mark=run._mark)
     code = np.asarray(run.code)
     if not (code == COMPLETED).all():
-        if code.max() == NOT_FINITE:
+        if code.max() in (NOT_FINITE, STEP_TOO_SMALL):
             run = _located(run, lattice, (state, *span), dt, tolerance, solver)
         if throw is None or throw:
             raise RuntimeError(run.outcome)
@@ -229,21 +230,28 @@ def _cut(run):
 
 
 def _located(run, lattice, begin, dt, tolerance, solver):
-    """The run with where and when the state ceased to be finite: again with frames, twice closer."""
+    """The run with where and when it failed, and where magnets met: again with frames, twice closer."""
     # of its last piece; of a batch the first lane of which that is so
     state, *span = run.__dict__.get("_last", begin)
-    code = np.asarray(run.code)
+    code, sizes = np.asarray(run.code), np.ravel(run.stats["step"])
     if code.ndim:
         parts, build = apart(lattice, state)
         lattice, state = build([x[..., code.argmax()] for x in parts])
+        sizes = sizes[code.argmax() % sizes.size :]
+    rest = {}, solver, diffrax.ForwardMode(), None, False, False
+    if code.max() == STEP_TOO_SMALL:
+        again = integrate(lattice, state, *span, dt, tolerance, None, *rest)
+        return dataclasses.replace(run, met=meeting(lattice, again.final, float(again.ts[-1]), 0.0))
     low, high = map(float, span)
+    last = state
     for _ in range(2):
         ts = jnp.linspace(low, high, 65, dtype=lattice.dtype)[1:]
-        arguments = (dt, tolerance, ts, {}, solver, diffrax.ForwardMode(), None, False, False)
-        again = integrate(lattice, state, *span, *arguments)
+        again = integrate(lattice, state, *span, dt, tolerance, ts, *rest)
         wait(again.code)
         bad = [~np.isfinite(np.asarray(u)) for u in jax.tree.leaves(again.us)]
         first = int(np.argmax(np.any([b.reshape(len(ts), -1).any(1) for b in bad], axis=0)))
         sites = tuple(int(i) for b in bad for i in np.unique(np.argwhere(b[first])[:, 0])[:4])
         high, low = float(ts[first]), float(ts[first - 1]) if first else low
-    return dataclasses.replace(run, failed_at=(low, high, sites))
+        last = jax.tree.map(lambda x: x[first - 1], State(again.us, again.vs)) if first else last
+    met = meeting(lattice, last, low, high - low + 2 * float(sizes[0]))
+    return dataclasses.replace(run, failed_at=(low, high, sites), met=met)

@@ -142,6 +142,7 @@ def _is_number(x):
 
 def _marched(solver, field, steps, y, t0, t1, args, tangents):
     breaks = breaks_of(field, args)
+    args = args.for_run() if isinstance(args, Lattice) else args
     if tangents is None:
         return _march(solver, field, steps, y, t0, t1, args, breaks)
     return _part(y, _march(solver, _variational(field, y), steps, _join(y, tangents), t0, t1, args, breaks))

@@ -315,6 +315,10 @@ class Lattice(eqx.Module):
         """The lattice for the times from `low` to `high`: functions of time with breaks are held beyond them."""
         return eqx.tree_at(lambda x: x.terms, self, tuple(term.between(low, high) for term in self.terms))
 
+    def for_run(self) -> Any:
+        """The lattice whose terms hold what their forces need and no state changes, such as transforms of kernels."""
+        return eqx.tree_at(lambda x: x.terms, self, tuple(term.for_run(self) for term in self.terms))
+
     def unbalanced(self) -> Displacements:
         """Force on each site at rest, from the total contact forces (preloads included).
 

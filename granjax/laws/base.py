@@ -1,6 +1,7 @@
 """What every force law is."""
 
 import abc
+import functools
 from collections.abc import Sequence
 from typing import ClassVar
 
@@ -46,6 +47,10 @@ class Law(Dimensional):
 
     def overlap(self, e: Number) -> Numbers | None:
         """Length that is positive while the contact is closed, or `None` where the law has no such limit."""
+        return None
+
+    def room(self, e: Number) -> Numbers | None:
+        """Length that is positive where the law has a force, as between magnets that have not met; or `None`."""
         return None
 
     @property
@@ -146,13 +151,15 @@ class Sum(Law):
         return sum(part.preload for part in self.parts)
 
     def overlap(self, e):
-        overlaps = [s for s in (part.overlap(e) for part in self.parts) if s is not None]
-        if not overlaps:
-            return None
-        smallest = overlaps[0]
-        for s in overlaps[1:]:
-            smallest = jnp.minimum(smallest, s)
-        return smallest
+        return _smallest([part.overlap(e) for part in self.parts])
+
+    def room(self, e):
+        return _smallest([part.room(e) for part in self.parts])
+
+
+def _smallest(lengths):
+    known = [x for x in lengths if x is not None]
+    return functools.reduce(jnp.minimum, known) if known else None
 
 
 class Scaled(Law):
@@ -200,6 +207,9 @@ class Scaled(Law):
     def overlap(self, e):
         return self.law.overlap(e)
 
+    def room(self, e):
+        return self.law.room(e)
+
 
 class Strained(Law):
     """A law measured from another equilibrium, a strain s: F(e) = F_law(e + s) - F_law(r), with r = s by default.
@@ -246,6 +256,9 @@ class Strained(Law):
     def overlap(self, e):
         return self.law.overlap(e + self.strain)
 
+    def room(self, e):
+        return self.law.room(e + self.strain)
+
 
 class InOtherUnits(Law):
     """A law with compressions and forces counted in other units: F(e) = F_law(length e)/force."""
@@ -275,3 +288,7 @@ class InOtherUnits(Law):
     def overlap(self, e):
         overlap = self.law.overlap(self.length * e)
         return None if overlap is None else overlap / self.length
+
+    def room(self, e):
+        room = self.law.room(self.length * e)
+        return None if room is None else room / self.length

@@ -59,6 +59,11 @@ class _Contact(Law):
             e = -e
         return e if self.precompression is None else self.rest_overlap + e
 
+    def room(self, e):
+        if self.repels is None:
+            return jnp.where(self.exponent < 0, self.overlap(e), jnp.inf)
+        return self.overlap(e) if self.repels else None
+
     def _difference(self, e, p):
         power = self._power(self.overlap(e), p)
         return power if self.precompression is None else power - self._power(self.rest_overlap, p)

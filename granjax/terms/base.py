@@ -42,6 +42,11 @@ class Compression(NamedTuple):
         """Overlap [m], positive where closed; `None` for a law that cannot open."""
         return self.law.overlap(self.compression)
 
+    @property
+    def room(self):
+        """Length [m], positive where the law has a force; `None` for a law that has one everywhere."""
+        return self.law.room(self.compression)
+
 
 class Excitation(NamedTuple):
     """The largest `force` [N] of a drive, `displacement` [m] and `speed` [m/s] of a moving wall."""
@@ -145,6 +150,10 @@ class Term(Dimensional):
 
     def between(self, low: Number, high: Number) -> Any:
         """The term with its functions of time, where they have breaks, held beyond two times at what they are there."""
+        return self
+
+    def for_run(self, lattice: Any) -> Any:
+        """The term with what its force needs and no state changes: made once, at the start of what calls it often."""
         return self
 
     def undriven(self) -> Any:

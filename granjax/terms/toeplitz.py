@@ -1,5 +1,6 @@
 """Sums over all neighbours of a chain by FFT: y_n = sum over m of c_m (x_{n+m} + s x_{n-m})."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -12,18 +13,44 @@ def neighbour_sums(c, x, parity, boundary):
     `c` (M,), for offsets 1 to M, and `x` (N, ...): lanes last, of which those of `c` are the first. Beyond the ends of
     a chain x is zero; around a ring (`boundary` "periodic") every offset counts, as often as it goes around.
     """
-    c = c.reshape(c.shape + (1,) * (x.ndim - c.ndim)).astype(x.dtype)
-    # a transform along the last axis alone has a layout that XLA compiles for the CPU
-    c, y = jnp.moveaxis(c, 0, -1), jnp.moveaxis(x, 0, -1)
-    y = _around(c, y, parity) if boundary == "periodic" else _within(c, y, parity)
-    return jnp.moveaxis(y, -1, 0)
+    return back(behind(spectrum(c, x.shape[0], parity, boundary, x.dtype), x.ndim) * forth(x, boundary), x.shape[0],
+                boundary)
 
 
-def _around(c, x, parity):
-    n = x.shape[-1]
-    spectrum = jnp.fft.rfft(folded(c, n))
-    spectrum = 2 * spectrum.real if parity == 1 else -2j * spectrum.imag
-    return jnp.fft.irfft(spectrum * jnp.fft.rfft(x), n)
+def spectrum(c, n, parity, boundary, dtype):
+    """The transform of the weights `c` (M, lanes...) on n sites: its real and its imaginary part, lanes last."""
+    c = jnp.moveaxis(c.astype(dtype), 0, -1)
+    if boundary == "periodic":
+        found = jnp.fft.rfft(folded(c, n))
+        real, imag = (2 * found.real, None) if parity == 1 else (None, -2 * found.imag)
+    else:
+        found = jnp.fft.fft(_turn(n, dtype) * _laid_out(c, n, parity))
+        real, imag = found.real, found.imag
+    return tuple(None if x is None else jnp.moveaxis(x, -1, 0) for x in (real, imag))
+
+
+def behind(spectrum, ndim):
+    """A spectrum as complex numbers for arrays of so many axes, frequencies last as `forth` has them."""
+    real, imag = (None if x is None else jnp.moveaxis(x.reshape(x.shape + (1,) * (ndim - x.ndim)), 0, -1)
+                  for x in spectrum)
+    return real if imag is None else 1j * imag if real is None else jax.lax.complex(real, imag)
+
+
+def forth(x, boundary):
+    """The transform of `x` (N, lanes...), its frequencies last: of a layout that XLA compiles for the CPU."""
+    x, n = jnp.moveaxis(x, 0, -1), x.shape[0]
+    if boundary == "periodic":
+        return jnp.fft.rfft(x)
+    turn = _turn(n, x.dtype)
+    return jnp.fft.fft(turn * jnp.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, len(turn) - n)]))
+
+
+def back(y, n, boundary):
+    """Inverse of `forth`, n sites first."""
+    if boundary == "periodic":
+        return jnp.moveaxis(jnp.fft.irfft(y, n), -1, 0)
+    y = jnp.fft.ifft(y)
+    return jnp.moveaxis((y * _turn(n, y.real.dtype).conj()).real[..., :n], -1, 0)
 
 
 def folded(c, n):
@@ -33,23 +60,24 @@ def folded(c, n):
     return c.reshape(c.shape[:-1] + (count, n)).sum(-2)
 
 
-def _within(c, x, parity):
-    """Acyclic, by one complex transform of the chain's own length instead of a real one of twice that.
+def _laid_out(c, n, parity):
+    """The kernel of an acyclic convolution by one complex transform of the chain's own length, not a real one of twice.
 
     With weights w^j, w^n = i, a cyclic convolution gives what has gone around the end times i; the kernel a + i b whose
     imaginary part holds the negative offsets, with the sign changed, brings it back as real numbers.
     """
-    n = x.shape[-1]
-    length = smooth(n)
     c = c[..., : n - 1]
-    idle = jnp.zeros(c.shape[:-1] + (length - 1 - c.shape[-1],), c.dtype)
+    idle = jnp.zeros(c.shape[:-1] + (smooth(n) - 1 - c.shape[-1],), c.dtype)
     zero = jnp.zeros(c.shape[:-1] + (1,), c.dtype)
     after = jnp.concatenate([zero, parity * c, idle], -1)
     before = -jnp.concatenate([zero, idle, c[..., ::-1]], -1)
-    turn = np.exp(0.5j * np.pi * np.arange(length) / length).astype(jnp.result_type(x.dtype, np.complex64))
-    x = jnp.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, length - n)])
-    y = jnp.fft.ifft(jnp.fft.fft(turn * x) * jnp.fft.fft(turn * (after + 1j * before)))
-    return (y * turn.conj()).real[..., :n]
+    return jax.lax.complex(after, before)
+
+
+def _turn(n, dtype):
+    """The weights w^j."""
+    length = smooth(n)
+    return np.exp(0.5j * np.pi * np.arange(length) / length).astype(jnp.result_type(dtype, np.complex64))
 
 
 def smooth(n):
