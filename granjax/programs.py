@@ -1,6 +1,7 @@
 """Compiled programs: found quickly where they are called again, and waited for in a way that Ctrl-C reaches."""
 
 import inspect
+import sys
 import time
 import weakref
 from collections.abc import Callable
@@ -175,3 +176,11 @@ def wait(tree: Any) -> Any:
         raise
     interrupts.let_go()
     return tree
+
+
+def bar(total: int, unit: str, name: str, shown: bool = True, done: int = 0) -> Any:
+    """A bar with the time left, after two seconds, on a terminal or in a notebook: `update(n)`, a context manager."""
+    from tqdm import tqdm
+
+    shown = shown and (getattr(sys.stderr, "isatty", bool)() or "ipykernel" in sys.modules)
+    return tqdm(total=total, initial=done, unit=unit, desc=name, delay=2, leave=False, disable=not shown)

@@ -1,5 +1,6 @@
 """Runs of first-order lattices, each with its error."""
 
+import itertools
 import math
 from typing import ClassVar
 
@@ -13,7 +14,7 @@ from ..checks import tolerance as checked_tolerance
 from ..entry import checked
 from ..flow import Flow
 from ..outside import Outside
-from ..programs import waited
+from ..programs import bar, waited
 from ..results import Held, Result
 from ..types import Amplitudes, Count, Flags, Number, Numbers, Parameter, Scalar, Times
 from ..variables import Layout
@@ -24,6 +25,8 @@ from .split_step import SplitStep
 BEGIN = {True: 1.0, False: 0.3}
 # how often the step is halved, at most
 HALVINGS = 6
+# steps times numbers from which a run goes in so many pieces, with a bar
+LONG, PIECES = 4_000_000, 50
 # power iterations for the fastest rate
 ITERATIONS = 30
 
@@ -90,6 +93,7 @@ class Evolution(Result):
 def evolve(
     equation: Equation, psi: Amplitudes, t1: Scalar, *, t0: Scalar = 0.0, save_at: Count | Parameter | None = None,
     solver: diffrax.AbstractSolver | None = None, step: Scalar | None = None, tolerance: Scalar = 1e-10,
+    progress: bool = True,
 ) -> Evolution:
     """psi from t0 to t1, by fixed steps that are halved until two runs agree.
 
@@ -101,7 +105,8 @@ def evolve(
       elsewhere; or any diffrax solver.
     - `step`: the first run's longest step, then it is run once more with half of it, and no further. `None` chooses it
       by the fastest rate at the start, and halves it until the tolerance is met, six times at most.
-    - `tolerance`: of |psi_n|, over the root of the norm.
+    - `tolerance`: of |psi_n|, over the root of the norm. `progress`: a bar with the time left, after two seconds, of
+      what takes long.
 
     **Returns:** `Evolution`; its picture is `gx.plots.evolution`, and its `outcome` says how well it is known. It
     differentiates in both modes in the start and in the numbers of the equation: then the step must be given.
@@ -115,15 +120,19 @@ def evolve(
     halve = known and step is None
     step = _step(equation, psi, solver, known, times[-1] - times[0]) if step is None else positive("step", step)
     counts = np.maximum(np.ceil(np.diff(times) / float(step) * (1 - 1e-12)), 1).astype(int)
-    run = lambda counts: _run(solver, equation, psi, times, counts)
-    before, now, halvings = run(counts), run(2 * counts), 1
-    far = _apart(before, now) if halve else 0.0
-    while far > float(tolerance) and halvings < HALVINGS:
-        after = run(2 ** (halvings + 1) * counts)
-        closer = _apart(now, after)
-        if not closer < far:  # rounding, or chaos
-            break
-        before, now, halvings, far = now, after, halvings + 1, closer
+    total = int(counts.sum())
+    long = known and total * psi.size > LONG
+    with bar(3 * total, "step", "evolve", progress and long) as shown:
+        run = lambda counts: _run(solver, equation, psi, times, counts, shown if long else None)
+        before, now, halvings = run(counts), run(2 * counts), 1
+        far = _apart(before, now) if halve else 0.0
+        while far > float(tolerance) and halvings < HALVINGS:
+            shown.total += 2 ** (halvings + 1) * total
+            after = run(2 ** (halvings + 1) * counts)
+            closer = _apart(now, after)
+            if not closer < far:  # rounding, or chaos
+                break
+            before, now, halvings, far = now, after, halvings + 1, closer
     taken = float(np.max(np.diff(times) / counts)) / 2**halvings
     return _told(equation, solver, times, first, before, now, taken, tolerance)
 
@@ -188,14 +197,30 @@ def _rate(equation, psi, outside):
     return jax.lax.fori_loop(0, ITERATIONS, improve, (along, jnp.zeros((), n.dtype)))[1]
 
 
-def _run(solver, equation, psi, times, counts):
+def _run(solver, equation, psi, times, counts, shown):
     ends = jnp.asarray(times, jnp.real(psi).dtype)
     if traced((equation, psi)):  # of as many steps as are known, for reverse mode
         frames = [psi]
         for a, b, count in zip(ends[:-1], ends[1:], counts):
             frames.append(Flow(int(count), solver, field)(frames[-1], a, b, equation))
         return jnp.stack(frames)
-    return _marched(solver, equation, psi, ends, jnp.asarray(counts), Outside((solver, equation)))
+    outside = Outside((solver, equation))
+    if shown is None:
+        return _marched(solver, equation, psi, ends, jnp.asarray(counts), outside)
+    frames, most = [np.asarray(psi)], max(int(counts.sum()) // PIECES, 1)
+    for begin, end, count in zip(times[:-1], times[1:], counts):
+        steps = count * np.arange(-(-count // most) + 1) // -(-count // most)
+        for i, j in itertools.pairwise(steps):
+            a, b = (begin + (end - begin) * k / count for k in (i, j))
+            psi = _piece(solver, equation, psi, *jnp.asarray([a, b], ends.dtype), jnp.asarray(j - i), outside)
+            shown.update(int(j - i))
+        frames.append(np.asarray(psi))
+    return jnp.asarray(np.stack(frames))
+
+
+@waited
+def _piece(solver, equation, psi, begin, end, count, outside):
+    return Flow(count, solver, field)(psi, begin, end, equation)
 
 
 @waited

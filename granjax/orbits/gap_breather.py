@@ -14,7 +14,7 @@ from ..entry import checked
 from ..flow import Flow
 from ..lattice import Lattice, State
 from ..linear import FloquetBands, floquet_bands
-from ..programs import waited
+from ..programs import bar, waited
 from ..results import Held, Result
 from ..solvers import KahanLi8
 from ..tuning import one_thread
@@ -83,6 +83,7 @@ class GapBreather(Result):
 def k_gap_breather(
     lattice: Lattice, period: Scalar, k: Scalar | None = None, *, amplitude: Scalar | None = None, t0: Scalar = 0.0,
     steps: Count | None = None, solver: AbstractSolver | None = None, tolerance: Scalar = 1e-5,
+    progress: bool = True,
 ) -> GapBreather:
     r"""A wavenumber-gap breather of a modulated ring: it grows out of a k-gap as exp(growth t), saturates and returns.
 
@@ -97,6 +98,7 @@ def k_gap_breather(
     - `amplitude`: a, about [m]; `None`: about 1/50 of the peak. The smaller, the longer it takes, log(peak/a) each way.
     - `t0`: where in a period it begins. `steps`: of a period; `None` doubles them until `returned` is known to
       `tolerance`. `solver`: KahanLi8 by default (Dopri8 where a force reads velocities).
+      `progress`: a bar of each run of the search, with the time left, after two seconds.
 
     **Returns:** `GapBreather` (`gx.plots.gap_breather`). What radiates into other waves stays out of the wave and shows
     in `stray`.
@@ -112,7 +114,7 @@ def k_gap_breather(
     bands, wave = _growing(lattice, k, period, t0)
     solver = fixed_step_solver(lattice, solver, KahanLi8())
     count = 2 * int(default_steps(lattice, period, doubled=True)) if steps is None else whole("steps", steps, 2)
-    ring = _Ring(lattice, bands, wave, period, t0, solver)
+    ring = _Ring(lattice, bands, wave, period, t0, solver, progress)
     ring.checked(count)
     begin = ring.size() if amplitude is None else float(positive("amplitude", amplitude))
     free = amplitude is None
@@ -167,7 +169,10 @@ class _Found(eqx.Module):
 class _Ring:
     """A ring, its linear waves at one wave number, and the motion once a period."""
 
-    def __init__(self, lattice: Lattice, bands: FloquetBands, wave: int, period: float, t0: float, solver: Any):
+    def __init__(
+        self, lattice: Lattice, bands: FloquetBands, wave: int, period: float, t0: float, solver: Any, progress: bool,
+    ):
+        self.progress = progress
         self.lattice, self.period, self.t0, self.solver = lattice, period, t0, solver
         self.k = float(np.asarray(bands.k)[wave])
         rho = np.asarray(bands.multipliers)[wave]
@@ -198,9 +203,11 @@ class _Ring:
     def run(self, state: State, periods: int, steps: int) -> tuple:
         """States and energies once a period, the start first, so many and up to `PIECE` more."""
         flow, parts = Flow(jnp.asarray(steps), self.solver), []
-        for _ in range(-(-periods // PIECE)):
-            state, part = _strobed(flow, self.lattice, state, jnp.asarray(self.t0), jnp.asarray(self.period))
-            parts.append(jax.tree.map(np.asarray, part))
+        with bar(periods, "period", "k-gap breather", self.progress) as shown:
+            for _ in range(-(-periods // PIECE)):
+                state, part = _strobed(flow, self.lattice, state, jnp.asarray(self.t0), jnp.asarray(self.period))
+                parts.append(jax.tree.map(np.asarray, part))
+                shown.update(PIECE)
         last = jax.tree.map(lambda x: np.asarray(x)[None], (state, self.lattice.energy(self.t0, *state)))
         states, energy = jax.tree.map(lambda *x: np.concatenate(x), *parts, last)
         return tuple(states), energy

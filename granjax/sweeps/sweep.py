@@ -14,6 +14,7 @@ import numpy as np
 
 from ..checks import refuse, whole
 from ..entry import checked
+from ..programs import bar
 from ..types import Count
 from .chunk import LOST
 from .dataset import assembled
@@ -108,13 +109,14 @@ def _computed(function, points, units, identity, kept, executor, devices, progre
     todo = [(n, _values(points, plan, part)) for n, part in enumerate(parts) if n not in found]
     lost = False
     done = sum(len(parts[n]) for n in found)
-    with _bar(progress, points.count, done) as bar, closing(completed(work, todo, executor, count)) as results:
+    shown = bar(points.count, "lane", "sweep", progress, done)
+    with shown, closing(completed(work, todo, executor, count)) as results:
         for number, chunk in results:
             lost = lost or LOST in chunk.told
             if kept is not None and LOST not in chunk.told:
                 kept.write(number, chunk)
             found[number] = chunk
-            bar.update(len(parts[number]))
+            shown.update(len(parts[number]))
     failed = [reason for chunk in found.values() for reason in chunk.reasons]
     if all(failed) and not any(_any_number(chunk) for chunk in found.values()):
         raise RuntimeError(f"Every lane failed. The first: {failed[0]}{_hint(function, points)}")
@@ -200,13 +202,6 @@ class _OnDevices:
                 return self.task(values)
         finally:
             self.free.put(device)
-
-
-def _bar(progress, total, done):
-    from tqdm import tqdm
-
-    shown = progress and (getattr(sys.stderr, "isatty", bool)() or "ipykernel" in sys.modules)
-    return tqdm(total=total, initial=done, unit="lane", desc="sweep", delay=2, leave=False, disable=not shown)
 
 
 @checked
