@@ -10,7 +10,6 @@ kept in the user's cache folder for the next run, unless GRANJAX_CACHE is 0.
 
 import gc
 import os
-import threading
 import time
 from pathlib import Path
 
@@ -46,7 +45,6 @@ def _prepare(run_once):
     # older versions trace literals of a class of their own, which no annotation knows
     if jax.__version_info__ >= (0, 10):
         typed.install()
-        _share_contexts()
 
     from granjax import tuning
 
@@ -63,24 +61,6 @@ def _prepare(run_once):
     # traces are trees of many small objects that live long: rarer collections save a twentieth
     gc.set_threshold(100_000, 20, 50)
     return kept
-
-
-def _share_contexts():
-    """A hundred programs are written in one context: JAX makes one for each, a quarter of what a small one costs."""
-    from jax._src.interpreters import mlir
-
-    make, held = mlir.make_ir_context, []
-
-    def shared():
-        if threading.current_thread() is not threading.main_thread():
-            return make()
-        # what a context has written once it never lets go
-        if not held or held[1] == 0:
-            held[:] = make(), 100
-        held[1] -= 1
-        return held[0]
-
-    mlir.make_ir_context = shared
 
 
 def _forget(kept):
