@@ -85,8 +85,8 @@ def kink(lattice: Lattice, right: Scalar, left: Scalar = 0.0, *, centre: Scalar 
     - `left`, `right`: wells, displacements of the whole chain in which nothing is pushed: 0 and 2 pi of
       `scenes.sine_gordon`, 0 and -2 of `scenes.klein_gordon(stiffness=2.0, alpha=3.0, beta=1.0)`. `right` < `left` is
       an antikink.
-    - `centre`: a site, or 10.5 for a bond; `None` the bond in the middle. Where it is given about neither, the
-      kink that Newton's method leads to.
+    - `centre`: a site, or 10.5 for a bond; `None` the bond in the middle. Of a place between them the nearest:
+      kinks rest about sites and bonds alone.
 
     **Returns:** `Kink`; its picture is `gx.plots.kink`. **Raises** ValueError for what is no well and for other
     lattices; RuntimeError where Newton's method does not converge, or the ends are too near. Typical: an energy of 8
@@ -98,6 +98,7 @@ def kink(lattice: Lattice, right: Scalar, left: Scalar = 0.0, *, centre: Scalar 
     middle = (len(n) - 1) // 2 + 0.5 if centre is None else float(parameter("centre", centre))
     if not 0 < middle < len(n) - 1:
         refuse("centre", f"a place between the first and the last of {len(n)} sites", f"{middle:g}")
+    middle = round(2 * middle) / 2
     guess = left + (right - left) * 2 / np.pi * np.arctan(np.exp((n - middle) / _width(lattice, left)))
     size = jnp.asarray(abs(right - left), lattice.dtype)
     problem = _Rest(size, jnp.asarray(scale, lattice.dtype))
@@ -120,8 +121,9 @@ def kink(lattice: Lattice, right: Scalar, left: Scalar = 0.0, *, centre: Scalar 
 
 
 def _refuse_ends(why, middle, sites):
+    elsewhere = "" if middle == (sites - 1) / 2 else f", or the kink the centre {(sites - 1) / 2:g}"
     raise RuntimeError(f"No kink at rest at {middle:g}: {why}; the ends are too near. Give the chain more sites "
-                       f"and free ends, or the kink the centre {(sites - 1) / 2:g}.")
+                       f"and free ends{elsewhere}.")
 
 
 @checked

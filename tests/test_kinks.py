@@ -39,6 +39,12 @@ def test_a_kink_is_that_of_an_independent_root():
     assert float(found.energy) == pytest.approx(energy, rel=1e-12)
 
 
+def test_between_a_site_and_a_bond_it_is_the_nearest():
+    for centre, place in ((30.2, 30.0), (30.3, 30.5)):
+        u = np.asarray(gx.kinks.kink(pendula(1.0), 2 * np.pi, centre=centre).state.u)
+        assert np.sum(1 - u / (2 * np.pi)) - 0.5 == pytest.approx(place, abs=1e-9)
+
+
 def test_the_barrier():
     # weakly coupled the one on a site has a pendulum upside down, and the other has none
     weak = gx.kinks.peierls_nabarro(pendula(1e-4), 2 * np.pi)
@@ -86,3 +92,6 @@ def test_what_is_no_well_is_refused():
             make()
     with pytest.raises(RuntimeError, match="the ends are too near"):
         gx.kinks.kink(gx.scenes.sine_gordon(12, 9.0), 2 * np.pi, centre=4.5)
+    # no other centre is better than the middle
+    with pytest.raises(RuntimeError, match="free ends.$"):
+        gx.kinks.kink(gx.scenes.sine_gordon(12, 9.0), 2 * np.pi)

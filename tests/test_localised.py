@@ -65,6 +65,12 @@ def test_a_uniform_oscillation_is_no_breather():
     assert gx.breathers.breather(soft(), 0.8, uniform, check=False).converged
 
 
+def test_a_guess_at_rest_or_without_numbers_is_refused_by_its_name():
+    for u, words in ((np.zeros(8), "guess.u: .*not all zero"), (np.full(8, np.nan), "guess.u: .*finite")):
+        with pytest.raises(ValueError, match=words):
+            gx.breathers.breather(soft(), 0.8, still(u))
+
+
 @pytest.mark.slow
 def test_where_there_is_no_breather_both_ways_are_named():
     with pytest.raises(RuntimeError, match="did not reach omega = 1.3: .* No breather about a site was found either"):

@@ -86,6 +86,9 @@ def breather(
         kind = one_of("guess", guess, GUESSES)
     elif guess is not None:
         guess = checked_state(lattice, guess, "guess")
+        if not unknown and not largest(guess.u) > 0:
+            refuse("guess.u", "displacements that are not all zero", "the state at rest",
+                   "Velocities are dropped: of a motion take a state where it turns.")
         kind = kind if unknown else _kind(lattice, guess)
     if not unknown:
         if not omega > 0:

@@ -30,6 +30,9 @@ def checked_state(lattice: Lattice, state: StateLike, argument: str = "state") -
             shapes = jax.tree.map(np.shape, part)
             refuse(f"{argument}.{name}", f"shape {lattice.shape}, that of the lattice", f"{shapes}",
                    "One orbit of one lattice at a time.")
+        if not traced(part) and not all(np.isfinite(np.asarray(x)).all() for x in jax.tree.leaves(part)):
+            refuse(f"{argument}.{name}", "finite numbers", "NaN or infinity among them",
+                   "A run that has diverged leads nowhere.")
     return jax.tree.map(lambda x: jnp.asarray(x, lattice.dtype), State(*state))
 
 
