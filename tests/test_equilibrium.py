@@ -89,6 +89,69 @@ def test_loads_and_their_derivative():
     np.testing.assert_allclose(jax.grad(lowest)(1.0), (lowest(1 + h) - lowest(1 - h)) / (2 * h), rtol=1e-6)
 
 
+def test_loads_that_stay_are_those_of_the_preloads_and_without_any_it_falls_apart():
+    law = gx.laws.Strained(gx.Polynomial(1.0, 0.3, 0.5), 0.1)
+    chain = gx.Lattice(1.0, gx.Bond(gx.Shift(1, "free"), law), sites=5)
+    held = gx.equilibrium(chain, hold="loads")
+    np.testing.assert_allclose(held.state.u, 0, atol=1e-15)
+    np.testing.assert_allclose(held.loads, [law.preload, 0, 0, 0, -law.preload], atol=1e-15)
+    np.testing.assert_allclose(held.ends, [law.preload] * 2, rtol=1e-13)
+    push = jnp.asarray([0.02, 0, 0, 0, -0.02])
+    pressed = gx.equilibrium(chain, hold="loads", loads=push)
+    forces = gx.measures.contact_force(chain, pressed.state)
+    np.testing.assert_allclose(forces, law.preload + 0.02, rtol=1e-12)
+    apart = gx.equilibrium(chain, hold="nothing")
+    np.testing.assert_allclose(np.diff(apart.state.u), 0.1, rtol=1e-12)
+    np.testing.assert_array_equal(apart.loads, 0)
+    assert abs(np.mean(apart.state.u)) < 1e-15
+
+
+def test_a_lattice_with_fields_and_its_gradient():
+    lattice = gx.scenes.mass_in_mass(4, 0.5, 2.0, precompression=1.0)
+    load = {"bead": jnp.full(4, 0.02), "resonator": jnp.full(4, 0.01)}
+    found = gx.equilibrium(lattice, loads=load)
+    swing = found.state.u["resonator"] - found.state.u["bead"]
+    np.testing.assert_allclose(swing, 0.01 / 2.0, rtol=1e-12)
+    assert found.ends is None and found.verdict == "stable"
+    slope = jax.grad(lambda k: gx.equilibrium(gx.scenes.mass_in_mass(4, 0.5, k, precompression=1.0),
+                                              loads=load).state.u["resonator"][1])(2.0)
+    np.testing.assert_allclose(slope, -0.01 / 2.0**2, rtol=1e-10)
+
+
+def test_the_plane():
+    h = 0.75**0.5
+    bonds = [gx.Bond(gx.Stretch(gx.Shift(offset, "free"), vector), gx.Polynomial(1.0, 0.3) + gx.Hertz(0.5, 0.2))
+             for offset, vector in (((1, 0), [1.0, 0.0]), ((0, 1), [0.5, h]), ((-1, 1), [-0.5, h]))]
+    lattice = gx.Lattice(1.0, bonds, sites=(4, 4), dimension=2)
+    loads = 0.02 * jnp.asarray(np.random.default_rng(7).normal(size=(4, 4, 2)))
+    found = gx.equilibrium(lattice, loads=loads)
+    u = np.asarray(found.state.u)
+    left = lattice.force(0.0, found.state.u, lattice.zeros()) + lattice.unbalanced() + found.loads
+    assert np.abs(left).max() <= 1e-13 * found.largest and found.verdict == "stable"
+    # the edges are held by what loads they need, the inner sites by those given
+    assert np.abs(u[1:3, 1:3]).min() > 1e-4 and np.abs(u).sum() == np.abs(u[1:3, 1:3]).sum()
+    np.testing.assert_array_equal(found.loads[1:3, 1:3], loads[1:3, 1:3])
+
+
+def test_in_si_as_in_scaled_numbers():
+    chain = gx.scenes.magnets(5, -3.0, boundary="free", stiffness=2e-7, spacing=0.03, mass=0.01, units="SI")
+    plain = gx.scenes.magnets(5, -3.0, boundary="free")
+    found, scaled = gx.equilibrium(chain), gx.equilibrium(plain)
+    np.testing.assert_allclose(found.ends, 2e-7 * 0.03**-3 * np.asarray(scaled.ends), rtol=1e-12)
+    np.testing.assert_allclose(found.stiffness, 2e-7 * 0.03**-4 * scaled.stiffness, rtol=1e-9)
+    assert found.verdict == scaled.verdict == "stable" and " N " in f"{found.outcome} "
+
+
+def test_lanes_by_vmap():
+    stiffness = jnp.asarray([1.0, 2.0, 4.0])
+    batch = jax.vmap(lambda A: gx.scenes.monomer(5, stiffness=A, precompression=1.0), out_axes=-1)(stiffness)
+    found = jax.vmap(lambda lattice: gx.equilibrium(lattice, loads=jnp.full(5, 0.02)).state.u, in_axes=-1,
+                     out_axes=-1)(batch)
+    for lane, A in enumerate(stiffness):
+        alone = gx.equilibrium(gx.scenes.monomer(5, stiffness=A, precompression=1.0), loads=jnp.full(5, 0.02))
+        np.testing.assert_allclose(found[:, lane], alone.state.u, rtol=1e-11)
+
+
 def test_refusals():
     with pytest.raises(ValueError, match="apart"):
         gx.equilibrium(gx.scenes.magnets(N, P), guess=jnp.zeros(N).at[3].set(3.0))

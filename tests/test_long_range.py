@@ -159,7 +159,7 @@ def test_a_breather_has_the_tail_of_its_springs_from_20_to_200_sites(s):
     assert abs(slope + s) < 0.05 and orbit.residual < 1e-11
 
 
-@pytest.mark.parametrize("reach", [1, None])
+@pytest.mark.parametrize("reach", [1, pytest.param(None, marks=pytest.mark.slow)])
 def test_magnets_that_meet_are_named(reach):
     chain = gx.scenes.magnets(6, -4.0, reach=reach)
     hit = gx.states.impact(chain, velocity=40.0, site=3)
