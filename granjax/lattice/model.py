@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import described, held_in_memory, letter, positive, refuse, whole
+from ..checks import described, held_in_memory, letter, parameter, positive, refuse, whole
 from ..entry import checked
 from ..outside import Outside
 from ..printing import text, told
@@ -39,7 +39,10 @@ class Lattice(eqx.Module):
     - `terms`: a tuple of `Bond`, `OnSite`, `Damping`, `Dashpot`, `ViscousContact`, `Drag`, `Drive`, `Wall`,
       `Modulated`.
     - `sites`: number of sites (a tuple on a grid), where `mass` is a number.
-    - `dimension`: `None` for scalar displacements, 2 or 3 for vectors, in a trailing axis of `u`.
+    - `dimension`: `None` for scalar displacements, 2 or 3 for vectors, in a trailing axis of `u`; a mass may have that
+      axis too, one per component, as beads have that turn.
+    - `positions` [m]: places of the sites at rest, (N, d) or (N1, N2, d), or a dict of such: where pictures draw them;
+      `None` for a chain. No force reads them.
     - `units`: what the numbers are counted in, `"SI"`, or `"scaled"` for units of their own. Pictures and files of
       whatever is computed from it say so; nothing is converted. `gx.scenes.beads` is in SI.
 
@@ -52,6 +55,7 @@ class Lattice(eqx.Module):
 
     mass: object
     terms: tuple[Term, ...]
+    positions: object
     _mark: jax.Array
     _outside: Outside
     _sites: object = eqx.field(static=True)
@@ -61,7 +65,7 @@ class Lattice(eqx.Module):
     @checked
     def __init__(
         self, mass: Parameter | dict[str, Parameter], terms: Term | Sequence[Term], *, sites: Site | None = None,
-        dimension: Count | None = None, units: str = SCALED,
+        dimension: Count | None = None, positions: Parameter | dict[str, Parameter] | None = None, units: str = SCALED,
     ):
         self.dimension = None if dimension is None else whole("dimension", dimension, 1)
         if isinstance(mass, dict):
@@ -75,6 +79,7 @@ class Lattice(eqx.Module):
         else:
             self.mass, self._sites, self._per_site = self._one_mass("mass", mass, sites)
             count = math.prod(self._sites)
+        self.positions = None if positions is None else self._places(positions)
         if count < 2:
             refuse("mass", "at least two sites", f"{count}", "A lattice has bonds.")
         terms = (terms,) if isinstance(terms, Term) else terms
@@ -105,13 +110,31 @@ class Lattice(eqx.Module):
             refuse(name, "at least two sites", f"none, shape {mass.shape}", "A lattice has bonds.")
         shape = mass.shape if sites is None else tuple(sites) if isinstance(sites, (tuple, list)) else (sites,)
         shape = tuple(whole("sites", n, 1) for n in shape)
-        if per_site and mass.shape != shape:
+        each = self.dimension is not None and per_site and mass.shape == (*shape, self.dimension)
+        if per_site and mass.shape != shape and not each:
             refuse(name, f"shape {shape}, one mass per site", f"shape {mass.shape}")
         count = math.prod(shape)
         held_in_memory("sites", count)
-        if per_site and self.dimension is not None:
+        if per_site and self.dimension is not None and not each:
             mass = mass[..., None]
         return mass, shape, per_site
+
+    def _places(self, positions):
+        """The positions of the sites, checked."""
+        sites = self.sites
+        known, given = (sorted(x) if isinstance(x, dict) else None for x in (sites, positions))
+        if known != given:
+            refuse("positions", f"an array for each of {known}" if known else "one array", f"{given or 'one array'}")
+
+        def checked_places(name, x, shape):
+            x = parameter(name, x)
+            if x.ndim != len(shape) + 1 or x.shape[:-1] != shape or x.shape[-1] not in (1, 2, 3):
+                refuse(name, f"shape {(*shape, 2)}, a place for every site", f"shape {x.shape}")
+            return x
+
+        if not isinstance(positions, dict):
+            return checked_places("positions", positions, sites)
+        return {name: checked_places(f"positions[{name!r}]", x, sites[name]) for name, x in positions.items()}
 
     def check_terms(self) -> None:
         """Refuse terms whose parameters do not fit the sites, naming them."""

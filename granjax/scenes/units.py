@@ -48,7 +48,10 @@ def scaled(lattice: Lattice, velocity: Scalar | None = None, *, units: Units | N
         refuse("units", "Units(mass, length, time) without a velocity, or a velocity alone", repr(units))
     mass = jax.tree.map(lambda m: m / units.mass, lattice.mass)
     terms = tuple(term.in_units(units) for term in lattice.terms)
-    return ScaledLattice(eqx.tree_at(lambda c: (c.mass, c.terms), lattice, (mass, terms)).counted_in(SCALED), units)
+    positions = jax.tree.map(lambda x: x / units.length, lattice.positions)
+    converted = eqx.tree_at(lambda c: (c.mass, c.terms, c.positions), lattice, (mass, terms, positions),
+                            is_leaf=lambda x: x is None)
+    return ScaledLattice(converted.counted_in(SCALED), units)
 
 
 def _natural_units(lattice, velocity):

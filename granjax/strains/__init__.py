@@ -2,12 +2,15 @@
 
 Compression is positive: the bond between a tail and a head site has e = u_tail - u_head. A map is a sum of sites of a
 field, each at an offset and with a weight; `Shift` is the normal form, `Stencil` the general one, `Pairs` a list of
-bonds on any graph, `Stretch` a distance in the plane or in space. A map of one's own needs `strain` alone.
+bonds on any graph, `Stretch` a distance in the plane or in space, `Along` the part of a vector along a direction,
+`Slip` how far two beads that turn have slipped. A map of one's own needs `strain` alone.
 """
 
+from .along import Along
 from .maps import BOUNDARIES, LinearMap, StrainMap
 from .pairs import WALL, Pairs
+from .slip import Slip
 from .stencil import Shift, Stencil
 from .stretch import Stretch
 
-__all__ = ["BOUNDARIES", "LinearMap", "Pairs", "Shift", "Stencil", "StrainMap", "Stretch", "WALL"]
+__all__ = ["Along", "BOUNDARIES", "LinearMap", "Pairs", "Shift", "Slip", "Stencil", "StrainMap", "Stretch", "WALL"]

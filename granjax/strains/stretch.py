@@ -1,5 +1,6 @@
 """Bonds as distances in the plane or in space."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 
@@ -20,7 +21,8 @@ class Stretch(StrainMap):
     **Arguments:** `pairs`: a `Shift` or `Pairs` that says which sites are joined. `vector`: R, shape (d,) or
     (bonds..., d) [m], not zero.
 
-    **Shapes:** `u` (sites..., d, lanes...) to `e` (bonds..., lanes...). **Raises** ValueError for a vector of length
+    **Shapes:** `u` (sites..., d, lanes...) to `e` (bonds..., lanes...); components of `u` beyond the vector's, such as a
+    rotation, are left alone. **Raises** ValueError for a vector of length
     zero or a map that is neither Shift nor Pairs. That the preloads balance at u = 0, with the boundary's loads, is
     the user's: `Lattice.unbalanced()` gives what is left over.
     """
@@ -28,6 +30,7 @@ class Stretch(StrainMap):
     dimensions = {"pairs": PART, "vector": (0, 1, 0)}
     pairs: TwoEnds
     vector: jax.Array
+    components: int = eqx.field(static=True)
 
     @checked
     def __init__(self, pairs: TwoEnds, vector: Parameter):
@@ -35,11 +38,12 @@ class Stretch(StrainMap):
         self.vector = parameter("vector", vector)
         if self.vector.ndim == 0:
             refuse("vector", "a vector of two or three components, from tail to head", repr(vector))
+        self.components = self.vector.shape[-1]
         positive("vector", jnp.linalg.norm(self.vector, axis=-1), "A bond at rest has a length.")
 
     def _geometry(self, u):
-        D = self.pairs.strain(u)
         axis = self.pairs.axes
+        D = jax.lax.slice_in_dim(self.pairs.strain(u), 0, self.components, axis=axis)
         R = _align(self.vector, D, axis)
         rest = jnp.sqrt(jnp.sum(R * R, axis))
         along = jnp.sum(R * D, axis)
@@ -62,7 +66,14 @@ class Stretch(StrainMap):
         tension = law.preload / rest
         normal = (R - D) / jnp.expand_dims(length, self.pairs.axes)
         along = normal * jnp.expand_dims(law.force(e) + tension * e, self.pairs.axes)
-        return self.pairs.gather(along - D * jnp.expand_dims(tension, self.pairs.axes))
+        return self.pairs.gather(self._with_rest(along - D * jnp.expand_dims(tension, self.pairs.axes), u))
+
+    def _with_rest(self, load, u):
+        """A vector for each bond, with zeros for the components that the bond does not read."""
+        more = jax.tree.leaves(u)[0].shape[self.pairs.axes] - self.components
+        if not more:
+            return load
+        return jnp.pad(load, [(0, more if i == self.pairs.axes else 0) for i in range(load.ndim)])
 
     def energy(self, u, law):
         _, _, rest, along, square, length, e = self._geometry(u)

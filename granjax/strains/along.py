@@ -1,0 +1,68 @@
+"""Bonds that read one direction of vectors: linear springs in the plane, guided beads, rolling."""
+
+import jax.numpy as jnp
+
+from ..checks import parameter, refuse
+from ..entry import checked
+from ..types import Parameter
+from ..units import PART
+from .maps import LinearMap, TwoEnds
+
+
+class Along(LinearMap):
+    r"""The part of a difference of vectors along a fixed direction: e = d . (u_tail - u_head).
+
+    `Stretch` without the geometry's nonlinearity, where d is the unit vector from tail to head; the resistance to
+    rolling, where d is that of the rotation, (0, 0, 1).
+
+    **Arguments:** `pairs`: a `Shift` or `Pairs` that says which sites are joined. `direction`: d, (components,), of
+    any length but zero, dimensionless.
+
+    **Shapes:** `u` (sites..., components, lanes...) to `e` (bonds..., lanes...). **Raises** ValueError for a direction
+    that is no vector.
+    """
+
+    dimensions = {"pairs": PART, "direction": (0, 0, 0)}
+    pairs: TwoEnds
+    direction: jnp.ndarray
+
+    @checked
+    def __init__(self, pairs: TwoEnds, direction: Parameter):
+        self.pairs, self.direction = pairs, parameter("direction", direction)
+        if self.direction.ndim != 1:
+            refuse("direction", "a vector, one number per component of u", repr(direction))
+
+    @property
+    def axes(self):
+        return self.pairs.axes
+
+    def strain(self, u):
+        return self._component(self.pairs.strain(u), self.direction)
+
+    def gather(self, f):
+        return self.pairs.gather(self._vector(f, self.direction))
+
+    def reach(self, w):
+        return self._component(self.pairs.reach(w), jnp.abs(self.direction))
+
+    def reach_back(self, f):
+        return self.pairs.reach_back(self._vector(f, jnp.abs(self.direction)))
+
+    def split(self, bonds, u):
+        return self.pairs.split(bonds, u)
+
+    def span(self):
+        return self.pairs.span()
+
+    def walls(self):
+        return self.pairs.walls()
+
+    def _component(self, D, direction):
+        return jnp.sum(self._shaped(direction, D.ndim) * D, self.axes)
+
+    def _vector(self, f, direction):
+        return self._shaped(direction, f.ndim + 1) * jnp.expand_dims(f, self.axes)
+
+    def _shaped(self, direction, axes):
+        """The direction with axes for the lanes that it lacks."""
+        return direction.reshape(direction.shape + (1,) * (axes - self.axes - direction.ndim))

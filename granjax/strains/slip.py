@@ -1,0 +1,55 @@
+"""Tangential contacts of beads that turn in the plane."""
+
+import jax
+import jax.numpy as jnp
+
+from ..checks import refuse
+from ..entry import checked
+from ..types import Parameter
+from .maps import TwoEnds
+from .stretch import Stretch
+
+
+class Slip(Stretch):
+    r"""How far two beads have slipped past each other at their contact, in the plane.
+
+    Beads have (u_x, u_y, s): s = R theta [m], the way of a point of the rim, R the bead's radius, anticlockwise. With
+    the vector L from tail to head at rest, |L| the sum of the radii, and phi the angle by which the line of centres has
+    turned:
+
+    e = s_tail + s_head - |L| phi,   phi = angle from L to L - (u_tail - u_head), between -pi and pi.
+
+    A rigid motion, also a rotation by a finite angle, slips nowhere, so that its force keeps both momenta. For small
+    displacements |L| phi is the part of u_head - u_tail along L turned by 90 degrees. A linear law of it is Mindlin's
+    tangential stiffness about the static load.
+
+    **Arguments:** as of `Stretch`, with a vector of two components.
+    **Shapes:** `u` (sites..., 3, lanes...) to `e` (bonds..., lanes...). **Raises** ValueError for a vector that is none
+    of the plane. Source: Mindlin, J. Appl. Mech. 16, 259 (1949); Merkel, Tournat, Gusev, Phys. Rev. E 82, 031305 (2010).
+    """
+
+    @checked
+    def __init__(self, pairs: TwoEnds, vector: Parameter):
+        super().__init__(pairs, vector)
+        if self.components != 2:
+            refuse("vector", "a vector of two components", f"{self.components}", "Beads turn in the plane alone.")
+
+    def strain(self, u):
+        D, R, rest, along, *_ = self._geometry(u)
+        axis = self.pairs.axes
+        part = lambda x, i: jax.lax.index_in_dim(x, i, axis, keepdims=False)
+        across = part(R, 1) * part(D, 0) - part(R, 0) * part(D, 1)
+        turned = jnp.arctan2(across, rest * rest - along)
+        return part(self.pairs.reach(u), 2) - rest * turned
+
+    def load(self, u, law):
+        return super(Stretch, self).load(u, law)
+
+    def energy(self, u, law):
+        return super(Stretch, self).energy(u, law)
+
+    def stiffness_bound(self, lattice, k):
+        return super(Stretch, self).stiffness_bound(lattice, k)
+
+    def turning(self, lattice, law):
+        return 0.0
