@@ -10,6 +10,7 @@ from .fractional import fractional, fractional_fput, fractional_sine_gordon
 from .long_range import long_range, magnets
 from .modulated import modulated, travelling_modulation
 from .on_site import cradle, klein_gordon, sine_gordon
+from .plane import diamond, hexagon, honeycomb, kagome, lieb, sawtooth, square, ssh, stub, triangular
 from .resonators import mass_in_mass, mass_with_mass, woodpile
 from .softening import alternating, foam, hollow_cylinders, origami, tensegrity
 from .units import ScaledLattice, Units, scaled
@@ -26,5 +27,7 @@ __all__ = [
     "long_range", "magnets",
     "plastic",
     "mass_in_mass", "mass_with_mass", "woodpile",
+    "hexagon", "honeycomb", "kagome", "lieb", "square", "triangular",
+    "diamond", "sawtooth", "ssh", "stub",
     "alternating", "foam", "hollow_cylinders", "origami", "tensegrity",
 ]

@@ -1,0 +1,107 @@
+"""Chains whose cells have several sites: SSH, sawtooth, stub, diamond."""
+
+from collections.abc import Sequence
+
+from ...checks import positive
+from ...entry import checked
+from ...lattice import Lattice
+from ...laws import Law
+from ...types import Count, Parameter, Scalar
+from ...units import SCALED
+from .build import Motion, built, grounded, laws_of
+from .cells import DIAMOND, SAWTOOTH, SSH, STUB
+
+
+@checked
+def ssh(
+    cells: Count, k1: Parameter = 1.0, k2: Parameter = 2.0, *, mass: Parameter = 1.0,
+    law: Sequence[Law] | None = None, boundary: str = "fixed", ground: Scalar | None = None,
+    on_site: Law | None = None, units: str = SCALED,
+) -> Lattice:
+    r"""Chain of Su, Schrieffer and Heeger: springs k1 within cells of two sites and k2 between cells.
+
+    A chain of 2N equal masses. omega^2 = (k1 + k2 +- |k1 + k2 exp(ik)|)/m, a gap of 2 k1/m ... 2 k2/m; between walls,
+    whose springs are k2, a chain with k1 < k2 has two states within it, one at either end, at about (k1 + k2)/m: for 10
+    cells, k = 1, 2: 2.99853515 and 3.00146485.
+
+    **Arguments:** `cells`: N; `k1`, `k2`: numbers, or one per bond; `mass`; `law`: two laws, of the bonds within and
+    between, in their place; `boundary`: `"fixed"`, `"free"`, `"periodic"`; `ground`, `on_site`: as in
+    `gx.scenes.honeycomb`.
+
+    **Returns:** a `Lattice` of the fields `a`, `b`, (N,) each. **Raises** ValueError for stiffnesses that are not above
+    zero. Source: Su, Schrieffer, Heeger, Phys. Rev. Lett. 42, 1698 (1979); Chaunsali, Xu, Yang, Kevrekidis,
+    Theocharis, Phys. Rev. B 103, 024106 (2021).
+    """
+    laws = laws_of(SSH, law, (positive("k1", k1), positive("k2", k2)), 1, 0.0)
+    return _chain(SSH, cells, laws, mass, boundary, ground, on_site, False, units)
+
+
+@checked
+def sawtooth(
+    cells: Count, stiffness: Parameter = 1.0, *, tooth: Scalar | None = None, mass: Parameter = 1.0,
+    law: Sequence[Law] | None = None, boundary: str = "periodic", ground: Scalar = 0.0, equal: bool = True,
+    on_site: Law | None = None, units: str = SCALED,
+) -> Lattice:
+    r"""Sawtooth chain: a chain of sites `a`, and a site `b` above each bond, bound to both of its ends.
+
+    With teeth 2^{1/2} K and on-site springs that make all sites equal: omega^2 = Omega^2 - K E, E = -2 (flat) and
+    2 + 2 cos k; Omega^2 is the springs' sum at `a`, 2K (1 + 2^{1/2}), and the ground.
+
+    **Arguments:**
+
+    - `cells`: N; `stiffness`: K of the bonds a-a; `tooth`: of the bonds a-b, `None` for 2^{1/2} K.
+    - `law`: three laws in their place, a-a, a-b within the cell and between cells. `mass`, `boundary`: as in `ssh`.
+    - `ground`: an on-site spring at every site; `equal`: whether sites with fewer bonds get one more, so that all
+      springs of a site add up to one sum. Without these the band is not flat.
+    - `on_site`: a law more at every site, such as `gx.Polynomial(0, 0, 1.0)`.
+
+    **Returns:** a `Lattice` of the fields `a`, `b`. **Raises** ValueError as `ssh` does. Source: Leykam, Andreanov,
+    Flach, Advances in Physics: X 3, 1473052 (2018).
+    """
+    K = positive("stiffness", stiffness)
+    side = 2**0.5 * K if tooth is None else positive("tooth", tooth)
+    laws = laws_of(SAWTOOTH, law, (K, side, side), 1, 0.0)
+    return _chain(SAWTOOTH, cells, laws, mass, boundary, ground, on_site, equal, units)
+
+
+@checked
+def stub(
+    cells: Count, stiffness: Parameter = 1.0, *, mass: Parameter = 1.0, law: Sequence[Law] | None = None,
+    boundary: str = "periodic", ground: Scalar = 0.0, equal: bool = True, on_site: Law | None = None,
+    units: str = SCALED,
+) -> Lattice:
+    r"""Stub chain: a chain a, b, a, b, ... with a site `c` on each `a`.
+
+    With on-site springs that make all sites equal: omega^2 = Omega^2 - K E, Omega^2 = 3K + ground, E = 0 (flat) and
+    +-(3 + 2 cos k)^{1/2}.
+
+    **Arguments:** as of `sawtooth`; `stiffness`: a number, or one each for a-b within the cell, between cells, a-c.
+    **Returns:** a `Lattice` of the fields `a`, `b`, `c`. **Raises** ValueError as `ssh` does.
+    """
+    return _chain(STUB, cells, laws_of(STUB, law, stiffness, 1, 0.0), mass, boundary, ground, on_site, equal, units)
+
+
+@checked
+def diamond(
+    cells: Count, stiffness: Parameter = 1.0, *, mass: Parameter = 1.0, law: Sequence[Law] | None = None,
+    boundary: str = "periodic", ground: Scalar = 0.0, equal: bool = True, on_site: Law | None = None,
+    units: str = SCALED,
+) -> Lattice:
+    r"""Diamond chain: squares that share corners; `a` is bound to `b` and `c` of its own cell and of the last.
+
+    With on-site springs that make all sites equal: omega^2 = Omega^2 - K E, Omega^2 = 4K + ground, E = 0 (flat) and
+    +-8^{1/2} cos(k/2).
+
+    **Arguments:** as of `sawtooth`; `stiffness`: a number, or one each for a-b, a-c, b-a', c-a'.
+    **Returns:** a `Lattice` of the fields `a`, `b`, `c`. **Raises** ValueError as `ssh` does.
+    """
+    laws = laws_of(DIAMOND, law, stiffness, 1, 0.0)
+    return _chain(DIAMOND, cells, laws, mass, boundary, ground, on_site, equal, units)
+
+
+def _chain(cell, cells, laws, mass, boundary, ground, on_site, equal, units):
+    springs = None
+    if ground is not None or on_site is not None:
+        springs = grounded(cell, laws, 0.0 if ground is None else ground, equal, on_site)
+    return built(cell, (cells,), laws, Motion(None), mass=mass, spacing=1.0, boundary=boundary, outline="cells",
+                 on_site=springs, units=units)
