@@ -107,7 +107,7 @@ def unit_cell(lattice: Lattice, cell: Cell | None = None) -> UnitCell:
     if all(a is b for a, b in zip(jax.tree.leaves(lattice), jax.tree.leaves(plain))):
         shells, coupling, mass = assemble(np, stiffness, mass, found, chosen, reach)
     else:
-        shells, coupling, mass = _traced(lattice, found, chosen, reach)
+        shells, coupling, mass = assembled(lattice, found, chosen, reach)
     _check_energy(shells, coupling)
     return UnitCell(jnp.asarray(coupling), jnp.asarray(mass), found, shells, lattice.fields, lattice.dimension)
 
@@ -180,23 +180,27 @@ def periods(stiffness: AnyArray, mass: AnyArray, reach: tuple, rings: list, give
     """Sites per cell along each axis, and the sites that stand for the cell."""
     interior = [np.arange(n) if ring else np.arange(r, n - r) for n, r, ring in zip(mass.shape, reach, rings)]
     at = np.ix_(*interior)
-    scale = np.abs(stiffness).max() or 1.0
-    lead = len(interior)
-    features = np.concatenate(
-        [x[at].reshape(x[at].shape[:lead] + (-1,)) for x in (stiffness / scale, mass / mass.max())], -1
-    )
+    features = features_of(stiffness, mass)[at]
     tolerance = TIGHT * np.finfo(mass.dtype).eps
     found, chosen = [], []
     for axis, ring in enumerate(rings):
         rows = np.moveaxis(features, axis, 0).reshape(len(interior[axis]), -1)
-        period = _period(rows, ring, tolerance, None if given is None else given[axis], known, axis)
+        period = repeats_after(rows, ring, tolerance, None if given is None else given[axis], known, axis)
         start = interior[axis][0]
         found.append(period)
         chosen.append(tuple(int(start + (j - start) % period) for j in range(period)))
     return tuple(found), tuple(chosen)
 
 
-def _period(rows, ring, tolerance, given, known, axis):
+def features_of(stiffness: AnyArray, mass: AnyArray) -> AnyArray:
+    """What tells a site from another, (sites..., numbers), of order one."""
+    scale = np.abs(stiffness).max() or 1.0
+    parts = stiffness / scale, mass / mass.max()
+    return np.concatenate([x.reshape(x.shape[: mass.ndim - 1] + (-1,)) for x in parts], -1)
+
+
+def repeats_after(rows: AnyArray, ring: bool, tolerance: float, given: Any, known: bool, axis: int) -> int:
+    """After how many rows they repeat, each of which describes the sites of one place along an axis."""
     size = len(rows)
 
     def repeats(p):
@@ -223,7 +227,8 @@ def _period(rows, ring, tolerance, given, known, axis):
 
 
 @eqx.filter_jit
-def _traced(lattice, cell, chosen, reach):
+def assembled(lattice: Lattice, cell: tuple, chosen: tuple, reach: tuple) -> tuple:
+    """As `assemble`, from a lattice that is traced."""
     return assemble(jnp, blocks(lattice, reach, stiffness_product(lattice)), masses(lattice), cell, chosen, reach)
 
 

@@ -1,0 +1,172 @@
+"""Flat bands: where omega does not depend on k, and the compact states of which they are made."""
+
+from itertools import product
+from typing import ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from scipy.linalg import null_space
+
+from ..checks import refuse, whole
+from ..entry import checked
+from ..lattice import Lattice, State
+from ..results import Held, Result
+from ..types import AnyArray, Cell, Count, Displacements, Numbers
+from .cell import UnitCell, unit_cell
+from .stiffness import unpack
+
+# of the largest omega^2: what is flat; cells over which a compact state is looked for
+FLAT, WIDEST = 1e-12, 4
+MESH = {1: 48, 2: 12, 3: 6}
+
+
+class FlatBands(Result):
+    """The flat bands of a lattice, and a compact state of each frequency.
+
+    **Fields:** `omega`, `omega_squared` (flat,) [rad/s]. `width` (flat,): by how much omega^2 varies over the zone.
+    `degeneracy`: how many bands have that frequency. `states`: of each frequency one compact state, its displacements
+    over `cells` cells along each axis, (cells..., cell..., P) as of `gx.linear.UnitCell`, normalised with the mass;
+    on all other sites it is zero. `residual`: what of (D - omega^2) q is left, relative to the largest stiffness.
+    `support`: on how many degrees of freedom each lives.
+    """
+
+    held: ClassVar[dict[str, Held]] = {
+        "omega": Held("flat", "rad/s"), "omega_squared": Held("flat", "rad^2/s^2"), "width": Held("flat", "rad^2/s^2"),
+        "degeneracy": Held("flat"), "support": Held("flat"), "residual": Held("flat", "1"), "states": Held(None),
+        "cell": Held(None), "fields": Held(None),
+    }
+    omega: Numbers
+    omega_squared: Numbers
+    width: Numbers
+    degeneracy: AnyArray
+    support: AnyArray
+    residual: Numbers
+    states: tuple
+    cell: tuple[int, ...] = eqx.field(static=True)
+    fields: tuple[str, ...] | None = eqx.field(static=True)
+    dimension: int | None = eqx.field(static=True)
+
+    @property
+    def outcome(self) -> str:
+        """How many flat bands at which frequencies, and the size of their compact states."""
+        if not len(self.omega):
+            return "No band is flat."
+        told = ", ".join(f"{self._told('omega', w)} (on {n} sites)" for w, n in zip(self.omega, self.support))
+        return f"{int(np.sum(self.degeneracy))} flat band{'s' * (int(np.sum(self.degeneracy)) > 1)}: omega = {told}."
+
+    @checked
+    def state(self, lattice: Lattice, number: Count = 0, at: Cell | None = None) -> State:
+        """The compact state of one frequency on a lattice, as a `State` at rest with the largest displacement 1.
+
+        **Arguments:** `lattice`: that it was found for, or a longer one of the same cell; `number`: of `omega`; `at`:
+        the cell where it begins, `None` for the middle. **Raises** ValueError where it does not fit.
+        """
+        sizes = next(iter(lattice.sites.values())) if lattice.fields else lattice.sites
+        numbers = whole("number", number, 0)
+        if numbers >= len(self.states):
+            refuse("number", f"below {len(self.states)}, the number of flat frequencies", f"{number}")
+        found = self.states[numbers]
+        axes = len(self.cell)
+        counts = found.shape[:axes]
+        cells = [n // c for n, c in zip(sizes, self.cell)]
+        if at is None:
+            at = tuple((n - m) // 2 for n, m in zip(cells, counts))
+        at = (at,) * axes if np.ndim(at) == 0 else tuple(at)
+        if any(not 0 <= a <= n - m for a, n, m in zip(at, cells, counts)):
+            refuse("at", f"a cell from which {counts} cells lie within {tuple(cells)}", f"{at}")
+        # (cells..., cell..., width): sites along each axis are cell by cell
+        order = [i for pair in zip(range(axes), range(axes, 2 * axes)) for i in pair] + [2 * axes]
+        block = found.transpose(order).reshape([m * c for m, c in zip(counts, self.cell)] + [found.shape[-1]])
+        whole_lattice = np.zeros(tuple(sizes) + (found.shape[-1],))
+        whole_lattice[tuple(slice(a * c, a * c + n) for a, c, n in zip(at, self.cell, block.shape))] = block
+        u = unpack(jnp.asarray(whole_lattice / np.abs(whole_lattice).max(), lattice.dtype), lattice.fields,
+                   lattice.dimension)
+        return State(u, lattice.zeros())
+
+
+@checked
+def flat_bands(lattice: Lattice, cell: Cell | None = None, *, cells: Count = WIDEST) -> FlatBands:
+    r"""The flat bands of a lattice, and their compact localised states.
+
+    A band is flat where omega^2 varies over the zone by rounding alone. Its compact state is looked for on 1, 2, ...
+    cells along each axis, as the null vector of the equations of all sites that it touches, (D - omega^2) q = 0: so
+    its neighbours feel no force. Of several states that fit on so few cells the sparsest found is given.
+
+    **Arguments:** `lattice`: one `Lattice`; `cell`: as in `unit_cell`; `cells`: the most along each axis.
+    **Returns:** `FlatBands`; none where no band is flat. Its displacements as a state to start from: `.state(lattice)`.
+    **Raises** ValueError where `unit_cell` does. Source: Leykam, Andreanov, Flach, Advances in Physics: X 3, 1473052
+    (2018); Maimaiti, Andreanov, Park, Gendelman, Flach, Phys. Rev. B 95, 115135 (2017).
+    """
+    found = unit_cell(lattice, cell)
+    axes = len(found.cell)
+    mesh = 2 * np.pi * (np.arange(MESH[axes]) + 0.3) / MESH[axes]
+    D = [np.asarray(found.dynamical_matrix(jnp.asarray(k))) for k in product(mesh, repeat=axes)]
+    squared = np.linalg.eigvalsh(np.array(D))
+    scale = np.abs(squared).max() or 1.0
+    width = np.ptp(squared, axis=0)
+    flat = np.flatnonzero(width <= FLAT * scale)
+    values, groups = [], []
+    for band in flat:
+        value = squared[:, band].mean()
+        if values and abs(value - values[-1]) <= FLAT * scale:
+            groups[-1].append(band)
+        else:
+            values.append(value)
+            groups.append([band])
+    states, residual = zip(*(_compact(found, v, scale, cells) for v in values)) if values else ((), ())
+    support = [int((np.abs(s) > 1e-9 * np.abs(s).max()).sum()) for s in states]
+    values = np.array(values)
+    omega = np.sign(values) * np.sqrt(np.abs(values))
+    return FlatBands(omega, values, np.array([width[g].max() for g in groups]), np.array([len(g) for g in groups], int),
+                     np.array(support, int), np.array(residual), tuple(states), found.cell, found.fields,
+                     found.dimension, **lattice.origin)
+
+
+def _compact(found: UnitCell, squared: float, scale: float, most: int) -> tuple:
+    """Displacements of a compact state on as few cells as possible, and what is left of its equations."""
+    axes, size = len(found.cell), found.mass.size
+    coupling = np.asarray(found.coupling)
+    for counts in sorted(product(range(1, most + 1), repeat=axes), key=lambda c: (np.prod(c), max(c), c)):
+        places = list(product(*(range(n) for n in counts)))
+        column = {place: i for i, place in enumerate(places)}
+        targets = sorted({tuple(np.subtract(place, R)) for place in places for R in found.shells})
+        row = {place: i for i, place in enumerate(targets)}
+        equations = np.zeros((len(targets) * size, len(places) * size))
+        for R, block in zip(found.shells, coupling):
+            for place, j in column.items():
+                i = row[tuple(np.subtract(place, R))]
+                equations[i * size : (i + 1) * size, j * size : (j + 1) * size] += block
+        for place, j in column.items():
+            i = row[place]
+            equations[i * size : (i + 1) * size, j * size : (j + 1) * size] -= squared * np.eye(size)
+        null = null_space(equations, rcond=1e-10)
+        if null.shape[1]:
+            q = _sparsest(null)
+            left = np.abs(equations @ q).max() / (scale * np.abs(q).max())
+            u = q.reshape(*counts, size) / np.sqrt(np.asarray(found.mass))
+            width = size // int(np.prod(found.cell))
+            return u.reshape(*counts, *found.cell, width), left
+    refuse("cells", "enough for a compact state of the flat band", f"{most}",
+           "A band that is flat only by accident of the mesh has none.")
+
+
+def _sparsest(null):
+    """A null vector with zeros where it can have them, exact zeros where they are rounding."""
+    # each row that can be left out of all but one combination: reduced echelon form
+    rows = null.copy()
+    for column in range(rows.shape[1]):
+        rest = np.abs(rows[:, column:]).max(1)
+        pivot = int(np.argmax(rest))
+        best = column + int(np.argmax(np.abs(rows[pivot, column:])))
+        rows[:, [column, best]] = rows[:, [best, column]]
+        rows[:, column] /= rows[pivot, column]
+        for other in range(rows.shape[1]):
+            if other != column:
+                rows[:, other] -= rows[pivot, other] * rows[:, column]
+    rows = np.where(np.abs(rows) < 1e-10 * np.abs(rows).max(0), 0, rows)
+    q = rows[:, int(np.argmin((rows != 0).sum(0)))]
+    # refined to the whole numbers or roots that cancel: one step of orthogonal projection on the null space
+    kept = q != 0
+    inside = null_space(np.where(kept[:, None], 0, np.eye(len(q))) @ null @ null.T + (np.eye(len(q)) - null @ null.T))
+    return np.where(kept, inside[:, 0] if inside.shape[1] == 1 else q, 0)

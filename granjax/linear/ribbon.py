@@ -1,0 +1,136 @@
+"""Strips of a lattice of the plane: their bands, and which of them run along an edge."""
+
+from typing import ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..checks import parameter, refuse, whole
+from ..entry import checked
+from ..lattice import Lattice
+from ..results import Held, Result
+from ..types import ComplexNumbers, Count, Displacements, Numbers, Parameter
+from .cell import TIGHT, UnitCell, assemble, assembled, features_of, is_ring, reach_of, repeats_after, stand_in
+from .modes import signed_root
+from .stiffness import at_rest, grid, measure
+
+
+class RibbonBands(Result):
+    """Bands of a strip, periodic along one axis and with its own ends along the other.
+
+    **Fields:** `k` (K,): phase per cell along the strip [rad]. `omega`, `omega_squared` (K, bands) [rad/s]. `modes`:
+    Bloch vectors over the width, (K, width, [vector], bands), or a dict of such; normalised with the masses. `edge`
+    (K, bands): where across the strip the wave's energy of motion is, from -1 (all at the first site) to 1 (the last).
+    `participation` (K, bands): over how many sites of the width it is spread, (sum e)^2/sum e^2. `axis`: along which
+    the strip runs.
+    """
+
+    held: ClassVar[dict[str, Held]] = {
+        "k": Held("wave", "rad"), "omega": Held("wave band", "rad/s"), "omega_squared": Held("wave band", "rad^2/s^2"),
+        "modes": Held("wave across ... band"), "edge": Held("wave band"), "participation": Held("wave band"),
+        "axis": Held(None),
+    }
+    k: Numbers
+    omega: Numbers
+    omega_squared: Numbers
+    modes: ComplexNumbers | dict[str, ComplexNumbers]
+    edge: Numbers
+    participation: Numbers
+    axis: int = eqx.field(static=True)
+
+    @property
+    def outcome(self) -> str:
+        """How many bands, and how many of them are bound to an edge somewhere."""
+        bound = int((np.asarray(self.participation) < 0.2 * self.omega.shape[-1]).any(0).sum())
+        return f"{self.omega.shape[-1]} bands at {len(self.k)} wave numbers; {bound} within a fifth of the width " \
+               "at some of them."
+
+
+@checked
+def ribbon(lattice: Lattice, k: Parameter | None = None, *, axis: Count | None = None,
+           cell: Count | None = None) -> RibbonBands:
+    r"""Bands of a strip: waves exp(ikR) along one axis of a lattice of the plane, whose other axis ends as it does.
+
+    **Arguments:**
+
+    - `lattice`: one `Lattice` on a grid of two axes, such as `gx.scenes.honeycomb(6, 30, boundary=("periodic",
+      "free"))`. Its width is the strip's: disorder, walls, or a wall between two phases across it count.
+    - `k`: phases per cell along the strip (K,) [rad], `None` for 121 of the whole zone.
+    - `axis`: along which it runs, `None` for the one that is periodic. `cell`: sites per cell along it, `None` for the
+      smallest.
+
+    **Returns:** `RibbonBands`, for `gx.plots.bands`. Differentiable. **Raises** ValueError for another lattice, and
+    where `unit_cell` does.
+    """
+    lattice = at_rest(lattice)
+    sites = grid(lattice)
+    if len(sites) != 2:
+        refuse("lattice", "a lattice of two axes", f"one of {len(sites)}", "gx.linear.dispersion is for chains.")
+    plain, known = stand_in(lattice)
+    reach, stiffness, mass = reach_of(plain, measure)
+    rings = [is_ring(stiffness, a, reach) for a in (0, 1)]
+    if axis is None:
+        if rings[0] == rings[1]:
+            refuse("axis", "0 or 1, along which the strip runs", "None", "One axis alone is to be periodic.")
+        axis = 0 if rings[0] else 1
+    if axis not in (0, 1):
+        refuse("axis", "0 or 1", repr(axis))
+    across = 1 - axis
+    if rings[across]:
+        refuse("lattice", f"ends along axis {across}, across the strip", "a ring", "boundary=('periodic', 'free')")
+    if not rings[axis]:
+        refuse("lattice", f"a ring along axis {axis}, the strip's", "ends", "boundary=('periodic', 'free')")
+    found = _strip_cell(lattice, plain, known, (reach, stiffness, mass), axis, cell)
+    given = 2 * np.pi * np.arange(121) / 120 - np.pi if k is None else parameter("k", k)
+    if np.ndim(given) != 1 or not np.size(given):
+        refuse("k", "phases along the strip, (K,)", f"shape {np.shape(given)}")
+    squared, omega, q = _solved(found, jnp.asarray(given, found.mass.dtype), axis)
+    modes = found.displacements(q)
+    edge, participation = _places(q, found, axis)
+    flat = jax.tree.map(lambda x: _one_row(x, axis, found.cell), modes)
+    return RibbonBands(jnp.asarray(given), omega, squared, flat, edge, participation, axis, **lattice.origin)
+
+
+def _strip_cell(lattice, plain, known, measured, axis, cell):
+    """The cell of a strip: all of its width."""
+    reach, stiffness, mass = measured
+    rows = np.moveaxis(features_of(stiffness, mass), axis, 0)
+    period = repeats_after(rows.reshape(len(rows), -1), True, TIGHT * np.finfo(mass.dtype).eps,
+                           None if cell is None else whole("cell", cell, 1), known, axis)
+    chosen = [tuple(range(n)) for n in mass.shape[:2]]
+    chosen[axis] = chosen[axis][:period]
+    found = tuple(map(len, chosen))
+    if all(a is b for a, b in zip(jax.tree.leaves(lattice), jax.tree.leaves(plain))):
+        shells, coupling, masses = assemble(np, stiffness, mass, found, tuple(chosen), reach)
+    else:
+        shells, coupling, masses = assembled(lattice, found, tuple(chosen), reach)
+    kept = [i for i, R in enumerate(shells) if R[1 - axis] == 0]
+    return UnitCell(jnp.asarray(coupling)[np.array(kept)], jnp.asarray(masses), found, tuple(shells[i] for i in kept),
+                    lattice.fields, lattice.dimension)
+
+
+@eqx.filter_jit
+def _solved(found, k, axis):
+    def one(k):
+        D = found.dynamical_matrix(jnp.zeros(2, k.dtype).at[axis].set(k))
+        squared, q = jnp.linalg.eigh(D)
+        return squared, signed_root(squared, jnp.abs(D).max(), squared.size), q
+
+    return jax.lax.map(one, k, batch_size=16)
+
+
+def _places(q, found, axis):
+    """Where across the strip the energy of motion is, in (-1, 1), and over how many sites."""
+    share = jnp.abs(q) ** 2
+    share = share.reshape(share.shape[0], *found.cell, -1, share.shape[-1])
+    share = share.sum((1 + axis, 3))
+    width = share.shape[1]
+    place = jnp.linspace(-1, 1, width)[None, :, None]
+    return (place * share).sum(1), share.sum(1) ** 2 / (share**2).sum(1)
+
+
+def _one_row(x, axis, cell):
+    """Without the axis along the strip where its cell has one site."""
+    return jnp.squeeze(x, 1 + axis) if cell[axis] == 1 else x

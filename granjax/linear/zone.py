@@ -1,0 +1,234 @@
+"""The Brillouin zone of a lattice: its lattice vectors, points with a name, bands along a path, density of states."""
+
+from typing import Any, ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from ..checks import concrete, parameter, refuse, whole
+from ..entry import checked
+from ..lattice import Lattice
+from ..results import Held, Result
+from ..types import Cell, ComplexNumbers, Count, Numbers, Parameter
+from .cell import UnitCell, unit_cell
+from .dispersion import dispersion
+
+SHAPE = 1e-9
+CHAIN = {"G": (0.0,), "X": (1.0,)}
+SQUARE = {"G": (0, 0), "X": (1, 0), "Y": (0, 1), "M": (1, 1)}
+RECTANGLE = {"G": (0, 0), "X": (1, 0), "Y": (0, 1), "S": (1, 1)}
+# of axes at 60 degrees; M lies between K and K'
+HEXAGON = {"G": (0, 0), "M": (0, 1), "K": (2 / 3, 4 / 3), "K'": (4 / 3, 2 / 3)}
+
+
+def lattice_vectors(lattice: Lattice, cell: tuple) -> np.ndarray | None:
+    """The vectors (axes, d) from a cell to the next along each axis, by the positions; `None` without these."""
+    positions = lattice.positions
+    if isinstance(positions, dict):
+        positions = next(iter(positions.values()))
+    if positions is None:
+        return None
+    positions = concrete(positions)
+    if positions is None:
+        refuse("lattice", "positions that are known", "traced ones", "Take the path's phases outside of jit and vmap.")
+    at = np.asarray(positions)
+    if any(n < 2 for n in at.shape[:-1]):
+        refuse("lattice", "two cells or more along each axis", f"{at.shape[:-1]}")
+    origin = at[(0,) * (at.ndim - 1)]
+    steps = [at[tuple(int(i == j) for j in range(at.ndim - 1))] - origin for i in range(at.ndim - 1)]
+    return np.array([n * step for n, step in zip(cell, steps)])
+
+
+def named_points(vectors: np.ndarray | None, axes: int) -> dict:
+    """Points of the zone that have a name, as phases per cell: by the lengths and angles of the lattice vectors."""
+    if axes == 1:
+        return {name: np.pi * np.array(k) for name, k in CHAIN.items()}
+    if vectors is None or axes != 2:
+        return {"G": np.zeros(axes)}
+    (aa, ab), (_, bb) = vectors @ vectors.T
+    equal, size = abs(aa - bb) < SHAPE * aa, np.sqrt(aa * bb)
+    if abs(ab) < SHAPE * size:
+        table = SQUARE if equal else RECTANGLE
+    elif equal and abs(abs(ab) - size / 2) < SHAPE * size:
+        table = HEXAGON if ab > 0 else {name: (k[0], k[1] - k[0]) for name, k in HEXAGON.items()}
+    else:
+        table = {"G": (0, 0)}
+    return {name: np.pi * np.array(k, float) for name, k in table.items()}
+
+
+class PathBands(Result):
+    """Bands along a path through the Brillouin zone.
+
+    **Fields:** `names`: of the path's points; `marks` (points,): their places in the arrays. `k` (K, axes): phases per
+    cell [rad]. `distance` (K,): along the path, [1/m] of a lattice with positions, else [rad]. `omega`,
+    `omega_squared` (K, bands) [rad/s]. `vectors`: Bloch vectors, (K, cell..., [vector], bands) or a dict of such.
+    `slope` (K, bands): d omega / d distance, the group velocity along the path [m/s]; NaN where bands cross. `cell`:
+    sites per cell along each axis.
+    """
+
+    held: ClassVar[dict[str, Held]] = {
+        "k": Held("place axis", "rad"), "distance": Held("place", "1/m"), "omega": Held("place band", "rad/s"),
+        "omega_squared": Held("place band", "rad^2/s^2"), "vectors": Held("place site ... band"),
+        "slope": Held("place band", "m/s"), "marks": Held("point"), "names": Held(None), "cell": Held(None),
+    }
+    names: tuple[str, ...] = eqx.field(static=True)
+    marks: Any
+    k: Numbers
+    distance: Numbers
+    omega: Numbers
+    omega_squared: Numbers
+    vectors: ComplexNumbers | dict[str, ComplexNumbers]
+    slope: Numbers
+    cell: tuple[int, ...] = eqx.field(static=True)
+
+    @property
+    def outcome(self) -> str:
+        """How many bands, along which path."""
+        bands = self.omega.shape[-1]
+        return f"{bands} band{'s' * (bands > 1)} along {'-'.join(self.names)}, omega = " \
+               f"{self._told('omega', np.min(self.omega))} ... {self._told('omega', np.max(self.omega))}."
+
+
+@checked
+def path(
+    lattice: Lattice, points: str = "GXMG", count: Count = 120, cell: Cell | None = None, *,
+    named: dict[str, Parameter] | None = None,
+) -> PathBands:
+    """Bands of a lattice along straight lines between points of its Brillouin zone.
+
+    **Arguments:**
+
+    - `lattice`: one `Lattice` on a grid; the shape of its zone is read from its `positions`.
+    - `points`: names one after the other, "GKMG" (an apostrophe belongs to the letter before it: "GK'MG"). A chain has
+      G, X; a square lattice G, X, M, Y; a rectangular one G, X, S, Y; axes at 60 or 120 degrees G, K, M, K'.
+    - `count`: places in all, shared out as the lengths of the lines are. `cell`: as in `unit_cell`.
+    - `named`: points more, from name to phases per cell [rad].
+
+    **Returns:** `PathBands`, for `gx.plots.bands`. Differentiable in the lattice's numbers but positions.
+    **Raises** ValueError for a point that the zone does not have, fewer than two points, and where `dispersion` does.
+    """
+    found = unit_cell(lattice, cell)
+    axes = len(found.cell)
+    vectors = lattice_vectors(lattice, found.cell)
+    known = named_points(vectors, axes) | {
+        name: np.asarray(concrete(parameter(f"named[{name!r}]", k)), float).reshape(-1) for name, k in (named or {}).items()}
+    names = _letters(points, known)
+    corners = np.array([known[name] for name in names])
+    # lengths in space: k = A q for phases k, lattice vectors A
+    space = corners if vectors is None else corners @ np.linalg.pinv(vectors).T
+    lengths = np.linalg.norm(np.diff(space, axis=0), axis=1)
+    if not np.all(lengths > 0):
+        refuse("points", "points that are not next to themselves", repr(points))
+    shares = np.maximum(1, np.round(whole("count", count, 2) * lengths / lengths.sum()).astype(int))
+    marks = np.concatenate([[0], np.cumsum(shares)])
+    k = np.concatenate([a + (b - a) * np.arange(n)[:, None] / n for a, b, n in zip(corners, corners[1:], shares)]
+                       + [corners[-1:]])
+    distance = np.concatenate([s + l * np.arange(n) / n for s, l, n in zip(
+        np.concatenate([[0], np.cumsum(lengths)]), lengths, shares)] + [[lengths.sum()]])
+    waves = dispersion(lattice, k if axes > 1 else k[:, 0], cell)
+    along = np.repeat(np.diff(corners, axis=0) / lengths[:, None], shares, axis=0)
+    velocity = waves.group_velocity if axes > 1 else waves.group_velocity[..., None]
+    slope = jnp.einsum("kba,ka->kb", velocity, jnp.asarray(np.concatenate([along, along[-1:]])))
+    return PathBands(names, marks, k, distance, waves.omega, waves.omega_squared, waves.vectors, slope, waves.cell,
+                     **lattice.origin)
+
+
+def _letters(points, known):
+    names = []
+    for letter in points.replace("-", "").replace(" ", ""):
+        if letter == "'" and names:
+            names[-1] += letter
+        else:
+            names.append(letter)
+    for name in names:
+        if name not in known:
+            refuse("points", f"names among {sorted(known)}", repr(name),
+                   "Others by named={'P': (k1, k2)}; positions tell the shape of the zone.")
+    if len(names) < 2:
+        refuse("points", "two points or more", repr(points))
+    return tuple(names)
+
+
+class DensityOfStates(Result):
+    """Density of states g(omega): how many of the bands' waves lie within a band of frequencies, over its width.
+
+    **Fields:** `omega` (W,): the middles of bins [rad/s]; `density` (W,), a mean over each bin [s]: its integral over
+    omega is the number of bands; `error` (W,): from a zone of half as many points; `points`: along each axis.
+    """
+
+    held: ClassVar[dict[str, Held]] = {
+        "omega": Held("frequency", "rad/s"), "density": Held("frequency", "s"), "error": Held("frequency", "s"),
+        "points": Held(None),
+    }
+    omega: Numbers
+    density: Numbers
+    error: Numbers
+    points: int = eqx.field(static=True)
+
+    @property
+    def outcome(self) -> str:
+        """Between which frequencies, and how well it is known."""
+        worst = float(np.max(self.error) / max(np.max(self.density), np.finfo(float).tiny))
+        return f"Density of states in {self.omega.size} bins, each known to {worst:.1e} of the largest."
+
+
+@checked
+def density_of_states(
+    lattice: Lattice, bins: Count = 100, points: Count | None = None, cell: Cell | None = None,
+) -> DensityOfStates:
+    """Density of states of the infinite lattice: bands summed over the zone, by linear interpolation between points.
+
+    Within each of the zone's pieces (intervals, or triangles of a plane) omega is taken as linear, so that the count
+    below a frequency is exact for it.
+
+    **Arguments:** `bins`: of omega from 0 (or the least) to the largest; `points`: along each axis of the zone, even,
+    `None` for 512 of a chain and 96 of a plane. `cell`: as in `unit_cell`. **Returns:** `DensityOfStates`, for
+    `gx.plots.profile`. **Raises** ValueError for a lattice with three axes, and where `unit_cell` does.
+    """
+    found = unit_cell(lattice, cell)
+    axes = len(found.cell)
+    if axes > 2:
+        refuse("lattice", "a chain or a lattice of the plane", f"one with {axes} axes")
+    points = (512 if axes == 1 else 96) if points is None else whole("points", points, 8)
+    points += points % 2
+    k = 2 * np.pi * np.arange(points) / points
+    grid = k if axes == 1 else np.stack(np.meshgrid(k, k, indexing="ij"), -1)
+    omega = np.asarray(dispersion(lattice, grid, cell).omega)
+    low, high = min(0.0, omega.min()), omega.max()
+    if not high > low:
+        refuse("lattice", "waves of more than one frequency", f"omega = {high:g} alone", "Give it a precompression.")
+    edges = np.linspace(low, high * (1 + 1e-12), whole("bins", bins, 1) + 1)
+    width = np.diff(edges)
+    fine = np.diff(_counted(omega, edges, axes)) / width
+    half = omega[(slice(None, None, 2),) * axes]
+    error = np.abs(fine - np.diff(_counted(half, edges, axes)) / width)
+    return DensityOfStates((edges[1:] + edges[:-1]) / 2, fine, error, int(points), **lattice.origin)
+
+
+def _counted(omega, edges, axes):
+    """Number of states per cell below each edge."""
+    following = [np.roll(omega, -1, axis) for axis in range(axes)]
+    if axes == 1:
+        pieces = np.stack([omega, following[0]])
+    else:
+        across = np.roll(following[0], -1, 1)
+        pieces = np.concatenate([np.stack([omega, *following]), np.stack([across, *following])], 1)
+    pieces = np.sort(pieces.reshape(axes + 1, -1), 0)
+    return np.array([_below(pieces, e).sum() for e in edges]) * omega.shape[-1] / pieces.shape[1]
+
+
+def _below(pieces, e):
+    """The part of each interval or triangle where a linear function, of these values at the corners, is below e."""
+    low, high = pieces[0], pieces[-1]
+    span = np.where(high > low, high - low, 1)
+    if len(pieces) == 2:
+        return np.where(high > low, np.clip((e - low) / span, 0, 1), high <= e)
+    middle = pieces[1]
+    first, second = np.where(middle > low, middle - low, 1), np.where(high > middle, high - middle, 1)
+    rising = np.where(e > low, (e - low) ** 2 / (span * first), 0)
+    falling = 1 - (high - e) ** 2 / (span * second)
+    part = np.where(e < middle, rising, np.where(e < high, falling, 1))
+    return np.where(e <= low, np.where(high <= e, 1.0, 0.0), part)
+
+

@@ -1,0 +1,406 @@
+r"""Topology of bands: Zak phases, winding, Berry curvature, Chern and valley Chern numbers, the quadrupole.
+
+All is computed from Bloch vectors on a mesh by products of their overlaps, in which arbitrary phases of the vectors
+cancel: no gauge is chosen. The vectors q are those of D(k) q = omega^2 q with the phases of cells, D(k + 2 pi) = D(k);
+a Zak phase depends on which sites are called one cell, as `gx.linear.unit_cell` has them.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any, ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .checks import parameter, refuse, whole
+from .entry import checked
+from .lattice import Lattice
+from .linear import unit_cell
+from .linear.zone import named_points
+from .linear.zone import lattice_vectors as _vectors
+from .results import Held, Result
+from .types import Cell, Count, Number, Numbers, Parameter
+
+# a gap that is less, of the largest |D|, is none
+CLOSED = 1e-9
+
+__all__ = ["BerryCurvature", "Zak", "berry_curvature", "chern", "quadrupole", "valley_chern", "winding", "zak"]
+
+
+class _Waves(eqx.Module):
+    """Where D(k) comes from: a lattice's unit cell, or a function of one's own."""
+
+    matrix: Callable
+    axes: int = eqx.field(static=True)
+
+    def solved(self, k):
+        """omega^2 and vectors at points (..., axes), as NumPy arrays."""
+        points = np.asarray(k, float).reshape(-1, self.axes)
+        squared, q = _eigen(self.matrix, jnp.asarray(points))
+        shape = np.shape(k)[:-1]
+        return np.asarray(squared).reshape(*shape, -1), np.asarray(q).reshape(*shape, *q.shape[-2:])
+
+
+@eqx.filter_jit
+def _eigen(matrix, points):
+    return jnp.linalg.eigh(jax.vmap(matrix)(points))
+
+
+def _waves_of(lattice, cell, axes=None):
+    if isinstance(lattice, Lattice):
+        found = unit_cell(lattice, cell)
+        if axes is not None and len(found.cell) != axes:
+            kinds = {1: "a chain", 2: "a lattice of the plane"}
+            refuse("lattice", kinds[axes], f"one with {len(found.cell)} axes")
+        return _Waves(found.dynamical_matrix, len(found.cell))
+    if not callable(lattice):
+        refuse("lattice", "a Lattice, or a function from k (axes,) to a Hermitian matrix", f"a {type(lattice).__name__}")
+    return _Waves(lattice, axes or 1)
+
+
+def _chosen(bands, size):
+    """The bands that are asked for, as a sorted list."""
+    given = [bands] if np.ndim(bands) == 0 else list(bands)
+    numbers = sorted({whole("band", b, -size) % size for b in given if whole("band", b, -size) < size})
+    if len(numbers) != len(given):
+        refuse("band", f"numbers from 0 to {size - 1}, each once", repr(bands), "Bands are counted from the lowest.")
+    return numbers
+
+
+def _check_apart(squared, numbers, what):
+    """Refuse bands that touch others: they have no phases of their own."""
+    others = [n for n in range(squared.shape[-1]) if n not in numbers]
+    flat = squared.reshape(-1, squared.shape[-1])
+    if not others:
+        return
+    gap = np.min(np.abs(flat[:, numbers][:, :, None] - flat[:, others][:, None, :]))
+    if gap <= CLOSED * np.abs(flat).max():
+        refuse("band", f"bands apart from all others, for {what}", f"{numbers}, which touch others",
+               "Take the bands that touch together: band=(0, 1); or open the gap.")
+
+
+def _overlap(q, after):
+    """Overlap matrices of neighbouring points, without their lengths."""
+    link = np.swapaxes(q.conj(), -1, -2) @ after
+    left, _, right = np.linalg.svd(link)
+    return left @ right
+
+
+class Zak(Result):
+    """Zak phases of the bands of a chain, or of a plane along one axis.
+
+    **Fields:** `phase` (bands,) or (bands, K) in (-pi, pi]: Berry phase of each band over the zone, NaN for one that
+    touches others. `below` (bands - 1,) or (bands - 1, K): of all bands below each gap together, NaN where bands touch
+    there; it counts, over pi and in a chain with a centre of inversion, the states at an end. `error`: how much a mesh
+    of half as many points differs. `k` (K,): the wave number along the other axis, `None` of a chain.
+    """
+
+    held: ClassVar[dict[str, Held]] = {
+        "phase": Held("band ...", "rad"), "below": Held("gap ...", "rad"), "error": Held(unit="rad"),
+        "k": Held("wave", "rad"),
+    }
+    phase: Numbers
+    below: Numbers
+    error: Number
+    k: Numbers | None = None
+
+    @property
+    def outcome(self) -> str:
+        """The phases in units of pi."""
+        if np.ndim(self.phase) > 1:
+            return f"Zak phases of {len(self.phase)} bands at {self.phase.shape[1]} wave numbers."
+        told = ", ".join("none" if np.isnan(x) else f"{x / np.pi:+.6g} pi" for x in self.phase)
+        return f"Zak phases {told}."
+
+
+@checked
+def zak(
+    lattice: Any, *, points: Count = 64, axis: Count = 0, k: Parameter | None = None, cell: Cell | None = None,
+) -> Zak:
+    r"""Zak phases: gamma = -Im log prod_j <q(k_j)|q(k_{j+1})> over the zone, closed by D(k + 2 pi) = D(k).
+
+    A chain that its mirror image leaves as it is has 0 or pi. With the cell of `gx.scenes.ssh` it is pi where the
+    bonds between cells are the stiffer ones, and a cut between cells leaves a state at the end.
+
+    **Arguments:** `lattice`: one `Lattice`, or a function from k (axes,) to a Hermitian matrix D(k) of period 2 pi.
+    `points`: of the mesh, even. Of a plane: `axis`, along which it is taken, and `k`, wave numbers along the other.
+    `cell`: as in `unit_cell`. **Returns:** `Zak`. **Raises** ValueError for a lattice with three axes, a plane without
+    `k`, and where `unit_cell` does. Source: Zak, Phys. Rev. Lett. 62, 2747 (1989); Resta, Rev. Mod. Phys. 66, 899.
+    """
+    waves = _waves_of(lattice, cell, None if isinstance(lattice, Lattice) or k is None else 2)
+    if waves.axes > 2 or (waves.axes == 2) != (k is not None):
+        refuse("k", "None of a chain; of a plane the wave numbers along the other axis", f"{k} with {waves.axes} axes")
+    n = whole("points", points, 4)
+    n += n % 2
+    if waves.axes == 1:
+        mesh = (2 * np.pi * np.arange(n) / n)[:, None, None]
+        other = None
+    else:
+        if axis not in (0, 1):
+            refuse("axis", "0 or 1", repr(axis))
+        other = np.atleast_1d(np.asarray(parameter("k", k), float))
+        pair = np.meshgrid(2 * np.pi * np.arange(n) / n, other, indexing="ij")
+        mesh = np.stack(pair if axis == 0 else pair[::-1], -1)
+    squared, q = waves.solved(mesh)
+    phase, below = _phases(squared, q)
+    coarse = _phases(squared[::2], q[::2])
+    off = np.concatenate([_turned(phase - coarse[0]).ravel(), _turned(below - coarse[1]).ravel()])
+    error = np.nanmax(np.abs(off), initial=0.0)
+    if other is None:
+        phase, below = phase[:, 0], below[:, 0]
+    marks = lattice.origin if isinstance(lattice, Lattice) else {}
+    return Zak(phase, below, error, other, **marks)
+
+
+def _turned(angle):
+    return np.angle(np.exp(1j * np.asarray(angle)))
+
+
+def _phases(squared, q):
+    """Phases of each band and of all below each gap, from vectors (mesh, K, P, P)."""
+    size = squared.shape[-1]
+    scale = CLOSED * max(np.abs(squared).max(), np.finfo(float).tiny)
+    gaps = np.min(np.diff(squared, axis=-1), axis=0) > scale
+    after = np.roll(q, -1, 0)
+
+    def loop(bands):
+        link = np.linalg.det(np.swapaxes(q[..., bands].conj(), -1, -2) @ after[..., bands])
+        # one product of numbers of modulus one: no logarithm is summed
+        turn = np.prod(link / np.abs(link), axis=0)
+        angle = -np.angle(turn)
+        return np.where(np.isclose(angle, -np.pi, atol=1e-12), np.pi, angle)
+
+    lower = np.concatenate([np.ones((gaps.shape[0], 1), bool), gaps], -1)
+    upper = np.concatenate([gaps, np.ones((gaps.shape[0], 1), bool)], -1)
+    alone = (lower & upper).T
+    phase = np.stack([np.where(alone[n], loop([n]), np.nan) for n in range(size)])
+    below = [np.where(gaps[:, n], loop(list(range(n + 1))), np.nan) for n in range(size - 1)]
+    return phase, np.stack(below) if below else np.zeros((0, squared.shape[1]))
+
+
+@checked
+def winding(lattice: Any, *, points: Count = 256, cell: Cell | None = None) -> int:
+    r"""Winding number of a chain whose sites are of two kinds, each bound to the other alone.
+
+    D(k) - Omega^2 = [[0, h^+], [h, 0]], Omega^2 equal at all sites, the kind of the cell's first site first: nu = how
+    often h turns anticlockwise from k = -pi to pi, a whole number; |nu| states lie at an end that cuts between cells.
+
+    **Arguments:** as of `zak`. **Returns:** nu. For `gx.scenes.ssh`: 0 for k1 > k2, else 1. **Raises** ValueError for sites whose own
+    stiffness over mass differs, bonds within one kind, kinds of different number, a gap that is closed (det h = 0).
+    """
+    waves = _waves_of(lattice, cell, 1)
+    k = 2 * np.pi * np.arange(whole("points", points, 8)) / points
+    D = np.stack([np.asarray(waves.matrix(jnp.asarray([x]))) for x in k[:8]])
+    own = np.einsum("kaa->ka", D)
+    scale = np.abs(D).max()
+    if np.ptp(own.real) > CLOSED * scale:
+        refuse("lattice", "one stiffness over mass at all sites", f"{own.real.min():.6g} ... {own.real.max():.6g}",
+               "Walls and grounding springs count: ground= of the scenes makes them equal.")
+    kinds = _two_kinds(np.abs(D - own[..., None] * np.eye(D.shape[-1])).max(0) > CLOSED * scale)
+    first, second = (np.flatnonzero(kinds == kind) for kind in (0, 1))
+    if len(first) != len(second):
+        refuse("lattice", "as many sites of one kind as of the other", f"{len(first)} and {len(second)}",
+               "Such a cell has flat bands instead: gx.linear.flat_bands.")
+    matrices = np.asarray(jax.vmap(waves.matrix)(jnp.asarray(k)[:, None]))
+    h = np.linalg.det(matrices[:, second][:, :, first])
+    if np.abs(h).min() <= CLOSED * np.abs(h).max():
+        refuse("lattice", "a gap around the middle of the bands", "det h(k) = 0 somewhere", "Bands touch there.")
+    if np.abs(np.angle(np.roll(h, -1) / h)).max() > 0.9 * np.pi:
+        refuse("points", "a mesh on which det h(k) turns smoothly", f"{points}", f"Give points={8 * points}.")
+    return int(np.round(np.angle(np.roll(h, -1) / h).sum() / (2 * np.pi)))
+
+
+def _two_kinds(bound):
+    """0 or 1 for each site, so that no bond is within a kind."""
+    kinds = np.full(len(bound), -1)
+    for start in range(len(bound)):
+        if kinds[start] >= 0:
+            continue
+        kinds[start], waiting = 0, [start]
+        while waiting:
+            a = waiting.pop()
+            for b in np.flatnonzero(bound[a]):
+                if kinds[b] < 0:
+                    kinds[b] = 1 - kinds[a]
+                    waiting.append(b)
+                elif kinds[b] == kinds[a]:
+                    refuse("lattice", "sites of two kinds, each bound to the other alone", "a ring of odd length",
+                           "Bands without that symmetry have a Zak phase: gx.topology.zak.")
+    return kinds
+
+
+class BerryCurvature(Result):
+    """Berry curvature of bands of the plane, by plaquettes of a mesh over the zone.
+
+    **Fields:** `k` (n, n, 2): the corners of plaquettes, phases per cell [rad]. `flux` (n, n): Berry phase around each,
+    in (-pi, pi]; its sum over 2 pi is the Chern number, `chern`, a whole number to rounding. `curvature`: the flux over
+    the plaquette's area in phases. `band`: which.
+    """
+
+    held: ClassVar[dict[str, Held]] = {
+        "k": Held("first second axis", "rad"), "flux": Held("first second", "rad"),
+        "curvature": Held("first second"), "band": Held(None),
+    }
+    k: Numbers
+    flux: Numbers
+    band: tuple[int, ...] = eqx.field(static=True)
+
+    @property
+    def curvature(self) -> Numbers:
+        """Flux over area, (n, n), in phases per cell."""
+        return self.flux * (len(self.flux) / (2 * np.pi)) ** 2
+
+    @property
+    def chern(self) -> float:
+        """The Chern number as it was summed."""
+        return float(self.flux.sum() / (2 * np.pi))
+
+    @property
+    def outcome(self) -> str:
+        """The Chern number and the largest flux."""
+        least = np.abs(self.flux).max()
+        told = f"Chern number {round(self.chern)} of band {', '.join(map(str, self.band))}"
+        return f"{told}, at most {least:.3g} rad through a plaquette of {len(self.flux)} x {len(self.flux)}."
+
+
+@checked
+def berry_curvature(
+    lattice: Any, band: Count | Sequence[Count] = 0, *, points: Count = 24, cell: Cell | None = None,
+) -> BerryCurvature:
+    r"""Berry curvature of a band, or of several together, of a lattice of the plane.
+
+    The flux through a plaquette is the phase of the product of overlaps around it: no smooth gauge is needed, and the
+    sum is a whole number for any mesh that is fine enough (every flux well below pi).
+
+    **Arguments:** `lattice`: one `Lattice`, or a function from k (2,) to a Hermitian matrix of period 2 pi. `band`:
+    counted from the lowest. `points`: along each axis of the zone. `cell`: as in `unit_cell`.
+    **Returns:** `BerryCurvature`. A lattice of masses and springs, whose D(-k) is the conjugate of D(k), has Chern
+    numbers zero; with a centre of inversion the flux is zero too. **Raises** ValueError for bands that touch others, and
+    where `unit_cell` does. Source: Fukui, Hatsugai, Suzuki, J. Phys. Soc. Jpn. 74, 1674 (2005).
+    """
+    waves = _waves_of(lattice, cell, 2)
+    n = whole("points", points, 4)
+    mesh = 2 * np.pi * np.arange(n) / n
+    k = np.stack(np.meshgrid(mesh, mesh, indexing="ij"), -1)
+    squared, q = waves.solved(k)
+    numbers = _chosen(band, squared.shape[-1])
+    _check_apart(squared, numbers, "a curvature")
+    marks = lattice.origin if isinstance(lattice, Lattice) else {}
+    return BerryCurvature(k, _flux(q[..., numbers]), tuple(numbers), **marks)
+
+
+def _flux(q):
+    """Berry phase around each plaquette of a closed mesh, from vectors (n, n, P, bands)."""
+    links = []
+    for axis in (0, 1):
+        link = np.linalg.det(np.swapaxes(q.conj(), -1, -2) @ np.roll(q, -1, axis))
+        links.append(link / np.abs(link))
+    first, second = links
+    return -np.angle(first * np.roll(second, -1, 0) / (np.roll(first, -1, 1) * second))
+
+
+@checked
+def chern(
+    lattice: Any, band: Count | Sequence[Count] = 0, *, points: Count = 24, cell: Cell | None = None,
+) -> int:
+    """Chern number of a band, or of several together: the flux of `berry_curvature` over 2 pi.
+
+    **Arguments:** as there. **Returns:** a whole number, zero for every lattice of masses and springs alone. **Raises**
+    ValueError as there, and where the mesh is too coarse to tell.
+    """
+    found = berry_curvature(lattice, band, points=points, cell=cell)
+    if np.abs(found.flux).max() > 0.9 * np.pi:
+        refuse("points", "a mesh that resolves the curvature", f"{points}, with {np.abs(found.flux).max():.3g} rad "
+               "through a plaquette", f"Give points={4 * points}.")
+    return round(found.chern)
+
+
+@checked
+def valley_chern(
+    lattice: Any, band: Count | Sequence[Count] = 0, *, valley: str | Parameter = "K", points: Count = 96,
+    cell: Cell | None = None,
+) -> float:
+    r"""Valley Chern number: the Berry flux over 2 pi through the half of the zone that is nearer to one valley.
+
+    Where two bands all but touch at K and K' = -K it tends to +-1/2 as their gap closes; it is no whole number and
+    depends on the gap. Between two phases of opposite sign one mode for each valley runs along the wall.
+
+    **Arguments:** `valley`: a named point, "K" or "K'", or phases per cell (2,); its partner is minus it. The others as
+    of `berry_curvature`. **Returns:** the number. **Raises** ValueError as there, and for a point that is its own minus.
+    """
+    found = berry_curvature(lattice, band, points=points, cell=cell)
+    if isinstance(valley, str):
+        cells = unit_cell(lattice, cell).cell if isinstance(lattice, Lattice) else (1, 1)
+        vectors = _vectors(lattice, cells) if isinstance(lattice, Lattice) else np.array([[1.0, 0], [0.5, 0.75**0.5]])
+        known = named_points(vectors, 2)
+        if valley not in known:
+            refuse("valley", f"one of {sorted(known)}, or two phases", repr(valley))
+        valley = known[valley]
+    place = np.asarray(parameter("valley", valley), float)
+    if np.allclose(_turned(2 * place), 0):
+        refuse("valley", "a point of the zone that is not its own minus", f"{place}")
+    middle = found.k + np.pi / points
+    near, far = (_distance(middle, sign * place) for sign in (1, -1))
+    return float((found.flux * np.where(near < far, 1, np.where(near > far, 0, 0.5))).sum() / (2 * np.pi))
+
+
+def _distance(k, place):
+    """How far points of the zone are from one, around the zone: 2 - cos - cos of hexagonal or square axes alike."""
+    difference = k - place
+    return 3 - np.cos(difference[..., 0]) - np.cos(difference[..., 1]) - np.cos(difference[..., 0] - difference[..., 1])
+
+
+@checked
+def quadrupole(
+    lattice: Any, bands: Sequence[Count] | None = None, *, points: Count = 24, cell: Cell | None = None,
+) -> tuple[float, float]:
+    r"""Nested Zak phases of the lower bands, p_x and p_y over 2 pi: (1/2, 1/2) is a quadrupole, with corner states.
+
+    The Wilson loop along one axis gives Wannier bands; those of one half have a Zak phase along the other.
+
+    **Arguments:** `bands`: the occupied ones, `None` for the lower half. The others as of `berry_curvature`.
+    **Returns:** (p_x of the Wannier bands along y, p_y of those along x), in [0, 1); with the lattice's two mirrors 0
+    or 1/2. `gx.scenes.quadrupole`: (1/2, 1/2) where bonds between cells are the stiffer ones. **Raises** ValueError for
+    bands that touch others, and for Wannier bands that touch. Source: Benalcazar, Bernevig, Hughes, Science 357, 61
+    (2017).
+    """
+    waves = _waves_of(lattice, cell, 2)
+    n = whole("points", points, 4)
+    mesh = 2 * np.pi * np.arange(n) / n
+    squared, q = waves.solved(np.stack(np.meshgrid(mesh, mesh, indexing="ij"), -1))
+    size = squared.shape[-1]
+    numbers = list(range(size // 2)) if bands is None else _chosen(bands, size)
+    if len(numbers) % 2:
+        refuse("bands", "an even number, whose Wannier bands come in pairs", f"{numbers}")
+    _check_apart(squared, numbers, "Wannier bands")
+    q = q[..., numbers]
+    return tuple(_nested(q if axis == 0 else q.swapaxes(0, 1)) for axis in (1, 0))
+
+
+def _nested(q):
+    """The Zak phase over 2 pi, along the second axis, of the lower half of Wannier bands along the first."""
+    n, half = len(q), q.shape[-1] // 2
+    links = _overlap(q, np.roll(q, -1, 0))
+    loop = np.eye(q.shape[-1])[None]
+    for link in links:
+        loop = loop @ link
+    angle, vectors = zip(*(_sorted_loop(w) for w in loop))
+    angle, vectors = np.array(angle), np.array(vectors)
+    if np.min(angle[:, half] - angle[:, half - 1]) < 1e-6:
+        refuse("lattice", "Wannier bands with a gap", "ones that touch", "It has no quadrupole then.")
+    # the loops begin at the first point of the mesh: so do the vectors
+    w = np.einsum("kpb,kbm->kpm", q[0], vectors[..., :half])
+    link = np.linalg.det(np.swapaxes(w.conj(), -1, -2) @ np.roll(w, -1, 0))
+    turn = -np.angle(np.prod(link / np.abs(link))) / (2 * np.pi)
+    return float(np.round(turn % 1.0, 12) % 1.0)
+
+
+def _sorted_loop(w):
+    values, vectors = np.linalg.eig(w)
+    angle = np.angle(values)
+    # -pi and pi are one: bands at 1/2 stay together
+    angle = np.where(angle > np.pi - 1e-9, angle - 2 * np.pi, angle)
+    order = np.argsort(angle)
+    basis, _ = np.linalg.qr(vectors[:, order])
+    return angle[order], basis
