@@ -78,7 +78,8 @@ Motion
     measures            contact forces, energies, spectra, fronts, localisation of a state or a run
     equilibrium         where a lattice rests, and the loads that hold it
     Equilibrium         what it returns
-    linear              modes, dispersion, bands, speed of sound
+    linear              modes, dispersion, bands, speed of sound, paths and strips of the plane, flat bands
+    topology            Zak phases, winding, Chern and valley numbers, quadrupole
 Solvers
     VelocityVerlet      order 2
     SRKN6b              order 4
@@ -229,8 +230,7 @@ _LAZY = {
         "breathers", "canonical", "continuation", "driven", "exchange", "first_order", "floquet", "forced",
         "fractional", "identify", "kinks", "linear", "materials", "measures", "newton",
         "orbits", "plots", "scenes", "shocks", "states", "studies", "sweeps",
-        "theory",
-        "travelling",
+        "theory", "topology", "travelling",
     )
 } | {"reproduce": ".studies.reproduce", "resonance": ".studies.resonance"}
 _WITHIN = {

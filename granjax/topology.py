@@ -17,8 +17,8 @@ from .checks import parameter, refuse, whole
 from .entry import checked
 from .lattice import Lattice
 from .linear import unit_cell
-from .linear.zone import named_points
 from .linear.zone import lattice_vectors as _vectors
+from .linear.zone import named_points
 from .results import Held, Result
 from .types import Cell, Count, Number, Numbers, Parameter
 
@@ -55,7 +55,8 @@ def _waves_of(lattice, cell, axes=None):
             refuse("lattice", kinds[axes], f"one with {len(found.cell)} axes")
         return _Waves(found.dynamical_matrix, len(found.cell))
     if not callable(lattice):
-        refuse("lattice", "a Lattice, or a function from k (axes,) to a Hermitian matrix", f"a {type(lattice).__name__}")
+        refuse("lattice", "a Lattice, or a function from k (axes,) to a Hermitian matrix",
+               f"a {type(lattice).__name__}")
     return _Waves(lattice, axes or 1)
 
 
@@ -186,8 +187,9 @@ def winding(lattice: Any, *, points: Count = 256, cell: Cell | None = None) -> i
     D(k) - Omega^2 = [[0, h^+], [h, 0]], Omega^2 equal at all sites, the kind of the cell's first site first: nu = how
     often h turns anticlockwise from k = -pi to pi, a whole number; |nu| states lie at an end that cuts between cells.
 
-    **Arguments:** as of `zak`. **Returns:** nu. For `gx.scenes.ssh`: 0 for k1 > k2, else 1. **Raises** ValueError for sites whose own
-    stiffness over mass differs, bonds within one kind, kinds of different number, a gap that is closed (det h = 0).
+    **Arguments:** as of `zak`. **Returns:** nu. For `gx.scenes.ssh`: 0 for k1 > k2, else 1. **Raises** ValueError
+    for sites whose own stiffness over mass differs, bonds within one kind, kinds of different number, a gap that is
+    closed (det h = 0).
     """
     waves = _waves_of(lattice, cell, 1)
     k = 2 * np.pi * np.arange(whole("points", points, 8)) / points
@@ -276,8 +278,8 @@ def berry_curvature(
     **Arguments:** `lattice`: one `Lattice`, or a function from k (2,) to a Hermitian matrix of period 2 pi. `band`:
     counted from the lowest. `points`: along each axis of the zone. `cell`: as in `unit_cell`.
     **Returns:** `BerryCurvature`. A lattice of masses and springs, whose D(-k) is the conjugate of D(k), has Chern
-    numbers zero; with a centre of inversion the flux is zero too. **Raises** ValueError for bands that touch others, and
-    where `unit_cell` does. Source: Fukui, Hatsugai, Suzuki, J. Phys. Soc. Jpn. 74, 1674 (2005).
+    numbers zero; with a centre of inversion the flux is zero too. **Raises** ValueError for bands that touch others,
+    and where `unit_cell` does. Source: Fukui, Hatsugai, Suzuki, J. Phys. Soc. Jpn. 74, 1674 (2005).
     """
     waves = _waves_of(lattice, cell, 2)
     n = whole("points", points, 4)
@@ -327,7 +329,8 @@ def valley_chern(
     depends on the gap. Between two phases of opposite sign one mode for each valley runs along the wall.
 
     **Arguments:** `valley`: a named point, "K" or "K'", or phases per cell (2,); its partner is minus it. The others as
-    of `berry_curvature`. **Returns:** the number. **Raises** ValueError as there, and for a point that is its own minus.
+    of `berry_curvature`. **Returns:** the number. **Raises** ValueError as there, and for a point that is its own
+    minus.
     """
     found = berry_curvature(lattice, band, points=points, cell=cell)
     if isinstance(valley, str):
@@ -380,7 +383,7 @@ def quadrupole(
 
 def _nested(q):
     """The Zak phase over 2 pi, along the second axis, of the lower half of Wannier bands along the first."""
-    n, half = len(q), q.shape[-1] // 2
+    half = q.shape[-1] // 2
     links = _overlap(q, np.roll(q, -1, 0))
     loop = np.eye(q.shape[-1])[None]
     for link in links:

@@ -247,8 +247,9 @@ def _bound(lattice, reaches, power_steps=POWER_STEPS):
     numbers = [x for x in found if not inspect.isroutine(x)]
     mass, site = lattice.mass, lattice.zeros()
     if lattice.dimension is not None:
-        mass = jnp.squeeze(mass, lattice.axes) if mass.ndim > lattice.axes else mass
-        site = site[(slice(None),) * lattice.axes + (0,)]
+        # of components with masses of their own the least
+        mass = jax.tree.map(lambda m: jnp.min(m, lattice.axes) if m.ndim > lattice.axes else m, mass)
+        site = jax.tree.map(lambda x: x[(slice(None),) * lattice.axes + (0,)], site)
 
     def apply(w):
         total = jax.tree.map(jnp.zeros_like, w)

@@ -8,12 +8,16 @@ follows what changes periodically in time, stiffness and damping.
 from .bands import Bands, bands
 from .cell import UnitCell, unit_cell
 from .dispersion import Dispersion, dispersion
+from .flat import FlatBands, flat_bands
 from .floquet_bands import FloquetBands, floquet_bands
 from .modes import NormalModes, normal_modes
+from .ribbon import RibbonBands, ribbon
 from .sound import sound_speed
 from .transfer import LocalisationLength, localisation_length
+from .zone import DensityOfStates, PathBands, ZoneMap, density_of_states, path, zone_map
 
 __all__ = [
-    "Bands", "Dispersion", "FloquetBands", "LocalisationLength", "NormalModes", "UnitCell", "bands", "dispersion",
-    "floquet_bands", "localisation_length", "normal_modes", "sound_speed", "unit_cell",
+    "Bands", "DensityOfStates", "Dispersion", "FlatBands", "FloquetBands", "LocalisationLength", "NormalModes",
+    "PathBands", "RibbonBands", "UnitCell", "ZoneMap", "bands", "density_of_states", "dispersion", "flat_bands",
+    "floquet_bands", "localisation_length", "normal_modes", "path", "ribbon", "sound_speed", "unit_cell", "zone_map",
 ]

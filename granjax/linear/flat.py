@@ -12,7 +12,7 @@ from ..checks import refuse, whole
 from ..entry import checked
 from ..lattice import Lattice, State
 from ..results import Held, Result
-from ..types import AnyArray, Cell, Count, Displacements, Numbers
+from ..types import AnyArray, Cell, Count, Numbers
 from .cell import UnitCell, unit_cell
 from .stiffness import unpack
 

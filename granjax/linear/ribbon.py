@@ -11,7 +11,7 @@ from ..checks import parameter, refuse, whole
 from ..entry import checked
 from ..lattice import Lattice
 from ..results import Held, Result
-from ..types import ComplexNumbers, Count, Displacements, Numbers, Parameter
+from ..types import ComplexNumbers, Count, Numbers, Parameter
 from .cell import TIGHT, UnitCell, assemble, assembled, features_of, is_ring, reach_of, repeats_after, stand_in
 from .modes import signed_root
 from .stiffness import at_rest, grid, measure

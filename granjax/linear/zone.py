@@ -5,16 +5,18 @@ from typing import Any, ClassVar
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from scipy.ndimage import maximum_filter1d
+from scipy.spatial import Voronoi
 
 from ..checks import concrete, parameter, refuse, whole
 from ..entry import checked
 from ..lattice import Lattice
 from ..results import Held, Result
 from ..types import Cell, ComplexNumbers, Count, Numbers, Parameter
-from .cell import UnitCell, unit_cell
+from .cell import unit_cell
 from .dispersion import dispersion
 
-SHAPE = 1e-9
+SHAPE, NEIGHBOURS = 1e-9, 7
 CHAIN = {"G": (0.0,), "X": (1.0,)}
 SQUARE = {"G": (0, 0), "X": (1, 0), "Y": (0, 1), "M": (1, 1)}
 RECTANGLE = {"G": (0, 0), "X": (1, 0), "Y": (0, 1), "S": (1, 1)}
@@ -111,8 +113,9 @@ def path(
     found = unit_cell(lattice, cell)
     axes = len(found.cell)
     vectors = lattice_vectors(lattice, found.cell)
-    known = named_points(vectors, axes) | {
-        name: np.asarray(concrete(parameter(f"named[{name!r}]", k)), float).reshape(-1) for name, k in (named or {}).items()}
+    known = named_points(vectors, axes)
+    for name, k in (named or {}).items():
+        known[name] = np.asarray(concrete(parameter(f"named[{name!r}]", k)), float).reshape(axes)
     names = _letters(points, known)
     corners = np.array([known[name] for name in names])
     # lengths in space: k = A q for phases k, lattice vectors A
@@ -154,7 +157,7 @@ class DensityOfStates(Result):
     """Density of states g(omega): how many of the bands' waves lie within a band of frequencies, over its width.
 
     **Fields:** `omega` (W,): the middles of bins [rad/s]; `density` (W,), a mean over each bin [s]: its integral over
-    omega is the number of bands; `error` (W,): from a zone of half as many points; `points`: along each axis.
+    omega is the number of bands; `error` (W,): from a zone of half as many points, the most of near bins; `points`: along each axis.
     """
 
     held: ClassVar[dict[str, Held]] = {
@@ -202,7 +205,8 @@ def density_of_states(
     width = np.diff(edges)
     fine = np.diff(_counted(omega, edges, axes)) / width
     half = omega[(slice(None, None, 2),) * axes]
-    error = np.abs(fine - np.diff(_counted(half, edges, axes)) / width)
+    # bins in which the two agree by accident are no better known than their neighbours
+    error = maximum_filter1d(np.abs(fine - np.diff(_counted(half, edges, axes)) / width), NEIGHBOURS)
     return DensityOfStates((edges[1:] + edges[:-1]) / 2, fine, error, int(points), **lattice.origin)
 
 
@@ -232,3 +236,54 @@ def _below(pieces, e):
     return np.where(e <= low, np.where(high <= e, 1.0, 0.0), part)
 
 
+
+
+class ZoneMap(Result):
+    """Frequencies of all bands over the Brillouin zone, on a rectangle of wave vectors around it.
+
+    **Fields:** `q` (n, n, 2) [rad/m]; `omega` (n, n, bands) [rad/s]; `velocity` (n, n, bands, 2): group velocity
+    [m/s], NaN where bands cross or omega = 0; `corners` (c, 2): of the first zone.
+    """
+
+    held: ClassVar[dict[str, Held]] = {
+        "q": Held("first second axis", "1/m"), "omega": Held("first second band", "rad/s"),
+        "velocity": Held("first second band axis", "m/s"), "corners": Held("corner axis", "1/m"),
+    }
+    q: Numbers
+    omega: Numbers
+    velocity: Numbers
+    corners: Numbers
+
+    @property
+    def outcome(self) -> str:
+        """How many bands on how many points."""
+        return f"{self.omega.shape[-1]} bands on {self.omega.shape[0]} x {self.omega.shape[1]} wave vectors."
+
+
+@checked
+def zone_map(lattice: Lattice, points: Count = 81, cell: Cell | None = None) -> ZoneMap:
+    """Frequencies and group velocities over the Brillouin zone of a lattice of the plane, for `gx.plots.zone`.
+
+    **Arguments:** `lattice`: one with `positions`; `points` along each side; `cell`: as in `unit_cell`.
+    **Returns:** `ZoneMap`. **Raises** ValueError for a lattice of one axis, or without positions.
+    """
+    found = unit_cell(lattice, cell)
+    vectors = lattice_vectors(lattice, found.cell)
+    if len(found.cell) != 2 or vectors is None:
+        refuse("lattice", "a lattice of the plane with positions", f"one of {len(found.cell)} axes, "
+               f"{'with' if vectors is not None else 'without'} positions", "The scenes of the plane have them.")
+    corners = _first_zone(2 * np.pi * np.linalg.inv(vectors).T)
+    half = 1.05 * np.abs(corners).max(0)
+    side = whole("points", points, 8)
+    q = np.stack(np.meshgrid(*(np.linspace(-h, h, side) for h in half), indexing="ij"), -1)
+    waves = dispersion(lattice, q @ vectors.T, cell)
+    velocity = jnp.einsum("xyba,ad->xybd", waves.group_velocity, vectors)
+    return ZoneMap(q, waves.omega, velocity, corners, **lattice.origin)
+
+
+def _first_zone(reciprocal):
+    """Corners of the points nearer to 0 than to any other of a lattice, in order."""
+    near = np.array([i * reciprocal[0] + j * reciprocal[1] for i in range(-2, 3) for j in range(-2, 3)])
+    found = Voronoi(near)
+    corners = found.vertices[found.regions[found.point_region[12]]]
+    return corners[np.argsort(np.arctan2(corners[:, 1], corners[:, 0]))]

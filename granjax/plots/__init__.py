@@ -21,6 +21,7 @@ from .evolutions import evolution, gap_breather
 from .fits import corner, fit, law, planar
 from .histories import space_time, traces
 from .orbits import branch, breather, floquet_circle, hysteresis, strain_map
+from .plane import bands, beads, film, zone
 from .precision import work_precision
 from .rest import equilibrium, kink
 from .shocks import modulation, shock, shock_core, shock_map
@@ -31,9 +32,9 @@ from .travelling import front, reflection, wave, wave_errors, wave_family
 from .waves import dispersion, floquet_bands
 
 __all__ = [
-    "COLOURS", "branch", "breather", "cell_wave", "corner", "dispersion", "drawn", "equilibrium", "evolution",
-    "figure", "fit", "floquet_bands", "floquet_circle", "front", "gap_breather", "hysteresis", "kink", "law",
-    "modulation", "planar", "profile", "rectifier", "reflection", "resonance_map", "save", "shock", "shock_core",
-    "shock_map", "space_time", "spreading", "strain_map", "style", "sweep", "switch", "traces", "transmission",
-    "truth_table", "two_way", "wave", "wave_errors", "wave_family", "work_precision",
+    "COLOURS", "bands", "beads", "branch", "breather", "cell_wave", "corner", "dispersion", "drawn", "equilibrium",
+    "evolution", "figure", "film", "fit", "floquet_bands", "floquet_circle", "front", "gap_breather", "hysteresis",
+    "kink", "law", "modulation", "planar", "profile", "rectifier", "reflection", "resonance_map", "save", "shock",
+    "shock_core", "shock_map", "space_time", "spreading", "strain_map", "style", "sweep", "switch", "traces",
+    "transmission", "truth_table", "two_way", "wave", "wave_errors", "wave_family", "work_precision", "zone",
 ]

@@ -51,6 +51,12 @@ class Along(LinearMap):
     def split(self, bonds, u):
         return self.pairs.split(bonds, u)
 
+    def stiffness_bound(self, lattice, k):
+        return self.pairs.stiffness_bound(lattice, k * jnp.sum(self.direction**2))
+
+    def ends(self, places, u):
+        return self.pairs.ends(places, u)
+
     def span(self):
         return self.pairs.span()
 

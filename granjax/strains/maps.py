@@ -22,10 +22,11 @@ class StrainMap(Dimensional):
     """A map from displacements to one compression per bond; `axes` leading axes count the bonds, lanes follow.
 
     Write `strain`; everything else follows from it by automatic differentiation, and is overridden where a map can do
-    better. `linear`: the strain is linear in the displacements.
+    better. `linear`: the strain is linear in the displacements. `tangential`: it is how far a contact has slipped.
     """
 
     linear: ClassVar[bool] = False
+    tangential: ClassVar[bool] = False
 
     @property
     def axes(self):
@@ -96,6 +97,10 @@ class StrainMap(Dimensional):
 
     def _wrapped(self, units):
         return InOtherUnits(self, units.length)
+
+    def ends(self, places: Displacements, u: Displacements) -> Any:
+        """Present places (bonds, d) of tails and heads, for pictures, from those at rest; `None` where not known."""
+        return None
 
     def walls(self) -> tuple[str, ...]:
         """At which ends of a chain bonds lead to a rigid wall: of "left" and "right"."""
@@ -198,6 +203,11 @@ class TwoEnds(LinearMap):
     def strain(self, u):
         tail, head = self._ends(u)
         return tail - head
+
+    def ends(self, places, u):
+        tail, head = self._ends(places)
+        both = jnp.minimum(*self._ends(jax.tree.map(jnp.ones_like, places)))
+        return jnp.where(both > 0, tail, jnp.nan), jnp.where(both > 0, head, jnp.nan)
 
     def gather(self, f):
         return self._gather(f, jnp.subtract)

@@ -1,5 +1,7 @@
 """Tangential contacts of beads that turn in the plane."""
 
+from typing import ClassVar
+
 import jax
 import jax.numpy as jnp
 
@@ -25,8 +27,11 @@ class Slip(Stretch):
 
     **Arguments:** as of `Stretch`, with a vector of two components.
     **Shapes:** `u` (sites..., 3, lanes...) to `e` (bonds..., lanes...). **Raises** ValueError for a vector that is none
-    of the plane. Source: Mindlin, J. Appl. Mech. 16, 259 (1949); Merkel, Tournat, Gusev, Phys. Rev. E 82, 031305 (2010).
+    of the plane. Source: Mindlin, J. Appl. Mech. 16, 259 (1949); Merkel, Tournat, Gusev, Phys. Rev. E 82, 031305
+    (2010).
     """
+
+    tangential: ClassVar[bool] = True
 
     @checked
     def __init__(self, pairs: TwoEnds, vector: Parameter):
@@ -53,3 +58,6 @@ class Slip(Stretch):
 
     def turning(self, lattice, law):
         return 0.0
+
+    def ends(self, places, u):
+        return None

@@ -21,9 +21,9 @@ class Stretch(StrainMap):
     **Arguments:** `pairs`: a `Shift` or `Pairs` that says which sites are joined. `vector`: R, shape (d,) or
     (bonds..., d) [m], not zero.
 
-    **Shapes:** `u` (sites..., d, lanes...) to `e` (bonds..., lanes...); components of `u` beyond the vector's, such as a
-    rotation, are left alone. **Raises** ValueError for a vector of length
-    zero or a map that is neither Shift nor Pairs. That the preloads balance at u = 0, with the boundary's loads, is
+    **Shapes:** `u` (sites..., d, lanes...) to `e` (bonds..., lanes...); components of `u` beyond the vector's, such as
+    a rotation, are left alone. **Raises** ValueError for a vector of length zero or a map that is neither Shift nor
+    Pairs. That the preloads balance at u = 0, with the boundary's loads, is
     the user's: `Lattice.unbalanced()` gives what is left over.
     """
 
@@ -79,6 +79,15 @@ class Stretch(StrainMap):
         _, _, rest, along, square, length, e = self._geometry(u)
         bend = (along * e - square * rest) / (rest * (rest + length))
         return law.energy(e) + law.preload * bend
+
+    def ends(self, places, u):
+        D, R, *_ = self._geometry(u)
+        (tail, head), axis = self.pairs._ends(places), self.pairs.axes
+        there, _ = self.pairs._ends(jax.tree.map(jnp.ones_like, places))
+        moved, pushed = (jax.lax.slice_in_dim(x, 0, self.components, axis=axis) for x in self.pairs._ends(u))
+        # of a bond around a ring the head is where the bond leads, of a wall at the tail where it comes from
+        tail = jnp.where(there > 0, tail + moved, head + pushed - (R - D))
+        return tail, tail + R - D
 
     def split(self, bonds, u):
         return self.pairs.split(bonds, u)

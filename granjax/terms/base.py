@@ -129,6 +129,10 @@ class Term(Dimensional):
         """What the term's laws act on."""
         return ()
 
+    def ends(self, places: Displacements, u: Displacements) -> tuple:
+        """Of each of the `compressions` the present places of tails and heads, or `None` where that is not known."""
+        return ()
+
     def opens(self, lattice: Any) -> bool | None:
         """Whether a contact of the term can open: by its laws; `None` where that is not known.
 

@@ -79,6 +79,9 @@ class Bond(Joined):
     def compressions(self, t, u):
         return (Compression(self.law, self.strain_map.strain(u)),)
 
+    def ends(self, places, u):
+        return (self.strain_map.ends(places, u),)
+
     def scaled(self, factor):
         return eqx.tree_at(lambda term: term.law, self, Scaled(self.law, factor))
 
@@ -189,6 +192,9 @@ class Modulated(Term):
 
     def compressions(self, t, u):
         return self.at(t).compressions(t, u)
+
+    def ends(self, places, u):
+        return self.term.ends(places, u)
 
     def linearised(self, lattice, t, u, v):
         return self.at(t).linearised(lattice, t, u, v)

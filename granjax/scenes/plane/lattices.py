@@ -47,8 +47,8 @@ def square(
       that says which sites of the parallelogram are there. A graph has no bands.
     - `out_of_plane`: one displacement for each site, normal to the plane, u of shape (n, m); bonds then act on
       differences, e = u_i - u_j.
-    - `rotation`: u of shape (n, m, 3): (u_x, u_y, R theta) with R = |R|/2, theta anticlockwise. The contacts then have a
-      tangential spring `tangential`, k_t or a law of the slip (`gx.strains.Slip`), `None` for Mindlin's 0.82 K2 of
+    - `rotation`: u of shape (n, m, 3): (u_x, u_y, R theta) with R = |R|/2, theta anticlockwise. The contacts then have
+      a tangential spring `tangential`, k_t or a law of the slip (`gx.strains.Slip`), `None` for Mindlin's 0.82 K2 of
       nu = 0.3; `inertia`: that of a bead in m R^2, 2/5 for a sphere, 1/2 for a disk. That no contact opens or slides is
       the user's to see (`gx.measures.slip_ratio`).
 
@@ -104,8 +104,8 @@ def honeycomb(
 ) -> Lattice:
     r"""Honeycomb lattice: two sites `a`, `b` in a cell, each bound to 3 of the other kind, axes at 60 degrees.
 
-    Out of plane with springs K, m = 1: omega^2 = 3K (+ ground) +- K |1 + exp(i k1) + exp(i k2)|, a Dirac point at K, M's
-    corner: k = (2 pi/3, 4 pi/3). Unlike masses {"a": ..., "b": ...} open it: the two valleys.
+    Out of plane with springs K, m = 1: omega^2 = 3K (+ ground) +- K |1 + exp(i k1) + exp(i k2)|, a Dirac point at K,
+    k = (2 pi/3, 4 pi/3). Unlike masses {"a": ..., "b": ...} open it: the two valleys.
 
     **Arguments:** as of `square`, and: `mass`: a number, or a dict of one for each of `a` and `b`. `ground`: an on-site
     spring on every site, `None` for none; `on_site`: a law more at every site, such as `gx.Polynomial(0, 0, 1.0)`.

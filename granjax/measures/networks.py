@@ -1,0 +1,108 @@
+"""Lattices of the plane: the network of forces, angular momentum, what slips, how far waves have come."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from ..checks import parameter, positive, refuse
+from ..entry import checked
+from ..lattice import Lattice
+from ..printing import told
+from ..types import Number, Numbers, Parameter, Scalar, StateLike
+from .states_of import parts
+
+
+class ForceNetwork(NamedTuple):
+    """The bonds of a lattice at a state: `segments` (bonds, 2, d), where they are [m]; `force` (bonds,) in each [N]."""
+
+    segments: jax.Array
+    force: jax.Array
+    __repr__ = told
+
+
+def _places(lattice, what):
+    if lattice.positions is None:
+        refuse("lattice", f"a lattice with positions, for {what}", "one without",
+               "The scenes of the plane have them; gx.Lattice(..., positions=...).")
+    if lattice.lanes:
+        refuse("lattice", "one lattice", f"a batch with lanes {lattice.lanes}", "Take one lane.")
+    return lattice.positions
+
+
+@checked
+def force_network(lattice: Lattice, y: StateLike, t: Number = 0.0) -> ForceNetwork:
+    """Where the bonds are and what force each carries, total and positive in compression: for `gx.plots.beads`.
+
+    Bonds around a ring, of which only one end is where the bond is, are drawn from their tail; of scalar displacements
+    they are left out. **Raises** ValueError for a lattice without positions, or a batch.
+    """
+    places = _places(lattice, "a picture of its bonds")
+    u, _ = parts(lattice, y, t)
+    segments, forces = [], []
+    for term in lattice.terms:
+        for ends, contact in zip(term.ends(places, u), term.compressions(t, u)):
+            if ends is not None:
+                d = ends[0].shape[-1]
+                segments.append(jnp.stack(ends, -2).reshape(-1, 2, d))
+                forces.append(jnp.broadcast_to(contact.force, ends[0].shape[:-1]).reshape(-1))
+    if not segments:
+        refuse("lattice", "bonds whose ends are known", "none")
+    lines, force = jnp.concatenate(segments), jnp.concatenate(forces)
+    length = jnp.linalg.norm(lines[:, 1] - lines[:, 0], axis=-1)
+    # a bond between numbers, not vectors, that goes around a ring
+    short = length < 2.5 * jnp.nanmin(length)
+    return ForceNetwork(lines[short], force[short])
+
+
+@checked
+def angular_momentum(
+    lattice: Lattice, y: StateLike, t: Number = 0.0, *, centre: Parameter = (0.0, 0.0), radius: Scalar | None = None,
+) -> Number:
+    r"""Angular momentum about a point of the plane: sum m (r - c) x v, and m_theta R s' of beads that turn.
+
+    r = position + u; of a bead with the displacement s = R theta its own part is (I/R^2) R s'.
+
+    **Arguments:** `centre`: c (2,) [m]; `radius`: R [m] of beads that turn. **Returns:** a number [kg m^2/s]; it stays
+    in a lattice with free ends, whose bonds push along themselves and slip nowhere under a rotation. **Raises**
+    ValueError for a lattice without positions or of scalar displacements, beads that turn without a radius.
+    """
+    places = _places(lattice, "an angular momentum")
+    u, v = parts(lattice, y, t)
+    if lattice.dimension not in (2, 3):
+        refuse("lattice", "displacements in the plane", f"{lattice.dimension or 1} components")
+    R = None if radius is None else positive("radius", radius)
+    if lattice.dimension == 3 and R is None:
+        refuse("radius", "the radius of the beads, which turn", "None", "Half of the spacing.")
+    c = parameter("centre", centre)
+    total = 0.0
+    for place, w, speed, mass in zip(*(jax.tree.leaves(x) for x in (places, u, v, lattice.mass))):
+        r = place + w[..., :2] - c
+        m = jnp.broadcast_to(mass, speed.shape)
+        total = total + (r[..., 0] * m[..., 1] * speed[..., 1] - r[..., 1] * m[..., 0] * speed[..., 0]).sum()
+        if lattice.dimension == 3:
+            total = total + (m[..., 2] * R * speed[..., 2]).sum()
+    return total
+
+
+@checked
+def slip_ratio(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Numbers:
+    r"""The largest ratio of tangential to normal force |T|/N of any contact: above the friction coefficient it slides.
+
+    Of beads that turn (`rotation=True`): each `gx.strains.Slip` bond over the normal one that comes before it, with the
+    same ends. Infinite where a contact is open and T is not zero. Typical friction coefficients: 0.1 ... 0.8.
+    **Returns:** a number, shape of the lanes. **Raises** ValueError for a lattice without such pairs.
+    """
+    u, _ = parts(lattice, y, t)
+    forces = [(term, c.force) for term in lattice.terms for c in term.compressions(t, u) if c.place == "bond"]
+    lanes, worst = len(lattice.lanes), []
+    for (_, normal), (term, tangential) in zip(forces, forces[1:]):
+        if not getattr(getattr(term, "strain_map", None), "tangential", False):
+            continue
+        T, N = jnp.abs(tangential), jnp.broadcast_to(normal, tangential.shape)
+        closed = N > 0
+        ratio = jnp.where(closed, T / jnp.where(closed, N, 1), jnp.where(T > 0, jnp.inf, 0.0))
+        worst.append(ratio.max(tuple(range(ratio.ndim - lanes))))
+    if not worst:
+        refuse("lattice", "contacts with a tangential force", "none", "Build it with rotation=True.")
+    return jnp.max(jnp.stack(worst), 0)

@@ -1,0 +1,113 @@
+"""Topology and flat bands: whole numbers, closed forms, states that stay where they are."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import granjax as gx
+from granjax import scenes, topology
+
+
+def test_the_chain_of_su_schrieffer_and_heeger():
+    for k1, k2, phase, turns in ((1.0, 2.0, np.pi, 1), (2.0, 1.0, 0.0, 0), (0.3, 0.31, np.pi, 1)):
+        chain = scenes.ssh(8, k1, k2, boundary="periodic")
+        found = topology.zak(chain)
+        assert np.abs(np.abs(found.phase) - phase).max() < 1e-10 and abs(abs(found.below[0]) - phase) < 1e-10
+        assert topology.winding(chain) == turns
+    with pytest.raises(ValueError, match="touch"):
+        topology.winding(scenes.ssh(8, 1.0, 1.0, boundary="periodic"), cell=None)
+
+
+def haldane(k, mass=0.2, second=0.1):
+    f = 1 + jnp.exp(-1j * k[0]) + jnp.exp(-1j * k[1])
+    s = 2 * second * (jnp.sin(k[0]) - jnp.sin(k[1]) + jnp.sin(k[1] - k[0]))
+    return jnp.array([[mass + s, f], [jnp.conj(f), -mass - s]])
+
+
+def test_chern_numbers_are_whole():
+    found = [topology.berry_curvature(haldane, band).chern for band in (0, 1)]
+    assert np.abs(np.abs(found) - 1).max() < 1e-10 and abs(sum(found)) < 1e-10
+    trivial = lambda k: haldane(k, mass=2.0)
+    assert topology.chern(trivial) == 0
+    crystal = scenes.honeycomb(6, mass={"a": 1.0, "b": 1.2}, out_of_plane=True, boundary="periodic")
+    assert abs(topology.berry_curvature(crystal).chern) < 1e-10
+    with pytest.raises(ValueError, match="touch"):
+        topology.chern(scenes.honeycomb(6, out_of_plane=True, boundary="periodic"))
+
+
+def test_valleys_have_half_a_number_as_their_gap_closes():
+    def numbers(step):
+        crystal = scenes.honeycomb(6, mass={"a": 1.0, "b": 1 + step}, out_of_plane=True, boundary="periodic")
+        return [topology.valley_chern(crystal, valley=valley) for valley in ("K", "K'")]
+
+    for step, least in ((0.2, 0.35), (0.02, 0.46)):
+        at, other = numbers(step)
+        assert abs(at + other) < 1e-10 and least < abs(at) < 0.5
+    assert numbers(-0.02)[0] * numbers(0.02)[0] < 0
+
+
+def quadrupole(k, inner=0.5, outer=1.0):
+    x, y = inner + outer * jnp.exp(1j * k[0]), inner + outer * jnp.exp(1j * k[1])
+    D = jnp.zeros((4, 4), complex).at[0, 1].set(x).at[2, 3].set(x).at[0, 2].set(y).at[1, 3].set(-y)
+    return D + D.conj().T
+
+
+def test_the_quadrupole():
+    assert topology.quadrupole(quadrupole) == (0.5, 0.5)
+    assert topology.quadrupole(lambda k: quadrupole(k, 1.0, 0.5)) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("name, sites", [("sawtooth", 3), ("stub", 3), ("diamond", 2), ("kagome", 6), ("lieb", 4)])
+def test_flat_bands_and_their_compact_states(name, sites):
+    plane = name in ("kagome", "lieb")
+    options = {"out_of_plane": True, "boundary": "periodic"} if plane else {}
+    lattice = getattr(scenes, name)(6 if plane else 8, **options, ground=0.3)
+    found = gx.linear.flat_bands(lattice)
+    assert len(found.omega) == 1 and found.support[0] == sites and found.width[0] < 1e-13 * 10
+    state = found.state(lattice)
+    acceleration = lattice.acceleration(0.0, state.u, state.v)
+    for field, u in state.u.items():
+        assert np.abs(acceleration[field] + found.omega_squared[0] * u).max() < 1e-13
+    assert sum(int((np.abs(np.asarray(u)) > 0).sum()) for u in state.u.values()) == sites
+
+
+def test_a_compact_state_keeps_its_support_and_is_lost_without_equal_sites():
+    chain = scenes.diamond(8, ground=0.5, on_site=gx.Polynomial(0.0, 0.0, 0.4))
+    found = gx.linear.flat_bands(chain)
+    start = found.state(chain)
+    run = gx.simulate(chain, gx.State(start.u, start.v), 1000 * 2 * np.pi / float(found.omega[0]))
+    outside = {name: np.asarray(u)[np.asarray(start.u[name]) == 0] for name, u in run.final.u.items()}
+    assert max(np.abs(u).max() for u in outside.values()) < 1e-14
+    lost = scenes.stub(8, equal=False)
+    assert not len(gx.linear.flat_bands(lost).omega)
+
+
+def test_edge_bands_of_a_strip():
+    strip = gx.linear.ribbon(scenes.honeycomb(6, 14, out_of_plane=True, boundary=("periodic", "free"), ground=0.0))
+    assert strip.omega.shape == (121, 28)
+    plain = gx.linear.dispersion(scenes.honeycomb(6, 14, out_of_plane=True, boundary="periodic"), [0.0, 0.0])
+    assert abs(float(strip.omega[60].max()) - float(plain.omega.max())) < 0.1
+    bound = np.asarray(strip.participation).min(-1)
+    assert bound.min() < 2.0
+    with pytest.raises(ValueError, match="periodic"):
+        gx.linear.ribbon(scenes.square(6, 6, boundary="free"), axis=0)
+
+
+def test_a_path_and_the_density_of_states():
+    crystal = scenes.triangular(6, 6, boundary="periodic")
+    found = gx.linear.path(crystal, "GKMG", count=40)
+    at = np.asarray(found.omega_squared)[found.marks]
+    assert np.abs(at - [[0, 0], [4.5, 4.5], [2, 6], [0, 0]]).max() < 1e-12
+    # the group velocity is the slope of the curve
+    slope = np.gradient(np.asarray(found.omega)[:, 1], np.asarray(found.distance))
+    inner = np.arange(3, found.marks[1] - 3)
+    assert np.abs(slope[inner] - np.asarray(found.slope)[inner, 1]).max() < 5e-3
+    chain = scenes.monomer(20, precompression=1.0, boundary="periodic")
+    density = gx.linear.density_of_states(chain, 50)
+    top = 2 * np.sqrt(1.5)
+    edges = np.linspace(0, top, 51)
+    exact = 2 / np.pi * np.diff(np.arcsin(np.minimum(edges / top, 1))) / np.diff(edges)
+    assert (np.abs(density.density - exact) < density.error + 1e-9).all()
+    for wrong in ("GQ", "G"):
+        with pytest.raises(ValueError, match="points"):
+            gx.linear.path(crystal, wrong)
