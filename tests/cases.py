@@ -159,6 +159,11 @@ ALL_STRAIN_MAPS = (
     MapCase("stretch_grid", gx.Stretch(gx.Shift((1, 1), ("periodic", "free")), [-0.5, 0.8]), (4, 5, 2)),
     MapCase("stretch_pairs_own_vectors", gx.Stretch(gx.Pairs([0, 1, 2, 3, 4], [1, 2, 3, 4, 5]), _VECTORS), (6, 2)),
     MapCase("stretch_pairs_space_lanes", gx.Stretch(gx.Pairs(*_RING), [0.0, 0.6, 0.8]), (6, 3, 2)),
+    MapCase("stretch_of_beads_that_turn", gx.Stretch(gx.Shift(1, "fixed"), [0.8, 0.6]), (6, 3)),
+    MapCase("slip", gx.strains.Slip(gx.Shift((1, -1), ("free", "periodic")), [0.8, 0.6]), (4, 5, 3)),
+    MapCase("along", gx.strains.Along(gx.Shift(1, "fixed"), [0.8, -0.6]), (6, 2)),
+    MapCase("along_lanes", gx.strains.Along(gx.Pairs(*_RING), [0.0, 0.0, 1.0]), (6, 3, 2)),
+    MapCase("pairs_weights", gx.Pairs([0, 1, 1], [1, 2, 3], sites=5, weights=([0.5, 1.0, 2.0], 1.5)), (5, 2)),
     MapCase("own_map", OwnMap(), (6,)),
 )
 

@@ -22,7 +22,7 @@ FLOORS = (
     {"theory"},
     {"first_order", "linear", "measures", "states"},
     {"orbits"},
-    {"breathers", "canonical", "driven", "floquet", "forced", "kinks", "shocks", "travelling"},
+    {"topology", "breathers", "canonical", "driven", "floquet", "forced", "kinks", "shocks", "travelling"},
     {"sweeps", "fit", "design", "work_precision"},
     {"identify", "studies"},
 )
@@ -81,7 +81,7 @@ KINDS = {
     name: folder for folder, names in (
         ("laws", ("Hertz", "PowerLaw", "Polynomial", "Toda", "Linear", "Sine", "Spline", "Network", "Sum", "Scaled",
                   "Strained", "Yielding", "Indented")),
-        ("strains", ("Shift", "Stencil", "Pairs", "Stretch", "LinearMap")),
+        ("strains", ("Shift", "Stencil", "Pairs", "Stretch", "LinearMap", "Slip", "Along")),
         ("terms", ("Bond", "Modulated", "OnSite", "Damping", "Dashpot", "ViscousContact", "Drag", "Drive", "LongRange",
                    "Wall", "PlasticContact", "CaputoDamping",
                    "BrilliantovContact")),

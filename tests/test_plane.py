@@ -1,4 +1,4 @@
-"""Lattices of the plane by name: bands against closed forms, momenta, walls, outlines, forces between beads that turn."""
+"""Lattices of the plane by name: bands against closed forms, momenta, walls, outlines, beads that turn."""
 
 import jax
 import jax.numpy as jnp
@@ -66,13 +66,13 @@ def test_chains_with_flat_bands_and_the_chain_of_su_schrieffer_and_heeger():
 
 
 def hexagonal_matrix(k, K2, f, kt, inertia):
-    """Triangular packing of beads that turn, by hand: each contact n gives K2 n n + (kt - f) t t, and kt t, kt for spin."""
+    """Triangular packing of beads that turn, by hand: of each line of contacts K2 n n - f t t, and the slip's kt."""
     D = np.zeros((3, 3), complex)
     for angle, phase in ((0.0, k[0]), (np.pi / 3, k[1]), (2 * np.pi / 3, k[1] - k[0])):
         n, t = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
         normal, sideways = np.append(n, 0), np.append(t, 0)
         spin = np.array([0, 0, 1.0])
-        c, s = np.cos(phase), np.sin(phase)
+        c = np.cos(phase)
         D += 2 * (1 - c) * (K2 * np.outer(normal, normal) - f * np.outer(sideways, sideways))
         # slip = s_1 + s_2 - t . (u_2 - u_1): the sum over both contacts along this line
         tail, head = spin + sideways, np.exp(1j * phase) * (spin - sideways)
@@ -192,3 +192,43 @@ def test_forces_between_beads_and_what_slips():
     assert abs(float(gx.measures.slip_ratio(crystal, gx.State(u, 0 * u))) - 0.4 * 0.25 / 0.5) < 1e-14
     with pytest.raises(ValueError, match="rotation=True"):
         gx.measures.slip_ratio(scenes.square(3), gx.states.rest(scenes.square(3)))
+
+
+def test_two_equal_branches_are_one_chain():
+    fork = scenes.junction(6, (9, 9))
+    mass, A = np.r_[np.ones(6), 2 * np.ones(9)], np.r_[np.ones(6), 2 * np.ones(10)]
+    chain = scenes.monomer(15, mass=mass, stiffness=A)
+    runs = [gx.simulate(x, gx.states.impact(x, 0.3), 25.0, step=0.05) for x in (fork, chain)]
+    both, one = (np.asarray(run.final.u) for run in runs)
+    assert np.abs(both[:15] - one).max() < 1e-12 and np.abs(both[15:] - one[6:]).max() < 1e-12 and one[12] > 1e-3
+    turned = scenes.junction(6, (9, 9), angles=(0.4, -0.4))
+    run = gx.simulate(turned, gx.states.impact(turned, 0.3), 25.0, step=0.05, save_at=2)
+    assert float(run.energy_error) < 1e-6 and np.abs(np.asarray(run.final.u)[12] - one[12]) > 1e-3
+    with pytest.raises(ValueError, match="backwards"):
+        scenes.junction(6, (9,), angles=(1.6,))
+
+
+def test_a_packing_of_steel_beads():
+    crystal = scenes.packing("steel 316", 5e-3, 7, 7, 30.0, boundary="periodic", rotation=True)
+    body = gx.materials.material("steel 316")
+    A, nu = float(gx.materials.hertz_coefficient(body, 5e-3)), float(body.poisson)
+    K2 = 1.5 * A ** (2 / 3) * 30.0 ** (1 / 3)
+    m = float(gx.materials.bead_mass(body, 5e-3))
+    want = np.linalg.eigvalsh(hexagonal_matrix(K, K2, 30.0 / 1e-2, 2 * (1 - nu) / (2 - nu) * K2, 0.4)) / m
+    assert np.abs(squares(crystal, K) / want - 1).max() < 1e-11 and crystal.units == "SI"
+    with pytest.raises(ValueError, match="slide"):
+        scenes.packing("steel 316", 5e-3, 7, rotation=True)
+
+
+def test_complex_wave_numbers():
+    chain = scenes.monomer(12, precompression=1.0, boundary="periodic")
+    omega = np.array([1.0, 2.0, 3.0])
+    found = gx.linear.complex_bands(chain, omega)
+    cosine = 1 - omega**2 / 3
+    assert np.abs(np.cos(np.asarray(found.k)) - cosine[:, None]).max() < 1e-12 and np.nanmax(found.residual) < 1e-14
+    assert np.abs(found.decay - np.arccosh(np.maximum(np.abs(cosine), 1))).max() < 1e-7
+    plane = gx.linear.complex_bands(scenes.triangular(6, 6, boundary="periodic"), 3.0, across=0.7)
+    k = complex(np.asarray(plane.k)[0, 0])
+    n = np.array([[np.cos(a), np.sin(a)] for a in (0, np.pi / 3, 2 * np.pi / 3)])
+    D = sum(2 * (1 - np.cos(p)) * np.outer(x, x) for x, p in zip(n, (k, 0.7, 0.7 - k)))
+    assert abs(np.linalg.det(D - 9 * np.eye(2))) < 1e-10 and plane.decay[0] > 0.1

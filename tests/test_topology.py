@@ -111,3 +111,16 @@ def test_a_path_and_the_density_of_states():
     for wrong in ("GQ", "G"):
         with pytest.raises(ValueError, match="points"):
             gx.linear.path(crystal, wrong)
+
+
+def test_corners_of_the_quadrupole_lattice():
+    crystal = scenes.quadrupole(6, k1=0.5, k2=2.0, ground=0.5, boundary="periodic")
+    assert topology.quadrupole(crystal) == (0.5, 0.5)
+    assert topology.quadrupole(scenes.quadrupole(6, k1=2.0, k2=0.5, boundary="periodic")) == (0.0, 0.0)
+    modes = gx.linear.normal_modes(scenes.quadrupole(6, k1=0.5, k2=2.0, ground=0.5))
+    squared = np.asarray(modes.omega_squared)
+    held = np.flatnonzero(np.abs(squared - 5.5) < 0.2)
+    assert len(held) == 4
+    share = sum(np.asarray(x)[..., held] ** 2 for x in modes.modes.values())
+    corners = share[[0, 0, -1, -1], [0, -1, 0, -1]].sum(0)
+    assert corners.min() > 0.8

@@ -8,6 +8,7 @@ follows what changes periodically in time, stiffness and damping.
 from .bands import Bands, bands
 from .cell import UnitCell, unit_cell
 from .dispersion import Dispersion, dispersion
+from .evanescent import ComplexBands, complex_bands
 from .flat import FlatBands, flat_bands
 from .floquet_bands import FloquetBands, floquet_bands
 from .modes import NormalModes, normal_modes
@@ -17,7 +18,8 @@ from .transfer import LocalisationLength, localisation_length
 from .zone import DensityOfStates, PathBands, ZoneMap, density_of_states, path, zone_map
 
 __all__ = [
-    "Bands", "DensityOfStates", "Dispersion", "FlatBands", "FloquetBands", "LocalisationLength", "NormalModes",
-    "PathBands", "RibbonBands", "UnitCell", "ZoneMap", "bands", "density_of_states", "dispersion", "flat_bands",
-    "floquet_bands", "localisation_length", "normal_modes", "path", "ribbon", "sound_speed", "unit_cell", "zone_map",
+    "Bands", "ComplexBands", "DensityOfStates", "Dispersion", "FlatBands", "FloquetBands", "LocalisationLength",
+    "NormalModes", "PathBands", "RibbonBands", "UnitCell", "ZoneMap", "bands", "complex_bands", "density_of_states",
+    "dispersion", "flat_bands", "floquet_bands", "localisation_length", "normal_modes", "path", "ribbon", "sound_speed",
+    "unit_cell", "zone_map",
 ]

@@ -157,7 +157,8 @@ class DensityOfStates(Result):
     """Density of states g(omega): how many of the bands' waves lie within a band of frequencies, over its width.
 
     **Fields:** `omega` (W,): the middles of bins [rad/s]; `density` (W,), a mean over each bin [s]: its integral over
-    omega is the number of bands; `error` (W,): from a zone of half as many points, the most of near bins; `points`: along each axis.
+    omega is the number of bands; `error` (W,): from a zone of half as many points, the most of near
+    bins; `points`: along each axis.
     """
 
     held: ClassVar[dict[str, Held]] = {

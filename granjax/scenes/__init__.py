@@ -10,7 +10,21 @@ from .fractional import fractional, fractional_fput, fractional_sine_gordon
 from .long_range import long_range, magnets
 from .modulated import modulated, travelling_modulation
 from .on_site import cradle, klein_gordon, sine_gordon
-from .plane import diamond, hexagon, honeycomb, kagome, lieb, sawtooth, square, ssh, stub, triangular
+from .plane import (
+    diamond,
+    hexagon,
+    honeycomb,
+    junction,
+    kagome,
+    lieb,
+    packing,
+    quadrupole,
+    sawtooth,
+    square,
+    ssh,
+    stub,
+    triangular,
+)
 from .resonators import mass_in_mass, mass_with_mass, woodpile
 from .softening import alternating, foam, hollow_cylinders, origami, tensegrity
 from .units import ScaledLattice, Units, scaled
@@ -27,7 +41,7 @@ __all__ = [
     "long_range", "magnets",
     "plastic",
     "mass_in_mass", "mass_with_mass", "woodpile",
-    "hexagon", "honeycomb", "kagome", "lieb", "square", "triangular",
-    "diamond", "sawtooth", "ssh", "stub",
+    "hexagon", "honeycomb", "kagome", "lieb", "packing", "quadrupole", "square", "triangular",
+    "diamond", "junction", "sawtooth", "ssh", "stub",
     "alternating", "foam", "hollow_cylinders", "origami", "tensegrity",
 ]

@@ -3,12 +3,13 @@
 from collections.abc import Sequence
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import refuse, whole
+from ..checks import positive, refuse, whole
 from ..entry import checked
-from ..types import Site, Values
+from ..types import Parameter, Site, Values
 from .maps import TwoEnds, checked_fields
 
 WALL = -1
@@ -19,12 +20,15 @@ class Pairs(TwoEnds):
 
     **Arguments:** `tail`, `head`: site indices along the first axis, one of each per bond; -1 is a rigid wall.
     `sites`: number of sites, where the last ones have no bond (a pair for two fields). `fields`: as in `Shift`.
+    `weights`: a pair of positive numbers or arrays over bonds (w_tail, w_head), e_b = w_tail u[tail] - w_head u[head],
+    such as the cosine of an angle by which a guide turns; `None` for 1.
 
     **Shapes:** `u` (N,) to `e` (bonds,). **Raises** ValueError for indices that are no whole numbers, lists of
     different length, an index outside the lattice, or a bond from a site to itself.
     """
 
-    dimensions = {}
+    dimensions = {"weights": (0, 0, 0)}
+    weights: tuple[jax.Array, jax.Array] | None
     tail: tuple[int, ...] = eqx.field(static=True)
     head: tuple[int, ...] = eqx.field(static=True)
     sites: tuple[int, int] = eqx.field(static=True)
@@ -33,9 +37,10 @@ class Pairs(TwoEnds):
     @checked
     def __init__(
         self, tail: Values, head: Values, *, sites: Site | None = None,
-        fields: str | Sequence[str] | None = None,
+        fields: str | Sequence[str] | None = None, weights: tuple[Parameter, Parameter] | None = None,
     ):
         self.fields = checked_fields(fields)
+        self.weights = None if weights is None else tuple(positive(f"weights[{i}]", w) for i, w in enumerate(weights))
         self.tail, self.head = _indices("tail", tail), _indices("head", head)
         if len(self.tail) != len(self.head):
             refuse("head", f"{len(self.tail)} indices, as many as tails", f"{len(self.head)}")
@@ -60,17 +65,29 @@ class Pairs(TwoEnds):
         if (index == WALL).any():
             there = (index != WALL).astype(x.dtype).reshape((-1,) + (1,) * (x.ndim - 1))
             chosen = chosen * there
-        return chosen
+        return chosen if self.weights is None else chosen * _over(self.weights[end], chosen)
 
     def _return(self, f, end):
         index = np.array((self.tail, self.head)[end])
         sites = self.sites[end]
         # a wall's share goes to one site too many, which is then cut off
+        f = f if self.weights is None else f * _over(self.weights[end], f)
         spread = jnp.zeros((sites + 1,) + f.shape[1:], f.dtype)
         return spread.at[np.where(index == WALL, sites, index)].add(f)[:sites]
 
+    def split(self, bonds, u):
+        if self.weights is None:
+            return super().split(bonds, u)
+        whole = sum(jnp.broadcast_to(_over(w, bonds), bonds.shape) for w in self.weights)
+        return self.reach_back(bonds / whole)
+
     def walls(self):
         return ("left", "right") if WALL in self.tail + self.head else ()
+
+
+def _over(weight, x):
+    """A number, or one per bond (and lane), with axes for what else there is."""
+    return weight.reshape(weight.shape + (1,) * (x.ndim - weight.ndim)) if weight.ndim else weight
 
 
 def _indices(name, x):

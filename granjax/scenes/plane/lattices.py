@@ -12,7 +12,7 @@ from ...laws import Law, Linear
 from ...types import Count, Parameter, Scalar
 from ...units import SCALED
 from .build import SPHERE, Motion, built, grounded, laws_of
-from .cells import HONEYCOMB, KAGOME, LIEB, SQUARE, TRIANGULAR
+from .cells import HONEYCOMB, KAGOME, LIEB, QUADRUPOLE, SQUARE, TRIANGULAR
 
 # Mindlin's k_t/k_n = 2 (1 - nu)/(2 - nu) of two bodies of one material with nu = 0.3
 MINDLIN = 2 * (1 - 0.3) / (2 - 0.3)
@@ -155,6 +155,29 @@ def lieb(
     """
     return _plane(LIEB, n, m, mass, stiffness, exponent, precompression, law, spacing, boundary, outline,
                   out_of_plane, rotation, tangential, inertia, units, ground, on_site, equal and out_of_plane)
+
+
+@checked
+def quadrupole(
+    n: Count, m: Count | None = None, k1: Scalar = 1.0, k2: Scalar = 2.0, *,
+    mass: Parameter | dict[str, Parameter] = 1.0, boundary: str | Sequence[str] = "fixed", ground: Scalar = 0.0,
+    on_site: Law | None = None, units: str = SCALED,
+) -> Lattice:
+    r"""Quadrupole lattice of Benalcazar, Bernevig and Hughes: squares of four sites, k1 within and k2 between cells.
+
+    Displacements out of the plane; of each square of bonds one is negative, b-d and its like, and on-site springs make
+    all sites equal: omega^2 = Omega^2 - E, E = +-(k1^2 + k2^2 + 2 k1 k2 cos k_i, summed over i = 1, 2)^{1/2}, each
+    twice; Omega^2 = 2 (k1 + k2) + ground. With k1 < k2 and fixed ends each corner holds a state at omega^2 = Omega^2.
+
+    **Arguments:** `n`, `m`: cells; `k1`, `k2` > 0; the others as in `honeycomb`. **Returns:** a `Lattice` of the fields
+    `a`, `b`, `c`, `d`. **Raises** ValueError as `square` does. Source: Benalcazar, Bernevig, Hughes, Science 357, 61
+    (2017); Serra-Garcia et al., Nature 555, 342 (2018).
+    """
+    inner, outer = positive("k1", k1), positive("k2", k2)
+    laws = tuple(Linear(k) for k in (inner, inner, inner, -inner, outer, outer, outer, -outer))
+    springs = grounded(QUADRUPOLE, laws, ground, True, on_site)
+    return built(QUADRUPOLE, (n, n if m is None else m), laws, Motion(None), mass=mass, spacing=1.0,
+                 boundary=boundary, outline="cells", on_site=springs, units=units)
 
 
 def _plane(cell, n, m, mass, stiffness, exponent, precompression, law, spacing, boundary, outline, out_of_plane,

@@ -1,0 +1,122 @@
+"""Waves of a given frequency: the wave numbers, real and complex, that a lattice carries them with."""
+
+from typing import ClassVar
+
+import equinox as eqx
+import numpy as np
+from scipy.linalg import eig
+
+from ..checks import concrete, parameter, refuse
+from ..entry import checked
+from ..lattice import Lattice
+from ..results import Held, Result
+from ..types import Cell, ComplexNumbers, Count, Number, Numbers, Parameter
+from .cell import unit_cell
+
+# |z| of roots beyond which exp(ik) is no wave but a block that is zero; what counts as |z| = 1
+LARGEST, REAL = 1e8, 1e-7
+
+
+class ComplexBands(Result):
+    """Complex wave numbers of given frequencies.
+
+    **Fields:** `omega` (W,) [rad/s]. `k` (W, waves), complex [rad per cell]: u ~ exp(i k R); Im k > 0 decays along the
+    axis, real ones travel; in the order of |Im k|, NaN where a frequency has fewer. `residual` (W, waves): what is left
+    of (D(k) - omega^2) q, relative. `axis`, `across`: along which, and the phase along the other axis [rad].
+    """
+
+    held: ClassVar[dict[str, Held]] = {
+        "omega": Held("frequency", "rad/s"), "k": Held("frequency wave", "rad"),
+        "residual": Held("frequency wave", "1"), "across": Held(unit="rad"), "axis": Held(None), "cell": Held(None),
+    }
+    omega: Numbers
+    k: ComplexNumbers
+    residual: Numbers
+    across: Number
+    axis: int = eqx.field(static=True)
+    cell: tuple[int, ...] = eqx.field(static=True)
+
+    @property
+    def decay(self) -> Numbers:
+        """The least |Im k| of each frequency [1/cell]: 0 within a band, the slowest decay in a gap."""
+        return np.nanmin(np.abs(np.asarray(self.k).imag), axis=-1)
+
+    @property
+    def outcome(self) -> str:
+        """At how many frequencies nothing travels."""
+        stopped = int((self.decay > REAL).sum())
+        return f"Wave numbers of {len(self.omega)} frequencies; at {stopped} of them every wave decays."
+
+
+@checked
+def complex_bands(
+    lattice: Lattice, omega: Parameter, *, axis: Count = 0, across: Parameter = 0.0, cell: Cell | None = None,
+) -> ComplexBands:
+    r"""Wave numbers of given frequencies along one axis: all roots k of det(D(k) - omega^2) = 0, real and complex.
+
+    With z = exp(ik) a polynomial eigenvalue problem, sum_R coupling_R z^R q = omega^2 q, of degree twice the reach.
+    A chain of equal beads has one pair, cos k = 1 - m omega^2/(2 K2): above its band k = pi + i kappa.
+
+    **Arguments:** `lattice`: one `Lattice`; `omega` (W,) [rad/s]; `axis`: along which; `across`: the phase along the
+    other axis of a plane, one number; `cell`: as in `unit_cell`. **Returns:** `ComplexBands`. **Raises** ValueError for
+    a sonic vacuum, traced frequencies, and where `unit_cell` does. No derivative is taken; d k/d omega is one over the
+    group velocity of `dispersion`.
+    """
+    found = unit_cell(lattice, cell)
+    axes = len(found.cell)
+    if not 0 <= axis < axes:
+        refuse("axis", f"a number below {axes}", f"{axis}")
+    frequencies, given = concrete(parameter("omega", omega)), concrete(parameter("across", across))
+    coupling = concrete(found.coupling)
+    if frequencies is None or given is None or coupling is None:
+        refuse("omega", "numbers that are known", "traced ones", "Roots are sorted by their values.")
+    coupling = np.asarray(coupling)
+    if not np.any(coupling):
+        refuse("lattice", "a lattice with linear waves", "a sonic vacuum", "Give it a precompression.")
+    w = np.atleast_1d(np.asarray(frequencies, float))
+    R = np.array(found.shells)
+    phase = np.exp(1j * np.delete(R, axis, 1) @ np.full(axes - 1, float(given)))
+    reach = int(np.abs(R[:, axis]).max())
+    if reach == 0:
+        refuse("axis", "an axis along which sites are bound", f"{axis}")
+    blocks = np.zeros((2 * reach + 1, *coupling.shape[1:]), complex)
+    np.add.at(blocks, R[:, axis] + reach, phase[:, None, None] * coupling)
+    scale = np.abs(coupling).max()
+    roots = [_roots(blocks, x * x, scale, reach) for x in w]
+    most = max(map(len, roots))
+    k, residual = np.full((len(w), most), np.nan + 0j), np.full((len(w), most), np.nan)
+    for i, z in enumerate(roots):
+        k[i, : len(z)] = -1j * np.log(z)
+        residual[i, : len(z)] = [_left(blocks, x * 1.0, w[i] ** 2, scale, reach) for x in z]
+    return ComplexBands(w, k, residual, float(given), int(axis), found.cell, **lattice.origin)
+
+
+def _polynomial(blocks, squared, reach):
+    whole = blocks.copy()
+    whole[reach] -= squared * np.eye(blocks.shape[1])
+    return whole
+
+
+def _roots(blocks, squared, scale, reach):
+    """z = exp(ik) of all waves, by the companion form, the most slowly decaying first."""
+    whole = _polynomial(blocks, squared, reach) / scale
+    size, degree = whole.shape[1], 2 * reach
+    A, B = np.zeros((2, size * degree, size * degree), complex)
+    for i in range(degree - 1):
+        A[i * size : (i + 1) * size, (i + 1) * size : (i + 2) * size] = np.eye(size)
+        B[i * size : (i + 1) * size, i * size : (i + 1) * size] = np.eye(size)
+    for j in range(degree):
+        A[-size:, j * size : (j + 1) * size] = -whole[j]
+    B[-size:, -size:] = whole[-1]
+    values = eig(A, B, right=False, homogeneous_eigvals=True)
+    above, below = values
+    there = (np.abs(below) * LARGEST > np.abs(above)) & (np.abs(above) * LARGEST > np.abs(below))
+    z = above[there] / below[there]
+    return z[np.argsort(np.abs(np.log(np.abs(z))), kind="stable")]
+
+
+def _left(blocks, z, squared, scale, reach):
+    """The least singular value of the problem at a root, relative to its size."""
+    powers = z ** np.arange(-reach, reach + 1)
+    D = np.einsum("r,rab->ab", powers, _polynomial(blocks, squared, reach))
+    return np.linalg.svd(D, compute_uv=False)[-1] / (scale * np.abs(powers).max())

@@ -1,0 +1,48 @@
+"""Packings of beads in the plane, in SI, from a material and a radius."""
+
+from collections.abc import Callable, Sequence
+
+from ...checks import one_of, positive, refuse
+from ...entry import checked
+from ...lattice import Lattice
+from ...laws import Hertz, Linear
+from ...materials import Material, bead_mass, hertz_coefficient, named
+from ...types import Count, Scalar
+from ...units import SI
+from .build import SPHERE, Motion, built
+from .cells import HONEYCOMB, KAGOME, SQUARE, TRIANGULAR
+
+ARRANGEMENTS = {"hexagonal": TRIANGULAR, "square": SQUARE, "honeycomb": HONEYCOMB, "kagome": KAGOME}
+
+
+@checked
+def packing(
+    material: str | Material, radius: Scalar, n: Count, m: Count | None = None, precompression: Scalar = 0.0, *,
+    arrangement: str = "hexagonal", rotation: bool = False, boundary: str | Sequence[str] = "fixed",
+    outline: str | Callable = "cells",
+) -> Lattice:
+    r"""Equal elastic spheres in the plane, in SI: masses (4/3) pi R^3 rho, Hertz contacts, A as in `gx.scenes.beads`.
+
+    `precompression` is the force F0 in every contact. The confining load on a wall is P per bead that touches it: in a
+    square packing F0 = P, in a hexagonal one F0 = P/3^{1/2} on a wall along a row of beads.
+
+    **Arguments:** `material`: a name of the table or a `Material`; `radius` R [m]; `n`, `m`, `boundary`, `outline`:
+    as in `gx.scenes.square`; `precompression`: F0 >= 0 [N]; `arrangement`: `"hexagonal"`, `"square"`, `"honeycomb"`,
+    `"kagome"`. `rotation`: whether beads turn, u = (u_x, u_y, R theta): contacts then have Mindlin's tangential
+    stiffness 2 (1 - nu)/(2 - nu) of the normal one at F0, and do not slide.
+
+    **Returns:** a `Lattice` in SI with positions. **Raises** ValueError for a radius that is not above zero, F0 < 0,
+    rotation without a load. Source: Leonard, Fraternali, Daraio, Exp. Mech. 53, 327 (2013); Tournat, Perez-Arjona,
+    Merkel, Sanchez-Morcillo, Gusev, New J. Phys. 13, 073042 (2011).
+    """
+    cell = ARRANGEMENTS[one_of("arrangement", arrangement, list(ARRANGEMENTS))]
+    body, R = named("material", material), positive("radius", radius, "A radius is in metres.")
+    law = Hertz(hertz_coefficient(body, R), precompression)
+    motion = Motion(2)
+    if rotation:
+        if isinstance(precompression, (int, float)) and precompression == 0:
+            refuse("precompression", "F0 > 0 with rotation=True", "0", "Without static load contacts slide.")
+        ratio = 2 * (1 - body.poisson) / (2 - body.poisson)
+        motion = Motion(3, Linear(ratio * law.derivative(0.0 * R)), SPHERE)
+    return built(cell, (n, n if m is None else m), (law,) * len(cell.ties), motion, mass=bead_mass(body, R),
+                 spacing=2 * R, boundary=boundary, outline=outline, on_site=None, units=SI)
