@@ -9,10 +9,10 @@ from ..checks import refuse
 from ..entry import checked
 from ..types import Parameter
 from .maps import TwoEnds
-from .stretch import Stretch
+from .stretch import Directed
 
 
-class Slip(Stretch):
+class Slip(Directed):
     r"""How far two beads have slipped past each other at their contact, in the plane.
 
     Beads have (u_x, u_y, s): s = R theta [m], the way of a point of the rim, R the bead's radius, anticlockwise. With
@@ -46,18 +46,3 @@ class Slip(Stretch):
         across = part(R, 1) * part(D, 0) - part(R, 0) * part(D, 1)
         turned = jnp.arctan2(across, rest * rest - along)
         return part(self.pairs.reach(u), 2) - rest * turned
-
-    def load(self, u, law):
-        return super(Stretch, self).load(u, law)
-
-    def energy(self, u, law):
-        return super(Stretch, self).energy(u, law)
-
-    def stiffness_bound(self, lattice, k):
-        return super(Stretch, self).stiffness_bound(lattice, k)
-
-    def turning(self, lattice, law):
-        return 0.0
-
-    def ends(self, places, u):
-        return None

@@ -11,21 +11,8 @@ from ..units import PART
 from .maps import StrainMap, TwoEnds
 
 
-class Stretch(StrainMap):
-    r"""Bonds as distances in the plane or in space, with the geometry's own nonlinearity and the prestress.
-
-    With D = u_tail - u_head and the vector R from tail to head at rest: length |R - D|, compression
-    e = |R| - |R - D|, direction n = (R - D)/|R - D|. The sites feel the total force F0 + F(e) along n less F0 along
-    n0 = R/|R|, so that the preload turns with the bond and gives the transverse stiffness -F0/|R|.
-
-    **Arguments:** `pairs`: a `Shift` or `Pairs` that says which sites are joined. `vector`: R, shape (d,) or
-    (bonds..., d) [m], not zero.
-
-    **Shapes:** `u` (sites..., d, lanes...) to `e` (bonds..., lanes...); components of `u` beyond the vector's, such as
-    a rotation, are left alone. **Raises** ValueError for a vector of length zero or a map that is neither Shift nor
-    Pairs. That the preloads balance at u = 0, with the boundary's loads, is
-    the user's: `Lattice.unbalanced()` gives what is left over.
-    """
+class Directed(StrainMap):
+    """Bonds between sites whose places differ by a vector at rest: what distances and slips have in common."""
 
     dimensions = {"pairs": PART, "vector": (0, 1, 0)}
     pairs: TwoEnds
@@ -56,6 +43,32 @@ class Stretch(StrainMap):
     @property
     def axes(self):
         return self.pairs.axes
+
+    def split(self, bonds, u):
+        return self.pairs.split(bonds, u)
+
+    def span(self):
+        return self.pairs.span()
+
+    def walls(self):
+        return self.pairs.walls()
+
+
+class Stretch(Directed):
+    r"""Bonds as distances in the plane or in space, with the geometry's own nonlinearity and the prestress.
+
+    With D = u_tail - u_head and the vector R from tail to head at rest: length |R - D|, compression
+    e = |R| - |R - D|, direction n = (R - D)/|R - D|. The sites feel the total force F0 + F(e) along n less F0 along
+    n0 = R/|R|, so that the preload turns with the bond and gives the transverse stiffness -F0/|R|.
+
+    **Arguments:** `pairs`: a `Shift` or `Pairs` that says which sites are joined. `vector`: R, shape (d,) or
+    (bonds..., d) [m], not zero.
+
+    **Shapes:** `u` (sites..., d, lanes...) to `e` (bonds..., lanes...); components of `u` beyond the vector's, such as
+    a rotation, are left alone. **Raises** ValueError for a vector of length zero or a map that is neither Shift nor
+    Pairs. That the preloads balance at u = 0, with the boundary's loads, is the user's: `Lattice.unbalanced()` gives
+    what is left over.
+    """
 
     def strain(self, u):
         return self._geometry(u)[-1]
@@ -89,21 +102,12 @@ class Stretch(StrainMap):
         tail = jnp.where(there > 0, tail + moved, head + pushed - (R - D))
         return tail, tail + R - D
 
-    def split(self, bonds, u):
-        return self.pairs.split(bonds, u)
-
     def stiffness_bound(self, lattice, k):
         return self.pairs.stiffness_bound(lattice, k)
 
     def turning(self, lattice, law):
         axis = max(self.vector.ndim - 1 - len(lattice.lanes), 0)
         return jnp.max(jnp.abs(law.preload)) / jnp.min(jnp.linalg.norm(self.vector, axis=axis))
-
-    def span(self):
-        return self.pairs.span()
-
-    def walls(self):
-        return self.pairs.walls()
 
 
 def _align(vector, D, axis):
