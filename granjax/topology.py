@@ -18,7 +18,7 @@ from .entry import checked
 from .lattice import Lattice
 from .linear import unit_cell
 from .linear.zone import lattice_vectors as _vectors
-from .linear.zone import named_points
+from .linear.zone import named_points as _named_points
 from .results import Held, Result
 from .types import Cell, Count, Number, Numbers, Parameter
 
@@ -336,7 +336,7 @@ def valley_chern(
     if isinstance(valley, str):
         cells = unit_cell(lattice, cell).cell if isinstance(lattice, Lattice) else (1, 1)
         vectors = _vectors(lattice, cells) if isinstance(lattice, Lattice) else np.array([[1.0, 0], [0.5, 0.75**0.5]])
-        known = named_points(vectors, 2)
+        known = _named_points(vectors, 2)
         if valley not in known:
             refuse("valley", f"one of {sorted(known)}, or two phases", repr(valley))
         valley = known[valley]

@@ -445,7 +445,30 @@ VALID = {
     "direction": lambda: 1.0,
 }
 # of one callable: `function.argument`
+def gapped(k):
+    """Two bands that do not touch."""
+    return jnp.array([[1.0, 0.1 * jnp.cos(k[0])], [0.1 * jnp.cos(k[0]), -1.0]]) + 0j
+
+
+def squares(k):
+    """Bands of the quadrupole lattice."""
+    x, y = 0.5 + jnp.exp(1j * k[0]), 0.5 + jnp.exp(1j * k[1])
+    half = jnp.zeros((4, 4), complex).at[0, 1].set(x).at[2, 3].set(x).at[0, 2].set(y).at[1, 3].set(-y)
+    return half + half.conj().T
+
+
 OWN = {
+    **dict.fromkeys((f"scenes.plane.{name}.n" for name in (
+        "packing.packing", "lattices.square", "lattices.triangular")), lambda: 3),
+    "scenes.plane.packing.packing.radius": lambda: 0.01, "strains.along.Along.direction": lambda: [1.0, 0.0],
+    "scenes.plane.networks.junction.branches": lambda: [3, 3], "scenes.plane.networks.junction.stem": lambda: 3,
+    **dict.fromkeys((f"topology.{name}.lattice" for name in ("berry_curvature", "chern", "valley_chern")),
+                    lambda: gapped),
+    "topology.quadrupole.lattice": lambda: squares,
+    "topology.winding.lattice": lambda: gx.scenes.ssh(5, boundary="periodic"),
+    "linear.ribbon.ribbon.lattice": lambda: gx.scenes.square(5, 3, boundary=("periodic", "fixed")),
+    "linear.zone.zone_map.lattice": lambda: gx.scenes.square(5, boundary="periodic"),
+    "measures.networks.force_network.lattice": lambda: gx.scenes.junction(3, (2,)),
     "sweeps.sweep.sweep.parameters": lambda: {"x": [1.0, 2.0]}, "sweeps.sweep.sweep.units": lambda: {"x": "m"},
     "sweeps.sweep.sweep.function": lambda: lambda x: x, "sweeps.points.paired.parameters": lambda: {"x": [1.0, 2.0]},
     "sweeps.points.random.bounds": lambda: {"x": (0.0, 1.0)}, "sweeps.sweep.read.store": lambda: kept(),
@@ -560,6 +583,7 @@ ALSO = {
     "states.waves.solitary_wave": {"": {"speed": 1.2}, "speed": {}, "amplitude": {}, "energy": {}},
     "travelling.family.family": {"": {"speed": np.array([1.2, 1.3])}, "speed": {}, "amplitude": {}, "energy": {}},
     "travelling.periodic.periodic_wave": {"": {"amplitude": 0.1}, "speed": {}, "amplitude": {}},
+    "travelling.cells.public.cell_wave": {"": {"masses": [1.0, 0.5], "speed": 1.2}, "masses": {}, "speed": {}},
     **{f"theory.elliptic.{name}": {"": {"m": 0.5}, "m": {}, "m1": {}}
        for name in ("jacobi", "zeta", "K", "E", "Pi", "F", "incomplete_E", "incomplete_Pi")},
 }
@@ -604,6 +628,8 @@ BLANK = (
     "plots.shocks.shock_map", "plots.spreading.spreading", "plots.sweeps.sweep",
     "plots.devices.rectifier", "plots.devices.switch", "plots.devices.truth_table", "plots.devices.two_way",
     "plots.evolutions.evolution", "plots.evolutions.gap_breather", "plots.rest.equilibrium", "plots.rest.kink",
+    "plots.plane.bands", "plots.plane.beads", "plots.plane.zone", "measures.networks.angular_momentum",
+    "measures.networks.slip_ratio", "linear.flat.FlatBands.state",
     "plots.waves.dispersion", "plots.waves.floquet_bands",
     "linear.floquet_bands.FloquetBands.state", "studies.resonance.finite.refine",
     "studies.gates.TruthTable.table", "studies.gates.TruthTable.thresholds",

@@ -448,12 +448,13 @@ WITHIN = {
                      "interrupts", "outside", "tuning", "materials", "canonical.scenes", "scenes.chains",
                      "scenes.long_range", "scenes.resonators", "scenes.softening",
                      "scenes.disorder", "scenes.fractional", "scenes.modulated", "scenes.on_site", "scenes.yielding",
+                     "scenes.plane.chains", "scenes.plane.lattices", "scenes.plane.networks", "scenes.plane.packing",
                      "work_precision.measuring", "orbits.symmetry", "laws.power"),
                     "numbers, words and Python: no program of their own"),
     **dict.fromkeys(("exchange.datasets", "files", "fit.files", "reading.reader", "reading.tables"),
                     "files, read and written by NumPy"),
     **dict.fromkeys(("plots.cells", "plots.evolutions", "plots.style", "plots.curves", "plots.fits", "plots.orbits",
-                     "plots.shocks", "plots.travelling"),
+                     "plots.plane", "plots.shocks", "plots.travelling"),
                     "drawn by NumPy; `plots`"),
     **dict.fromkeys(("lattice.split", "lattice.tangents", "lattice.blocks", "split_system"), "`simulate`"),
     **dict.fromkeys(("studies.bright_breather", "studies.dark_breather", "studies.reproduce.registry",
@@ -462,6 +463,7 @@ WITHIN = {
                     "studies of minutes, made of what is called here"),
 }
 UNCALLED = {
+    "chern": "`berry_curvature`", "winding": "`zak`", "quadrupole": "`berry_curvature`",
     "checked_order": "`kernel`", "total": "`kernel`", "symbol": "`ring_kernel`", "wave_numbers": "NumPy",
     "field": "`evolve`",
     "paired": "NumPy", "read": "a file", "table": "NumPy",

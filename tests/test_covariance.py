@@ -361,7 +361,8 @@ def compare(a, b, agree, where=""):
 # unit of a field as its result declares it -> powers of force, length, time
 DECLARED = {
     "": None, "1": (0, 0, 0), "s": (0, 0, 1), "m": (0, 1, 0), "m/s": (0, 1, -1), "N": (1, 0, 0), "J": (1, 1, 0),
-    "rad": (0, 0, 0), "rad/s": (0, 0, -1), "1/s": (0, 0, -1), "Hz": (0, 0, -1), "rad^2/s^2": (0, 0, -2),
+    "rad": (0, 0, 0), "1/m": (0, -1, 0),
+    "rad/s": (0, 0, -1), "1/s": (0, 0, -1), "Hz": (0, 0, -1), "rad^2/s^2": (0, 0, -2),
     "N s": (1, 0, 1), "J s": (1, 1, 1), "kg": (1, -1, 2), "W": (1, 1, -1), "m/s^2": (0, 1, -2), "1/cell": (0, 0, 0),
     "N s/m": (1, -1, 1),
 }
@@ -539,6 +540,94 @@ def _(s):
     found = gx.linear.floquet_bands(s.lattice, np.array([0.3, 1.1, 2.7]), s.s(LAYERS))
     waves = dict.fromkeys(("multipliers", "displacements", "velocities", "omega", "error", "growth", "fastest_k"))
     return fields_of(found, **waves), moduli(found.multipliers, found.error)
+
+
+def crystal_of_beads(rng, w):
+    """Beads that turn, under load, with places."""
+    load, K = near(rng, 0.3), near(rng, 1.0)
+    own = gx.scenes.triangular(5, 5, mass=near(rng, 1.0), stiffness=K, precompression=load, rotation=True,
+                               tangential=near(rng, 0.5), boundary="periodic")
+    return gx.scenes.scaled(own, units=w.units).lattice
+
+
+def strip(rng, w):
+    """A strip of honeycomb between walls."""
+    own = gx.scenes.honeycomb(5, 3, stiffness=near(rng, 1.0), out_of_plane=True, boundary=("periodic", "fixed"))
+    return gx.scenes.scaled(own, units=w.units).lattice
+
+
+def stubs(rng, w):
+    """A chain with a flat band."""
+    return gx.scenes.scaled(gx.scenes.stub(8, near(rng, 1.0), ground=near(rng, 0.4)), units=w.units).lattice
+
+
+@row("path", slow=(crystal_of_beads,))
+def _(s):
+    return fields_of(gx.linear.path(s.lattice, "GKM", 6), vectors=None, omega=None, slope=None)
+
+
+@row("zone_map", slow=(crystal_of_beads,))
+def _(s):
+    return fields_of(gx.linear.zone_map(s.lattice, 8), velocity=None)
+
+
+@row("ribbon", slow=(strip,))
+def _(s):
+    return fields_of(gx.linear.ribbon(s.lattice, np.array([0.4, 2.0])), modes=None, edge=About)
+
+
+@row("density_of_states", slow=(dimer,))
+def _(s):
+    found = fields_of(gx.linear.density_of_states(s.lattice, 7, 16))
+    del found["outcome"]  # it rounds what is known
+    return found
+
+
+@row("complex_bands", slow=(dimer,))
+def _(s):
+    found = gx.linear.complex_bands(s.lattice, s.hertz(np.array([0.4, 9.0])))
+    return fields_of(found, residual=About, k=None), found.decay
+
+
+@row("flat_bands", slow=(stubs,))
+def _(s):
+    found = gx.linear.flat_bands(s.lattice)
+    return fields_of(found, width=About, residual=About), found.state(s.lattice).u["a"].shape
+
+
+@row("zak", slow=(dimer,))
+def _(s):
+    found = gx.topology.zak(s.lattice)
+    return np.cos(found.phase), np.cos(found.below), About(found.error)
+
+
+def valleys(rng, w):
+    """Honeycomb of two masses."""
+    own = gx.scenes.honeycomb(5, mass={"a": near(rng, 1.0), "b": near(rng, 3.0)}, out_of_plane=True,
+                              boundary="periodic")
+    return gx.scenes.scaled(own, units=w.units).lattice
+
+
+@row("berry_curvature", slow=(valleys,))
+def _(s):
+    found = gx.topology.berry_curvature(s.lattice, points=6)
+    return found.flux, gx.topology.valley_chern(s.lattice, points=6)
+
+
+@row("force_network", slow=(crystal_of_beads,))
+def _(s):
+    found = gx.measures.force_network(s.lattice, s.state)
+    return length(found.segments), strength(found.force)
+
+
+@row("angular_momentum", slow=(crystal_of_beads,))
+def _(s):
+    return Of(gx.measures.angular_momentum(s.lattice, s.state, radius=s.m(0.5)), 1, 1, 1)
+
+
+@row("slip_ratio", slow=(crystal_of_beads,))
+def _(s):
+    return gx.measures.slip_ratio(s.lattice, s.state)
 
 
 @row("localisation_length", closed)
@@ -1184,7 +1273,9 @@ def _(s):
 
 # public, with a lattice among the arguments, and not in the table
 ELSEWHERE = {
-    "FloquetBands.state": "`floquet_bands`",
+    "FloquetBands.state": "`floquet_bands`", "FlatBands.state": "`flat_bands`", "chern": "`berry_curvature`",
+    "valley_chern": "`berry_curvature`, whole or half numbers", "winding": "a whole number of phases, as `zak`",
+    "quadrupole": "phases, as `zak`",
     "split_system": "a solver's working form of the same forces: `simulate`", "variational": "`floquet`",
     "in_blocks": "the same for long chains",
     "Record.value": "`simulate`", "Problem.state": "`fit`", "return_error": "rounding alone; `fit` and `Reversible`",

@@ -126,6 +126,13 @@ MAKERS = {
     "NormalModes": lambda: linear.normal_modes(chain()), "Bands": lambda: linear.bands(ring()),
     "Equilibrium": lambda: gx.equilibrium(chain()),
     "Dispersion": lambda: linear.dispersion(ring(), np.linspace(0.1, 3.0, 4)),
+    "PathBands": lambda: linear.path(ring(), "GX", 4), "FlatBands": lambda: linear.flat_bands(gx.scenes.stub(8)),
+    "ZoneMap": lambda: linear.zone_map(gx.scenes.square(5, boundary="periodic"), 8),
+    "RibbonBands": lambda: linear.ribbon(gx.scenes.square(5, 3, boundary=("periodic", "fixed")), [0.4, 2.0]),
+    "DensityOfStates": lambda: linear.density_of_states(ring(), 5, 16),
+    "ComplexBands": lambda: linear.complex_bands(ring(), [0.4, 9.0]),
+    "Zak": lambda: gx.topology.zak(ring()),
+    "BerryCurvature": lambda: gx.topology.BerryCurvature(np.ones((4, 4, 2)), np.ones((4, 4)), (0,)),
     "FloquetBands": lambda: linear.floquet_bands(ring(), np.linspace(0.1, 3.0, 4), 1.0),
     "GapBreather": lambda: gx.breathers.GapBreather(
         T, np.outer(T, np.ones(N)), np.ones((33, N)), T, T, 1.0, 0.1, 0.0, 1e-9, 1e-4, 0.1, 64, "Back.", **OTHER),

@@ -25,15 +25,14 @@ class FlatBands(Result):
     """The flat bands of a lattice, and a compact state of each frequency.
 
     **Fields:** `omega`, `omega_squared` (flat,) [rad/s]. `width` (flat,): by how much omega^2 varies over the zone.
-    `degeneracy`: how many bands have that frequency. `states`: of each frequency one compact state, its displacements
-    over `cells` cells along each axis, (cells..., cell..., P) as of `gx.linear.UnitCell`, normalised with the mass;
-    on all other sites it is zero. `residual`: what of (D - omega^2) q is left, relative to the largest stiffness.
-    `support`: on how many degrees of freedom each lives.
+    `degeneracy`: how many bands have that frequency. Of each frequency one compact state, `state(lattice, number)`:
+    `support`: on how many degrees of freedom it lives; `residual`: what of (D - omega^2) q is left, relative to the
+    largest stiffness.
     """
 
     held: ClassVar[dict[str, Held]] = {
         "omega": Held("flat", "rad/s"), "omega_squared": Held("flat", "rad^2/s^2"), "width": Held("flat", "rad^2/s^2"),
-        "degeneracy": Held("flat"), "support": Held("flat"), "residual": Held("flat", "1"), "states": Held(None),
+        "degeneracy": Held("flat"), "support": Held("flat"), "residual": Held("flat", "1"),
         "cell": Held(None), "fields": Held(None),
     }
     omega: Numbers
@@ -42,7 +41,7 @@ class FlatBands(Result):
     degeneracy: AnyArray
     support: AnyArray
     residual: Numbers
-    states: tuple
+    _states: tuple
     cell: tuple[int, ...] = eqx.field(static=True)
     fields: tuple[str, ...] | None = eqx.field(static=True)
     dimension: int | None = eqx.field(static=True)
@@ -64,9 +63,9 @@ class FlatBands(Result):
         """
         sizes = next(iter(lattice.sites.values())) if lattice.fields else lattice.sites
         numbers = whole("number", number, 0)
-        if numbers >= len(self.states):
-            refuse("number", f"below {len(self.states)}, the number of flat frequencies", f"{number}")
-        found = self.states[numbers]
+        if numbers >= len(self._states):
+            refuse("number", f"below {len(self._states)}, the number of flat frequencies", f"{number}")
+        found = self._states[numbers]
         axes = len(self.cell)
         counts = found.shape[:axes]
         cells = [n // c for n, c in zip(sizes, self.cell)]

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from ..checks import refuse
 from ..entry import checked
 from ..types import Parameter
+from ..units import PART
 from .maps import TwoEnds
 from .stretch import Directed
 
@@ -31,6 +32,7 @@ class Slip(Directed):
     (2010).
     """
 
+    dimensions = {"pairs": PART, "vector": (0, 1, 0)}
     tangential: ClassVar[bool] = True
 
     @checked

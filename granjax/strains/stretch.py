@@ -14,7 +14,6 @@ from .maps import StrainMap, TwoEnds
 class Directed(StrainMap):
     """Bonds between sites whose places differ by a vector at rest: what distances and slips have in common."""
 
-    dimensions = {"pairs": PART, "vector": (0, 1, 0)}
     pairs: TwoEnds
     vector: jax.Array
     components: int = eqx.field(static=True)
@@ -69,6 +68,8 @@ class Stretch(Directed):
     Pairs. That the preloads balance at u = 0, with the boundary's loads, is the user's: `Lattice.unbalanced()` gives
     what is left over.
     """
+
+    dimensions = {"pairs": PART, "vector": (0, 1, 0)}
 
     def strain(self, u):
         return self._geometry(u)[-1]
