@@ -592,7 +592,7 @@ def _(s):
 @row("flat_bands", slow=(stubs,))
 def _(s):
     found = gx.linear.flat_bands(s.lattice)
-    return fields_of(found, width=About, residual=About), found.state(s.lattice).u["a"].shape
+    return fields_of(found, width=lambda x: About(Of(x, 0, 0, -2)), residual=About), found.state(s.lattice).u["a"].shape
 
 
 @row("zak", slow=(dimer,))

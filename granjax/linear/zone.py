@@ -287,4 +287,6 @@ def _first_zone(reciprocal):
     near = np.array([i * reciprocal[0] + j * reciprocal[1] for i in range(-2, 3) for j in range(-2, 3)])
     found = Voronoi(near)
     corners = found.vertices[found.regions[found.point_region[12]]]
-    return corners[np.argsort(np.arctan2(corners[:, 1], corners[:, 0]))]
+    # from the direction of x on, whatever the rounding of a corner that lies there
+    angle = (np.arctan2(corners[:, 1], corners[:, 0]) + SHAPE) % (2 * np.pi)
+    return corners[np.argsort(angle)]
