@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import non_negative, one_of, parameter, positive, refuse, whole, within
+from ..checks import held_in_memory, non_negative, one_of, parameter, positive, refuse, whole, within
 from ..entry import checked
 from ..fractional import checked_order
 from ..lattice import State
@@ -269,7 +269,9 @@ def _power(x, q):
 
 def _sites(sites, boundary):
     least = 3 if boundary == "periodic" else 2
-    return whole("sites", sites, least, "A dimer is two sites with boundary='fixed'." if least == 3 else "")
+    sites = whole("sites", sites, least, "A dimer is two sites with boundary='fixed'." if least == 3 else "")
+    held_in_memory("sites", sites)
+    return sites
 
 
 def _per_site(name, x, sites):

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import concrete, described, positive, refuse, show, traced
+from ..checks import concrete, described, held_in_memory, positive, refuse, show, traced
 from ..checks import tolerance as checked_tolerance
 from ..entry import checked
 from ..flow import Flow
@@ -113,7 +113,7 @@ def evolve(
     **Raises** ValueError for another shape, numbers not finite, times out of order, a step that is not above zero.
     """
     psi = _start(equation, psi)
-    times, first = _times(t0, t1, save_at)
+    times, first = _times(t0, t1, save_at, psi)
     checked_tolerance("tolerance", tolerance)
     solver = solver or (SplitStep() if equation.has_flows else diffrax.Dopri8())
     known = not traced((equation, psi))
@@ -154,7 +154,7 @@ def _start(equation, psi):
     return psi.astype(found.dtype)
 
 
-def _times(t0, t1, save_at):
+def _times(t0, t1, save_at, psi):
     """All times at which a span ends, the first included, and the index of the first that is kept."""
     t0, t1 = float(t0), float(t1)
     if not (math.isfinite(t0) and math.isfinite(t1) and t1 > t0):
@@ -164,6 +164,7 @@ def _times(t0, t1, save_at):
     if np.ndim(save_at) == 0:
         if not (isinstance(save_at, (int, np.integer)) and save_at >= 1):
             refuse("save_at", "a number of frames, or times", described(save_at))
+        held_in_memory("save_at", int(save_at), 16 * psi.size, "frames of such a state")
         return (np.linspace(t0, t1, int(save_at)), 0) if save_at > 1 else (np.array([t0, t1]), 1)
     times = np.asarray(save_at, float)
     if times.ndim != 1 or not times.size or not np.isfinite(times).all() or np.any(np.diff(times) <= 0):

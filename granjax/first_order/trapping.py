@@ -1,13 +1,13 @@
 """Self-trapping: from which nonlinearity on a site keeps what it had."""
 
 from collections.abc import Callable
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import described, positive, refuse, within
+from ..checks import described, held_in_memory, positive, refuse, within
 from ..checks import tolerance as checked_tolerance
 from ..entry import checked
 from ..results import Held, Result
@@ -40,7 +40,7 @@ class SelfTrapping(Result):
 
 @checked
 def self_trapping(
-    scene: Callable, low: Scalar, high: Scalar, t1: Scalar, *, site: Count = 0, share: Scalar = 0.5,
+    scene: Callable[[Any], Any], low: Scalar, high: Scalar, t1: Scalar, *, site: Count = 0, share: Scalar = 0.5,
     tolerance: Scalar = 1e-6, frames: Count = 200,
 ) -> SelfTrapping:
     """The nonlinearity from which on an excitation of one site stays there: more than a share of it, all the time.
@@ -62,6 +62,7 @@ def self_trapping(
     within("share", share, 0, 1, open_low=True, open_high=True)
     checked_tolerance("tolerance", tolerance)
     equation = returned_equation(scene, low)
+    held_in_memory("frames", frames, 16 * LANES * equation.sites, "frames of such runs")
     if not -equation.sites <= site < equation.sites:
         refuse("site", f"a site of {equation.sites}", described(site))
     tried, kept = {}, None

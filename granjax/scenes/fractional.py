@@ -4,7 +4,7 @@ import jax.numpy as jnp
 
 from ..checks import non_negative, one_of, positive, refuse
 from ..entry import checked
-from ..fractional import checked_order, kernel, ring_kernel, to_the_right, total
+from ..fractional import checked_order, kernel, ring_kernel, to_the_right
 from ..lattice import Lattice
 from ..laws import Law, Linear, Polynomial, Scaled, Sine
 from ..strains import BOUNDARIES, Shift
@@ -44,7 +44,9 @@ def _weighted(sites, order, law, boundary):
     bonds = (LongRange(weights, law, boundary),)
     if boundary == "free":
         return bonds
-    return (*bonds, OnSite(_BothSides(Scaled(law, jnp.maximum(total(order) / 2 - jnp.sum(weights), 0)))))
+    # what is beyond: K(M + 1) + K(M + 2) + ... = K(M) (M - s)/(2 s)
+    rest = weights[-1] * (sites - 1 - order) / (2 * order)
+    return (*bonds, OnSite(_BothSides(Scaled(law, rest))))
 
 
 def _around(sites, order, law):

@@ -33,6 +33,18 @@ def weights(order: Number, step: Number, count: int) -> tuple[Numbers, Numbers]:
     return unit * jnp.where(j > 0, inner, 1.0), unit * jnp.where(j > 0, first, 1.0)
 
 
+def missed(order: Number, step: Number, count: int) -> Numbers:
+    """What the trapezoidal rule misses of t^{1-a}/Gamma(2 - a) in each of `count` steps, (count,) and `order`'s shape.
+
+    The damping of a velocity that is there at the start: of order h^{2-a} in the first steps, which would stay.
+    """
+    j = jnp.arange(count + 1, dtype=order.dtype).reshape((-1,) + (1,) * order.ndim)
+    q = 2 - order
+    one_less = jnp.where(j > 0, jnp.maximum(j, 1) ** (q - 1), 0.0)
+    found = jnp.diff(j * one_less, axis=0) - q / 2 * (one_less[1:] + one_less[:-1])
+    return step**q / jnp.exp(gammaln(1 + q)) * found
+
+
 @waited
 def march(
     lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, save_ts: Times | None, steps: int,
@@ -40,7 +52,8 @@ def march(
     """Integrate and reduce; everything checked. A `RunWithMemory` without its names."""
     h, u0, v0 = (t1 - t0) / steps, *state
     damped = [term.fractional_damping() for term in lattice.terms if term.fractional_damping() is not None]
-    tables = [weights(jnp.asarray(order, lattice.dtype), h, steps) for _, order, _ in damped]
+    orders = [jnp.asarray(order, lattice.dtype) for _, order, _ in damped]
+    tables, misses = ([table(order, h, steps) for order in orders] for table in (weights, missed))
     rates = dict(damping_rates(lattice, v0))
     plain = [t for t in lattice.terms if t.fractional_damping() is None and t.exact_damping() is None]
 
@@ -53,6 +66,12 @@ def march(
         for (field, _, c), (inner, first) in zip(damped, tables):
             own = vs if field is None else {field: vs[field]}
             parts.append(jax.tree.map(lambda x: c * _convolved(x, inner, first, n), own))
+        return lattice.total(parts, v0)
+
+    def correction(n):
+        """What step n still has to take from the momenta."""
+        own = [v0 if field is None else {field: v0[field]} for field, *_ in damped]
+        parts = [jax.tree.map(lambda v: c * miss[n] * v, v) for v, miss, (*_, c) in zip(own, misses, damped)]
         return lattice.total(parts, v0)
 
     def own_rate(name):
@@ -74,6 +93,11 @@ def march(
         rest = jax.tree.map(lambda m, a, f: m * a - f, lattice.mass, a, lattice.total(kept, u))
         return sum(jax.tree.leaves(jax.tree.map(lambda f, v: _over_sites(f * v, lattice), rest, v)))
 
+    def given(momenta, before, after):
+        """The work of momenta that change velocities from before to after."""
+        sums = jax.tree.map(lambda p, a, b: _over_sites(p * (a + b) / 2, lattice), momenta, before, after)
+        return sum(jax.tree.leaves(sums))
+
     def energy(t, u, v):
         stored = [term.energy(t, u) for term in plain if reads(term, lattice).conserves]
         return lattice.kinetic_energy(v) + sum(_over_sites(e, lattice) for x in stored for e in jax.tree.leaves(x))
@@ -83,11 +107,13 @@ def march(
         t = t0 + (n + 1) * h
         half = jax.tree.map(lambda v, a: v + h / 2 * a, v, a)
         u = jax.tree.map(lambda u, w: u + h * w, u, half)
-        v = slowed(half, jax.tree.map(jnp.subtract, forces(t, u, half), history(vs, n + 1)))
-        a = jax.tree.map(lambda v, w: 2 / h * (v - w), v, half)
+        slow = slowed(half, jax.tree.map(jnp.subtract, forces(t, u, half), history(vs, n + 1)))
+        a = jax.tree.map(lambda v, w: 2 / h * (v - w), slow, half)
+        taken = correction(n)
+        v = jax.tree.map(lambda v, p, m: v - p / m, slow, taken, lattice.mass)
         us, vs = (_written(xs, x, n + 1) for xs, x in ((us, u), (vs, v)))
         now = power(t, u, v, a)
-        work = work + h / 2 * (before + now)
+        work = work + h / 2 * (before + now) - given(taken, slow, v)
         worst = jnp.maximum(worst, jnp.abs(energy(t, u, v) - begin - work))
         return (u, v, a, us, vs, work, now, worst), (work, _overlap(lattice, t, u))
 
