@@ -31,12 +31,11 @@ class Coupling(eqx.Module):
         return moved if self.diagonal is None else moved + trailing(self.diagonal, psi) * psi
 
     def flow(self, psi: Amplitudes, time: Numbers) -> Amplitudes:
-        """exp(-i L time) psi."""
+        """exp(-i L time) psi, as psi and what is added to it: so is rounding as small as a short time."""
         if self.diagonal is None:
-            return self._filtered(psi, jnp.exp(-1j * time * trailing(self.values, psi)))
+            return psi + self._filtered(psi, _turn(time * trailing(self.values, psi)))
         along = jnp.einsum("nk...,n...->k...", self.modes, psi)
-        turned = jnp.exp(-1j * time * trailing(self.rates, psi)) * along
-        return jnp.einsum("nk...,k...->n...", self.modes, turned)
+        return psi + jnp.einsum("nk...,k...->n...", self.modes, _turn(time * trailing(self.rates, psi)) * along)
 
     @property
     def has_flow(self) -> bool:
@@ -48,6 +47,11 @@ class Coupling(eqx.Module):
         x, values = jnp.moveaxis(psi, 0, -1), jnp.moveaxis(values, 0, -1)
         made = jnp.fft.ifft(values * jnp.fft.fft(x, values.shape[-1]))[..., : self.sites]
         return jnp.moveaxis(made, -1, 0)
+
+
+def _turn(angle):
+    """exp(-i angle) - 1."""
+    return -2 * jnp.sin(angle / 2) ** 2 - 1j * jnp.sin(angle)
 
 
 def trailing(x: Numbers, like: Amplitudes) -> Numbers:
