@@ -42,6 +42,11 @@ def test_relaxation_is_of_order_two_less_the_order():
             errors.append(np.abs(run.ys - mittag_leffler(run.ts, order)).max())
             assert errors[-1] < run.error < 3 * errors[-1] and run.residual < 1e-13
         assert abs(np.log2(errors[0] / errors[1]) - (2 - order)) < 0.08
+    # errors of the first steps count: equal steps, and an order at which the grading ends
+    for order, grading in ((0.4, 1.0), (0.8, 1.0), (0.05, 1.0), (0.05, None)):
+        run = gx.caputo(relax, 1.0, 1.0, order=order, steps=200, grading=grading)
+        true = np.abs(run.ys - mittag_leffler(run.ts, order)).max()
+        assert true < run.error < 3 * true
 
 
 @pytest.mark.slow
@@ -62,13 +67,21 @@ def test_relaxation_from_another_time_of_several_with_a_derivative():
     assert np.allclose(slope, wanted * np.array([1, 2]), rtol=3e-3)
 
 
-def oscillator(t, order, count=60):
-    """u'' + c D^a u + u = 0, u(0) = 1: the inverse Laplace transform on Talbot's contour."""
+def test_relaxation_differentiates_in_both_modes():
+    def end(rate):
+        return gx.caputo(lambda t, y, args: -args * y**3, np.ones(2), 2.0, order=0.5, steps=20, args=rate).ys[-1, 0]
+
+    forward, reverse = jax.jvp(end, (0.7,), (1.0,))[1], jax.grad(end)(0.7)
+    assert abs(forward - reverse) < 1e-14 and abs(forward - (end(0.7001) - end(0.6999)) / 2e-4) < 1e-8
+
+
+def oscillator(t, order, struck=0, count=60):
+    """u'' + c D^a u + u = 0, u(0) = 1, or u'(0) = 1: the inverse Laplace transform on Talbot's contour."""
     theta = (2 * np.arange(-count // 2, count // 2) + 1) * np.pi / count
     s = count * (0.5017 * theta / np.tan(0.6407 * theta) - 0.6122 + 0.2645j * theta)
     slope = 0.5017 / np.tan(0.6407 * theta) - 0.5017 * 0.6407 * theta / np.sin(0.6407 * theta) ** 2 + 0.2645j
     p = s / t
-    transformed = (p + RATE * p ** (order - 1)) / (p**2 + RATE * p**order + 1)
+    transformed = (1 if struck else p + RATE * p ** (order - 1)) / (p**2 + RATE * p**order + 1)
     return (np.sum(np.exp(s) * transformed * slope) / (1j * t)).real
 
 
@@ -80,6 +93,12 @@ START = gx.State(np.array([1.0, 0.0]), np.zeros(2))
 
 
 def test_a_damped_oscillator_is_its_laplace_transform():
+    struck = START[::-1]
+    for order in (0.3, 0.8, 0.95):
+        # a damping that begins as t^{1-a}
+        errors = [abs(gx.simulate(damped(order), gx.State(*struck), 4.0, step=step).final.u[0]
+                      - oscillator(4.0, order, 1)) for step in (0.04, 0.02)]
+        assert abs(np.log2(errors[0] / errors[1]) - 2) < 0.2
     for order in (0.3, 0.8):
         errors = []
         for step in (0.04, 0.02):
@@ -122,6 +141,9 @@ def test_what_cannot_be_meant_is_refused():
         (lambda: gx.caputo(relax, 1.0, -1.0, order=0.5), "t1"), (lambda: gx.caputo(relax, 1j, 1.0, order=0.5), "y"),
         (lambda: gx.caputo(relax, np.array([np.nan]), 1.0, order=0.5), "y"),
         (lambda: gx.caputo(lambda t, y, args: (y, y), 1.0, 1.0, order=0.5), "field"),
+        (lambda: gx.caputo(lambda t, y, args: np.ones(2), 1.0, 1.0, order=0.5), r"field.* shape \(\)"),
+        (lambda: gx.caputo(relax, np.ones(0), 1.0, order=0.5), "y: expected at least one"),
+        (lambda: gx.caputo(relax, 1.0, 1.0, order=0.5, args=10**400), "args"),
         (lambda: gx.CaputoDamping(-1.0, 0.5), "coefficient"), (lambda: gx.CaputoDamping(1.0, 1.0), "order"),
         (lambda: gx.Lattice(1.0, gx.CaputoDamping(1.0, np.array([0.2, 0.3])), sites=2), "one order"),
         (lambda: gx.simulate(lattice, START, 1.0, tolerance=1e-6), "tolerance"),

@@ -59,6 +59,13 @@ def test_the_flow_and_its_tangents_are_those_of_another_solver():
         assert abs(equation.norm(end) / equation.norm(PSI) - 1) < 1e-14
 
 
+def test_rounding_does_not_grow_with_the_number_of_steps():
+    """Of a finite chain, whose coupling is a product of matrices."""
+    equation, start, count = DNLS(N, boundary="free"), jnp.asarray(PSI), 4096
+    end = jax.lax.fori_loop(0, count, lambda _, psi: equation.drift(psi, jnp.asarray(1 / count)), start)
+    assert np.abs(end - equation.drift(start, jnp.asarray(1.0))).max() < 2e-13
+
+
 @pytest.mark.slow
 def test_norm_and_energy_are_kept_to_1e_10():
     start = jnp.zeros(33).at[16].set(1.5)
@@ -225,7 +232,8 @@ def test_refusals():
         (lambda: DNLS(N, order=0.5, kernel=np.ones(2)), "kernel: expected a kernel, or an order"),
         (lambda: DNLS(N, potential=np.ones(4)), r"potential: .*\(9,\)"), (lambda: DpS(N, exponent=1.0), "exponent"),
         (lambda: evolve(ring, np.ones(4), 1.0), r"psi: expected shape \(9,\)"),
-        (lambda: evolve(lanes, np.ones(N), 1.0), "psi: .*lanes"),
+        (lambda: evolve(lanes, np.ones(N), 1.0), "psi: .*lanes"), (lambda: DNLS(2**62), "sites"),
+        (lambda: evolve(ring, PSI, 1.0, save_at=2**62), "save_at"),
         (lambda: evolve(ring, np.ones(N), 0.0), "t1"), (lambda: evolve(ring, np.full(N, np.nan), 1.0), "psi"),
         (lambda: evolve(ring, PSI, 1.0, step=0.0), "step"), (lambda: evolve(ring, PSI, 1.0, save_at=[2.0]), "save_at"),
         (lambda: evolve(DpS(N), PSI, 1.0, solver=SplitStep()), "solver: .*DpS"),

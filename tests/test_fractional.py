@@ -93,6 +93,10 @@ def test_energy_is_kept_and_the_order_differentiates():
     for s in (0.5, 0.999):
         slope = jax.jvp(of_order, (s,), (1.0,))[1]
         np.testing.assert_allclose(slope, (of_order(s + 1e-6) - of_order(s - 1e-6)) / 2e-6, rtol=1e-5, atol=1e-6)
+    # at the end of the orders, from below
+    slope = jax.jvp(of_order, (1.0,), (1.0,))[1]
+    below = [of_order(1 - x) for x in (0.0, 1e-5, 2e-5)]
+    np.testing.assert_allclose(slope, (3 * below[0] - 4 * below[1] + below[2]) / 2e-5, rtol=1e-6, atol=1e-7)
     batch = jax.vmap(lambda s: scenes.fractional(N, s), out_axes=-1)(jnp.array([0.3, 0.9]))
     both = batch.force(0.0, jnp.stack([U, U], axis=-1), jnp.zeros((N, 2)))
     np.testing.assert_allclose(both[:, 1], force(scenes.fractional(N, 0.9)), atol=1e-13)

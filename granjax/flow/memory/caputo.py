@@ -27,7 +27,8 @@ class CaputoRun(Result):
 
     - `ts` (T + 1,), `ys`: times and solution, of the structure of y with the times first.
     - `error`: how far it may be from the truth, in the largest entry and at any time: from a second run with half the
-      steps, and of the start, t^a, from the first step. `residual`: the largest change that Newton's method left, over the size of the solution.
+      steps, and of the start, t^a, from the first step. `residual`: the largest change that Newton's method left, over
+      the size of the solution.
     """
 
     held: ClassVar[dict[str, Held]] = {"ts": Held("time", "s", "time"), "ys": Held("time ...")}
@@ -65,8 +66,9 @@ def caputo(
 
         run = gx.caputo(lambda t, y, args: -y, 1.0, 5.0, order=0.6)     # run.ys is E_a(-t^a)
 
-    **Returns:** `CaputoRun`. Derivatives in both modes; in reverse the memory is T^2 n. **Raises** ValueError for a outside (0, 1), T odd or small,
-    times that are not in order. Source: M. Stynes, E. O'Riordan, J. L. Gracia, SIAM J. Numer. Anal. 55, 1057 (2017).
+    **Returns:** `CaputoRun`. Derivatives in both modes; in reverse the memory is T^2 n. **Raises** ValueError for a
+    outside (0, 1), T odd or small, times that are not in order.
+    Source: M. Stynes, E. O'Riordan, J. L. Gracia, SIAM J. Numer. Anal. 55, 1057 (2017).
     """
     t0, t1 = checked_times(t0, t1)
     order = _inside("order", order)
