@@ -48,7 +48,7 @@ def test_what_travels_alone_in_a_chain_spreads_in_the_plane():
     """One bead is struck in a sonic vacuum: the chain's pulse keeps its speed, the hexagon's front decays."""
     chain = gx.simulate(gx.scenes.monomer(40), gx.states.impact(gx.scenes.monomer(40)), 40.0, save_at=801)
     peaks = np.abs(np.asarray(chain.vs)).max(0)[10:30]
-    assert np.ptp(peaks) < 0.02 * peaks.mean()
+    assert np.ptp(peaks) < 1e-3 * peaks.mean()
     crystal = gx.scenes.hexagon(8, exponent=1.5)
     middle = crystal.shape[0] // 2
     run = gx.simulate(crystal, gx.states.impact(crystal, [0.3, 0.0], site=middle), 25.0, save_at=51)
@@ -57,4 +57,5 @@ def test_what_travels_alone_in_a_chain_spreads_in_the_plane():
     order = np.argsort(x[ahead, 0])
     fastest = np.linalg.norm(np.asarray(run.vs), axis=-1).max(0)[ahead][order][:7]
     exponent = np.polyfit(np.log(np.arange(1, 8)), np.log(fastest), 1)[0]
-    assert exponent < -0.4
+    # along a row of beads, where it decays least
+    assert exponent < -0.2
