@@ -109,6 +109,8 @@ def test_input_that_cannot_be_meant_is_refused():
         forced_orbit(jax.vmap(duffing, out_axes=-1)(jnp.array([0.8, 0.9])), 1.0)
     with pytest.raises(ValueError, match="guess: expected a state that moves.*, got rest"):
         forced_orbit(gx.scenes.monomer(4), 1.0)
+    with pytest.raises(ValueError, match="guess: expected a State that moves"):
+        forced_orbit(gx.scenes.modulated(6, amplitude=0.1, omega=2.0), np.pi)
     with pytest.raises(ValueError, match="period: expected one after which the forces repeat, got 7.0"):
         forced_orbit(lattice, 7.0)
     free = gx.Lattice(jnp.ones(2), lattice.terms[:2])

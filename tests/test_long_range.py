@@ -159,6 +159,35 @@ def test_a_breather_has_the_tail_of_its_springs_from_20_to_200_sites(s):
     assert abs(slope + s) < 0.05 and orbit.residual < 1e-11
 
 
+def light_magnet(sites, mass=0.4):
+    """A chain of dipoles with a light one in the middle; the frequency and shape of its mode."""
+    chain = gx.scenes.magnets(sites, -4.0, mass=np.where(np.arange(sites) == sites // 2, mass, 1.0))
+    modes = gx.linear.normal_modes(chain)
+    return chain, float(modes.omega[-1]), modes
+
+
+@pytest.mark.slow
+def test_a_light_magnet_that_is_driven_carries_a_breather():
+    chain, omega, modes = light_magnet(11)
+    driven = gx.Lattice(chain.mass, (*chain.terms, gx.Damping(0.02), gx.Drive(gx.Harmonic(0.004, 1.01 * omega), 5)))
+    orbit = gx.forced.forced_orbit(driven, 2 * np.pi / (1.01 * omega), steps=48)
+    v = np.abs(np.asarray(orbit.run(8).vs)).max(0)
+    assert float(modes.omega[-2]) < 0.85 * omega and orbit.floquet().verdict == "stable"
+    # each magnet moves by less than a third of the one before, to the ends
+    assert (v[1:6] > 3 * v[:5]).all() and float(np.max(orbit.error.state.u)) < 1e-6 * v[5]
+
+
+@pytest.mark.study
+@pytest.mark.slow
+def test_a_breather_of_magnets_has_the_tail_of_their_stiffness():
+    """A r^-4 has the stiffness 4 A r^-5; what does not oscillate, the stretch of the chain, falls more slowly."""
+    chain, omega, _ = light_magnet(161)
+    family = gx.breathers.family(chain, amplitude=0.02, steps=32, stability=False)
+    v, n = np.abs(np.asarray(family.orbit(-1).run(8).vs)[2]), np.arange(15, 50)
+    assert abs(np.polyfit(np.log(n), np.log(v[80 + n]), 1)[0] + 5) < 0.05
+    assert float(family.omega[-1]) < omega
+
+
 @pytest.mark.parametrize("reach", [1, pytest.param(None, marks=pytest.mark.slow)])
 def test_magnets_that_meet_are_named(reach):
     chain = gx.scenes.magnets(6, -4.0, reach=reach)

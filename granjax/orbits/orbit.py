@@ -11,7 +11,7 @@ import numpy as np
 from diffrax import AbstractSolver
 from jax.flatten_util import ravel_pytree
 
-from ..checks import positive, refuse, traced, whole
+from ..checks import concrete, positive, refuse, traced, whole
 from ..checks import tolerance as checked_tolerance
 from ..entry import checked
 from ..flow import Flow
@@ -251,12 +251,25 @@ def forced_orbit(lattice: Lattice, period: Scalar, guess: StateLike | None = Non
     """A T-periodic orbit of a lattice under T-periodic forcing, y(t0 + T) = y(t0): `gx.orbits.orbit`.
 
     `guess`: a `State` at t0; `None` is rest, from where Newton's first iterate is the linear response, as far as one
-    period from rest is linear. `keywords`: of `gx.orbits.orbit`. **Returns:** `Orbit`.
+    period from rest is linear. `keywords`: of `gx.orbits.orbit`. **Returns:** `Orbit`. **Raises** ValueError as there,
+    and for no guess where nothing moves a lattice that is at rest, such as stiffness alone that changes in time.
     """
     _refuse_batch(lattice)
     if guess is None:
         guess = State(lattice.zeros(), lattice.zeros())
+        pushed = concrete(_pushed(lattice, keywords.get("t0", 0.0), period)) if lattice.reads_time else None
+        if pushed is not None and not pushed > 0:
+            refuse("guess", "a State that moves", "None, rest, which is an orbit of its own",
+                   "No force acts there at any time: stiffness alone changes. Waves that grow are those of "
+                   "gx.linear.floquet_bands; a breather of a k-gap is gx.breathers.k_gap_breather's.")
     return orbit(lattice, guess, period, **keywords)
+
+
+@eqx.filter_jit
+def _pushed(lattice, t0, period):
+    """The largest acceleration of the lattice at rest over a period."""
+    rest, ts = State(lattice.zeros(), lattice.zeros()), phases(t0, period, (np.arange(16) + 0.5) / 16)
+    return largest(jax.vmap(lambda t: vector_field(t, rest, lattice)[1])(ts))
 
 
 def _refuse_batch(lattice):
