@@ -118,6 +118,7 @@ def test_a_lattice_with_fields_and_its_gradient():
     np.testing.assert_allclose(slope, -0.01 / 2.0**2, rtol=1e-10)
 
 
+@pytest.mark.slow
 def test_the_plane():
     h = 0.75**0.5
     bonds = [gx.Bond(gx.Stretch(gx.Shift(offset, "free"), vector), gx.Polynomial(1.0, 0.3) + gx.Hertz(0.5, 0.2))
@@ -129,10 +130,11 @@ def test_the_plane():
     left = lattice.force(0.0, found.state.u, lattice.zeros()) + lattice.unbalanced() + found.loads
     assert np.abs(left).max() <= 1e-13 * found.largest and found.verdict == "stable"
     # the edges are held by what loads they need, the inner sites by those given
-    assert np.abs(u[1:3, 1:3]).min() > 1e-4 and np.abs(u).sum() == np.abs(u[1:3, 1:3]).sum()
+    assert np.abs(u[1:3, 1:3]).min() > 1e-4 and np.count_nonzero(u) == 8
     np.testing.assert_array_equal(found.loads[1:3, 1:3], loads[1:3, 1:3])
 
 
+@pytest.mark.slow
 def test_in_si_as_in_scaled_numbers():
     chain = gx.scenes.magnets(5, -3.0, boundary="free", stiffness=2e-7, spacing=0.03, mass=0.01, units="SI")
     plain = gx.scenes.magnets(5, -3.0, boundary="free")

@@ -222,5 +222,6 @@ def test_the_traced_program_is_the_one_written_by_hand():
 def test_the_compiled_program_is_the_one_written_by_hand():
     ours, hand, *args = _programs()
     got, want = opcodes(ours, *args), opcodes(hand, *args)
-    assert want["shift-right-logical"] >= 1 and want["divide"] == 1  # the reading of the text has found the operations
+    # the reading of the text has found the operations; which root there is depends on the processor
+    assert want["shift-right-logical"] + want["sqrt"] >= 1 and want["divide"] == 1
     assert got == want

@@ -200,6 +200,7 @@ def test_magnets_that_meet_are_named(reach):
         gx.simulate(chain, hit, 1.0, step=0.2)
 
 
+@pytest.mark.slow
 def test_magnets_that_meet_in_a_lane_in_si_and_by_adaptive_steps():
     lanes = jnp.asarray([1e3, 1.0, 1e-3])
     batch = jax.vmap(lambda A: gx.scenes.magnets(8, -0.5, stiffness=A, reach=1), out_axes=-1)(lanes)

@@ -92,6 +92,7 @@ def test_bands_of_beads_that_turn_against_a_matrix_by_hand():
         assert np.abs(squares(crystal, k) - want).max() < 1e-12 * 20
 
 
+@pytest.mark.slow
 def test_beads_that_turn_keep_both_momenta_and_a_rigid_rotation_costs_nothing():
     crystal = scenes.hexagon(2, rotation=True, tangential=0.3, boundary="free")
     v = 0.1 * RNG.normal(size=crystal.shape)
@@ -107,6 +108,7 @@ def test_beads_that_turn_keep_both_momenta_and_a_rigid_rotation_costs_nothing():
     assert float(jnp.abs(crystal.force(0.0, u, 0 * u)).max()) < 1e-14
 
 
+@pytest.mark.slow
 def test_a_struck_hexagon_against_an_independent_integration():
     crystal = scenes.hexagon(4, exponent=1.5)
     assert crystal.shape == (61, 2)
@@ -194,6 +196,7 @@ def test_forces_between_beads_and_what_slips():
         gx.measures.slip_ratio(scenes.square(3), gx.states.rest(scenes.square(3)))
 
 
+@pytest.mark.slow
 def test_two_equal_branches_are_one_chain():
     fork = scenes.junction(6, (9, 9))
     mass, A = np.r_[np.ones(6), 2 * np.ones(9)], np.r_[np.ones(6), 2 * np.ones(10)]

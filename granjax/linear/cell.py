@@ -12,7 +12,7 @@ from ..checks import refuse, whole
 from ..entry import checked
 from ..lattice import Lattice
 from ..printing import told
-from ..types import AnyArray, Cell, ComplexNumbers, Displacements, Numbers
+from ..types import AnyArray, Cell, ComplexNumbers, Displacements, Number, Numbers
 from .stiffness import (
     at_rest,
     blocks,
@@ -199,7 +199,7 @@ def features_of(stiffness: AnyArray, mass: AnyArray) -> AnyArray:
     return np.concatenate([x.reshape(x.shape[: mass.ndim - 1] + (-1,)) for x in parts], -1)
 
 
-def repeats_after(rows: AnyArray, ring: bool, tolerance: float, given: Any, known: bool, axis: int) -> int:
+def repeats_after(rows: AnyArray, ring: bool, tolerance: Number, given: Any, known: bool, axis: int) -> int:
     """After how many rows they repeat, each of which describes the sites of one place along an axis."""
     size = len(rows)
 

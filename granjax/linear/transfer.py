@@ -91,6 +91,8 @@ def localisation_length(lattice: Lattice, omega: Parameter) -> LocalisationLengt
     Source: Ishii, Prog. Theor. Phys. Suppl. 53, 77 (1973); closed form: `gx.theory.localisation.lyapunov_exponent`.
     """
     omega = positive("omega", omega, "It is an angular frequency.")
+    if not omega.size:
+        refuse("omega", "at least one frequency", "none")
     lattice = lanes_at_rest(lattice)
     if lattice.fields or lattice.dimension is not None or lattice.axes != 1:
         refuse("lattice", "a chain of scalar displacements", described(lattice.sites), _MODES)

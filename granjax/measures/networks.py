@@ -5,7 +5,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from ..checks import parameter, positive, refuse
+from ..checks import parameter, positive, refuse, traced
 from ..entry import checked
 from ..lattice import Lattice
 from ..printing import told
@@ -39,6 +39,8 @@ def force_network(lattice: Lattice, y: StateLike, t: Number = 0.0) -> ForceNetwo
     """
     places = _places(lattice, "a picture of its bonds")
     u, _ = parts(lattice, y, t)
+    if traced((u, t, places)):
+        refuse("y", "a state that is known", "a traced one", "Pictures are made of numbers: leave jit and vmap.")
     segments, forces = [], []
     for term in lattice.terms:
         for ends, contact in zip(term.ends(places, u), term.compressions(t, u)):
@@ -75,6 +77,8 @@ def angular_momentum(
     if lattice.dimension == 3 and R is None:
         refuse("radius", "the radius of the beads, which turn", "None", "Half of the spacing.")
     c = parameter("centre", centre)
+    if c.shape != (2,):
+        refuse("centre", "a point of the plane, two numbers", f"shape {c.shape}")
     total = 0.0
     for place, w, speed, mass in zip(*(jax.tree.leaves(x) for x in (places, u, v, lattice.mass))):
         r = place + w[..., :2] - c

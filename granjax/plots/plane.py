@@ -2,7 +2,6 @@
 
 from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.animation import FuncAnimation
 from matplotlib.axes import Axes
@@ -16,7 +15,7 @@ from ..units import UnitsOrWords
 from .arrays import having, is_run, numbers
 from .histories import LABELS, colours_of
 from .quantities import OMEGA, Axis, drawn_in, scaled_by, units_of, units_of_both
-from .style import COLOURS, FAINT, AxesOrNone, add_colour_bar, axes_or_new, style
+from .style import COLOURS, FAINT, AxesOrNone, add_colour_bar, axes_or_new, figure, style
 
 CLOSED = 1e-9
 
@@ -162,14 +161,20 @@ def film(
     return _plane_film(run, ts, chosen, places, quantity, limit, name, rate, move, radius, units, given)
 
 
+def _empty(width, height):
+    """A figure of its own, that no notebook shows beside the film."""
+    made = figure(width, height)
+    with style():
+        return made, made.subplots()
+
+
 def _chain_film(run, ts, chosen, quantity, limit, label, rate, units):
     data = numbers("quantity", quantity, 2, finite=False)
     if len(data) != len(ts):
         refuse("quantity", f"{len(ts)} frames, one per time of the run", f"shape {data.shape}")
     top = float(np.nanmax(np.abs(data)) or 1.0) if limit is None else float(positive("limit", limit))
     by_time, by = drawn_in(units, units_of(run), Axis("time", ts), Axis(label, top))
-    with style():
-        figure, ax = plt.subplots(figsize=(5.4, 3.0), layout="constrained")
+    made, ax = _empty(5.4, 3.0)
     (line,) = ax.plot(np.arange(data.shape[1]), scaled_by(data[0], by.factor), "o-", ms=2.5, lw=0.8, color=COLOURS[0])
     low = 0.0 if np.nanmin(data) >= 0 else -top
     ax.set(xlabel="site", ylabel=by.label, ylim=(1.08 * low * by.factor, 1.08 * top * by.factor))
@@ -180,7 +185,7 @@ def _chain_film(run, ts, chosen, quantity, limit, label, rate, units):
         title.set_text(_time(ts[i], by_time))
         return line, title
 
-    return FuncAnimation(figure, show, frames=chosen, interval=1000 / whole("rate", rate, 1), blit=False)
+    return FuncAnimation(made, show, frames=chosen, interval=1000 / whole("rate", rate, 1), blit=False)
 
 
 def _time(t, by):
@@ -202,8 +207,7 @@ def _plane_film(run, ts, chosen, places, quantity, limit, label, rate, move, rad
     top = float(np.nanmax(np.abs(data)) or 1.0) if limit is None else float(positive("limit", limit))
     said = units_of_both(run, None if units_of(places) is None else places, "places", "run")
     by_time, x, by = drawn_in(units, said, Axis("time", ts), Axis("length", at), Axis(label, top))
-    with style():
-        figure, ax = plt.subplots(figsize=(4.8, 4.2), layout="constrained")
+    made, ax = _empty(4.8, 4.2)
     radius = (_radius(at) if radius is None else float(positive("radius", radius))) * x.factor
     circles = _circles(ax, scaled_by(at, x.factor), radius)
     norm, name = colours_of(scaled_by(data, by.factor), top * by.factor)
@@ -219,7 +223,7 @@ def _plane_film(run, ts, chosen, places, quantity, limit, label, rate, move, rad
         title.set_text(_time(ts[i], by_time))
         return circles, title
 
-    return FuncAnimation(figure, show, frames=chosen, interval=1000 / whole("rate", rate, 1), blit=False)
+    return FuncAnimation(made, show, frames=chosen, interval=1000 / whole("rate", rate, 1), blit=False)
 
 
 def _frames(quantity, name, places, times, of_run):

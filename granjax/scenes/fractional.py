@@ -140,5 +140,5 @@ def fractional_sine_gordon(
         if x.shape[:1] not in ((), (1,), (sites,)):
             refuse(name, f"one number, or one per site, shape ({sites},)", f"shape {x.shape}")
     on_site = Sine(stiffness, wavenumber)
-    terms = _weighted(sites, order, Linear(non_negative("coupling", coupling, _COUPLED)), boundary)
+    terms = _weighted(sites, order, Linear(non_negative("coupling", _number("coupling", coupling), _COUPLED)), boundary)
     return Lattice(mass, (*terms, OnSite(on_site)), sites=sites)

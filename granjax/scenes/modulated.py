@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..checks import concrete, non_negative, one_of, parameter, positive, refuse
+from ..checks import concrete, non_negative, one_of, positive, refuse
 from ..entry import checked
 from ..lattice import Lattice
 from ..laws import Law, Linear
@@ -63,9 +63,10 @@ def travelling_modulation(
     Source: Swinteck, Matsuo, Runge, Vasseur, Lucas, Deymier, J. Appl. Phys. 118, 063103 (2015).
     """
     sites, places = _places(sites, on, boundary)
-    wavelength, value = parameter("wavelength", wavelength), concrete(wavelength)
+    wavelength = _number("wavelength", wavelength)
+    value = concrete(wavelength)
     if value is not None:
-        if value.ndim or not abs(value) >= 2:
+        if not abs(value) >= 2:
             refuse("wavelength", "a number of sites, 2 or more in size", repr(value.tolist()))
         turns = sites / float(value)
         if boundary == "periodic" and abs(turns - round(turns)) > _TURNS * sites:
@@ -98,6 +99,9 @@ def _chain(
 ) -> Lattice:
     bond = Bond(Shift(1, boundary), Linear() if law is None else law)
     grounding, damping = non_negative("grounding", grounding), non_negative("damping", damping)
+    for name, x in (("grounding", grounding), ("damping", damping)):
+        if x.shape not in ((), (sites,)):
+            refuse(name, f"one number, or one per site, shape ({sites},)", f"shape {x.shape}")
     value, still = concrete(grounding), concrete(damping)
     grounded = value is None or bool(np.any(value))
     if on == "sites" and not grounded:

@@ -1,6 +1,7 @@
 """The plane: prestress left out, a phase of vectors without a smooth gauge, unequal sites, a wave that spreads."""
 
 import numpy as np
+import pytest
 
 import granjax as gx
 
@@ -44,6 +45,7 @@ def test_a_compact_state_is_lost_where_sites_are_not_equal():
     assert outside(kept) < 1e-13 and outside(lost) > 1e-2
 
 
+@pytest.mark.slow
 def test_what_travels_alone_in_a_chain_spreads_in_the_plane():
     """One bead is struck in a sonic vacuum: the chain's pulse keeps its speed, the hexagon's front decays."""
     chain = gx.simulate(gx.scenes.monomer(40), gx.states.impact(gx.scenes.monomer(40)), 40.0, save_at=801)

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -51,6 +52,7 @@ def built(
     terms = []
     for joined, law, vector in zip(pairs, laws, cell.spans()):
         if joined is not None:
+            _check_bonds(joined, law, sites, cell.alone)
             terms += _bonds(joined, law, spacing * vector, motion)
     for name, law in (on_site or {}).items():
         terms.append(OnSite(law, None if cell.alone else name))
@@ -59,6 +61,15 @@ def built(
     alike = len(set(sites.values())) == 1
     return Lattice(masses, tuple(terms), sites=next(iter(sites.values())) if alike else None,
                    dimension=motion.components, positions=positions, units=units)
+
+
+def _check_bonds(pairs, law, sites, alone):
+    """Refuse a stiffness over bonds that has another shape than they."""
+    template = {name: jax.ShapeDtypeStruct(shape, float) for name, shape in sites.items()}
+    wanted = jax.eval_shape(pairs.strain, template["a"] if alone else template).shape
+    for x in jax.tree.leaves(law):
+        if np.ndim(x) and np.shape(x) != wanted:
+            refuse("stiffness", f"one number, or one per bond, shape {wanted}", f"shape {np.shape(x)}")
 
 
 def _boundaries(boundary, axes):
@@ -127,6 +138,9 @@ def _each(name, x, count):
         return (x,) * count
     if len(x) != count:
         refuse(name, f"one number, or {count}, one per bond of the cell", f"{len(x)}")
+    for one in x:
+        if np.ndim(one) and name != "stiffness":
+            refuse(name, f"one number, or {count}, one per bond of the cell", f"an array of shape {np.shape(one)}")
     return tuple(x)
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from ...checks import positive
+from ...checks import positive, whole
 from ...entry import checked
 from ...lattice import Lattice
 from ...laws import Law
@@ -66,7 +66,8 @@ def sawtooth(
 
 @checked
 def stub(
-    cells: Count, stiffness: Parameter = 1.0, *, mass: Parameter = 1.0, law: Sequence[Law] | None = None,
+    cells: Count, stiffness: Parameter | Sequence[Parameter] = 1.0, *, mass: Parameter = 1.0,
+    law: Sequence[Law] | None = None,
     boundary: str = "periodic", ground: Scalar = 0.0, equal: bool = True, on_site: Law | None = None,
     units: str = SCALED,
 ) -> Lattice:
@@ -83,7 +84,8 @@ def stub(
 
 @checked
 def diamond(
-    cells: Count, stiffness: Parameter = 1.0, *, mass: Parameter = 1.0, law: Sequence[Law] | None = None,
+    cells: Count, stiffness: Parameter | Sequence[Parameter] = 1.0, *, mass: Parameter = 1.0,
+    law: Sequence[Law] | None = None,
     boundary: str = "periodic", ground: Scalar = 0.0, equal: bool = True, on_site: Law | None = None,
     units: str = SCALED,
 ) -> Lattice:
@@ -100,7 +102,7 @@ def diamond(
 
 
 def _chain(cell, cells, laws, mass, boundary, ground, on_site, equal, units):
-    springs = None
+    cells, springs = whole("cells", cells, 1), None
     if ground is not None or on_site is not None:
         springs = grounded(cell, laws, 0.0 if ground is None else ground, equal, on_site)
     return built(cell, (cells,), laws, Motion(None), mass=mass, spacing=1.0, boundary=boundary, outline="cells",

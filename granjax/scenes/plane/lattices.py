@@ -5,7 +5,7 @@ from typing import Any
 
 import jax.numpy as jnp
 
-from ...checks import positive, refuse
+from ...checks import positive, refuse, whole
 from ...entry import checked
 from ...lattice import Lattice
 from ...laws import Law, Linear
@@ -20,7 +20,8 @@ MINDLIN = 2 * (1 - 0.3) / (2 - 0.3)
 
 @checked
 def square(
-    n: Count, m: Count | None = None, *, mass: Parameter = 1.0, stiffness: Parameter = 1.0, exponent: Parameter = 1.0,
+    n: Count, m: Count | None = None, *, mass: Parameter = 1.0,
+    stiffness: Parameter | Sequence[Parameter] = 1.0, exponent: Parameter = 1.0,
     precompression: Parameter = 0.0, law: Law | Sequence[Law] | None = None, spacing: Scalar = 1.0,
     boundary: str | Sequence[str] = "fixed", outline: str | Callable = "cells", out_of_plane: bool = False,
     rotation: bool = False, tangential: Scalar | Law | None = None, inertia: Scalar = SPHERE, units: str = SCALED,
@@ -36,7 +37,8 @@ def square(
 
     - `n`, `m`: cells along the two axes, `None` for as many; n in all is the number of rows of beads.
     - `mass`: a number, or an array (n, m).
-    - `stiffness`: K, `precompression`: F0 of each bond, of either sign, numbers or one for each of the cell's bonds.
+    - `stiffness`: K, `precompression`: F0 of each bond, of either sign, numbers or one for each of the cell's bonds
+      (of `stiffness` each a number, or an array over all bonds of its kind).
       `exponent`: 1 for springs, which push and pull; another one for contacts A [d0 + e]_+^p, such as 3/2, whose
       `stiffness` is A. `law`: a law in their place, or one for each bond of the cell.
     - `spacing`: |R|, the length of a bond, twice the radius of a bead.
@@ -61,7 +63,8 @@ def square(
 
 @checked
 def triangular(
-    n: Count, m: Count | None = None, *, mass: Parameter = 1.0, stiffness: Parameter = 1.0, exponent: Parameter = 1.0,
+    n: Count, m: Count | None = None, *, mass: Parameter = 1.0,
+    stiffness: Parameter | Sequence[Parameter] = 1.0, exponent: Parameter = 1.0,
     precompression: Parameter = 0.0, law: Law | Sequence[Law] | None = None, spacing: Scalar = 1.0,
     boundary: str | Sequence[str] = "fixed", outline: str | Callable = "cells", out_of_plane: bool = False,
     rotation: bool = False, tangential: Scalar | Law | None = None, inertia: Scalar = SPHERE, units: str = SCALED,
@@ -80,7 +83,7 @@ def triangular(
 
 @checked
 def hexagon(
-    rings: Count, *, mass: Parameter = 1.0, stiffness: Parameter = 1.0, exponent: Parameter = 1.0,
+    rings: Count, *, mass: Parameter = 1.0, stiffness: Parameter | Sequence[Parameter] = 1.0, exponent: Parameter = 1.0,
     precompression: Parameter = 0.0, law: Law | Sequence[Law] | None = None, spacing: Scalar = 1.0,
     boundary: str = "fixed", out_of_plane: bool = False, rotation: bool = False,
     tangential: Scalar | Law | None = None, inertia: Scalar = SPHERE, units: str = SCALED,
@@ -90,13 +93,15 @@ def hexagon(
     **Arguments:** `rings`: r >= 1 around the bead in the middle, whose number is half of all. The others as of
     `square`; `boundary`: `"fixed"` or `"free"`. **Returns:** a `Lattice`. **Raises** ValueError as `square` does.
     """
+    rings = whole("rings", rings, 1)
     return _plane(TRIANGULAR, rings, None, mass, stiffness, exponent, precompression, law, spacing, boundary, "hexagon",
                   out_of_plane, rotation, tangential, inertia, units)
 
 
 @checked
 def honeycomb(
-    n: Count, m: Count | None = None, *, mass: Parameter | dict[str, Parameter] = 1.0, stiffness: Parameter = 1.0,
+    n: Count, m: Count | None = None, *, mass: Parameter | dict[str, Parameter] = 1.0,
+    stiffness: Parameter | Sequence[Parameter] = 1.0,
     exponent: Parameter = 1.0, precompression: Parameter = 0.0, law: Law | Sequence[Law] | None = None,
     spacing: Scalar = 1.0, boundary: str | Sequence[str] = "fixed", outline: str | Callable = "cells",
     out_of_plane: bool = False, rotation: bool = False, tangential: Scalar | Law | None = None,
@@ -117,7 +122,8 @@ def honeycomb(
 
 @checked
 def kagome(
-    n: Count, m: Count | None = None, *, mass: Parameter | dict[str, Parameter] = 1.0, stiffness: Parameter = 1.0,
+    n: Count, m: Count | None = None, *, mass: Parameter | dict[str, Parameter] = 1.0,
+    stiffness: Parameter | Sequence[Parameter] = 1.0,
     exponent: Parameter = 1.0, precompression: Parameter = 0.0, law: Law | Sequence[Law] | None = None,
     spacing: Scalar = 1.0, boundary: str | Sequence[str] = "fixed", outline: str | Callable = "cells",
     out_of_plane: bool = False, rotation: bool = False, tangential: Scalar | Law | None = None,
@@ -138,7 +144,8 @@ def kagome(
 
 @checked
 def lieb(
-    n: Count, m: Count | None = None, *, mass: Parameter | dict[str, Parameter] = 1.0, stiffness: Parameter = 1.0,
+    n: Count, m: Count | None = None, *, mass: Parameter | dict[str, Parameter] = 1.0,
+    stiffness: Parameter | Sequence[Parameter] = 1.0,
     exponent: Parameter = 1.0, precompression: Parameter = 0.0, law: Law | Sequence[Law] | None = None,
     spacing: Scalar = 1.0, boundary: str | Sequence[str] = "fixed", outline: str | Callable = "cells",
     out_of_plane: bool = True, rotation: bool = False, tangential: Scalar | Law | None = None,

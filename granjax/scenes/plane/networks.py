@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import jax.numpy as jnp
 import numpy as np
 
-from ...checks import one_of, parameter, refuse, whole
+from ...checks import concrete, one_of, refuse, whole
 from ...entry import checked
 from ...lattice import Lattice
 from ...laws import Law
@@ -13,7 +13,7 @@ from ...strains import Pairs
 from ...terms import Bond
 from ...types import Count, Parameter
 from ...units import SCALED
-from ..chains import _contact
+from ..chains import _contact, _number
 
 
 @checked
@@ -50,9 +50,11 @@ def junction(
     turned = [0.0] * len(counts) if angles is None else list(angles)
     if len(turned) != len(counts):
         refuse("angles", f"{len(counts)}, one per branch", f"{len(turned)}")
-    cosines = jnp.stack([jnp.cos(parameter(f"angles[{i}]", a)) for i, a in enumerate(turned)])
-    if not bool((np.asarray(cosines) > 0).all()):
-        refuse("angles", "angles within -pi/2 ... pi/2", repr(turned), "A bead does not push backwards.")
+    turned = [_number(f"angles[{i}]", a) for i, a in enumerate(turned)]
+    known = [concrete(a) for a in turned]
+    if any(a is not None and not np.cos(a) > 0 for a in known):
+        refuse("angles", "angles within -pi/2 ... pi/2", repr(known), "A bead does not push backwards.")
+    cosines = jnp.cos(jnp.stack(turned))
     one_of("boundary", boundary, ("fixed", "free"))
     law = _contact(stiffness, exponent, precompression) if law is None else law
     starts = stem + np.concatenate([[0], np.cumsum(counts)])[:-1]
@@ -66,7 +68,8 @@ def junction(
     meeting = Pairs([stem - 1] * len(counts), starts, sites=total, weights=(cosines, jnp.ones(len(counts))))
     sites = None if np.ndim(mass) else total
     return Lattice(mass, (Bond(Pairs(tails, heads, sites=total), law), Bond(meeting, law)), sites=sites,
-                   positions=_positions(stem, counts, np.asarray(turned, float)), units=units)
+                   positions=_positions(stem, counts, np.array([0.0 if a is None else a for a in known])),
+                   units=units)
 
 
 def _positions(stem, counts, angles):
