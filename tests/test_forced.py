@@ -234,7 +234,7 @@ def test_a_parametric_guess_that_falls_to_rest_is_no_orbit():
     with pytest.raises(RuntimeError, match="The guess fell to rest"):
         forced_orbit(lattice, period, gx.State(jnp.array([0.1, -0.1]), jnp.zeros(2)), steps=32)
     # whoever asks for rest gets it
-    assert forced_orbit(lattice, period, steps=32).converged
+    assert forced_orbit(lattice, period, gx.states.rest(lattice), steps=32).converged
 
 
 def threshold(omega, damping):
