@@ -124,3 +124,23 @@ def test_corners_of_the_quadrupole_lattice():
     share = sum(np.asarray(x)[..., held] ** 2 for x in modes.modes.values())
     corners = share[[0, 0, -1, -1], [0, -1, 0, -1]].sum(0)
     assert corners.min() > 0.8
+
+
+@pytest.mark.slow
+def test_a_wall_between_two_valley_phases_carries_one_mode_for_each_valley():
+    width, cells = 24, (6, 24)
+    mass = np.broadcast_to(np.where(np.arange(width) < width // 2, 1.25, 1.0), cells)
+    strip = scenes.honeycomb(*cells, mass={"a": mass, "b": 2.25 - mass}, out_of_plane=True,
+                             boundary=("periodic", "fixed"))
+    k = np.linspace(-np.pi, np.pi, 161)
+    found = gx.linear.ribbon(strip, k)
+    squared = np.asarray(found.omega_squared)
+    share = sum(np.abs(np.asarray(x)) ** 2 for x in found.modes.values())
+    # the gap is 3/1.25 ... 3; what crosses its middle, where along k, which way, and how much of it is at the wall
+    above = squared > 3 / 1.125
+    at, band = np.nonzero(above[1:] != above[:-1])
+    assert len(at) == 2 and k[at[0]] < -2 and k[at[1]] > 2
+    rising = squared[at + 1, band] > squared[at, band]
+    assert rising[0] != rising[1]
+    wall = share[at, width // 2 - 4 : width // 2 + 4, band].sum(-1) / share[at, :, band].sum(-1)
+    assert wall.min() > 0.9
