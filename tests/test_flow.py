@@ -207,9 +207,9 @@ def test_float32_runs_stay_float32(struck):
 
 @pytest.mark.slow
 def test_non_finite_states_are_located():
-    # a magnet thrown at the next one so hard that one step jumps through it
-    chain = gx.Lattice(1.0, gx.Bond(gx.Shift(1, "fixed"), gx.PowerLaw(1.0, -3, 1.0)), sites=10)
-    state = gx.states.impact(chain, velocity=5.0)
+    # a bond that hardens so much that one step overshoots by more at each turn
+    chain = gx.Lattice(1.0, gx.Bond(gx.Shift(1, "fixed"), gx.Polynomial(1.0, 0.0, 50.0)), sites=10)
+    state = gx.states.impact(chain, velocity=50.0)
     with pytest.raises(RuntimeError, match="not finite .first between t = .* at sites .0"):
         gx.simulate(chain, state, 10.0, step=0.3)
     run = gx.simulate(chain, state, 10.0, step=0.3, throw=False)

@@ -452,9 +452,10 @@ def test_dense_output_meets_the_ends_and_runs_backwards(solver):
 def test_nobody_pays_for_dense_output_that_is_not_read(solver):
     def roots(**options):
         run = jax.jit(lambda y: solve(solver(), y, 2.0, 0.25, chain(), **options).ys)
-        return run.lower(smooth()).compile().as_text().count(" shift-right-logical(")
+        program = run.lower(smooth()).compile().as_text()
+        return program.count(" shift-right-logical(") + program.count(" sqrt(")  # the processor chooses the root
 
-    assert roots() < roots(saveat=diffrax.SaveAt(ts=jnp.linspace(0.0, 2.0, 7)))
+    assert 0 < roots() < roots(saveat=diffrax.SaveAt(ts=jnp.linspace(0.0, 2.0, 7)))
 
 
 # adaptive steps ----------------------------------------------------------------------------------------------------
