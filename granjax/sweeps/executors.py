@@ -207,11 +207,12 @@ class _Crew:
 
     def leave(self, flying):
         """Take back what has not begun, and wait for nothing."""
-        for future in flying:
-            future.cancel()
+        if not self.broken:  # its own thread ends the chunks of a broken one, and would find them cancelled
+            for future in flying:
+                future.cancel()
         if self.own:
             processes = list((getattr(self.executor, "_processes", None) or {}).values())
-            self.executor.shutdown(wait=False, cancel_futures=True)
+            self.executor.shutdown(wait=False, cancel_futures=not self.broken)
             for process in processes:
                 process.terminate()
 
