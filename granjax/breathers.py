@@ -2,6 +2,7 @@
 
 from .orbits import Bifurcation, Branch, Orbit, guesses
 from .orbits.anticontinuous import anticontinuous
+from .orbits.backbone import Backbone, backbone
 from .orbits.bifurcations import bifurcations
 from .orbits.breather import bands_of, breather, resonant_harmonic
 from .orbits.families import family
@@ -10,7 +11,8 @@ from .orbits.guesses import bright_guess, dark_guess
 from .orbits.localised import Localisation, localisation
 
 __all__ = [
-    "Bifurcation", "Branch", "GapBreather", "Localisation", "Orbit", "anticontinuous", "bands_of", "bifurcations",
+    "Backbone", "Bifurcation", "Branch", "GapBreather", "Localisation", "Orbit", "anticontinuous",
+    "backbone", "bands_of", "bifurcations",
     "breather", "bright_guess", "dark_guess", "family", "guesses", "k_gap_breather", "localisation",
     "resonant_harmonic",
 ]

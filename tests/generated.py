@@ -633,6 +633,7 @@ BLANK = (
     "plots.devices.rectifier", "plots.devices.switch", "plots.devices.truth_table", "plots.devices.two_way",
     "plots.evolutions.evolution", "plots.evolutions.gap_breather", "plots.rest.equilibrium", "plots.rest.kink",
     "plots.plane.bands", "plots.plane.beads", "plots.plane.zone", "linear.flat.FlatBands.state",
+    "orbits.backbone.Backbone.state",
     "plots.waves.dispersion", "plots.waves.floquet_bands",
     "linear.floquet_bands.FloquetBands.state", "studies.resonance.finite.refine",
     "studies.gates.TruthTable.table", "studies.gates.TruthTable.thresholds",

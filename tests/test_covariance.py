@@ -362,7 +362,7 @@ def compare(a, b, agree, where=""):
 DECLARED = {
     "": None, "1": (0, 0, 0), "s": (0, 0, 1), "m": (0, 1, 0), "m/s": (0, 1, -1), "N": (1, 0, 0), "J": (1, 1, 0),
     "rad": (0, 0, 0), "1/m": (0, -1, 0),
-    "rad/s": (0, 0, -1), "1/s": (0, 0, -1), "Hz": (0, 0, -1), "rad^2/s^2": (0, 0, -2),
+    "rad/s": (0, 0, -1), "1/s": (0, 0, -1), "Hz": (0, 0, -1), "rad^2/s^2": (0, 0, -2), "rad^2/s^2/m^2": (0, -2, -2),
     "N s": (1, 0, 1), "J s": (1, 1, 1), "kg": (1, -1, 2), "W": (1, 1, -1), "m/s^2": (0, 1, -2), "1/cell": (0, 0, 0),
     "N s/m": (1, -1, 1),
 }
@@ -593,6 +593,13 @@ def _(s):
 def _(s):
     found = gx.linear.flat_bands(s.lattice)
     return fields_of(found, width=lambda x: About(Of(x, 0, 0, -2)), residual=About), found.state(s.lattice).u["a"].shape
+
+
+@row("backbone", slow=(dimer,))
+def _(s):
+    found = gx.breathers.backbone(s.lattice, -1)
+    fields = fields_of(found, error=lambda x: About(Of(x, 0, -2, -2)))
+    return fields, Of(found.omega_at(s.m(0.01)), 0, 0, -1), length(found.state(s.m(0.01)).u)
 
 
 @row("zak", slow=(dimer,))
@@ -1273,7 +1280,8 @@ def _(s):
 
 # public, with a lattice among the arguments, and not in the table
 ELSEWHERE = {
-    "FloquetBands.state": "`floquet_bands`", "FlatBands.state": "`flat_bands`", "chern": "`berry_curvature`",
+    "FloquetBands.state": "`floquet_bands`", "FlatBands.state": "`flat_bands`",
+    "chern": "`berry_curvature`",
     "valley_chern": "`berry_curvature`, whole or half numbers", "winding": "a whole number of phases, as `zak`",
     "quadrupole": "phases, as `zak`",
     "split_system": "a solver's working form of the same forces: `simulate`", "variational": "`floquet`",

@@ -83,7 +83,8 @@ def test_a_lane_that_fails_says_so_for_all(by):
     lattice, state = batch(magnets)
     u = state.u.at[2, 5].set(3.0)
     runs = [by(width, lattice, gx.State(u, state.v), throw=False) for width in BOUNDS]
-    assert runs[0].outcome == runs[1].outcome and "Magnets met in bond 3 of terms[0] near t = 0 of lane 5" in runs[0].outcome
+    assert runs[0].outcome == runs[1].outcome
+    assert "Magnets met in bond 3 of terms[0] near t = 0 of lane 5" in runs[0].outcome
     np.testing.assert_allclose(runs[0].final.u, runs[1].final.u, rtol=1e-12)
 
 

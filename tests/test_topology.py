@@ -1,5 +1,6 @@
 """Topology and flat bands: whole numbers, closed forms, states that stay where they are."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -144,3 +145,60 @@ def test_a_wall_between_two_valley_phases_carries_one_mode_for_each_valley():
     assert rising[0] != rising[1]
     wall = share[at, width // 2 - 4 : width // 2 + 4, band].sum(-1) / share[at, :, band].sum(-1)
     assert wall.min() > 0.9
+
+
+def edges(spread, even, samples=1000, cells=10):
+    """Middle pair of omega^2 of chains k, 2k, ... of random springs; `even`: whether every site is held alike."""
+    def modes(key):
+        k = jnp.where(jnp.arange(2 * cells + 1) % 2 == 1, 1.0, 2.0)
+        k = k * (1 + spread * jax.random.uniform(key, k.shape, minval=-1.0))
+        rest = 4.0 - k[1:] - k[:-1]
+        held = gx.OnSite(gx.Linear(rest if even else 1.0))
+        chain = gx.Lattice(1.0, (gx.Bond(gx.Shift(1, "fixed"), gx.Linear(k)), held), sites=2 * cells)
+        return gx.linear.normal_modes(chain).omega_squared[cells - 1 : cells + 1]
+
+    return np.asarray(jax.vmap(modes)(jax.random.split(jax.random.key(3), samples)))
+
+
+def test_disorder_that_keeps_sites_alike_keeps_the_edge_frequency():
+    alike, generic = edges(0.2, True), edges(0.2, False)
+    # the spectrum mirrors about the springs' sum in each sample; the pair's splitting is that of ten cells
+    assert np.abs(alike.mean(1) - 4).max() < 1e-12
+    assert np.ptp(alike, axis=1).max() < 0.05
+    off = generic.mean(1) - 4
+    # to first order an end follows its own two springs and what it weighs of the next: of order the disorder
+    assert 0.1 < off.std() < 0.4
+
+
+@pytest.mark.slow
+def test_the_quasi_periodic_chain_of_aubry_and_andre():
+    for V, gamma in ((3.0, np.log(1.5)), (5.0, np.log(2.5))):
+        chain = scenes.aubry_andre(377, V, ground=V)
+        omega = np.asarray(gx.linear.normal_modes(chain).omega)[20:360:40]
+        # at the frequencies of any of its modes waves fall off alike
+        found = gx.linear.localisation_length(scenes.aubry_andre(17711, V, ground=V), omega)
+        assert np.abs(np.asarray(found.gamma) / gamma - 1).max() < 0.01
+    wide = gx.linear.normal_modes(scenes.aubry_andre(377, 1.0))
+    share = 1 / (np.asarray(wide.modes) ** 4).sum(0)
+    assert np.median(share) > 80
+    # a third of a turn each site: the bands of Hofstadter's lattice
+    third = lambda k: jnp.diag(3 + 0.8 * jnp.cos(2 * jnp.pi * jnp.arange(3) / 3 + k[1])).astype(complex) - (
+        hop(k[0]) + hop(k[0]).conj().T)
+    hop = lambda k: jnp.eye(3, k=1, dtype=complex).at[2, 0].set(jnp.exp(1j * k))
+    numbers = [topology.chern(third, band) for band in range(3)]
+    assert sorted(map(abs, numbers)) == [1, 1, 2] and sum(numbers) == 0
+
+
+
+
+def test_disorder_of_sites_broadens_a_flat_band_linearly():
+    def width(W):
+        rng = np.random.default_rng(5)
+        chain = scenes.stub(40, ground=0.5)
+        more = [gx.OnSite(gx.Linear(W * rng.uniform(-0.5, 0.5, 40)), name) for name in "abc"]
+        chain = gx.Lattice(chain.mass, (*chain.terms, *more), sites=40)
+        squared = np.asarray(gx.linear.normal_modes(chain).omega_squared)
+        return np.ptp(squared[40:80])
+
+    narrow, wide = width(0.01), width(0.02)
+    assert abs(wide / narrow - 2) < 0.02 and 0.003 < narrow < 0.01

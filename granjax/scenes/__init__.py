@@ -11,6 +11,7 @@ from .long_range import long_range, magnets
 from .modulated import modulated, travelling_modulation
 from .on_site import cradle, klein_gordon, sine_gordon
 from .plane import (
+    aubry_andre,
     diamond,
     hexagon,
     honeycomb,
@@ -42,6 +43,6 @@ __all__ = [
     "plastic",
     "mass_in_mass", "mass_with_mass", "woodpile",
     "hexagon", "honeycomb", "kagome", "lieb", "packing", "quadrupole", "square", "triangular",
-    "diamond", "junction", "sawtooth", "ssh", "stub",
+    "aubry_andre", "diamond", "junction", "sawtooth", "ssh", "stub",
     "alternating", "foam", "hollow_cylinders", "origami", "tensegrity",
 ]

@@ -1,11 +1,15 @@
-"""Chains whose cells have several sites: SSH, sawtooth, stub, diamond."""
+"""Chains whose cells have several sites: SSH, sawtooth, stub, diamond; one whose cell never ends: Aubry-Andre."""
 
 from collections.abc import Sequence
 
-from ...checks import positive, whole
+import jax.numpy as jnp
+
+from ...checks import non_negative, parameter, positive, whole
 from ...entry import checked
 from ...lattice import Lattice
-from ...laws import Law
+from ...laws import Law, Linear
+from ...strains import Shift
+from ...terms import Bond, OnSite
 from ...types import Count, Parameter, Scalar
 from ...units import SCALED
 from .build import Motion, built, grounded, laws_of
@@ -26,7 +30,7 @@ def ssh(
 
     **Arguments:** `cells`: N; `k1`, `k2`: numbers, or one per bond; `mass`; `law`: two laws, of the bonds within and
     between, in their place; `boundary`: `"fixed"`, `"free"`, `"periodic"`; `ground`, `on_site`: as in
-    `gx.scenes.honeycomb`.
+    `gx.scenes.square`.
 
     **Returns:** a `Lattice` of the fields `a`, `b`, (N,) each. **Raises** ValueError for stiffnesses that are not above
     zero. Source: Su, Schrieffer, Heeger, Phys. Rev. Lett. 42, 1698 (1979); Chaunsali, Xu, Yang, Kevrekidis,
@@ -34,6 +38,41 @@ def ssh(
     """
     laws = laws_of(SSH, law, (positive("k1", k1), positive("k2", k2)), 1, 0.0)
     return _chain(SSH, cells, laws, mass, boundary, ground, on_site, False, units)
+
+
+GOLDEN = (5**0.5 - 1) / 2
+
+
+@checked
+def aubry_andre(
+    sites: Count, modulation: Scalar = 1.0, *, ratio: Scalar = GOLDEN, phase: Scalar = 0.0, stiffness: Scalar = 1.0,
+    ground: Scalar = 2.0, mass: Scalar = 1.0, law: Law | None = None, on_site: Law | None = None,
+    boundary: str = "fixed", units: str = SCALED,
+) -> Lattice:
+    r"""Quasi-periodic chain of Aubry, Andre and Harper: springs to the ground that vary as a cosine.
+
+    m u_n'' = K (u_{n-1} - 2 u_n + u_{n+1}) - [g + V cos(2 pi b n + phi)] u_n
+
+    For an irrational b every mode reaches over the chain where V < 2K, and for V > 2K every mode falls off as
+    exp(-gamma |n|), gamma = log(V/2K), at every frequency. Over a period of phi edge modes cross its gaps; of a ratio
+    b = p/q the gaps have the Chern numbers of a square lattice in a magnetic field (`gx.topology.chern` of D(k, phi)).
+
+    **Arguments:** `sites`: N >= 2; `modulation`: V of either sign [N/m]; `ratio`: b, the golden mean by default;
+    `phase`: phi [rad]; `stiffness`: K > 0; `ground`: g >= 0, |V| or more for a
+    chain that is stable whatever the phase; `mass`; `law`: of the bonds in
+    place of K; `on_site`: a law more at every site; `boundary`: `"fixed"`, `"free"`, `"periodic"`.
+
+    **Returns:** a `Lattice`, u of shape (N,). All numbers are differentiable but `sites`. **Raises** ValueError for
+    numbers outside these ranges. Source: Aubry, Andre, Ann. Israel Phys. Soc. 3, 133 (1980); Martinez, Porter,
+    Kevrekidis, Phil. Trans. R. Soc. A 376, 20170139 (2018).
+    """
+    count, held = whole("sites", sites, 2), non_negative("ground", ground)
+    n = jnp.arange(count)
+    wave = jnp.cos(2 * jnp.pi * parameter("ratio", ratio) * n + parameter("phase", phase))
+    spring = Linear(held + parameter("modulation", modulation) * wave)
+    bond = Linear(positive("stiffness", stiffness)) if law is None else law
+    terms = (Bond(Shift(1, boundary), bond), OnSite(spring if on_site is None else spring + on_site))
+    return Lattice(positive("mass", mass, "A bead needs a mass."), terms, sites=count, units=units)
 
 
 @checked

@@ -24,7 +24,8 @@ def square(
     stiffness: Parameter | Sequence[Parameter] = 1.0, exponent: Parameter = 1.0,
     precompression: Parameter = 0.0, law: Law | Sequence[Law] | None = None, spacing: Scalar = 1.0,
     boundary: str | Sequence[str] = "fixed", outline: str | Callable = "cells", out_of_plane: bool = False,
-    rotation: bool = False, tangential: Scalar | Law | None = None, inertia: Scalar = SPHERE, units: str = SCALED,
+    rotation: bool = False, tangential: Scalar | Law | None = None, inertia: Scalar = SPHERE,
+    ground: Scalar | None = None, on_site: Law | None = None, units: str = SCALED,
 ) -> Lattice:
     r"""Square lattice: each site is bound to its 4 neighbours, of which bonds are distances in the plane.
 
@@ -53,12 +54,14 @@ def square(
       a tangential spring `tangential`, k_t or a law of the slip (`gx.strains.Slip`), `None` for Mindlin's 0.82 K2 of
       nu = 0.3; `inertia`: that of a bead in m R^2, 2/5 for a sphere, 1/2 for a disk. That no contact opens or slides is
       the user's to see (`gx.measures.slip_ratio`).
+    - `ground`: an on-site spring on every component of u of every site, `None` for none; `on_site`: a law more there,
+      such as `gx.Polynomial(0, 0, 1.0)`: with both a Klein-Gordon lattice.
 
     **Returns:** a `Lattice` with `positions`. All numbers are differentiable but n, m; a batch by `jax.vmap(...,
     out_axes=-1)`. **Raises** ValueError for a boundary, an outline or masses that do not fit, `rotation` out of plane.
     """
     return _plane(SQUARE, n, m, mass, stiffness, exponent, precompression, law, spacing, boundary, outline,
-                  out_of_plane, rotation, tangential, inertia, units)
+                  out_of_plane, rotation, tangential, inertia, units, ground, on_site)
 
 
 @checked
@@ -67,7 +70,8 @@ def triangular(
     stiffness: Parameter | Sequence[Parameter] = 1.0, exponent: Parameter = 1.0,
     precompression: Parameter = 0.0, law: Law | Sequence[Law] | None = None, spacing: Scalar = 1.0,
     boundary: str | Sequence[str] = "fixed", outline: str | Callable = "cells", out_of_plane: bool = False,
-    rotation: bool = False, tangential: Scalar | Law | None = None, inertia: Scalar = SPHERE, units: str = SCALED,
+    rotation: bool = False, tangential: Scalar | Law | None = None, inertia: Scalar = SPHERE,
+    ground: Scalar | None = None, on_site: Law | None = None, units: str = SCALED,
 ) -> Lattice:
     r"""Triangular lattice, the hexagonal packing of beads: each site is bound to 6 neighbours, axes at 60 degrees.
 
@@ -78,7 +82,7 @@ def triangular(
     **Returns:** a `Lattice`, u of shape (n, m, 2). **Raises** ValueError as `square` does.
     """
     return _plane(TRIANGULAR, n, m, mass, stiffness, exponent, precompression, law, spacing, boundary, outline,
-                  out_of_plane, rotation, tangential, inertia, units)
+                  out_of_plane, rotation, tangential, inertia, units, ground, on_site)
 
 
 @checked
@@ -86,7 +90,8 @@ def hexagon(
     rings: Count, *, mass: Parameter = 1.0, stiffness: Parameter | Sequence[Parameter] = 1.0, exponent: Parameter = 1.0,
     precompression: Parameter = 0.0, law: Law | Sequence[Law] | None = None, spacing: Scalar = 1.0,
     boundary: str = "fixed", out_of_plane: bool = False, rotation: bool = False,
-    tangential: Scalar | Law | None = None, inertia: Scalar = SPHERE, units: str = SCALED,
+    tangential: Scalar | Law | None = None, inertia: Scalar = SPHERE, ground: Scalar | None = None,
+    on_site: Law | None = None, units: str = SCALED,
 ) -> Lattice:
     """A hexagon of the triangular lattice: 3 r (r + 1) + 1 sites, u of shape (sites, 2); `triangular` with an outline.
 
@@ -95,7 +100,7 @@ def hexagon(
     """
     rings = whole("rings", rings, 1)
     return _plane(TRIANGULAR, rings, None, mass, stiffness, exponent, precompression, law, spacing, boundary, "hexagon",
-                  out_of_plane, rotation, tangential, inertia, units)
+                  out_of_plane, rotation, tangential, inertia, units, ground, on_site)
 
 
 @checked
@@ -112,8 +117,7 @@ def honeycomb(
     Out of plane with springs K, m = 1: omega^2 = 3K (+ ground) +- K |1 + exp(i k1) + exp(i k2)|, a Dirac point at K,
     k = (2 pi/3, 4 pi/3). Unlike masses {"a": ..., "b": ...} open it: the two valleys.
 
-    **Arguments:** as of `square`, and: `mass`: a number, or a dict of one for each of `a` and `b`. `ground`: an on-site
-    spring on every site, `None` for none; `on_site`: a law more at every site, such as `gx.Polynomial(0, 0, 1.0)`.
+    **Arguments:** as of `square`, and: `mass`: a number, or a dict of one for each of `a` and `b`.
     **Returns:** a `Lattice` of the fields `a`, `b`. **Raises** ValueError as `square` does.
     """
     return _plane(HONEYCOMB, n, m, mass, stiffness, exponent, precompression, law, spacing, boundary, outline,

@@ -1,0 +1,195 @@
+"""Backbone curves: how the frequency of a normal mode changes with its amplitude, to leading order."""
+
+from typing import Any, ClassVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+
+from ..checks import refuse, traced, whole
+from ..entry import checked
+from ..lattice import Lattice, State, spread_mass
+from ..linear import normal_modes
+from ..linear.stiffness import at_rest
+from ..programs import waited
+from ..results import Held, Result
+from ..types import Count, Displacements, Number, Scalar, StateLike
+from .repeats import checked_state
+
+# of the largest omega^2: modes of one frequency; of the force on the mode, what rounding leaves of another force
+ALIKE, ROUNDED = 1e-11, 1e-8
+
+
+class Backbone(Result):
+    r"""The backbone curve of a normal mode: omega^2 = omega_0^2 + curvature a^2, of the orbit that leaves it.
+
+    u(t) = a shape cos(omega t) + a^2 (constant + second cos(2 omega t)) + O(a^3), a the largest displacement of the
+    first harmonic.
+
+    **Fields:** `omega`, `omega_squared`: of the mode [rad/s]. `curvature`: d omega^2/d a^2 at a = 0; `quartic`,
+    `cubic`: its parts from the third derivative of the force and from the second one, squared; `error`: rounding of it.
+    `shape`, `constant`, `second`: displacements. `limit`: the amplitude at which a correction of the
+    shape is as large as the mode itself: the curve holds well below it; infinite where the shape needs none.
+    """
+
+    held: ClassVar[dict[str, Held]] = {
+        "omega": Held(unit="rad/s"), "omega_squared": Held(unit="rad^2/s^2"), "curvature": Held(unit="rad^2/s^2/m^2"),
+        "quartic": Held(unit="rad^2/s^2/m^2"), "cubic": Held(unit="rad^2/s^2/m^2"),
+        "error": Held(unit="rad^2/s^2/m^2"), "limit": Held(unit="m"), "shape": Held("site ...", "1"),
+        "constant": Held("site ...", "1/m"), "second": Held("site ...", "1/m"),
+    }
+    omega: Number
+    omega_squared: Number
+    curvature: Number
+    quartic: Number
+    cubic: Number
+    error: Number
+    limit: Number
+    shape: Displacements
+    constant: Displacements
+    second: Displacements
+
+    @property
+    def outcome(self) -> str:
+        """Which way the mode bends, and up to where that is known."""
+        if abs(float(self.curvature)) <= float(self.error):
+            way = "keeps its frequency to this order"
+        else:
+            way = "hardens" if float(self.curvature) > 0 else "softens"
+        bound = f", for amplitudes well below {self._told('limit', self.limit)}" if np.isfinite(self.limit) else ""
+        return f"The mode at omega = {self._told('omega', self.omega)} {way}{bound}."
+
+    @checked
+    def omega_at(self, amplitude: Scalar) -> Number:
+        """(omega_0^2 + curvature a^2)^{1/2} [rad/s]: the frequency to leading order. `amplitude`: a [m], any shape."""
+        return jnp.sqrt(self.omega_squared + self.curvature * jnp.asarray(amplitude) ** 2)
+
+    @checked
+    def state(self, amplitude: Scalar) -> State:
+        """The orbit's turning point to second order, at rest: a guess for `gx.breathers.breather`.
+
+        **Arguments:** `amplitude`: a [m], of either sign. **Returns:** a `State`.
+        """
+        a = jnp.asarray(amplitude)
+        u = jax.tree.map(lambda s, c, d: a * s + a * a * (c + d), self.shape, self.constant, self.second)
+        return State(u, jax.tree.map(jnp.zeros_like, u))
+
+
+@checked
+def backbone(lattice: Lattice, mode: Count | StateLike) -> Backbone:
+    r"""The backbone curve of a normal mode to leading order: first in the quartic potential, second in the cubic one.
+
+    With M u'' + K u + N2(u, u) + N3(u, u, u) = 0 and a mode phi,
+
+    d omega^2/d a^2 = phi . [2 N2(phi, c) + N2(phi, d) + (3/4) N3(phi, phi, phi)]/(phi . M phi),
+    c = -K^{-1} N2(phi, phi)/2,  d = -(K - 4 omega_0^2 M)^{-1} N2(phi, phi)/2
+
+    (Lindstedt and Poincare). Any lattice: edge, corner and defect modes, compact states of flat bands, waves of a ring.
+    The orbits themselves are `gx.breathers.breather(lattice, found.omega_at(a), found.state(a))`.
+
+    **Arguments:** `lattice`: one `Lattice`, whose forces are smooth at rest. `mode`: a number of
+    `gx.linear.normal_modes`, from the lowest; or a `State` (or displacements) of that shape, such as a compact state
+    or one of several modes with one frequency; its size is of no account.
+
+    **Returns:** `Backbone`; its numbers are differentiable in the lattice's parameters for a mode by number.
+    **Raises** ValueError for a batch (use `jax.vmap` over `in_axes=-1`), a state that is no mode, a mode that does not
+    oscillate, one whose second harmonic or constant part is a mode itself, and one that forces drive into another mode
+    of the same frequency; and where `normal_modes` does. Source: Nayfeh, Mook, Nonlinear Oscillations (1979).
+    """
+    modes = normal_modes(lattice)
+    flat, unravel = ravel_pytree(lattice.zeros())
+    phi = jax.vmap(lambda q: ravel_pytree(q)[0], -1, -1)(modes.modes)
+    mass, _ = ravel_pytree(spread_mass(lattice))
+    squared = modes.omega_squared
+    if isinstance(mode, (int, np.integer)):
+        number = whole("mode", mode, -flat.size)
+        if number >= flat.size:
+            refuse("mode", f"below {flat.size}, the number of modes", f"{mode}")
+        shape, own = phi[:, number], squared[number]
+    else:
+        shape, own = _given(lattice, mode, phi, mass, squared)
+    shape = shape / jnp.take(shape, jnp.argmax(jnp.abs(shape)))
+    found = _expanded(at_rest(lattice), shape, own, phi, mass, squared)
+    if not traced(found):
+        _check(found, own, squared)
+    numbers, parts, _ = found
+    return Backbone(jnp.sqrt(own), own, *numbers, *(unravel(x) for x in parts), **lattice.origin)
+
+
+def _given(lattice, mode, phi, mass, squared):
+    """A mode from displacements: its part within the modes of one frequency, which has to be all of it."""
+    state = mode if isinstance(mode, State) else State(mode, lattice.zeros())
+    u, _ = ravel_pytree(checked_state(lattice, state, "mode").u)
+    if not float(jnp.abs(u).max()) > 0:
+        refuse("mode", "displacements that are not all zero", "the state at rest")
+    u = u / jnp.abs(u).max()
+    share = phi.T @ (mass * u)
+    own = squared[jnp.argmax(jnp.abs(share))]
+    near = jnp.abs(squared - own) <= ALIKE * jnp.abs(squared).max()
+    shape = phi @ jnp.where(near, share, 0)
+    off = float(jnp.abs(shape - u).max())
+    if off > ROUNDED:
+        refuse("mode", "a normal mode", f"displacements of which {off:.2g} belong to modes of other frequencies",
+               "gx.linear.normal_modes has them, gx.linear.flat_bands the compact states.")
+    return jnp.where(u == 0, 0, shape), own
+
+
+@waited
+def _expanded(lattice, shape, own, phi, mass, squared):
+    """The curve's numbers, its displacements, and what would be divided by zero or drive another mode."""
+    flat, unravel = ravel_pytree(lattice.zeros())
+
+    def pull(x):
+        return -ravel_pytree(lattice.force(jnp.zeros((), lattice.dtype), unravel(x), lattice.zeros()))[0]
+
+    def along(function: Any, v):
+        return lambda x: jax.jvp(function, (x,), (v,))[1]
+
+    bent, tiny = along(along(pull, shape), shape), jnp.finfo(flat.dtype).tiny
+    both, third = bent(flat) / 2, along(bent, shape)(flat) / 6
+    norm, f = jnp.vdot(shape, mass * shape), phi.T @ both
+    # what a shape without symmetry would drive: forces that cancel leave rounding of it
+    uneven = jnp.cos(jnp.arange(flat.size) ** 2.0)
+    usual = phi.T @ along(along(pull, uneven), uneven)(flat) / 2
+    scale = jnp.maximum(jnp.maximum(jnp.abs(f).max(), jnp.abs(usual).max()), tiny)
+    f = jnp.where(jnp.abs(f) <= ALIKE * scale, 0, f)
+    floor = ALIKE * jnp.abs(squared).max()
+    still, twice = jnp.abs(squared) <= floor, jnp.abs(squared - 4 * own) <= floor
+    low, high = jnp.where(still, 1, squared), jnp.where(twice, 1, squared - 4 * own)
+    constant = phi @ jnp.where(still, 0, -f / (2 * low))
+    second = phi @ jnp.where(twice, 0, -f / (2 * high))
+    # N2(shape, w), twice for the constant part
+    mixed = along(along(pull, shape), 2 * constant + second)(flat) / 2
+    cubic, quartic = jnp.vdot(shape, mixed) / norm, 0.75 * jnp.vdot(shape, third) / norm
+    # omega^2 of each mode is known to rounding of the largest, and enters as 1/omega^2
+    eps, size = jnp.finfo(flat.dtype).eps, jnp.abs(squared).max() * flat.size
+    weak = jnp.where(still, 0, f * f / low**2) + jnp.where(twice, 0, f * f / high**2)
+    error = eps * (size * weak.sum() / norm + 8 * (jnp.abs(quartic) + jnp.abs(cubic)))
+    drive = phi.T @ (mixed + 0.75 * third)
+    drive = jnp.where(jnp.abs(drive) <= ALIKE * jnp.abs(drive).max(), 0, drive)
+    apart = squared - own
+    alike = jnp.abs(apart) <= floor
+    mix = jnp.abs(phi @ jnp.where(alike, 0, drive / jnp.where(alike, 1, apart))).max()
+    mixed_in = jnp.where(mix > 0, jnp.sqrt(jnp.where(mix > 0, mix, 1)), 0)
+    limit = 1 / jnp.stack([jnp.abs(constant).max(), jnp.abs(second).max(), mixed_in]).max()
+    inside = phi @ jnp.where(alike, drive, 0)
+    stray = jnp.abs(inside - (cubic + quartic) * shape).max() / jnp.maximum(jnp.abs(phi @ drive).max(), tiny)
+    refused = (jnp.abs(jnp.where(still, f, 0)).max() / scale, jnp.abs(jnp.where(twice, f, 0)).max() / scale, stray)
+    return (cubic + quartic, quartic, cubic, error, limit), (shape, constant, second), refused
+
+
+def _check(found, own, squared):
+    still, twice, stray = (float(x) for x in found[2])
+    if not float(own) > ALIKE * float(jnp.abs(squared).max()):
+        refuse("mode", "a mode that oscillates", f"one with omega^2 = {float(own):.3g}",
+               "At rest it has no stiffness, or is unstable.")
+    if still > ROUNDED:
+        refuse("mode", "one whose mean force moves no mode without stiffness", "one that pushes such a mode",
+               "Hold the lattice: walls, or on-site springs.")
+    if twice > ROUNDED:
+        refuse("mode", "one whose second harmonic is no mode", "2 omega is the frequency of a mode that it drives",
+               "Both exchange their energy, and no expansion in one amplitude holds.")
+    if stray > ROUNDED:
+        refuse("mode", "one that drives no other mode of its frequency", "one that does",
+               "Give as a State the combination of those modes that stays by itself.")
