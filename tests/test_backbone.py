@@ -96,3 +96,17 @@ def test_a_light_magnet_in_a_hexagon_holds_a_breather():
     assert np.abs(u[:, 1]).max() < 0.2 * np.abs(u[:, 0]).max()
     # the row is not the way that it goes on
     assert "real multiplier" in orbit.floquet().outcome
+
+
+def test_a_wave_between_the_walls_of_a_plane_is_no_breather():
+    square = scenes.square(12, out_of_plane=True, ground=100.0)
+    wave = np.asarray(gx.linear.normal_modes(square).modes)[..., 0]
+    found = gx.breathers.localisation(square, gx.State(jnp.asarray(wave), square.zeros()))
+    # 12 sites within 13 spacings
+    assert abs(found.participation / 13**2 - 4 / 9) < 0.002 and not found.bright
+    chain = scenes.klein_gordon(12, boundary="fixed")
+    wave = np.asarray(gx.linear.normal_modes(chain).modes)[:, 0]
+    assert not gx.breathers.localisation(chain, gx.State(jnp.asarray(wave), chain.zeros())).bright
+    hexagon = scenes.hexagon(3)
+    wave = np.asarray(gx.linear.normal_modes(hexagon).modes)[..., 0]
+    assert not gx.breathers.localisation(hexagon, gx.State(jnp.asarray(wave), hexagon.zeros())).bright

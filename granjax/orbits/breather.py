@@ -63,9 +63,9 @@ def breather(
     - `steps`: time steps in a period, an even number; `None` doubles them until a second step size confirms the orbit.
     - `tolerance`: of that, relative to the guess's largest displacement; Newton's method goes on to a thousandth of it.
     - `check`: refuse a frequency of which a harmonic meets a band, or whose gap has no bright breathers, and an orbit
-      that is no breather: one that more than 0.6 of the cells share (participation number of their energies at rest;
-      a wave between walls has 2/3), or half and twice what the guess had; of a dark one, no background or no dip in it.
-      Of fewer than five cells the share is said and not judged.
+      that is no breather: one that more than 0.6 of the cells share, 0.4 in the plane (participation number of their
+      energies at rest; a wave between walls has 2/3, 4/9 in the plane), or half and twice what the guess had; of a
+      dark one, no background or no dip in it. Of fewer than five cells the share is said and not judged.
     - `throw`: raise where Newton's method does not converge; `None` does so outside of transformations.
 
     With a `State` and `steps` it works inside `jit` and `vmap`, and its state and energy are differentiable in every

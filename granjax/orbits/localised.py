@@ -18,9 +18,9 @@ from ..types import StateLike
 from .orbit import SPREAD, Orbit
 from .repeats import checked_state, one_lattice
 
-# shares of the cells over which the energy of what is no bright breather spreads: a wave between walls has two thirds;
-# of a background; and of what has left a guess that holds less than half of it
-EXTENDED, BACKGROUND, STRAYED = 0.6, 0.4, 0.5
+# shares of the cells over which the energy of what is no bright breather spreads: a wave between walls has two thirds
+# along each axis; of a background; and of what has left a guess that holds less than half of it
+WAVE, EXTENDED, BACKGROUND, STRAYED = 2 / 3, 0.9, 0.4, 0.5
 # of fewer cells shares tell nothing: two coupled sites, or three, are an orbit however they share it
 FEWEST = 5
 # energy in the middle of a dip, over that on either side
@@ -32,19 +32,21 @@ class Localisation(NamedTuple):
     """How the energy of a state at rest is spread over the cells of a lattice.
 
     **Fields:** `participation`: (sum e)^2/sum e^2 over the cells, 1 for one alone, all of them for a uniform
-    oscillation, two thirds for a wave between walls. `cells`: how many there are. `dip`: the least energy of a cell
-    over the largest on the poorer of its sides; 1 or more without a dip.
+    oscillation, two thirds for a wave between walls, down to four ninths in the plane. `cells`: how many there are.
+    `dip`: the least energy of a cell over the largest on the poorer of its sides; 1 or more without a dip. `axes`: in
+    how many directions waves run.
     """
 
     participation: float
     cells: int
     dip: float
+    axes: int = 1
     __repr__ = told
 
     @property
     def bright(self) -> bool:
         """Whether so few cells share the energy that it is no wave."""
-        return self.participation <= EXTENDED * self.cells
+        return self.participation <= EXTENDED * WAVE**self.axes * self.cells
 
     @property
     def fills(self) -> bool:
@@ -76,7 +78,9 @@ class Localisation(NamedTuple):
 def localisation(lattice: Lattice, state: StateLike) -> Localisation:
     """The `Localisation` of a state at rest."""
     energies = _cell_energies(lattice, checked_state(one_lattice(lattice), state))
-    return Localisation(float(participation(energies.ravel())), energies.size, _dip(energies))
+    # a graph of beads that move in the plane fills it
+    axes = max(energies.ndim, min(lattice.dimension or 1, 2))
+    return Localisation(float(participation(energies.ravel())), energies.size, _dip(energies), axes)
 
 
 def checked_localised(orbit: Orbit, kind: str, guess: State, throw: bool | None) -> Orbit:
