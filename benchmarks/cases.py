@@ -65,12 +65,12 @@ def _start(shape, dtype=float):
     return u, gx.State(jnp.asarray(u), jnp.zeros_like(u))
 
 
-def _compared(lattice, state, steps, rounds, peer, evaluations, arrange=lambda x: x, step=STEP):
+def _compared(lattice, state, steps, rounds, peer, evaluations, arrange=lambda x: x, step=STEP, checked=CHECKED_STEPS):
     """granjax through `simulate` and through diffrax alone, against `peer(steps)`, which returns its final u."""
-    end = run(lattice, state, CHECKED_STEPS, step)
+    end = run(lattice, state, checked, step)
     if end.final.u.dtype != state.u.dtype:
         raise TypeError(f"a run in {state.u.dtype} ended in {end.final.u.dtype}")
-    difference = np.abs(np.asarray(end.final.u) - arrange(peer(CHECKED_STEPS))).max()
+    difference = np.abs(np.asarray(end.final.u) - arrange(peer(checked))).max()
     t1 = steps * step
     times = alternate(
         {
@@ -87,7 +87,7 @@ def _compared(lattice, state, steps, rounds, peer, evaluations, arrange=lambda x
         "without_record": times["diffeqsolve"]["ratio"], "without_record_cpu": times["diffeqsolve"]["cpu_ratio"],
         "ns_per_bead_force": ns, "cpu_ns_per_bead_force": cpu_ns, "seconds": times["numba"]["wall"], "steps": steps,
         "steps_taken": int(run(lattice, state, steps, step).stats["steps"]), "difference": float(difference),
-        "checked_steps": CHECKED_STEPS, "busy": times["numba"]["wall"] / times["numba"]["cpu"],
+        "checked_steps": checked, "busy": times["numba"]["wall"] / times["numba"]["cpu"],
     }
 
 
@@ -119,6 +119,24 @@ def shock(rounds, sites, steps, step=0.5, c=0.1):
         return u
 
     return _compared(lattice, state, steps, rounds, peer, sites * 11, step=step)
+
+
+def packing(rounds, name, cells, steps, step=0.2, d0=0.0, checked=30):
+    """Beads of diameter 10 in the plane, A = m = 1, in a square or triangular packing within beads at rest."""
+    vectors = {"square": [(1, 0), (0, 1)], "triangular": [(1, 0), (0.5, 0.75**0.5), (-0.5, 0.75**0.5)]}[name]
+    offsets = np.array([(1, 0), (0, 1), (-1, 1)][: len(vectors)])
+    lattice = getattr(gx.scenes, name)(*cells, exponent=1.5, precompression=d0**1.5, spacing=10.0)
+    u, state = _start((*cells, 2))
+    # the peer's first axis advances
+    offsets, spans = np.where(offsets[:, :1] < 0, -offsets, offsets), np.array(vectors) * 10.0
+    spans[len(spans) - 1] *= -1 if name == "triangular" else 1
+
+    def peer(steps):
+        end, v = u.copy(), np.zeros_like(u)
+        peers.packing(end, v, steps, step, 1.0, d0, offsets, spans, TABLE.a, TABLE.b)
+        return end
+
+    return _compared(lattice, state, steps, rounds, peer, cells[0] * cells[1] * 11, step=step, checked=checked)
 
 
 def lengths(rounds, lengths, steps):

@@ -35,6 +35,10 @@ CASES = {
     **{f"shock, N = {n:,}".replace(",000", " 000"): (
         "shock", dict(sites=n, steps=steps), dict(sites=n // 50, steps=5), ("at most", 1.3 if n == 100_000 else 1.4))
        for n, steps in ((1000, 6000), (10_000, 600), (30_000, 200), (100_000, 200), (300_000, 80), (1_000_000, 24))},
+    "square, 300 x 300": ("packing", dict(name="square", cells=(300, 300), steps=1000),
+                          dict(name="square", cells=(20, 20), steps=5), ("at most", 2.0)),
+    "triangular, 1e5": ("packing", dict(name="triangular", cells=(317, 317), steps=60, d0=1.0),
+                        dict(name="triangular", cells=(20, 20), steps=5, d0=1.0), ("at most", 3.0)),
     "256 dimers of 60": ("batch", dict(steps=400), dict(steps=4), ("at most", 0.9)),
     "256 dimers, adaptive": ("lanes_apart", dict(lanes=256, beads=60, end=20.0), dict(lanes=8, beads=8, end=2.0),
                              ("at most", 1.2)),

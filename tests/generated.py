@@ -468,6 +468,8 @@ OWN = {
     "topology.winding.lattice": lambda: gx.scenes.ssh(5, boundary="periodic"),
     "linear.ribbon.ribbon.lattice": lambda: gx.scenes.square(5, 3, boundary=("periodic", "fixed")),
     "linear.zone.zone_map.lattice": lambda: gx.scenes.square(5, boundary="periodic"),
+    "measures.networks.front_decay.lattice": lambda: gx.scenes.hexagon(6),
+    "measures.networks.front_decay.amplitude": lambda: np.ones(127), "measures.networks.front_decay.site": lambda: 63,
     "measures.networks.slip_ratio.lattice": lambda: gx.scenes.triangular(3, precompression=0.2, rotation=True),
     "measures.networks.slip_ratio.y": lambda: gx.State(np.zeros((3, 3, 3)), np.zeros((3, 3, 3))),
     "measures.networks.angular_momentum.lattice": lambda: gx.scenes.square(3),

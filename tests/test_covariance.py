@@ -632,6 +632,20 @@ def _(s):
     return Of(gx.measures.angular_momentum(s.lattice, s.state, radius=s.m(0.5)), 1, 1, 1)
 
 
+def struck_hexagon(rng, w):
+    """A hexagon of bonds that are felt, and amplitudes that fall."""
+    own = gx.scenes.hexagon(5, stiffness=near(rng, 1.0), mass=near(rng, 1.0))
+    return gx.scenes.scaled(own, units=w.units).lattice
+
+
+@row("front_decay", slow=(struck_hexagon,))
+def _(s):
+    r = np.linalg.norm(np.asarray(s.lattice.positions - s.lattice.positions[45]), axis=1)
+    spacing = r[r > 0].min()
+    found = gx.measures.front_decay(s.lattice, (r / spacing + 0.1) ** -0.5, 45)
+    return fields_of(found, amplitude=None)
+
+
 @row("slip_ratio", slow=(crystal_of_beads,))
 def _(s):
     return gx.measures.slip_ratio(s.lattice, s.state)

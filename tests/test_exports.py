@@ -125,6 +125,7 @@ MAKERS = {
     "LocalisationLength": lambda: linear.localisation_length(chain(), [0.3, 0.5]),
     "NormalModes": lambda: linear.normal_modes(chain()), "Bands": lambda: linear.bands(ring()),
     "Equilibrium": lambda: gx.equilibrium(chain()), "Backbone": lambda: gx.breathers.backbone(chain(), -1),
+    "FrontDecay": lambda: gx.measures.front_decay(gx.scenes.square(9), np.ones((9, 9)), (0, 0), direction=[1.0, 0.0]),
     "Dispersion": lambda: linear.dispersion(ring(), np.linspace(0.1, 3.0, 4)),
     "PathBands": lambda: linear.path(ring(), "GX", 4), "FlatBands": lambda: linear.flat_bands(gx.scenes.stub(8)),
     "ZoneMap": lambda: linear.zone_map(gx.scenes.square(5, boundary="periodic"), 8),

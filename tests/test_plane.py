@@ -223,6 +223,41 @@ def test_a_packing_of_steel_beads():
         scenes.packing("steel 316", 5e-3, 7, rotation=True)
 
 
+@pytest.mark.slow
+def test_a_front_is_a_solitary_wave_in_a_row_of_a_square_and_spreads_in_a_hexagon():
+    speed = lambda t, y, lattice: jnp.linalg.norm(y.v, axis=-1)
+
+    def decay(crystal, site, until, **options):
+        run = gx.simulate(crystal, gx.states.impact(crystal, [0.3, 0.0], site=site), until,
+                          record={"peak": gx.Peak(speed)})
+        return gx.measures.front_decay(crystal, run.recorded["peak"], site, **options)
+
+    # a row in touch with its neighbours alone, past the first beads
+    row = decay(scenes.square(25, exponent=1.5), (2, 12), 40.0, direction=[1.0, 0.0], between=(5.0, 18.0))
+    assert abs(float(row.exponent)) < 0.01
+    hexagon = scenes.hexagon(14, exponent=1.5)
+    ring = decay(hexagon, hexagon.shape[0] // 2, 45.0)
+    assert abs(float(ring.exponent) + 0.5) < 3 * float(ring.error) < 0.1
+    assert "Amplitude ~ distance^(-0.5" in ring.outcome
+
+
+def test_a_power_of_the_distance_is_found_with_its_error():
+    hexagon = scenes.hexagon(8, spacing=0.02)
+    places = np.asarray(hexagon.positions)
+    r = np.linalg.norm(places - places[108], axis=1)
+    exact = np.where(r > 0, r, 1.0) ** -0.7
+    found = gx.measures.front_decay(hexagon, exact, 108, direction=[1.0, 0.0])
+    assert abs(float(found.exponent) + 0.7) < 1e-12 and abs(float(found.drift)) < 1e-12
+    assert np.abs(found.distance - 0.02 * np.arange(1, 9)).max() < 1e-15
+    noise = np.exp(0.1 * RNG.normal(size=(60, r.size)))
+    many = [gx.measures.front_decay(hexagon, exact * x, 108, direction=[1.0, 0.0]) for x in noise]
+    # the standard error is the scatter over draws
+    scatter = np.std([float(x.exponent) for x in many])
+    assert 0.7 < np.mean([float(x.error) for x in many]) / scatter < 1.4
+    with pytest.raises(ValueError, match="four distances"):
+        gx.measures.front_decay(hexagon, exact, 108, between=(0.01, 0.05))
+
+
 def test_complex_wave_numbers():
     chain = scenes.monomer(12, precompression=1.0, boundary="periodic")
     omega = np.array([1.0, 2.0, 3.0])

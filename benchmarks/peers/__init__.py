@@ -17,9 +17,11 @@ __all__ = ["Chain", "KINDS", "PACKAGES", "Unfit", "gather"]
 
 
 def __getattr__(name):
-    """The loops of `_LOOPS` and the rates `hertz_rates`, loaded when first asked for."""
+    """The loops of `_LOOPS`, `packing` of the plane, and the rates `hertz_rates`, loaded when first asked for."""
     if name in _LOOPS:
         return getattr(import_module(".loops", __name__), name)
+    if name == "packing":
+        return import_module(".plane", __name__).packing
     if name == "hertz_rates":
         return import_module(".rates", __name__).hertz_rates
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
