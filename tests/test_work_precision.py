@@ -562,7 +562,8 @@ def test_tangents_of_a_linear_chain_are_a_matrix_exponential():
 @pytest.fixture(scope="module")
 def smooth():
     chain = gx.scenes.disordered(16, 0.2, 3, precompression=1.0)
-    return gx.work_precision(chain, gx.states.random(chain, 5, displacement=0.1), 12.0, repeats=1)
+    # a processor that is busy otherwise must not end a ladder early
+    return gx.work_precision(chain, gx.states.random(chain, 5, displacement=0.1), 12.0, repeats=1, longest=2.0)
 
 
 @pytest.mark.slow

@@ -70,6 +70,13 @@ class UnitCell(eqx.Module):
         return jax.tree.map(lambda x: jnp.moveaxis(x, back, -1), unpack(x, self.fields, self.dimension))
 
 
+def by_sites(x: AnyArray, axes: int) -> AnyArray:
+    """An array (cells..., cell..., width) as one of sites, (sites..., width): along each axis cell by cell."""
+    order = [i for pair in zip(range(axes), range(axes, 2 * axes)) for i in pair] + [2 * axes]
+    counts = [x.shape[i] * x.shape[axes + i] for i in range(axes)]
+    return x.transpose(order).reshape(counts + [x.shape[-1]])
+
+
 def bloch(coupling: Numbers, shells: tuple, k: Numbers) -> ComplexNumbers:
     """sum_R coupling_R exp(i k . R), (P, P), for one `k` of shape (axes,)."""
     uniform = coupling.sum(0)

@@ -13,7 +13,7 @@ from ..entry import checked
 from ..lattice import Lattice, State
 from ..results import Held, Result
 from ..types import AnyArray, Cell, Count, Numbers
-from .cell import UnitCell, unit_cell
+from .cell import UnitCell, by_sites, unit_cell
 from .stiffness import unpack
 
 # of the largest omega^2: what is flat; cells over which a compact state is looked for
@@ -74,9 +74,7 @@ class FlatBands(Result):
         at = (at,) * axes if np.ndim(at) == 0 else tuple(at)
         if any(not 0 <= a <= n - m for a, n, m in zip(at, cells, counts)):
             refuse("at", f"a cell from which {counts} cells lie within {tuple(cells)}", f"{at}")
-        # (cells..., cell..., width): sites along each axis are cell by cell
-        order = [i for pair in zip(range(axes), range(axes, 2 * axes)) for i in pair] + [2 * axes]
-        block = found.transpose(order).reshape([m * c for m, c in zip(counts, self.cell)] + [found.shape[-1]])
+        block = np.asarray(by_sites(found, axes))
         whole_lattice = np.zeros(tuple(sizes) + (found.shape[-1],))
         whole_lattice[tuple(slice(a * c, a * c + n) for a, c, n in zip(at, self.cell, block.shape))] = block
         u = unpack(jnp.asarray(whole_lattice / np.abs(whole_lattice).max(), lattice.dtype), lattice.fields,

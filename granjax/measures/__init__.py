@@ -12,5 +12,6 @@ from .histories import along, rms_velocity
 from .instruments import Trace, velocity_trace
 from .localisation import energy_centre, participation, participation_number, second_moment
 from .modal import modal_amplitudes, modal_energy
-from .networks import ForceNetwork, FrontDecay, angular_momentum, force_network, front_decay, slip_ratio
+from .networks import ForceNetwork, angular_momentum, force_network, slip_ratio
+from .rings import FrontDecay, RadialProfile, energy_radius, front_decay, radial_profile
 from .spectra import Spectrogram, Spectrum, spectrogram, spectrum

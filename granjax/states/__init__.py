@@ -3,6 +3,7 @@
 Displacements are measured from static equilibrium, so a precompressed chain at rest is u = 0.
 """
 
+from .bloch import bloch_packet
 from .modes import normal_mode, sine_mode
 from .simple import impact, random, rest, thermal
 from .solitons import kdv_soliton, toda_soliton

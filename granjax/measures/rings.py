@@ -1,0 +1,219 @@
+"""Waves that spread from a point of the plane: how far their energy is, their rings, how their front falls."""
+
+from typing import ClassVar
+
+import jax.numpy as jnp
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ..checks import concrete, parameter, positive, refuse, traced
+from ..entry import checked
+from ..lattice import Lattice
+from ..results import Held, Result
+from ..types import Cell, Count, Number, Numbers, Parameter, Scalar, StateLike
+from .energies import site_energy
+from .networks import placed
+
+
+@checked
+def energy_radius(lattice: Lattice, y: StateLike, t: Number = 0.0, *, centre: Parameter | None = None) -> Number:
+    r"""How far the energy is from a point: the root of sum e_n |r_n - c|^2 / sum e_n, by the lattice's positions [m].
+
+    A packet of a cone of speed c (`gx.states.bloch_packet` at a Dirac point) has the radius (w^2 + c^2 t^2)^{1/2}, of
+    which w is that at t = 0: the ring itself, (radius^2 - w^2)^{1/2}, grows as c t.
+
+    **Arguments:** `centre`: c (d,) [m]; `None` is the mean place of the energy. **Returns:** a number; NaN at rest.
+    **Raises** ValueError for a lattice without positions, or a batch.
+    """
+    places = placed(lattice, "a radius")
+    e, places = site_energy(lattice, y, t), {"": places} if not isinstance(places, dict) else places
+    parts = [(jnp.asarray(places[name]), x) for name, x in (e if isinstance(e, dict) else {"": e}).items()]
+    total = sum(x.sum() for _, x in parts)
+    if centre is None:
+        c = sum((x[..., None] * at).sum(tuple(range(x.ndim))) for at, x in parts) / total
+    else:
+        c = _point("centre", centre, parts[0][0].shape[-1])
+    return jnp.sqrt(sum((x * ((at - c) ** 2).sum(-1)).sum() for at, x in parts) / total)
+
+
+def _point(name, given, size):
+    point = parameter(name, given)
+    if point.shape != (size,):
+        refuse(name, f"a point, {size} numbers", f"shape {point.shape}")
+    return point
+
+
+class RadialProfile(Result):
+    """A quantity against the distance from a point of the plane, at one time or several.
+
+    **Fields:** `distance` (rings,): mean distance of the sites of each ring [m]. `mean`, `lowest`, `highest`
+    ([times], rings) over these sites, as the quantity. `crest` ([times],): the distance of the ring whose mean is the
+    largest [m]; `error`: half of the width of a ring, within which the crest is known.
+    """
+
+    held: ClassVar[dict[str, Held]] = {
+        "distance": Held("distance", "m"), "mean": Held("... distance"), "lowest": Held("... distance"),
+        "highest": Held("... distance"), "crest": Held("...", "m"), "error": Held(unit="m"),
+    }
+    distance: Numbers
+    mean: Numbers
+    lowest: Numbers
+    highest: Numbers
+    crest: Numbers
+    error: Number
+
+    @property
+    def outcome(self) -> str:
+        """Where the crest is."""
+        at = np.asarray(self.crest).ravel()
+        where = " ... ".join(self._told("crest", float(x)) for x in (at[:1] if at.size == 1 else at[[0, -1]]))
+        return f"Crest at the distance {where} +- {self._told('error', float(self.error))}."
+
+
+@checked
+def radial_profile(
+    lattice: Lattice, quantity: Parameter | dict[str, Parameter], centre: Parameter | None = None, *,
+    width: Scalar | None = None,
+) -> RadialProfile:
+    """A quantity of the sites by the distance from a point: means, lowest and highest values of rings.
+
+    **Arguments:** `quantity`: numbers of the shape of the sites, or with an axis of times before them, such as energies
+    by `gx.measures.along(gx.measures.site_energy, lattice, run)`; a dict of such for fields. `centre`: a point (2,)
+    [m], `None` for the middle of the positions. `width` > 0 of a ring [m]; `None` is the least distance of two sites.
+
+    **Returns:** `RadialProfile`, for `gx.plots.radial_profile`; means are differentiable in the quantity.
+    **Raises** ValueError for a lattice without positions, a batch, or shapes that do not fit.
+    """
+    places = placed(lattice, "distances")
+    fields = places if isinstance(places, dict) else {"": places}
+    given = quantity if isinstance(quantity, dict) else {"": quantity}
+    if given.keys() != fields.keys():
+        refuse("quantity", f"numbers for each of {sorted(fields)}", f"{sorted(given)}")
+    at = np.concatenate([np.asarray(x, float).reshape(-1, x.shape[-1]) for x in fields.values()])
+    parts = [_history_of(name, given[name], x.shape[:-1]) for name, x in fields.items()]
+    if len({x.ndim for x in parts}) > 1:
+        refuse("quantity", "times for all fields, or for none", f"shapes {[x.shape for x in parts]}")
+    q = jnp.concatenate(parts, -1)
+    c = at.mean(0) if centre is None else np.asarray(concrete(_point("centre", centre, at.shape[-1])), float)
+    distance = np.linalg.norm(at - c, axis=-1)
+    width = _spacing(at) if width is None else float(positive("width", width))
+    _, which = np.unique(np.floor(distance / width + 0.5).astype(int), return_inverse=True)
+    count, rings = np.bincount(which), which.max() + 1
+    gather = lambda how, start: getattr(jnp.full(q.shape[:-1] + (rings,), start).at[..., which], how)(q)
+    mean = gather("add", 0.0) / count
+    away = np.bincount(which, distance) / count
+    return RadialProfile(away, mean, gather("min", jnp.inf), gather("max", -jnp.inf),
+                         jnp.asarray(away)[jnp.argmax(mean, -1)], np.float64(width / 2), **lattice.origin)
+
+
+def _history_of(name, given, sites):
+    called = f"quantity[{name!r}]" if name else "quantity"
+    x = parameter(called, given)
+    if x.shape[-len(sites):] != sites or x.ndim > len(sites) + 1:
+        refuse(called, f"one number per site, shape {sites}, or with times before", f"shape {x.shape}")
+    return x.reshape(x.shape[: x.ndim - len(sites)] + (-1,))
+
+
+def _spacing(at):
+    """The least distance between two of the places."""
+    near = cKDTree(at).query(at, 2)[0][:, 1]
+    return float(near.min())
+
+
+class FrontDecay(Result):
+    """How the amplitude of a front falls with the distance from where it began: amplitude ~ distance^exponent.
+
+    **Fields:** `distance` (n,) [m], `amplitude` (n,): as given, and its root mean square over sites at one distance.
+    `exponent`, `error`: of the straight line through their logarithms, with its standard error; `drift`: the exponent
+    of the further half less that of the nearer one, zero for a power law.
+    """
+
+    held: ClassVar[dict[str, Held]] = {
+        "distance": Held("distance", "m"), "amplitude": Held("distance"), "exponent": Held(unit="1"),
+        "error": Held(unit="1"), "drift": Held(unit="1"),
+    }
+    distance: Numbers
+    amplitude: Numbers
+    exponent: Number
+    error: Number
+    drift: Number
+
+    @property
+    def outcome(self) -> str:
+        """The power, and whether it is one."""
+        told = f"Amplitude ~ distance^({float(self.exponent):.3g} +- {float(self.error):.1g})"
+        if abs(float(self.drift)) <= 4 * float(self.error):
+            return f"{told}."
+        return f"{told}; no power law: the exponent changes by {float(self.drift):+.2g} on the way."
+
+
+@checked
+def front_decay(
+    lattice: Lattice, amplitude: Parameter, site: Count | Cell, *, direction: Parameter | None = None,
+    between: tuple[Scalar, Scalar] | None = None,
+) -> FrontDecay:
+    r"""How the amplitude of a front falls with the distance from a site, as a power with its standard error.
+
+    **Arguments:**
+
+    - `lattice`: one with `positions`, of one field.
+    - `amplitude`: the largest value at each site, shape of the sites, such as `run.recorded["peak"]` of
+      `gx.Peak(lambda t, y, lattice: jnp.linalg.norm(y.v, axis=-1))`.
+    - `site`: where the front began. `direction`: a vector of the plane, along which sites are taken (within a tenth of
+      a spacing of its ray); `None` takes all around, as the root mean square over each ring one spacing wide.
+    - `between`: the least and the largest distance [m]; `None`: from one spacing on, as far as the amplitude is above
+      zero.
+
+    In a plane that keeps the energy of a linear front of fixed width the exponent is -1/2 all around. A solitary wave
+    would have 0: in two dimensions there is none.
+
+    **Returns:** `FrontDecay`; exponents are differentiable in the amplitudes. **Raises** ValueError for a lattice
+    without positions, a shape that does not fit, and fewer than four distances. Source: Leonard, Fraternali, Daraio,
+    Exp. Mech. 53, 327 (2013); Awasthi, Smith, Geubelle, Lambros, Mech. Mater. 54, 100 (2012).
+    """
+    places = placed(lattice, "distances")
+    if isinstance(places, dict):
+        refuse("lattice", "one field", f"the fields {sorted(places)}", "Take the distances of one of them.")
+    sites = places.shape[:-1]
+    q = parameter("amplitude", amplitude)
+    if q.shape != sites:
+        refuse("amplitude", f"one number per site, shape {sites}", f"shape {q.shape}")
+    at = (site,) if np.ndim(site) == 0 else tuple(site)
+    if len(at) != len(sites) or any(not -n <= i < n for i, n in zip(at, sites)):
+        refuse("site", f"a site of {sites}", f"{site}")
+    away = np.asarray(places - places[at]).reshape(-1, places.shape[-1])
+    distance, q = np.linalg.norm(away, axis=-1), q.ravel()
+    spacing = distance[distance > 0].min()
+    near, far = (0.99 * spacing, np.inf) if between is None else (float(x) for x in between)
+    kept = (distance >= near) & (distance <= far)
+    if not traced(q):
+        kept &= np.asarray(q) > 0
+    if direction is None:
+        ring = np.round(distance / spacing).astype(int)
+    else:
+        along = np.asarray(parameter("direction", direction), float)
+        if along.shape != places.shape[-1:] or not np.any(along):
+            refuse("direction", f"a vector of {places.shape[-1]} numbers, not zero", f"{direction}")
+        ahead = away @ (along / np.linalg.norm(along))
+        kept &= (ahead > 0) & (np.sqrt(np.maximum(distance**2 - ahead**2, 0)) < 0.1 * spacing)
+        ring = np.round(distance / (1e-6 * spacing)).astype(int)
+    rings, which = np.unique(ring[kept], return_inverse=True)
+    if len(rings) < 4:
+        refuse("amplitude", "at least four distances with an amplitude above zero", f"{len(rings)}",
+               "Run longer, or take a larger crystal or wider `between`.")
+    count = np.bincount(which)
+    mean = np.bincount(which, distance[kept]) / count
+    rms = jnp.sqrt(jnp.zeros(len(rings)).at[which].add(q[np.flatnonzero(kept)] ** 2) / count)
+    x, y = jnp.log(mean / spacing), jnp.log(rms)
+    slope, error = _line(x, y)
+    half = len(rings) // 2
+    drift = _line(x[half:], y[half:])[0] - _line(x[:half], y[:half])[0]
+    return FrontDecay(mean, rms, slope, error, drift, **lattice.origin)
+
+
+def _line(x, y):
+    """Slope of the line through points, and its standard error."""
+    x, y = x - x.mean(), y - y.mean()
+    slope = jnp.vdot(x, y) / jnp.vdot(x, x)
+    left = jnp.sum((y - slope * x) ** 2) / max(len(x) - 2, 1)
+    return slope, jnp.sqrt(left / jnp.vdot(x, x))
