@@ -16,12 +16,12 @@ be told apart by colour-blind eyes.
 
 from .cells import cell_wave, resonance_map
 from .curves import profile, transmission
-from .devices import rectifier, switch, truth_table, two_way
+from .devices import rectifier, sound_bullet, switch, truth_table, two_way
 from .evolutions import evolution, gap_breather
 from .fits import corner, fit, law, planar
 from .histories import space_time, traces
 from .orbits import branch, breather, floquet_circle, hysteresis, strain_map
-from .plane import bands, beads, film, zone
+from .plane import bands, beads, film, radial_profile, zone
 from .precision import work_precision
 from .rest import equilibrium, kink
 from .shocks import modulation, shock, shock_core, shock_map
@@ -34,7 +34,8 @@ from .waves import dispersion, floquet_bands
 __all__ = [
     "COLOURS", "bands", "beads", "branch", "breather", "cell_wave", "corner", "dispersion", "drawn", "equilibrium",
     "evolution", "figure", "film", "fit", "floquet_bands", "floquet_circle", "front", "gap_breather", "hysteresis",
-    "kink", "law", "modulation", "planar", "profile", "rectifier", "reflection", "resonance_map", "save", "shock",
-    "shock_core", "shock_map", "space_time", "spreading", "strain_map", "style", "sweep", "switch", "traces",
-    "transmission", "truth_table", "two_way", "wave", "wave_errors", "wave_family", "work_precision", "zone",
+    "kink", "law", "modulation", "planar", "profile", "radial_profile", "rectifier", "reflection", "resonance_map",
+    "save", "shock", "shock_core", "shock_map", "sound_bullet", "space_time", "spreading", "strain_map", "style",
+    "sweep", "switch", "traces", "transmission", "truth_table", "two_way", "wave", "wave_errors", "wave_family",
+    "work_precision", "zone",
 ]

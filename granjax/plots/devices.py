@@ -1,10 +1,11 @@
-"""Devices: what passes a chain both ways, a rectifier's power, a gate's truth table, a switch."""
+"""Devices: what passes a chain both ways, a rectifier's power, a gate's truth table, a switch, a sound bullet."""
 
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator
 
 from ..entry import checked
 from ..units import UnitsOrWords
@@ -116,6 +117,32 @@ def rectifier(found: Any, ax: AxesOrNone = None, *, orbits: Any = None, units: U
     ax.set_xlabel(by_x.label)
     ax.set_ylabel(by_y.label)
     ax.legend(loc="center right", frameon=False)
+    return ax
+
+
+@checked
+def sound_bullet(found: Any, ax: AxesOrNone = None) -> Axes:
+    """How much higher a focus is driven by one, two, ... channels that meet there than by one, and without delays.
+
+    **Arguments:** `found`: a `SoundBullet`, the result of `gx.studies.sound_bullet`, or anything with `gain`,
+    `gain_error`, `bound`, `alone` (N,) and `at_once`. **Returns:** the Axes; the gain is `ax.containers[0]`, what
+    pulses could add up to `ax.lines[-2]`. **Raises** ValueError for a record without these.
+    """
+    having("found", found, "the result of gx.studies.sound_bullet", "gain", "gain_error", "bound", "alone", "at_once")
+    gain, error, bound, alone = (numbers(f"found.{name}", getattr(found, name), 1)
+                                 for name in ("gain", "gain_error", "bound", "alone"))
+    count = 1 + np.arange(len(gain))
+    ax = axes_or_new(ax, 4.8, 3.6)
+    ax.errorbar(count, gain, _down_and_up(gain, error), fmt="o", color=COLOURS[0], ms=5, capsize=3,
+                label="with delays")
+    ax.plot(count, bound, "--", color=FAINT, lw=1.2, zorder=0, label="if pulses add up")
+    ax.plot(count[-1], float(found.at_once) / alone.max(), "s", color=COLOURS[1], ms=6, label="all at once")
+    ax.set_xlim(0, count[-1] + 1)
+    ax.set_ylim(bottom=0)
+    ax.xaxis.set_major_locator(MaxNLocator(integer=True))
+    ax.set_xlabel("channels")
+    ax.set_ylabel("gain at the focus")
+    ax.legend(loc="upper left", frameon=False)
     return ax
 
 

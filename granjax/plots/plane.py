@@ -3,6 +3,7 @@
 from typing import Any
 
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.animation import FuncAnimation
 from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection, LineCollection
@@ -312,4 +313,33 @@ def zone(
     ax.set_ylabel(place.label.replace("wave number", "$q_y$"))
     if colour_bar:
         add_colour_bar(ax, shown, by.label)
+    return ax
+
+
+@checked
+def radial_profile(
+    record: Any, ax: AxesOrNone = None, *, label: str = "quantity", units: UnitsOrWords = None,
+) -> Axes:
+    """Means of rings over the distance from a point, with the span of each ring; of several times from pale to dark.
+
+    **Arguments:** `record`: anything with `distance` (rings,), `mean`, `lowest` and `highest` ([times], rings), such as
+    the result of `gx.measures.radial_profile`. `label`: of the quantity; one that ends with a known word, "energy", has
+    units. `units`: `("mm", "uJ")`, as in `granjax.plots`.
+
+    **Returns:** the Axes; the means are `ax.lines`. **Raises** ValueError for a record without these arrays.
+    """
+    having("record", record, "the result of gx.measures.radial_profile", "distance", "mean", "lowest", "highest")
+    x = numbers("record.distance", record.distance, 1)
+    mean, low, high = (np.atleast_2d(numbers(f"record.{name}", getattr(record, name)))
+                       for name in ("mean", "lowest", "highest"))
+    by_x, by_y = drawn_in(units, units_of(record), Axis("distance", x, "m"), Axis(label, mean))
+    ax = axes_or_new(ax, 5.4, 3.6)
+    x = scaled_by(x, by_x.factor)
+    tones = colormaps["viridis"](np.linspace(0.85, 0.15, len(mean)) if len(mean) > 1 else [0.3])
+    for one, bottom, top, tone in zip(*(scaled_by(a, by_y.factor) for a in (mean, low, high)), tones):
+        ax.plot(x, one, color=tone, lw=1.4)
+        ax.fill_between(x, bottom, top, color=tone, alpha=0.2, lw=0)
+    ax.set_xlim(0, x[-1])
+    ax.set_xlabel(by_x.label)
+    ax.set_ylabel(by_y.label)
     return ax

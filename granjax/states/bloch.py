@@ -27,8 +27,8 @@ def bloch_packet(
 ) -> State:
     r"""A Gaussian packet of Bloch waves, which runs as the linear lattice has it: in chains of any cell, in the plane.
 
-    u(R) = Re a p exp(-|r_R - c|^2/(2 w^2) + i k . R), with R the number of a cell, r_R its place and p what the sites of
-    a cell do. The velocities are those of waves exp(-i omega t) alone, v = Re -i Omega u with Omega^2 = D: of the
+    u(R) = Re a p exp(-|r_R - c|^2/(2 w^2) + i k . R), with R the number of a cell, r_R its place and p what a cell's
+    sites do. The velocities are those of waves exp(-i omega t) alone, v = Re -i Omega u with Omega^2 = D: of the
     linear lattice taken as a ring it is exact, as long as the packet is far from the ends (five widths).
 
     At a Dirac point p = one kind of site belongs to both cones alike: the packet becomes a ring whose radius grows with

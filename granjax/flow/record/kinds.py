@@ -129,6 +129,32 @@ class Lowest(Peak):
 
 
 @checked
+class Crest(Peak):
+    """Largest value of a quantity, and when it has it, (2, ...): the first of equal ones.
+
+    **Arguments:** `quantity`: as in `Peak`.
+    """
+
+    def start(self, t: Number, q: Numbers, count: Count) -> Any:
+        return q, jnp.zeros_like(q) + jnp.asarray(t, q.dtype)
+
+    def follow(self, carried: Any, t0: Scalar, step: Scalar, q: Any) -> Any:
+        x = places(q)
+        near = guesses(q, _most(q))
+        candidates = [(q[i], jnp.broadcast_to(x[i], q[0].shape)) for i in range(1, len(q))]
+        candidates += [(top.height, top.place) for top in tops(q, near)]
+        best, when = carried
+        for height, place in candidates:
+            above = height > best
+            best = jnp.where(above, height, best)
+            when = jnp.where(above, t0 + (place + 1) / 2 * step, when).astype(when.dtype)
+        return best, when
+
+    def finish(self, carried: Any) -> Numbers:
+        return jnp.stack(carried)
+
+
+@checked
 class Arrival(Record):
     """First time at which a quantity reaches a threshold from below, elementwise, found between steps; NaN if never.
 
