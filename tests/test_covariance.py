@@ -646,6 +646,44 @@ def _(s):
     return fields_of(found, amplitude=None)
 
 
+@row("energy_radius", slow=(crystal_of_beads,))
+def _(s):
+    return length([gx.measures.energy_radius(s.lattice, s.state), gx.measures.energy_radius(
+        s.lattice, s.state, centre=s.m(np.array([0.5, 0.2])))])
+
+
+@row("radial_profile", slow=(crystal_of_beads,))
+def _(s):
+    found = gx.measures.radial_profile(s.lattice, gx.measures.site_energy(s.lattice, s.state))
+    # which of the rings that lie at one distance holds a site at its edge is rounding
+    return energy(found.highest.max()), length(found.error)
+
+
+def sheet(rng, w):
+    """A ring of honeycomb, out of plane."""
+    own = gx.scenes.honeycomb(6, 6, stiffness=near(rng, 1.0), mass=near(rng, 1.0), out_of_plane=True,
+                              boundary="periodic")
+    return gx.scenes.scaled(own, units=w.units).lattice
+
+
+@row("bloch_packet", slow=(sheet,))
+def _(s):
+    return state(gx.states.bloch_packet(s.lattice, "K", s.m(1.5), polarisation={"a": 1.0, "b": 0.4},
+                                        amplitude=s.m(0.1)))
+
+
+@row("radial_impact", slow=(struck_hexagon,))
+def _(s):
+    return state(gx.states.radial_impact(s.lattice, s.speed(0.3), s.m(1.5)))
+
+
+@row("sound_bullet", slow=(struck_hexagon,))
+def _(s):
+    found = gx.studies.sound_bullet(s.lattice, [3, 40], 45, s.s(12.0), force=s.newton(0.1), duration=s.s(4.0),
+                                    direction=[1.0, 0.5])
+    return fields_of(found), found.gain, About(found.gain_error)
+
+
 @row("slip_ratio", slow=(crystal_of_beads,))
 def _(s):
     return gx.measures.slip_ratio(s.lattice, s.state)

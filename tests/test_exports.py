@@ -126,6 +126,8 @@ MAKERS = {
     "NormalModes": lambda: linear.normal_modes(chain()), "Bands": lambda: linear.bands(ring()),
     "Equilibrium": lambda: gx.equilibrium(chain()), "Backbone": lambda: gx.breathers.backbone(chain(), -1),
     "FrontDecay": lambda: gx.measures.front_decay(gx.scenes.square(9), np.ones((9, 9)), (0, 0), direction=[1.0, 0.0]),
+    "RadialProfile": lambda: gx.measures.radial_profile(gx.scenes.square(5), np.ones((3, 5, 5))),
+    "SoundBullet": lambda: studies.SoundBullet(*np.arange(1.0, 22.0).reshape(7, 3), 1.0, 0.1, **OTHER),
     "Dispersion": lambda: linear.dispersion(ring(), np.linspace(0.1, 3.0, 4)),
     "PathBands": lambda: linear.path(ring(), "GX", 4), "FlatBands": lambda: linear.flat_bands(gx.scenes.stub(8)),
     "ZoneMap": lambda: linear.zone_map(gx.scenes.square(5, boundary="periodic"), 8),

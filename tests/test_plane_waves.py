@@ -173,13 +173,13 @@ def test_a_radial_front_falls_and_slows_down_where_a_planar_one_does_neither():
     steps = np.diff(at[row[np.argsort(places[row, 0])]])
     # it begins faster than sound, (9/8 K)^{1/2} with K = 3/2 F0^{1/3}, and ends at it
     sound = np.sqrt(9 / 8 * 1.5 * 0.1 ** (1 / 3))
-    assert steps[0] < 0.9 / sound < 0.97 / sound < steps[-1] < 1.0 / sound and np.all(np.diff(steps) > 0)
-    # the same beads, pushed by a whole row of them: a solitary wave
-    strip = gx.scenes.square(24, 4, exponent=1.5, precompression=0.1, boundary=("fixed", "periodic"))
-    v = strip.zeros().at[0, :, 0].set(2.0)
-    _, plane = fronts(strip, gx.State(strip.zeros(), v), 24.0, 0.02, site=(0, 0), direction=[1.0, 0.0],
-                      between=(6.0, 18.0))
-    assert abs(float(plane.exponent)) < 0.03
+    assert steps[0] < 0.9 / sound < 0.95 / sound < steps[-1] < 1.0 / sound and np.all(np.diff(steps) > 0)
+    # a whole row of beads in touch, pushed: a solitary wave
+    strip = gx.scenes.square(24, 4, exponent=1.5, boundary=("fixed", "periodic"))
+    v = strip.zeros().at[0, :, 0].set(0.5)
+    _, plane = fronts(strip, gx.State(strip.zeros(), v), 24.0, 0.005, site=(0, 0), direction=[1.0, 0.0],
+                      between=(5.0, 16.0))
+    assert abs(float(plane.exponent)) < 0.01
     with pytest.raises(ValueError, match="within which sites lie"):
         gx.states.radial_impact(hexagon, 1.0, 0.5)
 

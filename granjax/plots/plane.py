@@ -19,6 +19,8 @@ from .quantities import OMEGA, Axis, drawn_in, scaled_by, units_of, units_of_bot
 from .style import COLOURS, FAINT, AxesOrNone, add_colour_bar, axes_or_new, figure, style
 
 CLOSED = 1e-9
+# beads whose outlines would hide them
+MANY = 3000
 
 
 @checked
@@ -96,7 +98,7 @@ def _radius(at):
 def _circles(ax, at, radius):
     size = np.full(len(at), 2 * radius)
     circles = EllipseCollection(size, size, np.zeros(len(at)), units="xy", offsets=at, offset_transform=ax.transData,
-                                edgecolor="0.35", linewidth=0.4)
+                                edgecolor="0.35", linewidth=0.4 if len(at) < MANY else 0)
     return ax.add_collection(circles)
 
 

@@ -9,7 +9,7 @@ from ..lattice import Lattice, State
 from ..types import Parameter, Scalar, Seed, Site
 from .places import field_of, site_of
 
-# a site on the edge of a disc belongs to it, with rounding
+# a site on the edge of a disc belongs to it with rounding, and one at its centre is there with rounding
 EDGE = 1e-9
 
 
@@ -70,7 +70,7 @@ def radial_impact(
         refuse("centre, velocity", f"a point of {size} numbers, and one number", f"shapes {c.shape}, {V.shape}")
     away = places - c
     squared = (away**2).sum(-1, keepdims=True)
-    there = (squared > 0) & (squared <= radius**2 * (1 + EDGE))
+    there = (squared > (EDGE * radius) ** 2) & (squared <= radius**2 * (1 + EDGE))
     known = concrete(there)
     if known is not None and not known.any():
         refuse("radius", "one within which sites lie", show(radius), "Spacings are those of lattice.positions.")

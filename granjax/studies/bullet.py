@@ -11,7 +11,7 @@ from jaxtyping import Float
 from ..checks import concrete, parameter, positive, refuse, traced, whole
 from ..entry import checked
 from ..flow import simulate
-from ..flow.record.kinds import Crest
+from ..flow.record.kinds import Peak, PeakTime
 from ..lattice import Lattice
 from ..results import Held, Result
 from ..states import rest
@@ -154,11 +154,11 @@ def sound_bullet(
     sites, at = _sites(lattice, channels), _site("focus", focus, lattice.sites)
     along = _direction(lattice, direction)
     peak, duration, t1 = positive("force", force), positive("duration", duration), float(positive("t1", t1))
-    record = {"crest": Crest(_AtFocus(at, along))}
+    record = {"height": Peak(_AtFocus(at, along)), "when": PeakTime(_AtFocus(at, along))}
     n = sites[0].size
 
     def crests(start, weight, end):
-        """Heights, times and their errors, (2, lanes), for what begins when, (lanes, N)."""
+        """Heights and their errors, times and theirs, (lanes,) each, for what begins when, (lanes, N)."""
         def pulsed(start, weight):
             pulses = _Pulses(jnp.asarray(peak), jnp.asarray(duration), start, weight,
                              tuple(tuple(x.tolist()) for x in sites), along)
@@ -166,10 +166,10 @@ def sound_bullet(
 
         batch = jax.vmap(pulsed, out_axes=-1)(jnp.asarray(start), jnp.asarray(weight))
         run = simulate(batch, rest(batch), end, record=record, step=step, progress=progress)
-        return np.asarray(run.recorded["crest"]), np.asarray(run.record_error["crest"])
+        return [np.asarray(x[name]) for name in record for x in (run.recorded, run.record_error)]
 
     at_once = np.zeros((n + 1, n))
-    (alone, arrival), (alone_error, arrival_error) = crests(at_once, np.vstack([np.eye(n), np.ones(n)]), t1)
+    alone, alone_error, arrival, arrival_error = crests(at_once, np.vstack([np.eye(n), np.ones(n)]), t1)
     own = jnp.broadcast_to(lattice.mass, lattice.zeros().shape)[at]
     least = FAINT * float(peak) * float(duration) / float(np.min(own))
     late = np.flatnonzero((alone[:n] < least) | (arrival[:n] > (1 - EDGE) * t1))
@@ -178,7 +178,7 @@ def sound_bullet(
                            "longer, or push along the direction in which it arrives.")
     delay = arrival[:n].max() - arrival[:n]
     together = np.vstack([np.tril(np.ones((n, n))), np.ones(n)])
-    (height, _), (height_error, _) = crests(np.tile(delay, (n + 1, 1)), together, t1 + float(delay.max()))
+    height, height_error, *_ = crests(np.tile(delay, (n + 1, 1)), together, t1 + float(delay.max()))
     return SoundBullet(
         alone[:n], alone_error[:n], arrival[:n], arrival_error[:n], delay, height[:n], height_error[:n],
         float(alone[n]), float(alone_error[n]), **lattice.origin)

@@ -16,7 +16,7 @@ from ...entry import checked
 from ...lattice import Lattice
 from ...printing import told
 from ...types import AnyArray, Count, Number, Numbers, Parameter, Pytree, Scalar, StateLike
-from .within import crossing, guesses, higher, mean, places, series, span, tops
+from .within import crossing, guesses, higher, mean, places, series, span, tops, value
 
 # the record beside the user's own that says whether a contact opened
 CLOSEST = "closest overlap"
@@ -129,8 +129,8 @@ class Lowest(Peak):
 
 
 @checked
-class Crest(Peak):
-    """Largest value of a quantity, and when it has it, (2, ...): the first of equal ones.
+class PeakTime(Peak):
+    """When a quantity is the largest, elementwise, found between steps as `Peak` finds how large: the first of equals.
 
     **Arguments:** `quantity`: as in `Peak`.
     """
@@ -139,19 +139,20 @@ class Crest(Peak):
         return q, jnp.zeros_like(q) + jnp.asarray(t, q.dtype)
 
     def follow(self, carried: Any, t0: Scalar, step: Scalar, q: Any) -> Any:
-        x = places(q)
-        near = guesses(q, _most(q))
-        candidates = [(q[i], jnp.broadcast_to(x[i], q[0].shape)) for i in range(1, len(q))]
-        candidates += [(top.height, top.place) for top in tops(q, near)]
+        x, c, near = places(q).reshape(-1), series(q), guesses(q, _most(q))
         best, when = carried
-        for height, place in candidates:
+        highest = q.max(0)
+        for top in tops(q, near):
+            # one that is no higher than a sample by what is resolved still says where
+            place = jnp.where(value(c, top.place) >= highest, top.place, x[jnp.argmax(q, 0)])
+            height = jnp.maximum(top.height, highest)
             above = height > best
             best = jnp.where(above, height, best)
             when = jnp.where(above, t0 + (place + 1) / 2 * step, when).astype(when.dtype)
         return best, when
 
     def finish(self, carried: Any) -> Numbers:
-        return jnp.stack(carried)
+        return carried[1]
 
 
 @checked
