@@ -2,7 +2,6 @@
 
 from typing import ClassVar
 
-import jax
 import jax.numpy as jnp
 
 from ..checks import refuse
@@ -43,8 +42,5 @@ class Slip(Directed):
 
     def strain(self, u):
         D, R, rest, along, *_ = self._geometry(u)
-        axis = self.pairs.axes
-        part = lambda x, i: jax.lax.index_in_dim(x, i, axis, keepdims=False)
-        across = part(R, 1) * part(D, 0) - part(R, 0) * part(D, 1)
-        turned = jnp.arctan2(across, rest * rest - along)
-        return part(self.pairs.reach(u), 2) - rest * turned
+        turned = jnp.arctan2(R[1] * D[0] - R[0] * D[1], rest * rest - along)
+        return self.pairs.reach(self._component(u, 2)) - rest * turned
