@@ -224,7 +224,7 @@ _gc.freeze()
 if _collects:
     _gc.enable()
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 _LAZY = {
     name: f".{name}" for name in (
         "breathers", "canonical", "continuation", "driven", "exchange", "first_order", "floquet", "forced",

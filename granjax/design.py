@@ -33,6 +33,12 @@ class Design(Result):
     every point, the start first, NaN after the last one. `start_gradient` (P,): in the order of `names`. `iterations`:
     how many were made. `every`: best value of each start (S,), NaN for one without a gradient. `code`: 0 converged,
     1 stalled, 2 steps spent, 3 not finite on the way, 4 gradient zero at the start, 5 not finite at the start.
+
+    **Example:**
+
+    >>> found = gx.design(lambda p: (p["x"] - 2) ** 2, {"x": 1.0}, bounds={"x": (0.0, 5.0)})
+    >>> float(found.start_value), int(found.code), found.names
+    (1.0, 0, ('x',))
     """
 
     held: ClassVar[dict[str, Held]] = {
@@ -114,6 +120,15 @@ def design(
 
     **Returns:** `Design`. **Raises** ValueError for input that cannot be meant; RuntimeError where `throw` and the
     gradient at the start is exactly zero or not finite. It finds a local optimum: `starts` tries several.
+
+    **Example:**
+
+    >>> def miss(p):
+    ...     chain = gx.scenes.dimer(20, ratio=p["ratio"], precompression=1.0, boundary="periodic")
+    ...     return (gx.linear.normal_modes(chain).omega[-1] - 3.0) ** 2
+    >>> found = gx.design(miss, {"ratio": 0.8}, bounds={"ratio": (0.1, 1.0)})
+    >>> round(float(found.parameters["ratio"]), 3)
+    0.5
     """
     coordinates = Coordinates(start, bounds)
     mode = one_of("mode", mode or MODES[coordinates.size > FEW], MODES)
@@ -141,6 +156,11 @@ def smooth_peak(values: Parameter, power: Scalar = 40, axis: int | tuple[int, ..
     each quantity between steps, smooth but for such changes.
 
     **Arguments:** `values`; those below zero count as zero. `power`: p > 1, typical 20 ... 100. `axis`: `None` for all.
+
+    **Example:**
+
+    >>> round(float(gx.smooth_peak(jnp.array([1.0, 2.0, 3.0]), power=100)), 4)
+    2.9672
     """
     values = jnp.maximum(parameter("values", values), 0)
     if not values.size:

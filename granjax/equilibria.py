@@ -34,6 +34,13 @@ class Equilibrium(Result):
     `largest`: the largest force there is, of a contact or of a term on a site. `stiffness`: the least eigenvalue of the
     stiffness of all that can move (uniform displacements of a ring left out), below zero at a saddle; `error` of it.
     `lattice`: the lattice measured from there, which rests at u = 0.
+
+    **Example:**
+
+    >>> chain = gx.Lattice(1.0, gx.Bond(gx.Shift(1, "fixed"), gx.Linear()), sites=3)
+    >>> rest = gx.equilibrium(chain, loads=jnp.array([0.0, 1.0, 0.0]))
+    >>> rest.ends.round(4), round(float(rest.stiffness), 4)
+    (Array([-0.5,  0.5], dtype=float64), 0.5858)
     """
 
     held: ClassVar[dict[str, Held]] = {
@@ -150,6 +157,13 @@ def equilibrium(
     both modes. Cost: n^3 for n displacements, up to 4000; beyond that a lattice that already rests.
     **Raises** ValueError for a batch (`jax.vmap(gx.equilibrium, in_axes=-1)`), and a guess at which a force is not
     finite, as of magnets that touch; RuntimeError where no state of rest is found.
+
+    **Example:**
+
+    >>> chain = gx.Lattice(1.0, gx.Bond(gx.Shift(1, "fixed"), gx.Linear()), sites=3)
+    >>> rest = gx.equilibrium(chain, loads=jnp.array([0.0, 1.0, 0.0]))
+    >>> rest.state.u.round(4)
+    Array([0.5, 1. , 0.5], dtype=float64)
     """
     max_steps = whole("max_steps", max_steps, 1)
     problem = _posed(_still(lattice), hold, loads, guess)

@@ -37,6 +37,13 @@ class Kink(Result):
     the first are zero and `growth` is its rate [1/s], else zero. The lowest one of a stable kink is the
     Peierls-Nabarro frequency. `residual`: largest force over that on the way between the wells. `verdict`: "stable",
     "unstable" or "undecided" (its curvature is not known from zero: a chain near the continuum). `outcome`.
+
+    **Example:**
+
+    >>> chain = gx.scenes.sine_gordon(20)
+    >>> found = gx.kinks.kink(chain, 2 * np.pi, centre=10)
+    >>> found.verdict, bool(found.growth > 0)
+    ('unstable', True)
     """
 
     held: ClassVar[dict[str, Held]] = {
@@ -61,6 +68,12 @@ class PeierlsNabarro(Result):
     **Fields:** `barrier`: energy of the kink that is higher less that of the lower one; `error` of it. `site`,
     `bond`: energies of the kinks centred on a site and on a bond. `omega`: of small oscillations of the lower one in
     its valley, the Peierls-Nabarro frequency. `outcome`: which is the lower one.
+
+    **Example:**
+
+    >>> found = gx.kinks.peierls_nabarro(gx.scenes.sine_gordon(20), 2 * np.pi)
+    >>> found.outcome
+    'The kink rests on a bond; the other one is unstable.'
     """
 
     held: ClassVar[dict[str, Held]] = {
@@ -92,6 +105,13 @@ def kink(lattice: Lattice, right: Scalar, left: Scalar = 0.0, *, centre: Scalar 
     lattices; RuntimeError where Newton's method does not converge, or the ends are too near. Typical: an energy of 8
     sqrt(C) in the sine-Gordon continuum.
     Source: Braun, Kivshar, The Frenkel-Kontorova Model (2004), chapter 2.
+
+    **Example:**
+
+    >>> chain = gx.scenes.sine_gordon(20)
+    >>> found = gx.kinks.kink(chain, 2 * np.pi)
+    >>> found.verdict, round(float(found.energy), 4)  # 8 in the continuum
+    ('stable', 7.8666)
     """
     left, right, scale = _checked_wells(lattice, right, left)
     n = np.arange(lattice.sites[0])
@@ -133,6 +153,12 @@ def peierls_nabarro(lattice: Lattice, right: Scalar, left: Scalar = 0.0) -> Peie
     `lattice`, `right`, `left`: as in `kink`. **Returns:** `PeierlsNabarro` (`gx.plots.kink(..., barrier=)`), whose
     barrier falls exponentially with the width of the kink; where it is below its `error` the outcome says so.
     **Raises** as `kink`.
+
+    **Example:**
+
+    >>> found = gx.kinks.peierls_nabarro(gx.scenes.sine_gordon(20), 2 * np.pi)
+    >>> round(float(found.barrier), 4)
+    0.0254
     """
     _checked_wells(lattice, right, left)
     place = (lattice.sites[0] - 1) // 2
@@ -158,6 +184,13 @@ def moving(
 
     **Arguments:** `velocity`: V [sites/s], |V| < c0. The others as in `kink`; `centre` is any place.
     **Returns:** a `State`, to `gx.simulate`. **Raises** ValueError for |V| >= c0, and as `kink`.
+
+    **Example:**
+
+    >>> chain = gx.scenes.sine_gordon(20)
+    >>> state = gx.kinks.moving(chain, 0.5, 2 * np.pi)
+    >>> round(float(gx.measures.energy(chain, state)), 4)  # 8/sqrt(1 - V^2) = 9.24 in the continuum
+    9.0434
     """
     rest = kink(lattice, right, left)
     speed, top = float(parameter("velocity", velocity)), _long_waves(lattice, float(left))

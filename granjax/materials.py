@@ -51,6 +51,12 @@ class Material(eqx.Module):
     `jax.grad` with respect to E works.
 
     **Raises** ValueError for numbers that are not finite or outside these ranges.
+
+    **Example:**
+
+    >>> bone = gx.materials.Material("bone", young=10e9, poisson=0.3, density=1900.0)
+    >>> round(float(gx.materials.hertz_coefficient(bone, 9.53e-3)) / 1e8, 4)
+    5.0571
     """
 
     name: str = eqx.field(static=True)
@@ -90,13 +96,24 @@ def material(name: str | Material) -> Material:
 
     Names: `granjax.materials.NAMES`. `"rigid"` is a body that does not yield (E infinite), for walls. A `Material`
     passes through. **Raises** ValueError for another name, suggesting the nearest.
+
+    **Example:**
+
+    >>> gx.materials.material("Steel_316").name
+    'steel 316'
     """
     return named("name", name)
 
 
 @checked
 def named(argument: str, name: str | Material) -> Material:
-    """As `material`, for an argument of another name, which the sentence says."""
+    """As `material`, for an argument of another name, which the sentence says.
+
+    **Example:**
+
+    >>> float(gx.materials.named("wall", "rigid").young)
+    inf
+    """
     if isinstance(name, Material):
         return name
     known = _PLAIN.get(_plain(name))
@@ -115,7 +132,13 @@ def named(argument: str, name: str | Material) -> Material:
 
 @checked
 def stack(materials: Sequence[str | Material]) -> Material:
-    """One `Material` whose numbers are arrays (N,), from a sequence of N materials or names."""
+    """One `Material` whose numbers are arrays (N,), from a sequence of N materials or names.
+
+    **Example:**
+
+    >>> gx.materials.stack(["steel 316", "PTFE"] * 2).density.tolist()
+    [8000.0, 2200.0, 8000.0, 2200.0]
+    """
     bodies = [named(f"materials[{i}]", m) for i, m in enumerate(materials)]
     if not bodies or any(jnp.ndim(x) for b in bodies for x in (b.young, b.poisson, b.density)):
         refuse("materials", "at least one, none of them stacked already", described(materials))
@@ -164,6 +187,13 @@ def hertz_coefficient(
     **Returns:** A [N/m^{3/2}], for `Hertz(stiffness=A)`. Typical: steel beads of 9.53 mm radius 9.8e9, PTFE of
     2.38 mm 4.3e7. **Raises** ValueError for a radius that is not above zero, two planes, or two rigid bodies.
     Source: K. L. Johnson, Contact Mechanics (1985), section 4.2; valid for contacts small against the radii.
+
+    **Example:**
+
+    >>> round(float(gx.materials.hertz_coefficient("steel 316", 9.53e-3)) / 1e9, 4)
+    9.7601
+    >>> round(float(gx.materials.hertz_coefficient("steel 316", 9.53e-3, "rigid", jnp.inf)) / 1e9, 4)
+    27.6058
     """
     first = named("material_1", material_1)
     second = first if material_2 is None else named("material_2", material_2)
@@ -188,6 +218,11 @@ def yield_overlap(
     contacts that are plastic all over; materials and radii as in `hertz_coefficient`. **Returns:** s_y, for
     `gx.Thornton(stiffness, s_y)`. Typical: 3e-6 m for steel beads of 1 cm radius and 1.6e9 Pa. **Raises** ValueError
     as `hertz_coefficient` does. Source: C. Thornton, J. Appl. Mech. 64, 383 (1997).
+
+    **Example:**
+
+    >>> round(float(gx.materials.yield_overlap(1.6e9, "steel 316", 1e-2)) * 1e6, 4)
+    2.8085
     """
     first = named("material_1", material_1)
     second = first if material_2 is None else named("material_2", material_2)
@@ -203,6 +238,11 @@ def bead_mass(material: str | Material, radius: Parameter) -> Number:
 
     **Arguments:** a `Material` or a name of the table; `radius` R > 0 [m], a number or an array.
     **Raises** ValueError for a radius that is not above zero, or a rigid body, which has no density.
+
+    **Example:**
+
+    >>> round(float(gx.materials.bead_mass("steel 316", 9.53e-3)), 6)
+    0.029004
     """
     body = named("material", material)
     density = concrete(body.density)
@@ -234,6 +274,13 @@ def crossed_cylinders(
     **Returns:** A [N/m^{3/2}]. **Raises** ValueError for a radius that is not above zero, an angle outside
     (0, pi/2], or two rigid bodies.
     Source: K. L. Johnson, Contact Mechanics (1985), section 4.2; Khatri, Ngo, Daraio, Granular Matter 14, 63 (2012).
+
+    **Example:**
+
+    >>> crossed = gx.materials.crossed_cylinders("steel 316", 5e-3)
+    >>> on_plane = gx.materials.hertz_coefficient("steel 316", 5e-3, "steel 316", jnp.inf)
+    >>> round(float(crossed / on_plane), 6)
+    1.0
     """
     first = named("material_1", material_1)
     second = first if material_2 is None else named("material_2", material_2)

@@ -27,6 +27,12 @@ class Root(Result):
     **Fields:** `x`: the iterate (n,). `jacobian`: dF/dx there (n, n). `residual`: max |F(x)| of the iterate before the
     finishing step. `first`: that of the guess. `iterations`: Jacobians evaluated. `code`: 0 converged, 1 stalled,
     2 steps spent, 3 not finite.
+
+    **Example:**
+
+    >>> root = gx.newton.newton(lambda x, a: x**2 - a, [1.0], 2.0)
+    >>> bool(root.converged), int(root.iterations), root.jacobian.round(4)
+    (True, 5, Array([[2.8284]], dtype=float64))
     """
 
     held: ClassVar[dict[str, Held]] = {"x": Held("unknown"), "jacobian": Held("equation unknown")}
@@ -84,6 +90,12 @@ def newton(residual: Callable[[Any, Any], Any], guess: Parameter, args: Any = No
 
     **Returns:** `Root`, with the best iterate. **Raises** ValueError for complex or masked numbers, a tolerance that is
     infinite or below zero; RuntimeError where `throw` and it did not converge: the sentence says how far it came.
+
+    **Example:**
+
+    >>> root = gx.newton.newton(lambda x, a: x**2 - a, [1.0], 2.0)
+    >>> round(float(root.x[0]), 6)
+    1.414214
     """
     passable("args", args)
     x0, max_steps = jnp.asarray(guess), whole("max_steps", max_steps, 1)
@@ -153,7 +165,13 @@ def _given(linearise):
 
 @checked
 def evaluated(residual: Callable, x: Numbers, *others: Any) -> Numbers:
-    """F(x, ...), as many numbers as unknowns."""
+    """F(x, ...), as many numbers as unknowns.
+
+    **Example:**
+
+    >>> gx.newton.evaluated(lambda x, a: a * x**2, jnp.array([1.0, 3.0]), 2.0)
+    Array([ 2., 18.], dtype=float64)
+    """
     count = 1 + len(others)
     if not takes(residual, count):
         refuse("residual", f"a function of {count} argument{'s' * (count != 1)}", described(residual))
@@ -216,7 +234,14 @@ def _iterate(both, x0, args, tolerance, max_steps, finish):
 
 @checked
 def nearby(x: Numbers, step: Numbers) -> Numbers:
-    """x + step, of one shape, where that is a small part of x, and x where it is not (or not finite)."""
+    """x + step, of one shape, where that is a small part of x, and x where it is not (or not finite).
+
+    **Example:**
+
+    >>> x = jnp.array([1.0])
+    >>> bool(gx.newton.nearby(x, 1e-7 * x) > x), bool(gx.newton.nearby(x, 0.1 * x) > x)
+    (True, False)
+    """
     broadcast(x=x, step=step)
     small = jnp.max(jnp.abs(step), initial=0) <= FLAT * jnp.max(jnp.abs(x), initial=0)
     return jnp.where(small, x + step, x)

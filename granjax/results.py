@@ -39,6 +39,15 @@ class Result(eqx.Module):
     a line each in the table `held`, with their units in SI. What comes from a lattice has its `_mark`, or it as a field
     `lattice`: where that is not in SI, files say "scaled" in place of a unit. What has neither is counted in what
     nobody knows, and files give no units; a class that is always in SI says so by `_else = SI`.
+
+    **Example:**
+
+    >>> chain = gx.scenes.monomer(20)
+    >>> run = gx.simulate(chain, gx.states.impact(chain), 5.0, step=0.05, save_at=11)
+    >>> isinstance(run, gx.Result), run.outcome
+    (True, 'Completed at t = 5 after 100 steps.')
+    >>> dict(run.to_xarray().sizes)
+    {'time': 11, 'site': 20}
     """
 
     outcome: eqx.AbstractVar[str]
@@ -74,8 +83,12 @@ class Result(eqx.Module):
 
     def _told(self, name: str, value: object) -> str:
         """A value of a field, with its unit."""
+        return text(value, self._unit(name))
+
+    def _unit(self, name: str) -> str:
+        """The unit in which a field is counted; nothing where it is scaled."""
         unit = by_name.settled(None, self.units).conversion(self.held.get(name, Held()).unit)[1]
-        return text(value, "" if unit in (SCALED, STATE) else unit)
+        return "" if unit in (SCALED, STATE) else unit
 
     def _fields(self) -> Iterator[tuple[str, object]]:
         """Names and values of the fields that are shown and kept, without the outcome and what is not there."""

@@ -1,4 +1,4 @@
-r"""Topology of bands: Zak phases, winding, Berry curvature, Chern and valley Chern numbers, the quadrupole.
+r"""Topology of bands: Zak phases, winding, Berry curvature, Chern and valley numbers, polarisation, the quadrupole.
 
 All is computed from Bloch vectors on a mesh by products of their overlaps, in which arbitrary phases of the vectors
 cancel: no gauge is chosen. The vectors q are those of D(k) q = omega^2 q with the phases of cells, D(k + 2 pi) = D(k);
@@ -22,10 +22,13 @@ from .linear.zone import named_points as _named_points
 from .results import Held, Result
 from .types import Cell, Count, Number, Numbers, Parameter
 
-# a gap that is less, of the largest |D|, is none
-CLOSED = 1e-9
+# a gap that is less, of the largest |D|, is none; what Wannier centres are rounded to
+CLOSED, ROUNDED = 1e-9, 1e-13
 
-__all__ = ["BerryCurvature", "Zak", "berry_curvature", "chern", "quadrupole", "valley_chern", "winding", "zak"]
+__all__ = [
+    "BerryCurvature", "Polarisation", "Zak", "berry_curvature", "chern", "polarisation", "quadrupole", "valley_chern",
+    "winding", "zak",
+]
 
 
 class _Waves(eqx.Module):
@@ -95,6 +98,12 @@ class Zak(Result):
     touches others. `below` (bands - 1,) or (bands - 1, K): of all bands below each gap together, NaN where bands touch
     there; it counts, over pi and in a chain with a centre of inversion, the states at an end. `error`: how much a mesh
     of half as many points differs. `k` (K,): the wave number along the other axis, `None` of a chain.
+
+    **Example:**
+
+    >>> found = gx.topology.zak(gx.scenes.ssh(8, 2.0, 1.0, boundary="periodic"))
+    >>> bool(abs(found.below[0]) < 1e-12)   # k1 > k2: no state at an end
+    True
     """
 
     held: ClassVar[dict[str, Held]] = {
@@ -128,6 +137,12 @@ def zak(
     `points`: of the mesh, even. Of a plane: `axis`, along which it is taken, and `k`, wave numbers along the other.
     `cell`: as in `unit_cell`. **Returns:** `Zak`. **Raises** ValueError for a lattice with three axes, a plane without
     `k`, and where `unit_cell` does. Source: Zak, Phys. Rev. Lett. 62, 2747 (1989); Resta, Rev. Mod. Phys. 66, 899.
+
+    **Example:**
+
+    >>> found = gx.topology.zak(gx.scenes.ssh(8, 1.0, 2.0, boundary="periodic"))
+    >>> found.outcome
+    'Zak phases +1 pi, +1 pi.'
     """
     waves = _waves_of(lattice, cell, None if isinstance(lattice, Lattice) or k is None else 2)
     if waves.axes > 2 or (waves.axes == 2) != (k is not None):
@@ -190,6 +205,11 @@ def winding(lattice: Any, *, points: Count = 256, cell: Cell | None = None) -> i
     **Arguments:** as of `zak`. **Returns:** nu. For `gx.scenes.ssh`: 0 for k1 > k2, else 1. **Raises** ValueError
     for sites whose own stiffness over mass differs, bonds within one kind, kinds of different number, a gap that is
     closed (det h = 0).
+
+    **Example:**
+
+    >>> gx.topology.winding(gx.scenes.ssh(8, 1.0, 2.0, boundary="periodic"))
+    1
     """
     waves = _waves_of(lattice, cell, 1)
     k = 2 * np.pi * np.arange(whole("points", points, 8)) / points
@@ -238,6 +258,13 @@ class BerryCurvature(Result):
     **Fields:** `k` (n, n, 2): the corners of plaquettes, phases per cell [rad]. `flux` (n, n): Berry phase around each,
     in (-pi, pi]; its sum over 2 pi is the Chern number, `chern`, a whole number to rounding. `curvature`: the flux over
     the plaquette's area in phases. `band`: which.
+
+    **Example:**
+
+    >>> crystal = gx.scenes.honeycomb(6, mass={"a": 1.0, "b": 1.2}, out_of_plane=True, boundary="periodic")
+    >>> found = gx.topology.berry_curvature(crystal, points=12)
+    >>> bool(abs(found.chern) < 1e-12), found.curvature.shape
+    (True, (12, 12))
     """
 
     held: ClassVar[dict[str, Held]] = {
@@ -280,6 +307,15 @@ def berry_curvature(
     **Returns:** `BerryCurvature`. A lattice of masses and springs, whose D(-k) is the conjugate of D(k), has Chern
     numbers zero; with a centre of inversion the flux is zero too. **Raises** ValueError for bands that touch others,
     and where `unit_cell` does. Source: Fukui, Hatsugai, Suzuki, J. Phys. Soc. Jpn. 74, 1674 (2005).
+
+    **Example:**
+
+    >>> def haldane(k):
+    ...     f = 1 + jnp.exp(-1j * k[0]) + jnp.exp(-1j * k[1])
+    ...     s = 0.2 + 0.2 * (jnp.sin(k[0]) - jnp.sin(k[1]) + jnp.sin(k[1] - k[0]))
+    ...     return jnp.array([[s, f], [jnp.conj(f), -s]])
+    >>> round(abs(gx.topology.berry_curvature(haldane).chern), 6)
+    1.0
     """
     waves = _waves_of(lattice, cell, 2)
     n = whole("points", points, 4)
@@ -310,6 +346,12 @@ def chern(
 
     **Arguments:** as there. **Returns:** a whole number, zero for every lattice of masses and springs alone. **Raises**
     ValueError as there, and where the mesh is too coarse to tell.
+
+    **Example:**
+
+    >>> crystal = gx.scenes.honeycomb(6, mass={"a": 1.0, "b": 1.2}, out_of_plane=True, boundary="periodic")
+    >>> gx.topology.chern(crystal, points=12)
+    0
     """
     found = berry_curvature(lattice, band, points=points, cell=cell)
     if np.abs(found.flux).max() > 0.9 * np.pi:
@@ -331,6 +373,13 @@ def valley_chern(
     **Arguments:** `valley`: a named point, "K" or "K'", or phases per cell (2,); its partner is minus it. The others as
     of `berry_curvature`. **Returns:** the number. **Raises** ValueError as there, and for a point that is its own
     minus.
+
+    **Example:**
+
+    >>> crystal = gx.scenes.honeycomb(6, mass={"a": 1.0, "b": 1.02}, out_of_plane=True, boundary="periodic")
+    >>> at, other = (gx.topology.valley_chern(crystal, valley=valley) for valley in ("K", "K'"))
+    >>> round(abs(at), 3), abs(at + other) < 1e-10
+    (0.488, True)
     """
     found = berry_curvature(lattice, band, points=points, cell=cell)
     if isinstance(valley, str):
@@ -354,6 +403,125 @@ def _distance(k, place):
     return 3 - np.cos(difference[..., 0]) - np.cos(difference[..., 1]) - np.cos(difference[..., 0] - difference[..., 1])
 
 
+class Polarisation(Result):
+    """Bulk polarisation of bands of the plane: where, of a cell, their Wannier centres are.
+
+    **Fields:** `polarisation` (2,) in [0, 1): p_1 and p_2 along the lattice vectors, in cells, summed over the bands.
+    `centres` (2, n, bands) in [0, 1): Wannier centres along each axis over the phase `k` (n,) [rad] along the other
+    one. `error`: how much a mesh of half as many points differs. `band`: which.
+
+    **Example:**
+
+    >>> crystal = gx.scenes.kagome(6, out_of_plane=True, stiffness=(1, 1, 1, 3, 3, 3), boundary="periodic")
+    >>> found = gx.topology.polarisation(crystal, (1, 2))
+    >>> found.polarisation.round(6)   # of the two bands above the gap
+    array([0.333333, 0.333333])
+    """
+
+    held: ClassVar[dict[str, Held]] = {
+        "polarisation": Held("axis"), "centres": Held("axis wave band"), "k": Held("wave", "rad"),
+        "error": Held(""), "band": Held(None),
+    }
+    polarisation: Numbers
+    centres: Numbers
+    k: Numbers
+    error: Number
+    band: tuple[int, ...] = eqx.field(static=True)
+
+    @property
+    def outcome(self) -> str:
+        """The two numbers and their error."""
+        p = ", ".join(f"{x:.6g}" for x in self.polarisation)
+        return f"Polarisation ({p}) cells of band {', '.join(map(str, self.band))}, to {self.error:.1e}."
+
+
+@checked
+def polarisation(
+    lattice: Any, bands: Count | Sequence[Count] = 0, *, points: Count = 48, cell: Cell | None = None,
+) -> Polarisation:
+    r"""Bulk polarisation p = (p_1, p_2) of a band of the plane, or of several together, by Wilson loops.
+
+    The product of overlaps along axis i, closed around the zone, has the eigenvalues exp(-2 pi i x): x are Wannier
+    centres along that axis, at each phase along the other one. p_i is the mean of their sum over that phase, modulo 1.
+    All sites of a cell count as at its corner, so that p depends on which are called one cell.
+
+    A threefold axis leaves p = (0, 0), (1/3, 1/3) or (2/3, 2/3). For `gx.scenes.kagome(..., out_of_plane=True,
+    stiffness=(k1, k1, k1, k2, k2, k2))` the band below the gap has 0 where the triangles of cells are the stiffer ones,
+    k1 > k2, and 2/3 for k1 < k2. A triangle of whole cells with fixed ends then has a state at each corner, at
+    omega^2 = 2 (k1 + k2)/m, within the gap for k1 < k2/2. Fixed ends are what makes the sums of springs equal at all
+    sites, as hopping models have it; with free ends sites at the edge are held by less and leave the gap.
+
+    **Arguments:** `lattice`: one `Lattice`, or a function from k (2,) to a Hermitian matrix of period 2 pi. `bands`:
+    counted from the lowest. `points`: along each axis of the zone, even. `cell`: as in `unit_cell`.
+    **Returns:** `Polarisation`. **Raises** ValueError for bands that touch others, bands with a Chern number, whose
+    centres wind, a mesh on which centres jump, and where `unit_cell` does. Source: King-Smith, Vanderbilt, Phys. Rev.
+    B 47, 1651 (1993); Ezawa, Phys. Rev. Lett. 120, 026801 (2018).
+
+    **Example:**
+
+    >>> crystal = gx.scenes.kagome(6, out_of_plane=True, stiffness=(1, 1, 1, 3, 3, 3), boundary="periodic")
+    >>> gx.topology.polarisation(crystal).polarisation.round(6)
+    array([0.666667, 0.666667])
+    """
+    waves = _waves_of(lattice, cell, 2)
+    n = whole("points", points, 6)
+    n += n % 2
+    mesh = 2 * np.pi * np.arange(n) / n
+    squared, q = waves.solved(np.stack(np.meshgrid(mesh, mesh, indexing="ij"), -1))
+    numbers = _chosen(bands, squared.shape[-1])
+    _check_apart(squared, numbers, "a polarisation")
+    q = q[..., numbers]
+    if round(_flux(q).sum() / (2 * np.pi)):
+        refuse("bands", "bands whose Chern number is zero", f"{numbers}, whose is {round(_flux(q).sum() / 2 / np.pi)}",
+               "Their Wannier centres wind around the cell: gx.topology.chern.")
+    (centres, fine), (_, coarse) = (
+        map(np.array, zip(_wannier(x), _wannier(x.swapaxes(0, 1)))) for x in (q, q[::2, ::2]))
+    if np.isnan(fine).any():
+        refuse("points", "a mesh on which Wannier centres move smoothly", f"{n}", f"Give points={4 * n}.")
+    off = np.abs(_turned(2 * np.pi * (fine - coarse))).max() / (2 * np.pi)
+    error = 0.5 if np.isnan(off) else max(float(off), ROUNDED)
+    marks = lattice.origin if isinstance(lattice, Lattice) else {}
+    return Polarisation(_in_cell(fine), centres, mesh, error, tuple(numbers), **marks)
+
+
+def _loops(q):
+    """Wilson loops along the first axis, (second, bands, bands)."""
+    loop = np.eye(q.shape[-1])[None]
+    for link in _overlap(q, np.roll(q, -1, 0)):
+        loop = loop @ link
+    return loop
+
+
+def _wannier(q):
+    """Wannier centres along the first axis, (second, bands), and the mean of their sum; NaN where that jumps or winds.
+
+    Products of overlaps miss the integral by the square of the mesh; so their vectors are taken in a smooth gauge, of
+    parallel transport with the loop's phases shared out evenly, and the derivative by Fourier series.
+    """
+    n, frame = len(q), [q[0]]
+    for x in q[1:]:
+        frame.append(x @ np.swapaxes(_overlap(frame[-1], x).conj(), -1, -2))
+    values, vectors = np.linalg.eig(_overlap(frame[-1], frame[0]))
+    basis, _ = np.linalg.qr(vectors)
+    phase = -np.angle(values)
+    smooth = np.stack(frame) @ basis * np.exp(-1j * phase[:, None, :] * (np.arange(n) / n)[:, None, None, None])
+    order = np.fft.fftfreq(n, 1 / n)
+    order[n // 2] = 0
+    slope = np.fft.ifft(1j * order[:, None, None, None] * np.fft.fft(smooth, axis=0), axis=0)
+    # i <q|dq/dk>, the mean over k: the centre
+    centre = -(smooth.conj() * slope).imag.sum(2).mean(0)
+    angle = 2 * np.pi * centre.sum(-1)
+    steps = _turned(np.roll(angle, -1) - angle)
+    jumps = np.abs(steps).max() > 0.9 * np.pi or abs(steps.sum()) > 1
+    mean = (angle[0] + np.concatenate([[0], np.cumsum(steps[:-1])]).mean()) / (2 * np.pi)
+    return np.sort(_in_cell(centre), -1), np.nan if jumps else mean
+
+
+def _in_cell(x):
+    """A place within the cell, in [0, 1)."""
+    return np.round(x % 1.0, 13) % 1.0
+
+
 @checked
 def quadrupole(
     lattice: Any, bands: Sequence[Count] | None = None, *, points: Count = 24, cell: Cell | None = None,
@@ -367,6 +535,11 @@ def quadrupole(
     or 1/2. `gx.scenes.quadrupole`: (1/2, 1/2) where bonds between cells are the stiffer ones. **Raises** ValueError for
     bands that touch others, and for Wannier bands that touch. Source: Benalcazar, Bernevig, Hughes, Science 357, 61
     (2017).
+
+    **Example:**
+
+    >>> gx.topology.quadrupole(gx.scenes.quadrupole(6, k1=0.5, k2=2.0, boundary="periodic"))
+    (0.5, 0.5)
     """
     waves = _waves_of(lattice, cell, 2)
     n = whole("points", points, 4)
@@ -384,11 +557,7 @@ def quadrupole(
 def _nested(q):
     """The Zak phase over 2 pi, along the second axis, of the lower half of Wannier bands along the first."""
     half = q.shape[-1] // 2
-    links = _overlap(q, np.roll(q, -1, 0))
-    loop = np.eye(q.shape[-1])[None]
-    for link in links:
-        loop = loop @ link
-    angle, vectors = zip(*(_sorted_loop(w) for w in loop))
+    angle, vectors = zip(*(_sorted_loop(w) for w in _loops(q)))
     angle, vectors = np.array(angle), np.array(vectors)
     if np.min(angle[:, half] - angle[:, half - 1]) < 1e-6:
         refuse("lattice", "Wannier bands with a gap", "ones that touch", "It has no quadrupole then.")

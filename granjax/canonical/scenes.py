@@ -35,6 +35,12 @@ class Scene(NamedTuple):
       displacement and velocity); of a map of tangents its largest entry. A run in double precision cannot do much
       better than 1e-16 times it, times the root of the number of its steps.
     - `smooth`: whether the force is smooth all along: no contact opens or closes.
+
+    **Example:**
+
+    >>> scene = gx.canonical.scene("impact")
+    >>> scene.lattice.shape, scene.t1, scene.smooth, scene.uncertainty < 1e-12
+    ((100,), 120.0, False, True)
     """
 
     name: str
@@ -76,7 +82,13 @@ class Recipe(NamedTuple):
 
 
 def names() -> tuple[str, ...]:
-    """Names of the canonical scenes."""
+    """Names of the canonical scenes.
+
+    **Example:**
+
+    >>> gx.canonical.names()[:4]
+    ('impact', 'impact_free', 'smooth', 'dimer_sweep')
+    """
     return tuple(RECIPES)
 
 
@@ -85,6 +97,11 @@ def scene(name: str) -> Scene:
     """A canonical scene by its name. **Returns** `Scene`. **Raises** ValueError for an unknown one, with the nearest.
 
     About error and time of many solvers on it: `granjax.work_precision`.
+
+    **Example:**
+
+    >>> gx.canonical.scene("impact").title
+    'Impact on 100 beads between walls, no precompression'
     """
     recipe = RECIPES[one_of("name", name, names())]
     data = stored.read(name)

@@ -18,8 +18,30 @@ from ..interrupts import INTERRUPTED, prepare_command
 from ..tuning import keep_compiled
 from .bench import bench
 from .output import UNREAD, complain, say
+from .pages import METHOD, OUTCOMES, START, closing, pointed, see
 from .resonance import add_resonance
 from .sweeps import add_sweep
+
+ABOUT = """
+Simulates nonlinear lattices: granular crystals, FPUT, Toda and magnetic chains,
+crystals in the plane. In Python `import granjax as gx` has all of it; from here
+you compute a known curve, a sweep of your own, a published figure, a benchmark.
+""".strip()
+COMMANDS = f"""
+commands, each with an example:
+  resonance   how much of a pulse a struck dimer chain lets through to a wall,
+              over its mass ratio, with its resonances
+                  granjax resonance --out results
+  sweep       a sweep that stands in a TOML file: table, picture, data
+                  granjax sweep dimer.toml
+  reproduce   figures of Chong and Kevrekidis, Dynamics of Nonlinear Lattices,
+              each with a number to check
+                  granjax reproduce fig1.3
+  bench       error against time of many solvers on the canonical scenes
+                  granjax bench impact --out results
+
+granjax COMMAND --help says more of each. {see(START)}
+""".strip()
 
 
 def command() -> NoReturn:
@@ -35,40 +57,53 @@ def command() -> NoReturn:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command; `argv` without the program's name, `None` for that of the process. Returns the exit code."""
+    page = START
     try:
-        arguments = _parser().parse_args(argv)
+        arguments, extra = _parser().parse_known_args(argv)
+        page = arguments.page
+        if extra:
+            raise ValueError(f"unrecognized arguments: {' '.join(extra)}.")
         if arguments.command is None:
             return say(_parser().format_help().rstrip())
         _prepare(not arguments.no_cache)
         return arguments.command(arguments)
-    except (ValueError, OSError) as error:
+    except ValueError as error:
+        return complain(pointed(error, page), 2)
+    except OSError as error:
         return complain(error, 2)
     except RuntimeError as error:
-        return complain(error, 1)
+        return complain(pointed(error, OUTCOMES), 1)
     except KeyboardInterrupt as error:
         return complain("; ".join(["interrupted", *filter(None, [str(error)])]), INTERRUPTED)
 
 
 class _Parser(argparse.ArgumentParser):
+    def __init__(self, *arguments, formatter_class=None, **keywords):
+        super().__init__(*arguments, formatter_class=argparse.RawDescriptionHelpFormatter, **keywords)
+
     def error(self, message):
-        raise ValueError(f"{message}. See {self.prog} --help.")
+        raise ValueError(f"{message}. {see(self.get_default('page')).rstrip('.')}, or {self.prog} --help.")
 
 
 def _parser():
-    parser = _Parser(prog="granjax", description="Differentiable simulator of nonlinear lattices on JAX.")
+    usage = "granjax [-h] [--version] [--no-cache] COMMAND ..."
+    parser = _Parser(prog="granjax", usage=usage, description=ABOUT, epilog=COMMANDS)
     parser.add_argument("--version", action="version", version=f"granjax {gx.__version__}")
     parser.add_argument(
         "--no-cache", action="store_true",
         help="compile anew; otherwise programs are kept in your cache folder (or in the folder GRANJAX_CACHE)",
     )
-    parser.set_defaults(command=None)
-    commands = parser.add_subparsers(title="commands", metavar="COMMAND")
+    parser.set_defaults(command=None, page=START)
+    commands = parser.add_subparsers(prog="granjax", metavar="COMMAND", help=argparse.SUPPRESS)
 
     add_resonance(commands)
     add_sweep(commands)
 
-    text = "Figures of Chong and Kevrekidis, Dynamics of Nonlinear Lattices: picture, data, one number to check."
-    reproduce = commands.add_parser("reproduce", help=text, description=text)
+    text = "Figures of Chong and Kevrekidis, Dynamics of Nonlinear Lattices:\npicture, data, one number to check."
+    reproduce = commands.add_parser(
+        "reproduce", description=text,
+        epilog=closing(START, "granjax reproduce --list", "granjax reproduce fig1.3 --check --set sites=120"),
+    )
     reproduce.add_argument("figures", nargs="*", metavar="FIGURE", help="labels such as fig2.2")
     reproduce.add_argument("--list", action="store_true", help="list the figures and stop")
     reproduce.add_argument("--all", action="store_true", help="all figures")
@@ -79,10 +114,13 @@ def _parser():
     reproduce.add_argument(
         "--set", action="append", default=[], metavar="NAME=VALUE", help="another value of a chosen parameter"
     )
-    reproduce.set_defaults(command=_reproduce)
+    reproduce.set_defaults(command=_reproduce, page=START)
 
-    text = "Error against time of many solvers on the canonical scenes: charts, data, advice."
-    scenes = commands.add_parser("bench", help=text, description=text)
+    text = "Error against time of many solvers on the canonical scenes:\ncharts, data, advice."
+    scenes = commands.add_parser(
+        "bench", description=text,
+        epilog=closing(METHOD, "granjax bench --list", "granjax bench impact smooth --out results"),
+    )
     scenes.add_argument(
         "scenes", nargs="*", metavar="SCENE", help="names of scenes (default: the quick ones, two minutes)",
     )
@@ -91,7 +129,7 @@ def _parser():
     scenes.add_argument("--out", default=".", metavar="DIR", help="folder for bench-SCENE.png and bench-SCENE.json")
     scenes.add_argument("--json", action="store_true", help="print one JSON object instead of tables")
     scenes.add_argument("--repeats", type=int, default=5, metavar="N", help="timed calls of each point (default: 5)")
-    scenes.set_defaults(command=bench)
+    scenes.set_defaults(command=bench, page=METHOD)
     return parser
 
 

@@ -11,6 +11,7 @@ import granjax as gx
 from ..checks import whole
 from ..files import folder, netcdf, target
 from .output import keep, say
+from .pages import START, closing
 
 LEAST_RATIOS = 3
 LOWEST_RATIO = 0.05
@@ -22,8 +23,11 @@ DEFINITION = (
 
 def add_resonance(commands: Any) -> None:
     """The command's part of the parser."""
-    text = "Transmission of a struck dimer chain to a wall over the mass ratio: picture, data, resonances."
-    parser = commands.add_parser("resonance", help=text, description=text)
+    text = "Transmission of a struck dimer chain to a wall over the mass ratio:\npicture, data, resonances."
+    parser = commands.add_parser(
+        "resonance", description=text,
+        epilog=closing(START, "granjax resonance", "granjax resonance --beads 41 --ratios 50 --out short.png"),
+    )
     parser.add_argument("--beads", type=int, default=101, help="beads of the chain, 3 or more (default: 101)")
     parser.add_argument(
         "--ratios", type=int, default=200, metavar="N",
@@ -34,7 +38,7 @@ def add_resonance(commands: Any) -> None:
         help="folder for resonance.png and resonance.nc, or a path ending in .png or .nc for other names",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of a table")
-    parser.set_defaults(command=resonance)
+    parser.set_defaults(command=resonance, page=START)
 
 
 def resonance(arguments: argparse.Namespace) -> int:

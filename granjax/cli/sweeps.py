@@ -14,6 +14,7 @@ from .. import interrupts
 from ..checks import refuse, whole
 from ..files import folder, target
 from .output import complain, keep, say
+from .pages import CLUSTER, FILE, RESUME, closing, see
 
 MOST_WORKERS = 512
 # of what a store keeps until it is finished
@@ -24,15 +25,18 @@ ANSWER = 10
 
 def add_sweep(commands: Any) -> None:
     """The command's part of the parser."""
-    text = "A sweep that stands in a TOML file: scene, what varies, what is recorded; table, picture, data."
-    parser = commands.add_parser("sweep", help=text, description=text)
-    parser.add_argument("file", metavar="FILE.toml", help="the sweep; its tables and keys are in the README")
+    text = "A sweep that stands in a TOML file: scene, what varies, what is recorded;\ntable, picture, data."
+    parser = commands.add_parser(
+        "sweep", description=text,
+        epilog=closing(FILE, "granjax sweep dimer.toml --check", "granjax sweep dimer.toml --resume --out results"),
+    )
+    parser.add_argument("file", metavar="FILE.toml", help="the sweep; the page below has its tables and keys")
     parser.add_argument("--resume", action="store_true", help="go on with what an interrupted run has kept")
     parser.add_argument("--check", action="store_true", help="say what would be computed, and stop")
     parser.add_argument("--out", default=".", metavar="DIR", help="folder for what [result] names (default: this one)")
     parser.add_argument("--workers", type=int, metavar="N", help="processes (default: threads, one per core)")
     parser.add_argument("--dask", metavar="ADDRESS", help="address of a Dask scheduler, such as tcp://10.0.0.1:8786")
-    parser.set_defaults(command=sweep)
+    parser.set_defaults(command=sweep, page=FILE)
 
 
 def sweep(arguments: argparse.Namespace) -> int:
@@ -40,9 +44,9 @@ def sweep(arguments: argparse.Namespace) -> int:
     from ..sweeps.file import recipe
 
     if arguments.workers is not None and arguments.dask is not None:
-        refuse("--workers", "workers of one's own, or --dask", "both")
+        refuse("--workers", "workers of one's own, or --dask", "both", see(CLUSTER))
     if arguments.workers is not None and whole("--workers", arguments.workers, 1) > MOST_WORKERS:
-        refuse("--workers", f"at most {MOST_WORKERS}", str(arguments.workers))
+        refuse("--workers", f"at most {MOST_WORKERS}", str(arguments.workers), see(CLUSTER))
     asked = recipe(arguments.file)
     asked.check()
     if arguments.check:
@@ -65,12 +69,13 @@ def _store(arguments, place):
     """The path of the store; one that is unfinished is gone on with only where that is asked for."""
     if place is None:
         if arguments.resume:
-            refuse("--resume", "a store in the file", "none", '[result] store = "NAME.nc" keeps what is computed.')
+            remedy = '[result] store = "NAME.nc" keeps what is computed.'
+            refuse("--resume", "a store in the file", "none", f"{remedy} {see(RESUME)}")
         return None
     begun = place.with_name(place.name + UNFINISHED)
     if begun.exists() and not arguments.resume:
         refuse("[result] store", "a new place", f"{str(place)!r}, which an interrupted run has begun",
-               f"--resume goes on with it; remove {str(begun)!r} to begin anew.")
+               f"--resume goes on with it; remove {str(begun)!r} to begin anew. {see(RESUME)}")
     return target("[result] store", place)
 
 
@@ -100,12 +105,12 @@ def _executor(arguments) -> Iterator[Executor | int | None]:
     try:
         from dask.distributed import Client
     except ImportError:
-        refuse("--dask", "dask.distributed to be installed", "none", "pip install 'granjax[cluster]'")
+        refuse("--dask", "dask.distributed to be installed", "none", f"pip install 'granjax[cluster]'. {see(CLUSTER)}")
     try:
         client = Client(arguments.dask, timeout=ANSWER)
     except (OSError, ValueError, TypeError, TimeoutError) as error:
         refuse("--dask", "the address of a scheduler that answers", repr(arguments.dask),
-               " ".join(str(error).split())[:200])
+               f"{' '.join(str(error).split())[:200]}. {see(CLUSTER)}")
     with client:
         yield client.get_executor()
 

@@ -47,6 +47,12 @@ def continuation(
 
     **Returns:** `Curve`; `outcome` says why it ended. **Raises** ValueError for input that cannot be meant,
     RuntimeError where the first point does not converge.
+
+    **Example:**
+
+    >>> curve = gx.continuation.continuation(lambda x, p, args: x**2 + p - 1, [1.0], 0.0, until=(-1.0, 2.0))
+    >>> curve.folds.round(4), curve.outcome
+    (array([1.]), 'p reached -1.')
     """
     for kind in find:
         one_of("find", kind, ("fold", "branch point"))

@@ -37,6 +37,14 @@ def save(data: Any, path: str | Path, *, version: str | None = None) -> Path:
 
     **Returns:** the path. **Raises** ValueError for another ending or version, what the format does not hold, or where
     nothing can be written (no such folder, no right to); OSError where writing fails (a full disk).
+
+    **Example:**
+
+    >>> chain = gx.scenes.monomer(20)
+    >>> run = gx.simulate(chain, gx.states.impact(chain), 5.0, step=0.05, save_at=11)
+    >>> path = gx.exchange.save(run.to_xarray(), "run.npz")
+    >>> np.load(path)["v"].shape
+    (11, 20)
     """
     import xarray
 
@@ -61,6 +69,14 @@ def load(path: str | Path, *, lazy: bool = False, complex: bool = False) -> "xar
     - `complex`: NAME_real and NAME_imag, of one shape, are joined to a complex NAME.
 
     **Raises** ValueError for a file that is not there, is no such one or is damaged.
+
+    **Example:**
+
+    >>> chain = gx.scenes.monomer(20)
+    >>> run = gx.simulate(chain, gx.states.impact(chain), 5.0, step=0.05, save_at=11)
+    >>> path = gx.exchange.save(run.to_xarray(), "run.npz")
+    >>> dict(gx.exchange.load(path).v.sizes)
+    {'time': 11, 'site': 20}
     """
     import xarray
 
@@ -101,6 +117,13 @@ def arrays(path: str | Path, *names: str) -> dict[str, np.ndarray | str]:
 
     **Raises** ValueError for a file that is not there, is none or is damaged, for names that are not there, and for
     more than 2 GiB.
+
+    **Example:**
+
+    >>> np.savez("scan.npz", gate=np.arange(3), unit="mm/s")
+    >>> found = gx.exchange.arrays("scan.npz")
+    >>> found["gate"], found["unit"]
+    (array([0, 1, 2]), 'mm/s')
     """
     ending = os.path.splitext(os.fsdecode(path))[1].lower() if isinstance(path, (str, os.PathLike)) else ""
     if ending in TEXTS:

@@ -24,6 +24,16 @@ class Equation(eqx.Module):
 
     To add one, give it `sites` and write `energy`, real and free of the phase of psi (then the norm is kept);
     `gradient` where it is cheaper than automatic differentiation. `gx.first_order.field` is its vector field.
+
+    **Example:**
+
+    >>> class Ring(gx.first_order.Equation):
+    ...     sites: int
+    ...     def energy(self, psi):
+    ...         return jnp.sum(jnp.abs(psi - jnp.roll(psi, 1)) ** 2)
+    >>> wave = np.array([1, 1j, -1, -1j] * 5)
+    >>> np.array(Ring(20).gradient(wave) / wave).round(6).real[:3].tolist()
+    [2.0, 2.0, 2.0]
     """
 
     sites: eqx.AbstractVar[int]
@@ -69,7 +79,15 @@ def check_shape(psi: Any, equation: Any) -> None:
 
 @checked
 def field(t: Any, psi: Amplitudes, equation: Equation) -> Amplitudes:
-    """dpsi/dt = -i dH/dpsi*: a vector field f(t, psi, args) for `gx.Flow(steps, solver, field)` and diffrax."""
+    """dpsi/dt = -i dH/dpsi*: a vector field f(t, psi, args) for `gx.Flow(steps, solver, field)` and diffrax.
+
+    **Example:**
+
+    >>> chain = gx.first_order.DNLS(20, coupling=1.0, nonlinearity=0.0)
+    >>> wave = np.array([1, -1] * 10) + 0j
+    >>> np.array(gx.first_order.field(0.0, wave, chain)).imag[:2].tolist()
+    [-4.0, 4.0]
+    """
     check_shape(psi, equation)
     return -1j * equation.gradient(psi)
 
@@ -96,6 +114,13 @@ class DNLS(Equation):
     Every number may have lanes (*lanes), be traced and be differentiated, s too.
     **Raises** ValueError for s outside (0, 1], an order beside a kernel, potentials of another length, boundaries that
     do not exist. Sources: Kenkre, Campbell, PRB 34, 4959 (1986); Molina, Phys. Lett. A 384, 126180 (2020).
+
+    **Example:**
+
+    >>> chain = gx.first_order.DNLS(20, coupling=1.0, nonlinearity=1.0)
+    >>> psi = np.eye(20)[10] + 0j
+    >>> float(chain.norm(psi)), float(chain.energy(psi))
+    (1.0, 1.5)
     """
 
     coupling: jax.Array
@@ -170,6 +195,12 @@ def electrical(
     held at U = 0, a free end is open.
     **Returns:** `DNLS`; psi [V]. **Raises** ValueError as `DNLS`, and for L1, L2, C not above zero.
     Typical: L1 = 680 uH, L2 = 330 uH, C = 788 pF. Source: Molina, Phys. Rev. E 104, 024219 (2021).
+
+    **Example:**
+
+    >>> chain = gx.first_order.electrical(20, inductance=4.0, ground=1.0)
+    >>> round(float(chain.coupling), 6)
+    0.125
     """
     inductance, ground = positive("inductance", inductance), positive("ground", ground)
     omega = (ground * positive("capacitance", capacitance)) ** -0.5
@@ -190,6 +221,12 @@ class DpS(Equation):
     **Arguments:** `sites`: N >= 2. `stiffness`: kappa [rad/s m^{1-p}]; `None` is 1/(2 tau_0). `exponent`: p > 1.
     `omega`: that of the carrier, for `state`. `boundary`: `"free"`, `"fixed"` (walls, A = 0) or `"periodic"`.
     **Raises** ValueError for p <= 1, omega <= 0. Source: James, Kevrekidis, Cuevas, Physica D 251, 39 (2013).
+
+    **Example:**
+
+    >>> chain = gx.first_order.DpS(20)
+    >>> round(float(chain.stiffness * gx.first_order.tau_0()), 6)
+    0.5
     """
 
     stiffness: jax.Array
@@ -255,6 +292,11 @@ def tau_0(exponent: Parameter = 1.5) -> Numbers:
     r"""tau_0 = 2^{1-p} sqrt(pi) Gamma(p/2 + 3/2)/Gamma(p/2 + 1), 1.5450622310844768 for Hertz's p = 3/2.
 
     The first harmonic of [cos]_+^p, which makes the contact force of beads that swing an effective one.
+
+    **Example:**
+
+    >>> round(float(gx.first_order.tau_0()), 6)
+    1.545062
     """
     p = positive("exponent", exponent)
     gamma = jax.scipy.special.gammaln

@@ -26,6 +26,12 @@ class Soliton(Result):
     **Fields:** `psi` (N,): phi, real. `omega`: its frequency. `norm`, `energy`. `residual`: max |dH/dpsi* - omega psi|
     over |omega| max |psi|. `error`: the length of the next Newton step over max |psi|. `tail`: |phi| at the sites
     farthest from its highest one, over the highest.
+
+    **Example:**
+
+    >>> found = gx.first_order.soliton(gx.first_order.DNLS(20), omega=-1.0)
+    >>> found.outcome
+    'Found: it is localised and stands still.'
     """
 
     held: ClassVar[dict[str, Held]] = {"psi": Held("site"), "omega": Held(unit="rad/s")}
@@ -60,6 +66,12 @@ def soliton(
     **Returns:** `Soliton`; it stands still at `equation`, so `evolve` turns it alone.
     **Raises** ValueError for a frequency in the band or on the side where a site by itself has none, or lanes;
     RuntimeError with the outcome. Source: MacKay, Aubry, Nonlinearity 7, 1623 (1994).
+
+    **Example:**
+
+    >>> found = gx.first_order.soliton(gx.first_order.DNLS(20), omega=-1.0)
+    >>> round(float(found.psi[10]), 4), round(float(found.norm), 4)
+    (1.4408, 3.1222)
     """
     omega = parameter("omega", omega)
     if isinstance(guess, str):

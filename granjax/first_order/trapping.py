@@ -26,6 +26,13 @@ class SelfTrapping(Result):
 
     **Fields:** `nonlinearity`: the threshold; `error`: half of the bracket that is left. `tried` (K,) and `kept` (K,):
     all nonlinearities, in order, and the least share of the norm on the site. `t1`: the time that was waited for.
+
+    **Example:**
+
+    >>> dimer = lambda chi: gx.first_order.DNLS(2, 1.0, chi, boundary="fixed")
+    >>> found = gx.first_order.self_trapping(dimer, 3.0, 5.0, 10.0, tolerance=0.03, frames=50)
+    >>> found.tried.shape == found.kept.shape, bool(found.error < 0.2)
+    (True, True)
     """
 
     held: ClassVar[dict[str, Held]] = {"tried": Held("tried"), "kept": Held("tried"), "t1": Held(unit="s")}
@@ -55,6 +62,13 @@ def self_trapping(
     threshold. `frames`: how often is looked.
     **Returns:** `SelfTrapping`. **Raises** ValueError where `low` traps too, or `high` does not. Sources: Kenkre,
     Campbell, PRB 34, 4959 (1986); Molina, Phys. Lett. A 384, 126180 (2020).
+
+    **Example:**
+
+    >>> dimer = lambda chi: gx.first_order.DNLS(2, 1.0, chi, boundary="fixed")
+    >>> found = gx.first_order.self_trapping(dimer, 3.0, 5.0, 10.0, tolerance=0.03, frames=50)
+    >>> round(float(found.nonlinearity), 1)
+    4.0
     """
     low, high = float(positive("low", low)), float(positive("high", high))
     if not low < high:

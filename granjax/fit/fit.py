@@ -68,6 +68,15 @@ def fit(
     fails: not finite at the start, traces that do not depend on any parameter there (contacts that never close on the
     way to the sensors have no gradient), steps spent. Typical: 20 beads, 4 sensors, 4 parameters: well below a second.
     Source: Levenberg, Quart. Appl. Math. 2, 164 (1944); Marquardt, SIAM J. Appl. Math. 11, 431 (1963).
+
+    **Example:**
+
+    >>> scene = lambda p: gx.Lattice(1.0, gx.Bond(gx.Shift(1, "fixed"), gx.Linear(p["stiffness"])), sites=2)
+    >>> times = np.linspace(0.0, 5.0, 11)
+    >>> traces = gx.Traces(times, displacement=np.cos(np.sqrt(1.2) * times), sites=0, sigma=1e-3)
+    >>> found = gx.fit(scene, {"stiffness": 1.0}, traces, state=gx.State(np.ones(2), np.zeros(2)))
+    >>> round(float(found.parameters["stiffness"]), 4)
+    1.2
     """
     tolerance = checked_tolerance("tolerance", tolerance, MOST)
     problem = prepared(scene, start, traces, state=state, bounds=bounds, t0=t0, step=step, solver=solver)

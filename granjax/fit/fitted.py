@@ -32,6 +32,15 @@ class Fit(Result):
     - `iterations`, `code`, `outcome`: of the minimiser. `step_error`: change of the signals, in units of sigma, when
       the time step is halved. `return_error`: what integrating back to the start misses, relative; `adjoint`: what the
       derivatives were taken with. `starts`: chi_square that every start reached.
+
+    **Example:**
+
+    >>> scene = lambda p: gx.Lattice(1.0, gx.Bond(gx.Shift(1, "fixed"), gx.Linear(p["stiffness"])), sites=2)
+    >>> times = np.linspace(0.0, 5.0, 11)
+    >>> traces = gx.Traces(times, displacement=np.cos(np.sqrt(1.2) * times), sites=0, sigma=1e-3)
+    >>> found = gx.fit(scene, {"stiffness": 1.0}, traces, state=gx.State(np.ones(2), np.zeros(2)))
+    >>> found.names, found.samples, bool(found.deviations["stiffness"] < 1e-3)
+    (('stiffness',), 11, True)
     """
 
     parameters: dict[str, Numbers]

@@ -11,13 +11,17 @@ from ..solvers import AbstractSplitting
 from ..types import AnyArray, Numbers
 from .determined import covariance, directions, quantities, sentences
 from .fitted import Fit
-from .problem import Problem
+from .problem import Problem, misfit
 from .solve import BLIND, CONVERGED, NOT_FINITE, SPENT, STALLED, Found, directions_left, evaluated, linearised
 from .windows import Windows
 
 NOTICEABLE = 0.1
 # a minimiser that has stalled or spent its steps has converged if chi^2 could fall by less: a hundredth of a deviation
 ARRIVED = 1e-4
+# a share of the traces' squares below which a scene is said to show something else than what was measured
+SHOWN = 0.5
+# mean squares of the residuals, in units of sigma^2, above which noise alone does not make them
+NOISY = 2.0
 EXACT = 1e-30
 
 
@@ -53,7 +57,8 @@ def judged(
     # signed, so that exponents of a product are those of its factors; near zero what the start was
     sizes = np.where(flat < 0, -1, 1) * np.maximum(np.abs(flat), np.abs(start))
     sizes = np.where(sizes != 0, sizes, slopes)
-    code, remarks, undetermined, found_directions = int(found.code), [], (), ()
+    code, undetermined, found_directions = int(found.code), (), ()
+    remarks = _elsewhere(plain, squares, squares / max(samples - flat.size, 1) if known else None)
     if code in (SPENT, STALLED):
         *_, b, kept = directions_left(value, jacobian)
         code = CONVERGED if np.sum(b[kept] ** 2) < ARRIVED * noise**2 else code
@@ -85,6 +90,18 @@ def judged(
     return Fit(parameters, jnp.asarray(matrix), tuple(coordinates.names), signals, residuals, samples, noise * unit,
                undetermined, found_directions, jnp.asarray(sizes), tuple(remarks), int(found.iterations), code,
                float(plain.step), step_error, back, adjoint, starts, plain.traces, plain)
+
+
+def _elsewhere(problem, squares, noise):
+    """A sentence where little of what was measured is shown; `noise`: residuals in units of sigma^2, `None` unknown."""
+    still = sum(np.nansum(np.asarray(misfit(trace, jnp.zeros_like(trace.data))) ** 2) for trace in problem.traces)
+    shown = 1 - float(squares) / max(float(still), EXACT)
+    if not np.isfinite(shown) or shown > SHOWN or noise is not None and noise < NOISY:
+        return []
+    much = f"only {100 * shown:.2g} % of the traces' squares" if shown > 0 else "no more of the traces than rest does"
+    unless = "unless noise is most of them, " if noise is None else ""
+    return [f"The scene explains {much}: {unless}this is another minimum than the one sought, and what follows holds "
+            "there. Start nearer, with bounds on both sides, or from more starts with a larger spread."]
 
 
 def _own(jacobian, count):

@@ -48,6 +48,13 @@ class Traces(eqx.Module):
     - `origin`: of traces that were read from a file.
 
     **Raises** ValueError for times that do not rise, data of another shape, no sensor, sigma <= 0.
+
+    **Example:**
+
+    >>> times = np.linspace(0.0, 5.0, 6)
+    >>> traces = gx.Traces(times, velocity=np.zeros((6, 2)), sites=[2, 5], sigma=0.01)
+    >>> traces.data.shape, traces.sensors
+    ((6, 2), ['velocity of site 2', 'velocity of site 5'])
     """
 
     times: Float[AnyArray, " T"]

@@ -28,6 +28,15 @@ class Derivative(Result):
     - `value`: the derivative at half the step, of the structure that `jax.jacfwd` gives; `error`: of the same, its
       estimated distance from the derivative of the true motion. `slopes`: one value for each of `ladder`, steps [s].
     - `relative`: the largest error over the largest value. `outcome`: a sentence.
+
+    **Example:**
+
+    >>> def end(stiffness, step):
+    ...     chain = gx.Lattice(1.0, gx.Bond(gx.Shift(1, "fixed"), gx.Linear(stiffness)), sites=2)
+    ...     return gx.simulate(chain, gx.states.impact(chain), 1.0, step=step).final.u[0]
+    >>> slope = gx.derivative(end, 1.0, 0.05)
+    >>> slope.ladder.round(3), bool(slope.relative < 1e-9)
+    (array([0.05 , 0.045, 0.04 , 0.035, 0.03 , 0.025]), True)
     """
 
     held: ClassVar[dict[str, Held]] = {"ladder": Held("step", "s")}
@@ -72,6 +81,15 @@ def derivative(function: Callable[[Any, Any], Any], x: Pytree, step: Scalar) -> 
     `run.stats["step"]` of a run at the default one; the others go down to its half.
 
     **Returns:** `Derivative`. **Raises** ValueError for a step <= 0 or a function that takes no step.
+
+    **Example:**
+
+    >>> def end(stiffness, step):
+    ...     chain = gx.Lattice(1.0, gx.Bond(gx.Shift(1, "fixed"), gx.Linear(stiffness)), sites=2)
+    ...     return gx.simulate(chain, gx.states.impact(chain), 1.0, step=step).final.u[0]
+    >>> slope = gx.derivative(end, 1.0, 0.05)
+    >>> round(float(slope.value), 4), bool(slope.error < 1e-9)
+    (-0.2579, True)
     """
     if any(jnp.iscomplexobj(leaf) for leaf in jax.tree.leaves(x)):
         refuse("x", "real numbers", "complex ones", "Write real and imaginary parts as parameters of their own.")

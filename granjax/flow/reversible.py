@@ -39,6 +39,14 @@ class Reversible(eqx.Module):
     saved and of the end (NaN for those of `energy_error`) with respect to lattice and state, not with respect to times.
     Takes 3 to 6 times the run.
     From 1 on it trusts a way back that leads elsewhere. **Raises** ValueError for a tolerance that is not above zero.
+
+    **Example:**
+
+    >>> chain = gx.Lattice(1.0, gx.Bond(gx.Shift(1, "fixed"), gx.Linear()), sites=2)
+    >>> def end(u):
+    ...     return gx.simulate(chain, (u, 0 * u), 2.0, step=0.05, adjoint=gx.Reversible()).final.u.sum()
+    >>> jax.grad(end)(jnp.ones(2)).round(4), round(float(np.cos(2.0)), 4)
+    (Array([-0.4161, -0.4161], dtype=float64), -0.4161)
     """
 
     return_error: jax.Array

@@ -97,6 +97,15 @@ def simulate(
 
     **Raises** ValueError for input that cannot be meant (a sentence says argument, expected, got, remedy);
     RuntimeError where `throw` and the run does not complete.
+
+    **Example:**
+
+    >>> chain = gx.scenes.monomer(20)
+    >>> run = gx.simulate(chain, gx.states.impact(chain), 5.0, step=0.05, save_at=11)
+    >>> run.vs.shape, run.outcome
+    ((11, 20), 'Completed at t = 5 after 100 steps.')
+    >>> round(float(run.final.v[0]), 4)
+    -0.0711
     """
     for name in misspelt:
         one_of("keyword", name, KEYWORDS)

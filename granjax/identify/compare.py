@@ -28,6 +28,15 @@ class Comparison(Result):
     - `best`: the name of the least BIC; `margin`: by how much the next one's is larger; `decided`: whether by more
       than `level`. `probability`: of a chi^2 as large as the best one's where its model is right; NaN where no sigma
       was given.
+
+    **Example:**
+
+    >>> bonds = lambda p: gx.Lattice(1.0, gx.Bond(gx.Shift(1, "free"), gx.Linear(p["K"])), sites=2)
+    >>> state, ts = gx.State(np.zeros(2), np.array([0.5, -0.5])), np.linspace(0.0, 5.0, 51)
+    >>> traces = gx.Traces(ts, velocity=0.5 * np.cos(np.sqrt(2.0) * ts), sites=0, sigma=1e-3)
+    >>> found = gx.identify.compare({"linear": (bonds, {"K": 1.1})}, traces, state=state, step=0.05)
+    >>> found.names, found.weights.tolist()
+    (('linear',), [1.0])
     """
 
     held: ClassVar[dict[str, Held]] = {
@@ -116,6 +125,17 @@ def compare(
     Source: Akaike, IEEE Trans. Autom. Control 19, 716 (1974); Schwarz, Ann. Statist. 6, 461 (1978); the levels: Kass,
     Raftery, J. Am. Stat. Assoc. 90, 773 (1995); weights: Burnham, Anderson, Model Selection and Multimodel Inference
     (2002).
+
+    **Example:**
+
+    >>> bonds = lambda law: gx.Lattice(1.0, gx.Bond(gx.Shift(1, "free"), law), sites=2)
+    >>> state, ts = gx.State(np.zeros(2), np.array([0.5, -0.5])), np.linspace(0.0, 5.0, 51)
+    >>> traces = gx.Traces(ts, velocity=0.5 * np.cos(np.sqrt(2.0) * ts), sites=0, sigma=1e-3)
+    >>> models = {"linear": (lambda p: bonds(gx.Linear(p["K"])), {"K": 1.1}),
+    ...           "cubic": (lambda p: bonds(gx.Polynomial(0.0, 0.0, p["K"])), {"K": 1.1})}
+    >>> found = gx.identify.compare(models, traces, state=state, step=0.05)
+    >>> found.best, found.decided
+    ('linear', True)
     """
     options, level = options or {}, float(positive("level", level))
     if not models:

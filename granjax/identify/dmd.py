@@ -23,6 +23,13 @@ class DynamicModes(Result):
     - `singular_values`: all of them, of the snapshots (with delays, of their Hankel matrix); `rank`: r.
     - `residual`: |X' - A X|/|X'| of one step, in the Frobenius norm. `misfit`: the same of the reconstruction of the
       snapshots. `outcome`: a sentence.
+
+    **Example:**
+
+    >>> ts = 0.1 * np.arange(100)
+    >>> found = gx.identify.dmd(np.cos(2.0 * ts)[:, None], 0.1, rank=2, delays=20)
+    >>> round(float(found.reconstruction(10.0)[0]), 6)  # cos 20
+    0.408082
     """
 
     held: ClassVar[dict[str, Held]] = {
@@ -73,6 +80,14 @@ def dmd(
     rank above theirs, dt <= 0, delays < 1.
     Source: Tu, Rowley, Luchtenburg, Brunton, Kutz, J. Comput. Dyn. 1, 391 (2014); Arbabi, Mezic, SIAM J. Appl. Dyn.
     Syst. 16, 2096 (2017); Gavish, Donoho, IEEE Trans. Inf. Theory 60, 5040 (2014).
+
+    **Example:**
+
+    >>> ts = 0.1 * np.arange(100)
+    >>> signal = np.exp(-0.1 * ts) * np.cos(2.0 * ts)
+    >>> found = gx.identify.dmd(signal[:, None], 0.1, rank=2, delays=20)
+    >>> found.omega.real.round(6).tolist(), np.abs(found.omega.imag).round(6).tolist()
+    ([-0.1, -0.1], [2.0, 2.0])
     """
     y, dt, delays = _checked(snapshots), float(positive("dt", dt)), whole("delays", delays, 1)
     T, n = y.shape
@@ -115,6 +130,13 @@ def snapshots(run: Run, velocities: bool = True) -> Float[np.ndarray, "T n"]:
 
     **Arguments:** `run`: a `Run` with even times; `velocities=False` leaves the displacements alone.
     **Returns:** a NumPy array, n = 2N for a chain of N.
+
+    **Example:**
+
+    >>> chain = gx.scenes.monomer(20)
+    >>> run = gx.simulate(chain, gx.states.impact(chain), 5.0, step=0.05, save_at=51)
+    >>> gx.identify.snapshots(run).shape
+    (51, 40)
     """
     leaves = jax.tree.leaves((run.us, run.vs) if velocities else run.us)
     return np.concatenate([np.asarray(x).reshape(len(run.ts), -1) for x in leaves], axis=1)
@@ -152,7 +174,12 @@ def hard_threshold(shape: tuple[Scalar, Scalar]) -> float:
 
     lambda(beta)/sqrt(median of the Marchenko-Pastur law), beta = rows over columns (or inverse) in (0, 1],
     lambda^2 = 2 (beta + 1) + 8 beta/(beta + 1 + sqrt(beta^2 + 14 beta + 1)). **Arguments:** `shape`: (rows, columns).
-    **Returns:** a float; 2.8582 for a square. Source: Gavish, Donoho, IEEE Trans. Inf. Theory 60, 5040 (2014).
+    **Returns:** a float; 2.8584 for a square. Source: Gavish, Donoho, IEEE Trans. Inf. Theory 60, 5040 (2014).
+
+    **Example:**
+
+    >>> round(gx.identify.hard_threshold((50, 50)), 3)
+    2.858
     """
     beta = min(shape) / max(shape)
     square = 2 * (beta + 1) + 8 * beta / (beta + 1 + np.sqrt(beta**2 + 14 * beta + 1))

@@ -36,6 +36,16 @@ class ForceLaw(Result):
       scene as a function of their dict.
     - `strain_range`: (least, largest) strain of any bond that the law acts on, along the fitted run [m]. Outside of it
       nothing is claimed.
+
+    **Example:**
+
+    >>> scene = lambda law: gx.Lattice(1.0, gx.Bond(gx.Shift(1, "free"), law), sites=2)
+    >>> state, ts = gx.State(np.zeros(2), np.array([0.5, -0.5])), np.linspace(0.0, 5.0, 51)
+    >>> traces = gx.Traces(ts, velocity=0.5 * np.cos(np.sqrt(2.0) * ts), sites=0, sigma=1e-3)
+    >>> found = gx.identify.law(scene, gx.Linear(1.1), traces, state=state, stages=1, step=0.05)
+    >>> force, deviation = found.force([0.1, 9.0])
+    >>> force.round(4).tolist()
+    [0.1, nan]
     """
 
     held: ClassVar[dict[str, Held]] = {
@@ -117,6 +127,15 @@ def law(
     **Raises** ValueError for input that cannot be meant, among it a scene in which the law acts on nothing;
     RuntimeError where the fit fails. Typical: 20 beads, 4 to 8 sensors, strains up to the static overlap.
     Source: the delta method, e.g. Seber, Wild, Nonlinear Regression (1989), section 2.8.
+
+    **Example:**
+
+    >>> scene = lambda law: gx.Lattice(1.0, gx.Bond(gx.Shift(1, "free"), law), sites=2)
+    >>> state, ts = gx.State(np.zeros(2), np.array([0.5, -0.5])), np.linspace(0.0, 5.0, 51)
+    >>> traces = gx.Traces(ts, velocity=0.5 * np.cos(np.sqrt(2.0) * ts), sites=0, sigma=1e-3)
+    >>> found = gx.identify.law(scene, gx.Linear(1.1), traces, state=state, stages=1, step=0.05)
+    >>> round(float(found.law.stiffness), 4)
+    1.0
     """
     others = {} if others is None else dict(others)
     if not takes(scene, 1 + bool(others)):

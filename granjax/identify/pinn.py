@@ -33,6 +33,14 @@ class Motion(eqx.Module):
     """Displacements u(t) (N,) of a chain as a network: `motion(t)`; `motion.state(t)` gives (u, v, a) at one time.
 
     u(t) = s net(t/T, sin(omega_k t), cos(omega_k t)), the omega_k even up to a little above the lattice's band.
+
+    **Example:**
+
+    >>> import equinox as eqx
+    >>> net = eqx.nn.MLP(3, 1, 4, 1, key=jax.random.key(0))   # of t/T, sin(omega t), cos(omega t), for one site
+    >>> motion = gx.identify.Motion(net, jnp.array([2.0]), jnp.asarray(1.0), jnp.asarray(0.5))
+    >>> [x.shape for x in motion.state(0.3)]                  # displacement, velocity, acceleration
+    [(1,), (1,), (1,)]
     """
 
     net: eqx.nn.MLP
@@ -60,6 +68,16 @@ class PhysicsInformed(Result):
     - `parameters`: dict of what was found; `motion`: `Motion`. `loss` (max_steps + refine,): of every step.
     - `misfit`: rms of the data less the motion, over the rms of the data; `residual`: rms of a - F/m at the
       collocation points, over the rms of a. `seconds`: of the training, compilation included. `outcome`: a sentence.
+
+    **Example:**
+
+    >>> scene = lambda p: gx.Lattice(np.ones(2), gx.OnSite(gx.Linear(p["stiffness"])))
+    >>> ts = np.linspace(0.0, 3.0, 31)
+    >>> v = np.cos(ts)[:, None] * np.ones(2)
+    >>> sizes = {"points": 16, "width": 8, "depth": 1, "max_steps": 2000, "rate": 0.02, "refine": 0}
+    >>> found = gx.identify.physics_informed(scene, {"stiffness": 1.4}, ts, v, **sizes)
+    >>> found.loss.shape, bool(found.misfit < 1e-2)
+    ((2000,), True)
     """
 
     held: ClassVar[dict[str, Held]] = {"loss": Held("step", "1"), "seconds": Held(unit="s")}
@@ -102,6 +120,16 @@ def physics_informed(
     **Returns:** `PhysicsInformed`. **Raises** ValueError for shapes that do not fit, no velocity at all, bounds that
     do not hold the start, or a lattice without linear frequency (a sonic vacuum).
     Source: Raissi, Perdikaris, Karniadakis, J. Comput. Phys. 378, 686 (2019).
+
+    **Example:**
+
+    >>> scene = lambda p: gx.Lattice(np.ones(2), gx.OnSite(gx.Linear(p["stiffness"])))
+    >>> ts = np.linspace(0.0, 3.0, 31)
+    >>> v = np.cos(ts)[:, None] * np.ones(2)
+    >>> sizes = {"points": 16, "width": 8, "depth": 1, "max_steps": 2000, "rate": 0.02, "refine": 0}
+    >>> found = gx.identify.physics_informed(scene, {"stiffness": 1.4}, ts, v, **sizes)
+    >>> round(float(found.parameters["stiffness"]), 1)
+    1.0
     """
     coordinates = Coordinates(start, bounds)
     lattice = checked_scene(scene, jax.tree.map(jnp.asarray, start))

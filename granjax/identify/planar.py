@@ -25,7 +25,15 @@ PARTS = 4.0
 
 
 class Equilibrium(NamedTuple):
-    """A strain at which f = 0: a "saddle" (f' > 0) or a "centre", and the rate or wave number |f'|^{1/2}."""
+    """A strain at which f = 0: a "saddle" (f' > 0) or a "centre", and the rate or wave number |f'|^{1/2}.
+
+    **Example:**
+
+    >>> xi = np.linspace(-6.0, 6.0, 61)
+    >>> found = gx.identify.planar_ode(xi, 1.5 / np.cosh(xi / 2) ** 2, degree=2)
+    >>> [(rest.kind, round(rest.rate, 4)) for rest in found.equilibria]
+    [('saddle', 1.0), ('centre', 1.0)]
+    """
 
     strain: float
     kind: str
@@ -42,6 +50,13 @@ class PlanarODE(Result):
     noise, near 1 where the equation is a model. `equilibria`; `crest`, `trough`: of the data [m];
     `wavelength`: of the data. `xi`, `strains`, `fitted`: the data and what was fitted, `slopes`: y' of that, (P,);
     `window`: which window each belongs to. `outcome`: a sentence. `homoclinic()` and `periodic()` give orbits.
+
+    **Example:**
+
+    >>> xi = np.linspace(-6.0, 6.0, 61)
+    >>> found = gx.identify.planar_ode(xi, 1.5 / np.cosh(xi / 2) ** 2, degree=2)
+    >>> round(float(found.crest), 4), bool(found.misfit < 1e-6)
+    (1.5, True)
     """
 
     held: ClassVar[dict[str, Held]] = {
@@ -222,6 +237,13 @@ def planar_ode(
 
     **Raises** ValueError for data that do not rise and fall, too few points, places that do not increase.
     Source: C. Chong, M. Herrmann, P. G. Kevrekidis, Physica D 442, 133533 (2022).
+
+    **Example:**
+
+    >>> xi = np.linspace(-6.0, 6.0, 61)
+    >>> found = gx.identify.planar_ode(xi, 1.5 / np.cosh(xi / 2) ** 2, degree=2)
+    >>> found.coefficients[1:].round(4).tolist()  # y'' = y - y^2
+    [1.0, -1.0]
     """
     degree = whole("degree", degree, 1)
     trains = _trains(xi, strain)

@@ -23,6 +23,13 @@ class PlanarOrbit(Result):
     falls to one of them. `wavelength` (infinite of a homoclinic orbit), `energy`: y'^2/2 - int_0^y f [m^2]. `decay`:
     rate of a homoclinic orbit's tail. `distance`: rms of the measured wave less the orbit, over the wave about the
     highest crest, at the best place [m]; `shift`: that place. `xi`, `strains`: a table; `strain(xi)` gives any place.
+
+    **Example:**
+
+    >>> xi = np.linspace(-6.0, 6.0, 61)
+    >>> orbit = gx.identify.planar_ode(xi, 1.5 / np.cosh(xi / 2) ** 2, degree=2).homoclinic()
+    >>> orbit.kind, round(float(orbit.crest), 4), round(float(orbit.decay), 4)
+    ('homoclinic', 1.5, 1.0)
     """
 
     held: ClassVar[dict[str, Held]] = {

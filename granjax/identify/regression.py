@@ -23,7 +23,14 @@ ALIKE = 1e6
 
 
 class Coefficient(NamedTuple):
-    """A coefficient that was found, its standard error, and the rms of its accelerations over that of all."""
+    """A coefficient that was found, its standard error, and the rms of its accelerations over that of all.
+
+    **Example:**
+
+    >>> found = gx.identify.Coefficient(value=1.5, error=0.01, share=0.9)
+    >>> found.value / found.error
+    150.0
+    """
 
     value: float
     error: float
@@ -40,6 +47,16 @@ class Regression(Result):
     - `condition`: of the kept columns at unit length; a large one says that they stand for each other.
     - `lattice`: the `Lattice` of the terms with their coefficients and the known ones, ready to simulate; `None` where
       a coefficient has a sign that its term refuses, which `outcome`, a sentence, names.
+
+    **Example:**
+
+    >>> terms = gx.identify.library(gx.Shift(1, "fixed"), dissipation=["v"])
+    >>> chain = gx.Lattice(1.0, (terms["e"](1.0), terms["e^3"](0.5)), sites=20)
+    >>> u, v = np.random.default_rng(0).normal(size=(2, 8, 20))
+    >>> a = jax.vmap(chain.acceleration)(np.arange(8.0), u, v)
+    >>> found = gx.identify.regression(np.ones(20), terms, np.arange(8.0), u, v, a)
+    >>> found.dropped, round(found.r_squared, 6)
+    (('e^2', '[e]_+^1.5', 'u', 'u^3', 'v'), 1.0)
     """
 
     held: ClassVar[dict[str, Held]] = {
@@ -72,6 +89,12 @@ def library(
     term must be proportional to its coefficient and can be built with 1.
     **Raises** ValueError for another power or name. Contacts of close exponents, and under load all powers, are much
     alike: offer few.
+
+    **Example:**
+
+    >>> terms = gx.identify.library(gx.Shift(1, "fixed"), powers=(1, 3), on_site=(), dissipation=["v"])
+    >>> list(terms)
+    ['e', 'e^3', '[e]_+^1.5', 'v']
     """
     overlap = float(non_negative("overlap", overlap))
 
@@ -145,6 +168,16 @@ def regression(
     **Returns:** `Regression`. **Raises** ValueError for shapes that do not fit, fewer numbers than candidates, a
     candidate that gives no force at all, or a threshold that drops them all.
     Source: Brunton, Proctor, Kutz, PNAS 113, 3932 (2016).
+
+    **Example:**
+
+    >>> terms = gx.identify.library(gx.Shift(1, "fixed"), dissipation=["v"])
+    >>> chain = gx.Lattice(1.0, (terms["e"](1.0), terms["e^3"](0.5)), sites=20)
+    >>> u, v = np.random.default_rng(0).normal(size=(2, 8, 20))
+    >>> a = jax.vmap(chain.acceleration)(np.arange(8.0), u, v)
+    >>> found = gx.identify.regression(np.ones(20), terms, np.arange(8.0), u, v, a)
+    >>> {name: round(c.value, 6) for name, c in found.coefficients.items()}
+    {'e': 1.0, 'e^3': 0.5}
     """
     if not candidates:
         refuse("candidates", "a dict from names to functions of a coefficient", "an empty one", "See library().")

@@ -32,6 +32,17 @@ class WallModulus(Result):
       material too. `relative`: relative standard deviations of `plane_modulus`, `reduced_modulus`, `stiffness` in turn.
     - `scanned`, `chi_square` (n,): moduli that were looked at first [Pa], and how far each is from the data.
     - `fit`: the `Fit`, with other parameters that were fitted; `outcome`.
+
+    **Example:**
+
+    >>> walled = gx.scenes.beads("steel 316", 9.53e-3, cells=3, wall=gx.materials.Material("bone", 10e9, 0.3, 1900.0))
+    >>> run = gx.simulate(walled, gx.states.impact(walled, 0.4), 2e-4, step=1e-6, save_at=41)
+    >>> traces = gx.Traces(run.ts, velocity=run.vs[:, 1], sites=1)
+    >>> chain = gx.scenes.beads("steel 316", 9.53e-3, cells=3, boundary="free")
+    >>> known = {"material": "steel 316", "radius": 9.53e-3, "start": 15e9, "scan": 3, "step": 1e-6}
+    >>> found = gx.identify.wall_modulus(chain, traces, state=gx.states.impact(chain, 0.4), **known)
+    >>> round(found.plane_modulus / 1e9, 3), found.scanned.shape  # E/(1 - nu^2)
+    (10.989, (3,))
     """
 
     _else: ClassVar[str | None] = SI
@@ -118,6 +129,17 @@ def wall_modulus(
     A wall much stiffer than the beads is known badly: dA/A = s dE/E with s = E*(1 - nu^2)/E. Typical: chains of 20
     steel beads of 9.53 mm radius, bone 2 ... 20 GPa.
     Source: Yang, Silvestro, Khatri, De Nardo, Daraio, Phys. Rev. E 83, 046606 (2011).
+
+    **Example:**
+
+    >>> walled = gx.scenes.beads("steel 316", 9.53e-3, cells=3, wall=gx.materials.Material("bone", 10e9, 0.3, 1900.0))
+    >>> run = gx.simulate(walled, gx.states.impact(walled, 0.4), 2e-4, step=1e-6, save_at=41)
+    >>> traces = gx.Traces(run.ts, velocity=run.vs[:, 1], sites=1)
+    >>> chain = gx.scenes.beads("steel 316", 9.53e-3, cells=3, boundary="free")
+    >>> known = {"material": "steel 316", "radius": 9.53e-3, "start": 15e9, "scan": 3, "step": 1e-6}
+    >>> found = gx.identify.wall_modulus(chain, traces, state=gx.states.impact(chain, 0.4), **known)
+    >>> round(found.modulus / 1e9, 3)
+    10.0
     """
     others = {} if others is None else dict(others)
     if NAME in others:

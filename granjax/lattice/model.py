@@ -22,7 +22,15 @@ from ..units.names import counted_in, mark_of
 
 
 class State(NamedTuple):
-    """Displacements and velocities, arrays (or dicts of arrays) of one shape: a diffrax state."""
+    """Displacements and velocities, arrays (or dicts of arrays) of one shape: a diffrax state.
+
+    **Example:**
+
+    >>> state = gx.State(u=jnp.zeros(20), v=jnp.zeros(20).at[0].set(1.0))
+    >>> chain = gx.scenes.monomer(20)
+    >>> float(gx.measures.energy(chain, state))
+    0.5
+    """
 
     u: object
     v: object
@@ -51,6 +59,13 @@ class Lattice(eqx.Module):
 
     **Raises** ValueError for a mass that is not positive and finite, fewer than two sites, a term that is none, or
     parameters that do not fit the number of bonds or sites, naming the term.
+
+    **Example:**
+
+    >>> bond = gx.Bond(gx.Shift(1, "fixed"), gx.Hertz(precompression=1.0))
+    >>> chain = gx.Lattice(1.0, (bond, gx.Damping(0.1)), sites=20)
+    >>> chain.shape, chain.conserves
+    ((20,), False)
     """
 
     mass: object

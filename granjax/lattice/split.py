@@ -247,6 +247,13 @@ def vector_field(t: Number, y: StateLike, lattice: Lattice) -> StateLike:
     """dy/dt = (v, a): the right-hand side of diffrax's form f(t, y, args), with the lattice as `args`.
 
     `y` is a `State` (or a pair (u, v)); the result has its structure.
+
+    **Example:**
+
+    >>> chain = gx.Lattice(1.0, gx.Bond(gx.Shift(1, "free"), gx.Hertz()), sites=2)
+    >>> v, a = gx.vector_field(0.0, gx.State(jnp.array([4.0, 0.0]), jnp.array([1.0, 2.0])), chain)
+    >>> v, a
+    (Array([1., 2.], dtype=float64), Array([-8.,  8.], dtype=float64))
     """
     u, v = y
     refuse_memory(lattice)

@@ -26,6 +26,15 @@ class Law(Dimensional):
     To add a law write `force` and `energy`, with parameters that are arrays (another value of a plain number compiles
     anew), and one line in the tests' list of cases. `law + law` is their sum. `positive`: names of the parameters that
     do not change their sign; `held`: those that a fit leaves alone.
+
+    **Example:**
+
+    >>> class Cubic(gx.Law):
+    ...     k: jax.Array
+    ...     def force(self, e): return self.k * e**3
+    ...     def energy(self, e): return self.k * e**4 / 4
+    >>> gx.laws.taylor(Cubic(jnp.array(2.0)))
+    Taylor(K2=0, K3=0, K4=2)
     """
 
     positive: ClassVar[tuple[str, ...]] = ()
@@ -106,6 +115,12 @@ class Sum(Law):
 
     Typical: a coated bead or an O-ring as a double power law, `Hertz(1.0) + PowerLaw(0.2, 2.5)`; a nonlinear site
     potential on a linear one. The overlap is the smallest of the parts'.
+
+    **Example:**
+
+    >>> law = gx.Hertz(1.0) + gx.PowerLaw(0.2, 2.5)
+    >>> isinstance(law, gx.laws.Sum), round(float(law.force(1.0)), 4)
+    (True, 1.2)
     """
 
     dimensions = {"_parts": PART}
@@ -166,6 +181,12 @@ class Scaled(Law):
     """A law times a factor: F = g F_law(e), for stiffness that changes in time or along the chain.
 
     **Arguments:** `law`; `factor`: number or array over bonds.
+
+    **Example:**
+
+    >>> law = gx.laws.Scaled(gx.Hertz(precompression=1.0), 2.0)
+    >>> float(law.force(3.0)), float(law.preload)
+    (14.0, 2.0)
     """
 
     dimensions = {"law": PART, "factor": (0, 0, 0)}
@@ -218,6 +239,12 @@ class Strained(Law):
     and with one r for bonds of several s the far states of a shock are held at u = 0, without a ramp in u.
     **Arguments:** `law`; `strain`: s [m], number or array over bonds; `reference`: r [m], the strain at which force and
     energy are zero, `None` for s. With r beside s the force at e = 0 is that of the law from r to s.
+
+    **Example:**
+
+    >>> law = gx.laws.Strained(gx.Hertz(), strain=1.0)
+    >>> float(law.force(3.0)), float(law.preload)
+    (7.0, 1.0)
     """
 
     dimensions = {"law": PART, "strain": (0, 1, 0), "reference": (0, 1, 0)}

@@ -135,6 +135,14 @@ class Hertz(_Contact):
     Typical: steel beads of 9.53 mm radius A = 9.8e9 N/m^{3/2}, F0 = 1 ... 20 N; scaled A = 1, F0 = 0 or 1.
     **Raises** ValueError for A <= 0, F0 < 0 or values that are not finite.
     Source: H. Hertz, J. reine angew. Math. 92, 156 (1881); Nesterenko, Dynamics of Heterogeneous Materials (2001).
+
+    **Example:**
+
+    >>> law = gx.Hertz(stiffness=1.0, precompression=1.0)
+    >>> law.force(jnp.array([3.0, -2.0]))
+    Array([ 7., -1.], dtype=float64)
+    >>> gx.laws.taylor(law)
+    Taylor(K2=1.5, K3=0.375, K4=-0.0625)
     """
 
     dimensions = {"stiffness": (1, -_HERTZ, 0), "precompression": (1, 0, 0)}
@@ -169,6 +177,12 @@ class PowerLaw(_Contact):
     Typical: p = 3/2 spheres, 3 ... 4 cylinders and O-rings, 1/2 strain softening, -3 dipole ring magnets.
     **Raises** ValueError for p = 0 or not finite, A <= 0, F0 < 0, F0 = 0 with p < 0, or signs of p that differ.
     Source: Chong & Kevrekidis, Dynamics of Nonlinear Lattices, and references there.
+
+    **Example:**
+
+    >>> magnets = gx.PowerLaw(stiffness=1.0, exponent=-3.0, precompression=1.0)
+    >>> round(float(magnets.force(0.5)), 4)
+    7.0
     """
 
     dimensions = {

@@ -32,6 +32,12 @@ class Network(Law):
 
     Typical: 4 to 16 units. **Raises** ValueError for e_s, F_s <= 0, no unit, F0 < 0, or parameters of another length.
     Source: G. Cybenko, Math. Control Signals Systems 2, 303 (1989).
+
+    **Example:**
+
+    >>> law = gx.Network(width=4, strain=0.1, force=2.0)
+    >>> law.parameters.shape, round(float(law.force(0.05)), 3)
+    ((13,), 0.973)
     """
 
     dimensions = {"_parameters": (0, 0, 0), "strain": (0, 1, 0), "scale": (1, 0, 0), "_preload": (1, 0, 0)}

@@ -21,6 +21,17 @@ class PlasticLaw(Dimensional):
     back, `lost(P)` what has been dissipated, so that d(stored + lost) = F ds on both branches: stored(s, P) is the
     integral of F(., P) up to s, and lost(P) that of F(x, x) up to P, less stored(P, P). Everything is elementwise;
     `left(P)` is the overlap at which an unloaded contact opens. To add a law write these four.
+
+    **Example:**
+
+    >>> class Dead(gx.PlasticLaw):
+    ...     def force(self, s, largest): return jnp.where(s >= largest, s, 0.0)
+    ...     def stored(self, s, largest): return 0.0 * s
+    ...     def lost(self, largest): return largest**2 / 2
+    ...     def left(self, largest): return largest
+    >>> chain = gx.Lattice(1.0, gx.PlasticContact(gx.Shift(1, "free"), Dead()), sites=2)
+    >>> float(Dead().lost(2.0))
+    2.0
     """
 
     @abc.abstractmethod
@@ -49,6 +60,12 @@ class WaltonBraun(PlasticLaw):
     **Arguments:** `loading`: k1 > 0 [N/m]; `unloading`: k2 >= k1 [N/m]; numbers or one per contact. Restitution
     sqrt(k1/k2) at every speed. Typical: k2/k1 = 1.2 ... 6. **Raises** ValueError for k1 <= 0 or k2 < k1.
     Source: O. R. Walton, R. L. Braun, J. Rheol. 30, 949 (1986).
+
+    **Example:**
+
+    >>> law = gx.WaltonBraun(loading=1.0, unloading=4.0)
+    >>> float(law.force(1.0, 1.0)), round(float(law.force(0.9, 1.0)), 4), float(law.left(1.0))
+    (1.0, 0.6, 0.75)
     """
 
     dimensions = {"loading": (1, -1, 0), "unloading": (1, -1, 0)}
@@ -88,6 +105,12 @@ class Thornton(PlasticLaw):
     a pair of reduced mass m is V_y = (4 A s_y^{5/2}/(5 m))^{1/2}; `gx.theory.restitution` is that of an impact.
     Typical: steel beads of 1 cm yield from some cm/s on. **Raises** ValueError for what is not above zero.
     Source: C. Thornton, J. Appl. Mech. 64, 383 (1997).
+
+    **Example:**
+
+    >>> law = gx.Thornton(stiffness=1.0, yield_overlap=0.01)
+    >>> round(float(law.force(0.01, 0.01)), 6), round(float(law.left(0.04)), 6)
+    (0.001, 0.0125)
     """
 
     dimensions = {"stiffness": (1, -1.5, 0), "yield_overlap": (0, 1, 0)}
@@ -144,7 +167,14 @@ class _InOtherUnits(PlasticLaw):
 
 
 class Indented(Law):
-    """A plastic law whose largest overlap so far is known, measured from equilibrium at the overlap `rest`."""
+    """A plastic law whose largest overlap so far is known, measured from equilibrium at the overlap `rest`.
+
+    **Example:**
+
+    >>> law = gx.PlasticContact(gx.Shift(1, "free"), gx.WaltonBraun(1.0, 4.0), largest=1.0).law
+    >>> isinstance(law, gx.laws.Indented), round(float(law.force(0.9)), 4), float(law.lost())
+    (True, 0.6, 0.375)
+    """
 
     dimensions = {"law": PART, "rest": (0, 1, 0), "largest": (0, 1, 0)}
     law: PlasticLaw

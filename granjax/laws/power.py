@@ -30,6 +30,11 @@ def plus_power(s: Number, p: Number) -> Numbers:
     one half then costs multiplications and one square root; an array may be traced and is differentiable.
 
     **Returns:** an array of the shape of `s` and `p` broadcast; zero where `s <= 0`, NaN where `s` is NaN.
+
+    **Example:**
+
+    >>> gx.laws.plus_power(jnp.array([-1.0, 4.0]), 1.5)
+    Array([0., 8.], dtype=float64)
     """
     if isinstance(p, (int, float)):
         if not math.isfinite(p):

@@ -21,6 +21,12 @@ class Polynomial(Law):
 
     Typical: alpha chain K2 = 1, K3 = 1/4; beta chain K2 = 1, K4 = 1. **Raises** ValueError for values not finite.
     Source: Fermi, Pasta, Ulam (with Tsingou), Los Alamos report LA-1940 (1955).
+
+    **Example:**
+
+    >>> law = gx.Polynomial(K2=1.0, K3=0.25)
+    >>> law.force(jnp.array([-1.0, 1.0]))
+    Array([-0.75,  1.25], dtype=float64)
     """
 
     opens = False
@@ -61,6 +67,11 @@ class Toda(Law):
     **Arguments:** `strength`: a > 0; `rate`: b > 0. With a = b = 1 and unit masses
     u_n'' = exp(u_{n-1} - u_n) - exp(u_n - u_{n+1}). **Raises** ValueError for a, b not positive.
     Source: M. Toda, J. Phys. Soc. Jpn. 22, 431 (1967).
+
+    **Example:**
+
+    >>> gx.laws.taylor(gx.Toda(strength=1.0, rate=1.0))
+    Taylor(K2=1, K3=0.5, K4=0.166667)
     """
 
     opens = False
@@ -91,6 +102,12 @@ class Linear(Law):
 
     **Arguments:** `stiffness`: K [N/m], not negative for a stable lattice (a negative one is allowed, as an inverted
     site potential). **Raises** ValueError for values not finite.
+
+    **Example:**
+
+    >>> chain = gx.Lattice(1.0, gx.Bond(gx.Shift(1, "periodic"), gx.Linear(4.0)), sites=20)
+    >>> round(float(gx.linear.sound_speed(chain)), 4)
+    2.0
     """
 
     opens = False
@@ -118,6 +135,12 @@ class Sine(Law):
 
     Energy (2K/q^2) sin^2(q u/2). **Arguments:** `stiffness`: K, the linear stiffness; `wavenumber`: q > 0, so that
     the potential has period 2 pi/q. Typical: K = q = 1. **Raises** ValueError for values not finite, q <= 0.
+
+    **Example:**
+
+    >>> law = gx.Sine(stiffness=1.0, wavenumber=1.0)
+    >>> round(float(law.force(jnp.pi / 2)), 4), round(float(law.energy(jnp.pi)), 4)
+    (1.0, 2.0)
     """
 
     opens = False

@@ -29,6 +29,12 @@ class Spline(Law):
     Typical: 4 to 12 knots over the compressions that occur; the law is known only where the data have been.
     **Raises** ValueError for knots that do not increase or lie on one side of 0, a stiffness below 0 or of another
     length, F0 < 0. Source: J. O. Ramsay, Statistical Science 3, 425 (1988).
+
+    **Example:**
+
+    >>> law = gx.Spline(knots=[-1.0, 0.0, 1.0], stiffness=[0.0, 1.0, 1.0, 1.0])
+    >>> law.force(jnp.array([-1.0, 1.0])).round(4)
+    Array([-0.6667,  1.    ], dtype=float64)
     """
 
     positive = ("coefficients",)

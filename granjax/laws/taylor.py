@@ -14,7 +14,14 @@ from .base import Law
 
 
 class Taylor(NamedTuple):
-    """F(e) = K2 e + K3 e^2 + K4 e^3 + ..."""
+    """F(e) = K2 e + K3 e^2 + K4 e^3 + ...
+
+    **Example:**
+
+    >>> K2, K3, K4 = gx.laws.taylor(gx.Toda())
+    >>> round(float(K3), 4)
+    0.5
+    """
 
     K2: jax.Array
     K3: jax.Array
@@ -31,6 +38,11 @@ def taylor(law: Law, e: Number = 0.0) -> Taylor:
     **Arguments:** `law`; `e`: compression about which to expand, 0 is equilibrium.
     **Returns:** `Taylor(K2, K3, K4)`, arrays of the shape of the law's parameters. In a sonic vacuum (Hertz without
     precompression) all three are zero: such a contact has no linear limit.
+
+    **Example:**
+
+    >>> gx.laws.taylor(gx.Hertz(precompression=1.0))
+    Taylor(K2=1.5, K3=0.375, K4=-0.0625)
     """
     return _taylor(law, jnp.asarray(e, float), Outside(law))
 

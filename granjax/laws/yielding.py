@@ -23,6 +23,12 @@ class Yielding(Law):
 
     **Arguments:** `law`; `support`: k > 0 [N/m]; k much above the contact's stiffness is a rigid wall.
     **Raises** ValueError for k <= 0 or a law that is none.
+
+    **Example:**
+
+    >>> law = gx.Yielding(gx.Linear(2.0), support=2.0)
+    >>> round(float(law.force(1.0)), 6)
+    1.0
     """
 
     dimensions = {"law": PART, "support": (1, -1, 0)}

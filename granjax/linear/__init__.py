@@ -11,6 +11,7 @@ from .dispersion import Dispersion, dispersion
 from .evanescent import ComplexBands, complex_bands
 from .flat import FlatBands, flat_bands
 from .floquet_bands import FloquetBands, floquet_bands
+from .gauge import SmoothGauge, smooth_gauge
 from .modes import NormalModes, normal_modes
 from .ribbon import RibbonBands, ribbon
 from .sound import sound_speed
@@ -19,7 +20,7 @@ from .zone import DensityOfStates, PathBands, ZoneMap, density_of_states, path, 
 
 __all__ = [
     "Bands", "ComplexBands", "DensityOfStates", "Dispersion", "FlatBands", "FloquetBands", "LocalisationLength",
-    "NormalModes", "PathBands", "RibbonBands", "UnitCell", "ZoneMap", "bands", "complex_bands", "density_of_states",
-    "dispersion", "flat_bands", "floquet_bands", "localisation_length", "normal_modes", "path", "ribbon", "sound_speed",
-    "unit_cell", "zone_map",
+    "NormalModes", "PathBands", "RibbonBands", "SmoothGauge", "UnitCell", "ZoneMap", "bands", "complex_bands",
+    "density_of_states", "dispersion", "flat_bands", "floquet_bands", "localisation_length", "normal_modes", "path",
+    "ribbon", "smooth_gauge", "sound_speed", "unit_cell", "zone_map",
 ]

@@ -27,6 +27,12 @@ class Bands(Result):
     **Fields:** `lower`, `upper`: (bands,) [rad/s]. `lower_k`, `upper_k`: phases per cell at which they lie, (bands,)
     or (bands, axes) (one of several equal places). `cell`: sites per cell along each axis. `gaps`: the complete gaps,
     a list of pairs (low, high), as NumPy numbers; bands that touch leave none.
+
+    **Example:**
+
+    >>> found = gx.linear.bands(gx.scenes.dimer(20, ratio=0.5, precompression=1.0, boundary="periodic"))
+    >>> [round(float(edge), 4) for edge in found.gaps[0]]  # 3^{1/2}, 6^{1/2}
+    [1.7321, 2.4495]
     """
 
     held: ClassVar[dict[str, Held]] = {
@@ -65,10 +71,11 @@ class Bands(Result):
             yield from super()._rows()
             return
         gaps = dict(self.gaps)
+        unit = self._unit("lower")
         for a, b in zip(np.asarray(self.lower), np.asarray(self.upper)):
-            yield "band", f"{a:.9g} ... {b:.9g}"
+            yield "band", f"{a:.9g} ... {b:.9g} {unit}".rstrip()
             if float(b) in gaps:
-                yield "gap", f"{b:.9g} ... {gaps[float(b)]:.9g}"
+                yield "gap", f"{b:.9g} ... {gaps[float(b)]:.9g} {unit}".rstrip()
         yield "outcome", self.outcome
 
 
@@ -83,6 +90,12 @@ def bands(lattice: Lattice, cell: Count | tuple[Count, ...] | None = None) -> Ba
     masses m < M: 0 ... (2 K2/M)^{1/2} and (2 K2/m)^{1/2} ... (2 K2 (1/m + 1/M))^{1/2}. Edges are differentiable in
     every parameter, where one band alone reaches them.
     **Raises** ValueError where `dispersion` does.
+
+    **Example:**
+
+    >>> found = gx.linear.bands(gx.scenes.dimer(20, ratio=0.5, precompression=1.0, boundary="periodic"))
+    >>> print(found.upper.round(4))  # (2 K2)^{1/2} and (6 K2)^{1/2}
+    [1.7321 3.    ]
     """
     found = unit_cell(lattice, cell)
     axes = len(found.cell)

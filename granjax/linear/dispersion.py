@@ -33,6 +33,12 @@ class Dispersion(Result):
 
     Both derivatives are exact (perturbation theory). They are NaN where they do not exist: at omega = 0, where an
     acoustic band has a corner (see `sound_speed`), and where bands cross. Bands that stay together keep theirs.
+
+    **Example:**
+
+    >>> relation = gx.linear.dispersion(gx.scenes.monomer(20, precompression=1.0), [np.pi / 2])
+    >>> print(relation.group_velocity.round(4))  # (K2/m)^{1/2} cos(k/2)
+    [[0.866]]
     """
 
     k: Numbers
@@ -83,6 +89,12 @@ def dispersion(
     sonic vacuum all frequencies are zero. Rounding: omega^2 is good to about 1e-16 of its largest value, so that of a
     cell with several sites omega itself carries up to 1e-8 of the cutoff as omega tends to zero.
     **Raises** ValueError where `unit_cell` does, and for `k` of another shape.
+
+    **Example:**
+
+    >>> relation = gx.linear.dispersion(gx.scenes.monomer(20, precompression=1.0), [np.pi / 2, np.pi])
+    >>> print(relation.omega[:, 0].round(4))  # 2 (3/2)^{1/2} sin(k/2)
+    [1.7321 2.4495]
     """
     found = unit_cell(lattice, cell)
     axes = len(found.cell)

@@ -23,6 +23,12 @@ class ComplexBands(Result):
     **Fields:** `omega` (W,) [rad/s]. `k` (W, waves), complex [rad per cell]: u ~ exp(i k R); Im k > 0 decays along the
     axis, real ones travel; in the order of |Im k|, NaN where a frequency has fewer. `residual` (W, waves): what is left
     of (D(k) - omega^2) q, relative. `axis`, `across`: along which, and the phase along the other axis [rad].
+
+    **Example:**
+
+    >>> found = gx.linear.complex_bands(gx.scenes.monomer(20, precompression=1.0), [1.0])
+    >>> found.k.shape, bool((found.residual < 1e-10).all())
+    ((1, 2), True)
     """
 
     held: ClassVar[dict[str, Held]] = {
@@ -61,6 +67,13 @@ def complex_bands(
     other axis of a plane, one number; `cell`: as in `unit_cell`. **Returns:** `ComplexBands`. **Raises** ValueError for
     a sonic vacuum, traced frequencies, and where `unit_cell` does. No derivative is taken; d k/d omega is one over the
     group velocity of `dispersion`.
+
+    **Example:**
+
+    >>> chain = gx.scenes.monomer(20, precompression=1.0)
+    >>> found = gx.linear.complex_bands(chain, [3.0])  # above the band, which ends at 6^{1/2}
+    >>> print(found.k[0].round(4))
+    [3.1416+1.317j 3.1416-1.317j]
     """
     found = unit_cell(lattice, cell)
     axes = len(found.cell)

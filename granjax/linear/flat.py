@@ -28,6 +28,12 @@ class FlatBands(Result):
     `degeneracy`: how many bands have that frequency. Of each frequency one compact state, `state(lattice, number)`:
     `support`: on how many degrees of freedom it lives; `residual`: what of (D - omega^2) q is left, relative to the
     largest stiffness.
+
+    **Example:**
+
+    >>> found = gx.linear.flat_bands(gx.scenes.stub(6, boundary="periodic"))
+    >>> print(found.support, found.degeneracy)
+    [3] [1]
     """
 
     held: ClassVar[dict[str, Held]] = {
@@ -94,6 +100,12 @@ def flat_bands(lattice: Lattice, cell: Cell | None = None, *, cells: Count = WID
     **Returns:** `FlatBands`; none where no band is flat. Its displacements as a state to start from: `.state(lattice)`.
     **Raises** ValueError where `unit_cell` does. Source: Leykam, Andreanov, Flach, Advances in Physics: X 3, 1473052
     (2018); Maimaiti, Andreanov, Park, Gendelman, Flach, Phys. Rev. B 95, 115135 (2017).
+
+    **Example:**
+
+    >>> found = gx.linear.flat_bands(gx.scenes.stub(6, boundary="periodic"))
+    >>> print(found.omega.round(4))
+    [1.7321]
     """
     found = unit_cell(lattice, cell)
     axes = len(found.cell)

@@ -50,6 +50,13 @@ class FloquetBands(Result):
       `fastest_k`, `fastest` (gaps,): where in a gap waves grow fastest, and the rate [1/s]. `None` where `k` is one
       number, has several axes, or is traced.
     - `period`, `t0`, `steps` of a period; `cell`: sites per cell along each axis.
+
+    **Example:**
+
+    >>> crystal = gx.scenes.modulated(12, amplitude=0.1, omega=2.0, shape="square")
+    >>> found = gx.linear.floquet_bands(crystal, np.linspace(0, np.pi, 13), period=np.pi)
+    >>> found.multipliers.shape, round(float(found.growth.max()), 3)
+    ((13, 2), 0.032)
     """
 
     k: Numbers
@@ -163,6 +170,14 @@ def floquet_bands(
     stiffness), and for `k` of another shape.
     Source: Trainiti, Xia, Marconi, Cazzulani, Erturk, Ruzzene, Phys. Rev. Lett. 122, 124301 (2019); k-gaps: Kim,
     Chong, Hajarolasvadi, Wang, Daraio, Phys. Rev. E 107, 034211 (2023).
+
+    **Example:**
+
+    >>> crystal = gx.scenes.modulated(12, amplitude=0.1, omega=2.0, shape="square")
+    >>> found = gx.linear.floquet_bands(crystal, np.linspace(0, np.pi, 13), period=np.pi)
+    >>> print(found.edges.round(2))  # gaps about k = pi/3 and pi, where 2 sin(k/2) is 1 and 2
+    [[1.01 1.09]
+     [3.04 3.24]]
     """
     period = positive("period", period, "It is the modulation's, 2 pi/omega.")
     k, t0, tolerance = parameter("k", k), parameter("t0", t0), float(checked_tolerance("tolerance", tolerance))

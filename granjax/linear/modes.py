@@ -34,6 +34,12 @@ class NormalModes(Result):
     frequency: minus its growth rate. Values of omega^2 that are rounding give exactly 0. `modes`: (sites..., modes),
     with a vector axis before the modes in the plane, or a dict of such for named fields; normalised with the mass:
     sum m phi_a phi_b = 1 for a = b, else 0.
+
+    **Example:**
+
+    >>> found = gx.linear.normal_modes(gx.scenes.monomer(20, precompression=1.0))
+    >>> found.modes.shape, round(float((found.modes[:, 0] ** 2).sum()), 6)
+    ((20, 20), 1.0)
     """
 
     held: ClassVar[dict[str, Held]] = {
@@ -65,6 +71,12 @@ def normal_modes(lattice: Lattice) -> NormalModes:
     differentiable in every parameter; modes where their frequency is simple.
     **Raises** ValueError for a batch of lattices (use `jax.vmap(normal_modes, in_axes=-1)`), stiffness modulated in
     time, and forces without an energy (K not symmetric).
+
+    **Example:**
+
+    >>> found = gx.linear.normal_modes(gx.scenes.monomer(20, precompression=1.0))
+    >>> print(found.omega[:3].round(4))  # 6^{1/2} sin(pi n/42)
+    [0.1831 0.3651 0.5451]
     """
     lattice = at_rest(lattice)
     result, uneven = _solve(lattice)

@@ -25,6 +25,13 @@ class RibbonBands(Result):
     (K, bands): where across the strip the wave's energy of motion is, from -1 (all at the first site) to 1 (the last).
     `participation` (K, bands): over how many sites of the width it is spread, (sum e)^2/sum e^2. `axis`: along which
     the strip runs.
+
+    **Example:**
+
+    >>> strip = gx.scenes.honeycomb(4, 6, out_of_plane=True, boundary=("periodic", "free"))
+    >>> found = gx.linear.ribbon(strip, [np.pi])
+    >>> found.edge.shape, found.axis
+    ((1, 12), 0)
     """
 
     held: ClassVar[dict[str, Held]] = {
@@ -63,6 +70,13 @@ def ribbon(lattice: Lattice, k: Parameter | None = None, *, axis: Count | None =
 
     **Returns:** `RibbonBands`, for `gx.plots.bands`. Differentiable. **Raises** ValueError for another lattice, and
     where `unit_cell` does.
+
+    **Example:**
+
+    >>> strip = gx.scenes.honeycomb(4, 6, out_of_plane=True, boundary=("periodic", "free"))
+    >>> found = gx.linear.ribbon(strip, [np.pi])
+    >>> found.omega.shape, round(float(abs(found.edge).max()), 3)  # an edge mode
+    ((1, 12), 1.0)
     """
     lattice = at_rest(lattice)
     sites = grid(lattice)

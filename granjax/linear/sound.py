@@ -31,6 +31,12 @@ def sound_speed(
     parameter. A negative value is an unstable long wave, as in `dispersion`.
     **Raises** ValueError in a sonic vacuum (no linear stiffness), with forces that tie sites to their rest positions
     (no acoustic band), where parts of the cell hang loose, and where `dispersion` does.
+
+    **Example:**
+
+    >>> chain = gx.scenes.monomer(20, precompression=1.0)
+    >>> round(float(gx.linear.sound_speed(chain)), 6)  # (3/2)^{1/2}
+    1.224745
     """
     found = unit_cell(lattice, cell)
     axes = len(found.cell)

@@ -3,6 +3,7 @@
 from typing import Any, ClassVar
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.ndimage import maximum_filter1d
@@ -14,7 +15,8 @@ from ..lattice import Lattice
 from ..results import Held, Result
 from ..types import Cell, ComplexNumbers, Count, Numbers, Parameter
 from .cell import unit_cell
-from .dispersion import dispersion
+from .dispersion import DEGENERATE, dispersion
+from .gauge import followed
 
 SHAPE, NEIGHBOURS = 1e-9, 7
 CHAIN = {"G": (0.0,), "X": (1.0,)}
@@ -64,9 +66,17 @@ class PathBands(Result):
 
     **Fields:** `names`: of the path's points; `marks` (points,): their places in the arrays. `k` (K, axes): phases per
     cell [rad]. `distance` (K,): along the path, [1/m] of a lattice with positions, else [rad]. `omega`,
-    `omega_squared` (K, bands) [rad/s]. `vectors`: Bloch vectors, (K, cell..., [vector], bands) or a dict of such.
+    `omega_squared` (K, bands) [rad/s]. `vectors`: Bloch vectors, (K, cell..., [vector], bands) or a dict of such, whose
+    phases follow each band: sum conj(x) m y of each with the one before is real and positive along the path; where
+    bands change places, with that one which it continues, and where they are together the basis is the nearest one.
     `slope` (K, bands): d omega / d distance, the group velocity along the path [m/s]; NaN where bands cross. `cell`:
     sites per cell along each axis.
+
+    **Example:**
+
+    >>> found = gx.linear.path(gx.scenes.triangular(6, 6, boundary="periodic"), "GKMG", count=40)
+    >>> found.names, found.vectors.shape
+    (('G', 'K', 'M', 'G'), (41, 1, 1, 2, 2))
     """
 
     held: ClassVar[dict[str, Held]] = {
@@ -109,6 +119,12 @@ def path(
 
     **Returns:** `PathBands`, for `gx.plots.bands`. Differentiable in the lattice's numbers but positions.
     **Raises** ValueError for a point that the zone does not have, fewer than two points, and where `dispersion` does.
+
+    **Example:**
+
+    >>> found = gx.linear.path(gx.scenes.triangular(6, 6, boundary="periodic"), "GKMG", count=40)
+    >>> found.omega_squared[found.marks[1]].round(6)   # 4.5 K/m, twice, at K
+    Array([4.5, 4.5], dtype=float64)
     """
     found = unit_cell(lattice, cell)
     axes = len(found.cell)
@@ -133,8 +149,18 @@ def path(
     along = np.repeat(np.diff(corners, axis=0) / lengths[:, None], shares, axis=0)
     velocity = waves.group_velocity if axes > 1 else waves.group_velocity[..., None]
     slope = jnp.einsum("kba,ka->kb", velocity, jnp.asarray(np.concatenate([along, along[-1:]])))
-    return PathBands(names, marks, k, distance, waves.omega, waves.omega_squared, waves.vectors, slope, waves.cell,
-                     **lattice.origin)
+    return PathBands(names, marks, k, distance, waves.omega, waves.omega_squared, _in_phase(found, waves), slope,
+                     waves.cell, **lattice.origin)
+
+
+@eqx.filter_jit
+def _in_phase(found, waves):
+    """The Bloch vectors of a path, each in phase with the one before."""
+    root = found.displacements(jnp.ones((found.mass.size, 1), found.mass.dtype))
+    mass = jax.tree.map(lambda x: 1 / x[..., 0] ** 2, root)
+    squared = waves.omega_squared
+    near = DEGENERATE * jnp.finfo(squared.dtype).eps * jnp.abs(squared).max()
+    return followed(waves.vectors, mass, jax.lax.stop_gradient(squared), jax.lax.stop_gradient(near))
 
 
 def _letters(points, known):
@@ -159,6 +185,12 @@ class DensityOfStates(Result):
     **Fields:** `omega` (W,): the middles of bins [rad/s]; `density` (W,), a mean over each bin [s]: its integral over
     omega is the number of bands; `error` (W,): from a zone of half as many points, the most of near
     bins; `points`: along each axis.
+
+    **Example:**
+
+    >>> found = gx.linear.density_of_states(gx.scenes.monomer(20, precompression=1.0, boundary="periodic"), bins=20)
+    >>> round(float((found.density * np.diff(found.omega).mean()).sum()), 6)   # one band
+    1.0
     """
 
     held: ClassVar[dict[str, Held]] = {
@@ -189,6 +221,12 @@ def density_of_states(
     **Arguments:** `bins`: of omega from 0 (or the least) to the largest; `points`: along each axis of the zone, even,
     `None` for 512 of a chain and 96 of a plane. `cell`: as in `unit_cell`. **Returns:** `DensityOfStates`, for
     `gx.plots.profile`. **Raises** ValueError for a lattice with three axes, and where `unit_cell` does.
+
+    **Example:**
+
+    >>> found = gx.linear.density_of_states(gx.scenes.monomer(20, precompression=1.0, boundary="periodic"), bins=20)
+    >>> int(found.density.argmax())   # the last bin, at the band's edge
+    19
     """
     found = unit_cell(lattice, cell)
     axes = len(found.cell)
@@ -244,6 +282,12 @@ class ZoneMap(Result):
 
     **Fields:** `q` (n, n, 2) [rad/m]; `omega` (n, n, bands) [rad/s]; `velocity` (n, n, bands, 2): group velocity
     [m/s], NaN where bands cross or omega = 0; `corners` (c, 2): of the first zone.
+
+    **Example:**
+
+    >>> found = gx.linear.zone_map(gx.scenes.square(6, precompression=-0.1, boundary="periodic"), 9)
+    >>> found.corners.round(4).tolist()
+    [[3.1416, 3.1416], [-3.1416, 3.1416], [-3.1416, -3.1416], [3.1416, -3.1416]]
     """
 
     held: ClassVar[dict[str, Held]] = {
@@ -267,6 +311,12 @@ def zone_map(lattice: Lattice, points: Count = 81, cell: Cell | None = None) -> 
 
     **Arguments:** `lattice`: one with `positions`; `points` along each side; `cell`: as in `unit_cell`.
     **Returns:** `ZoneMap`. **Raises** ValueError for a lattice of one axis, or without positions.
+
+    **Example:**
+
+    >>> found = gx.linear.zone_map(gx.scenes.triangular(6, 6, boundary="periodic"), 9)
+    >>> found.omega.shape, len(found.corners)
+    ((9, 9, 2), 6)
     """
     found = unit_cell(lattice, cell)
     vectors = lattice_vectors(lattice, found.cell)

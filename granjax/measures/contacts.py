@@ -12,6 +12,13 @@ def contacts(lattice: Lattice, y: StateLike, t: Number = 0.0) -> list:
     """The contacts at a state: `Compression`s, bonds in the order of the terms, then walls in theirs.
 
     Each has its `law`, `compression` [m], total `force` [N] and `overlap` [m].
+
+    **Example:**
+
+    >>> chain = gx.scenes.monomer(20, precompression=1.0)
+    >>> (found,) = gx.measures.contacts(chain, gx.states.rest(chain))
+    >>> found.place, found.force.shape
+    ('bond', (21,))
     """
     u, _ = parts(lattice, y, t)
     found = [c for term in lattice.terms for c in term.compressions(t, u)]
@@ -35,6 +42,13 @@ def strain(lattice: Lattice, y: StateLike, t: Number = 0.0, *, bond: Count = 0) 
     from 0 in the order of the terms, walls after all bonds.
     **Shapes:** (bonds,), then lanes; a grid's bonds on as many axes; (1,) for a wall.
     **Raises** ValueError for a state of another shape than the lattice's, or a bond that is not there.
+
+    **Example:**
+
+    >>> chain = gx.scenes.monomer(20, precompression=1.0)
+    >>> state = gx.State(jnp.zeros(20).at[0].set(0.44), jnp.zeros(20))
+    >>> gx.measures.strain(chain, state)[:3].tolist()
+    [-0.44, 0.44, 0.0]
     """
     return _contact(lattice, y, t, bond).compression
 
@@ -46,6 +60,13 @@ def contact_force(lattice: Lattice, y: StateLike, t: Number = 0.0, *, bond: Coun
     At rest it is the preload F0; an open contact carries zero. Under a modulation g(t) it is g(t) (F0 + F(e)).
 
     **Arguments, shapes and errors:** as in `strain`.
+
+    **Example:**
+
+    >>> chain = gx.scenes.monomer(20, precompression=1.0)
+    >>> state = gx.State(jnp.zeros(20).at[0].set(0.44), jnp.zeros(20))
+    >>> np.array(gx.measures.contact_force(chain, state)[:3]).round(6).tolist()
+    [0.419066, 1.728, 1.0]
     """
     return _contact(lattice, y, t, bond).force
 
@@ -55,6 +76,13 @@ def overlap(lattice: Lattice, y: StateLike, t: Number = 0.0, *, bond: Count = 0)
     """Overlap of every contact, d0 + e for a power law; not above zero where it is open [m].
 
     **Arguments and shapes:** as in `strain`. **Raises** ValueError also for a law that cannot open.
+
+    **Example:**
+
+    >>> chain = gx.scenes.monomer(20, precompression=1.0)
+    >>> state = gx.State(jnp.zeros(20).at[0].set(0.44), jnp.zeros(20))
+    >>> np.array(gx.measures.overlap(chain, state)[:3]).round(6).tolist()
+    [0.56, 1.44, 1.0]
     """
     contact = _contact(lattice, y, t, bond)
     value = contact.overlap

@@ -21,6 +21,12 @@ def energy(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
     """Kinetic and potential energy of the whole lattice, from equilibrium [J]; shape of the lanes.
 
     **Raises** ValueError for a state of another shape than the lattice's.
+
+    **Example:**
+
+    >>> chain = gx.scenes.monomer(20)
+    >>> float(gx.measures.energy(chain, gx.states.impact(chain)))
+    0.5
     """
     u, v = parts(lattice, y, t)
     return lattice.energy(t, u, v)
@@ -28,20 +34,42 @@ def energy(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
 
 @checked
 def potential_energy(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
-    """Potential energy of all bonds, walls and sites, from equilibrium [J]; shape of the lanes."""
+    """Potential energy of all bonds, walls and sites, from equilibrium [J]; shape of the lanes.
+
+    **Example:**
+
+    >>> chain = gx.scenes.monomer(20)
+    >>> state = gx.State(jnp.zeros(20).at[0].set(1.0), jnp.zeros(20))
+    >>> round(float(gx.measures.potential_energy(chain, state)), 6)
+    0.4
+    """
     u, _ = parts(lattice, y, t)
     return lattice.potential_energy(t, u) + jnp.zeros(lattice.lanes, lattice.dtype)
 
 
 @checked
 def kinetic_energy(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
-    """Sum of m v^2/2 [J]; shape of the lanes. `t` is not read."""
+    """Sum of m v^2/2 [J]; shape of the lanes. `t` is not read.
+
+    **Example:**
+
+    >>> chain = gx.scenes.monomer(20)
+    >>> float(gx.measures.kinetic_energy(chain, gx.states.impact(chain, velocity=2.0)))
+    2.0
+    """
     return lattice.kinetic_energy(parts(lattice, y, t)[1])
 
 
 @checked
 def momentum(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
-    """Total momentum, sum of m v [kg m/s]; shape of the lanes, after (d,) for vectors. `t` is not read."""
+    """Total momentum, sum of m v [kg m/s]; shape of the lanes, after (d,) for vectors. `t` is not read.
+
+    **Example:**
+
+    >>> chain = gx.scenes.monomer(20)
+    >>> float(gx.measures.momentum(chain, gx.states.impact(chain, velocity=2.0)))
+    2.0
+    """
     _, v = parts(lattice, y, t)
     axes = tuple(range(lattice.axes))
     return sum(jax.tree.leaves(jax.tree.map(lambda m, v: (m * v).sum(axes), lattice.mass, v)))
@@ -59,6 +87,12 @@ def power(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
         run = gx.simulate(chain, gx.states.impact(chain), 3.0, tolerance=1e-10, record={"work": work})
 
     **Raises** ValueError for a state of another shape than the lattice's.
+
+    **Example:**
+
+    >>> chain = gx.Lattice(1.0, (gx.Bond(gx.Shift(1), gx.Hertz()), gx.Damping(0.1)), sites=20)
+    >>> round(float(gx.measures.power(chain, gx.states.impact(chain))), 6)
+    -0.1
     """
     u, v = parts(lattice, y, t)
     terms = [term for term in lattice.terms if not reads(term, lattice).conserves]
@@ -82,6 +116,12 @@ def site_energy(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Displacement
 
     **Shapes:** (N,) or (N1, N2), then lanes; a dict of such where a cell holds several fields. Components of a vector
     are summed. **Raises** ValueError for a state of another shape than the lattice's.
+
+    **Example:**
+
+    >>> chain = gx.scenes.monomer(20)
+    >>> gx.measures.site_energy(chain, gx.states.impact(chain))[:3].tolist()
+    [0.5, 0.0, 0.0]
     """
     return _share_out(lattice, *parts(lattice, y, t), t)
 
@@ -120,6 +160,14 @@ def species_energy(
     **Arguments:** `species`: one label per site, numbers or names (`["heavy", "light"] * 50`, a mask); `None` for the
     fields of a cell. **Returns:** a dict from label to energy, of the shape of the lanes; the values sum to `energy`.
     **Raises** ValueError for labels that are not one per site, or fields together with labels.
+
+    **Example:**
+
+    >>> chain = gx.scenes.dimer(20, ratio=0.5, precompression=1.0, boundary="periodic")
+    >>> state = gx.State(jnp.zeros(20), jnp.ones(20))
+    >>> shares = gx.measures.species_energy(chain, state, species=["heavy", "light"] * 10)
+    >>> {name: float(energy) for name, energy in shares.items()}
+    {'heavy': 5.0, 'light': 2.5}
     """
     share = site_energy(lattice, y, t)
     axes = tuple(range(lattice.axes))

@@ -15,7 +15,15 @@ ROOT_STEPS = 12
 
 
 class Peaks(Result):
-    """Time and height of the highest maximum of every site, shape of one frame; NaN where it lies at an end."""
+    """Time and height of the highest maximum of every site, shape of one frame; NaN where it lies at an end.
+
+    **Example:**
+
+    >>> ts, n = np.linspace(0.0, 10.0, 101), np.arange(8)
+    >>> peaks = gx.measures.peak_times(ts, np.exp(-((ts[:, None] - 2 - n / 2) ** 2)))
+    >>> peaks.outcome
+    '8 of 8 maxima lie inside the record.'
+    """
 
     held: ClassVar[dict[str, Held]] = {"times": Held("site", "s"), "heights": Held("site")}
     times: Numbers
@@ -29,7 +37,15 @@ class Peaks(Result):
 
 
 class Front(Result):
-    """Speed of a front [sites/time], its standard error, and the arrival times that it was fitted to."""
+    """Speed of a front [sites/time], its standard error, and the arrival times that it was fitted to.
+
+    **Example:**
+
+    >>> ts, n = np.linspace(0.0, 10.0, 101), np.arange(8)
+    >>> front = gx.measures.front_speed(ts, np.exp(-((ts[:, None] - 2 - n / 2) ** 2)))
+    >>> front.outcome
+    'A line through 8 of 8 arrivals.'
+    """
 
     held: ClassVar[dict[str, Held]] = {
         "speed": Held(unit="1/s"), "error": Held(unit="1/s"), "arrivals": Held("site", "s"),
@@ -59,6 +75,13 @@ def arrival_times(
     `threshold`: a number, or one per site [units of q]; `None` takes `fraction`, in (0, 1], of each site's own maximum.
     **Returns:** times of the shape of one frame; `ts[0]` where q starts above, NaN where it never gets there.
     **Raises** ValueError for times that do not rise or are not one per frame, or a fraction outside (0, 1].
+
+    **Example:**
+
+    >>> ts, n = np.linspace(0.0, 10.0, 101), np.arange(8)
+    >>> q = np.tanh(ts[:, None] - 2 - n / 2)
+    >>> np.array(gx.measures.arrival_times(ts, q, threshold=0.0)[:3]).round(4).tolist()
+    [2.0, 2.5, 3.0]
     """
     ts, q = _history(ts, q)
     share, threshold = _threshold(threshold, fraction, q)
@@ -86,6 +109,13 @@ def peak_times(ts: Parameter, q: Parameter) -> Peaks:
 
     **Arguments:** as in `arrival_times`. **Returns:** `Peaks`, with NaN where the highest frame is the first or last.
     **Raises** ValueError for times that do not rise or are not one per frame, or fewer than three frames.
+
+    **Example:**
+
+    >>> ts, n = np.linspace(0.0, 10.0, 101), np.arange(8)
+    >>> peaks = gx.measures.peak_times(ts, np.exp(-((ts[:, None] - 2 - n / 2) ** 2)))
+    >>> np.array(peaks.times[:3]).round(4).tolist(), np.array(peaks.heights[:3]).round(4).tolist()
+    ([2.0, 2.5, 3.0], [1.0, 1.0, 1.0])
     """
     ts, q = _history(ts, q, 3)
     return _maxima(ts, q)
@@ -104,6 +134,13 @@ def front_speed(
     **Returns:** `Front(speed, error, arrivals)`; speed in sites per time, positive towards higher index; `error` is the
     standard error from the scatter about the line, NaN with fewer than three arrivals.
     **Raises** ValueError for another `by`, sites that are not indices, or fewer than two of them.
+
+    **Example:**
+
+    >>> ts, n = np.linspace(0.0, 10.0, 101), np.arange(8)
+    >>> front = gx.measures.front_speed(ts, np.exp(-((ts[:, None] - 2 - n / 2) ** 2)))
+    >>> round(float(front.speed), 4)
+    2.0
     """
     ts, q = _history(ts, q, 3)
     if q.ndim < 2:

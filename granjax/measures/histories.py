@@ -24,6 +24,13 @@ def along(measure: Callable, lattice: Lattice, run: Any, **options: Any) -> Pytr
     Where forces remember, the lattice holds at each frame what the run had in memory then.
     **Returns:** what the measure returns, each array with T in front. All frames are held at once; to keep less, record
     the quantity while simulating. **Raises** ValueError for a measure that cannot be called or a run without frames.
+
+    **Example:**
+
+    >>> chain = gx.scenes.monomer(20)
+    >>> run = gx.simulate(chain, gx.states.impact(chain), 5.0, step=0.05, save_at=51)
+    >>> gx.measures.along(gx.measures.contact_force, chain, run).shape
+    (51, 21)
     """
     if not all(hasattr(run, name) for name in ("ts", "us", "vs")):
         refuse("run", "a record with ts, us and vs", described(run), "Give the result of simulate.")
@@ -42,5 +49,14 @@ def along(measure: Callable, lattice: Lattice, run: Any, **options: Any) -> Pytr
 
 @checked
 def rms_velocity(lattice: Lattice, u: Displacements, v: Displacements, t: Numbers) -> Number:
-    """Root mean square of all velocities in a history u, v (F, N) over t (F,): a response for sweeps and branches."""
+    """Root mean square of all velocities in a history u, v (F, N) over t (F,): a response for sweeps and branches.
+
+    **Example:**
+
+    >>> chain = gx.scenes.monomer(20)
+    >>> ts = np.linspace(0.0, 2 * np.pi, 64, endpoint=False)
+    >>> v = np.sin(ts)[:, None] * np.ones(20)
+    >>> round(float(gx.measures.rms_velocity(chain, 0 * v, v, ts)), 6)
+    0.707107
+    """
     return jnp.sqrt(jnp.mean(ravel_pytree(v)[0] ** 2))

@@ -12,7 +12,17 @@ from ..units import SI, Units
 
 
 class Trace(Result):
-    """A sampled signal: time (S,) [s] and velocity (S,) + trailing axes [m/s]."""
+    """A sampled signal: time (S,) [s] and velocity (S,) + trailing axes [m/s].
+
+    **Example:**
+
+    >>> ts = np.linspace(0.0, 1.0, 51)
+    >>> trace = gx.measures.velocity_trace(ts, np.sin(ts)[:, None], bead=0, sampling=20.0)
+    >>> trace
+    time           shape (21), 0 ... 1 s
+    velocity       shape (21), 0 ... 0.841471 m/s
+    outcome        21 samples over 1 s.
+    """
 
     _else: ClassVar[str | None] = SI
     held: ClassVar[dict[str, Held]] = {"time": Held("time", "s"), "velocity": Held("time", "m/s")}
@@ -47,6 +57,13 @@ def velocity_trace(
     **Returns:** `Trace(time, velocity)` from the first frame on, NumPy arrays.
     **Raises** ValueError for fewer than four frames, a bead that is not there, a record that holds fewer than two
     samples, a noise below zero, or traced input.
+
+    **Example:**
+
+    >>> ts = np.linspace(0.0, 1.0, 51)
+    >>> trace = gx.measures.velocity_trace(ts, np.sin(ts)[:, None], bead=0, sampling=20.0)
+    >>> round(float(trace.velocity[10]), 6)  # sin(0.5)
+    0.479426
     """
     ts, vs = np.asarray(parameter("ts", ts)), np.asarray(parameter("vs", vs))
     if ts.ndim != 1 or len(ts) < 4 or not np.all(np.diff(ts) > 0):

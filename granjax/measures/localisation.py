@@ -16,6 +16,11 @@ def participation(weights: Parameter, axis: int | tuple[int, ...] = 0) -> Number
 
     **Arguments:** `weights`: such as energies, or squares of a mode's displacements times mass; `axis`: one axis of
     the sites, or several. **Returns:** the array without these axes; NaN where all weights are zero.
+
+    **Example:**
+
+    >>> float(gx.measures.participation([1.0, 1.0, 1.0, 1.0])), float(gx.measures.participation([4.0, 0.0, 0.0, 0.0]))
+    (4.0, 1.0)
     """
     weights = parameter("weights", weights)
     axes, ndim = axis if isinstance(axis, tuple) else (axis,), weights.ndim
@@ -29,13 +34,28 @@ def participation_number(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Num
     """Participation number of the site energies, (sum e)^2 / sum e^2, from 1 to N; shape of the lanes.
 
     The fields of a cell count together. NaN for a lattice at rest. **Raises** ValueError as `site_energy` does.
+
+    **Example:**
+
+    >>> chain = gx.scenes.monomer(20, precompression=1.0)
+    >>> float(gx.measures.participation_number(chain, gx.State(jnp.zeros(20), jnp.ones(20))))
+    20.0
+    >>> float(gx.measures.participation_number(chain, gx.states.impact(chain)))
+    1.0
     """
     return participation(_cell_energy(lattice, y, t), tuple(range(lattice.axes)))
 
 
 @checked
 def energy_centre(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
-    """Mean place of the energy, sum n e_n / sum e_n [sites]; shape of the lanes, after (2,) on a grid."""
+    """Mean place of the energy, sum n e_n / sum e_n [sites]; shape of the lanes, after (2,) on a grid.
+
+    **Example:**
+
+    >>> chain = gx.scenes.monomer(20)
+    >>> float(gx.measures.energy_centre(chain, gx.states.impact(chain, site=7)))
+    7.0
+    """
     e = _cell_energy(lattice, y, t)
     axes = tuple(range(lattice.axes))
     centres = [(n * e).sum(axes) / e.sum(axes) for n in _places(lattice, e)]
@@ -48,6 +68,13 @@ def second_moment(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
 
     On a grid the sum over both axes. Grows as t^2 where energy runs freely, stays bounded where it is localised.
     **Returns:** shape of the lanes; NaN for a lattice at rest.
+
+    **Example:**
+
+    >>> chain = gx.scenes.monomer(20)
+    >>> state = gx.State(jnp.zeros(20), jnp.zeros(20).at[jnp.array([5, 9])].set(1.0))
+    >>> float(gx.measures.second_moment(chain, state))
+    4.0
     """
     e = _cell_energy(lattice, y, t)
     axes = tuple(range(lattice.axes))

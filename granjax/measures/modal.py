@@ -18,6 +18,14 @@ def modal_amplitudes(lattice: Lattice, y: StateLike, modes: Parameter) -> tuple[
     (N, M) + lanes. With vectors or several fields N counts all displacements, in the order of `jax.tree.leaves` of
     `u`, each flattened. **Returns:** (a, a_dot), each (M,) + lanes.
     **Raises** ValueError for modes whose first axis is not the number of displacements.
+
+    **Example:**
+
+    >>> chain = gx.scenes.monomer(20, precompression=1.0)
+    >>> modes = gx.linear.normal_modes(chain).modes
+    >>> a, rate = gx.measures.modal_amplitudes(chain, gx.states.sine_mode(chain, k=3), modes)
+    >>> int(jnp.argmax(jnp.abs(a))), round(float(a @ a), 4)
+    (2, 10.5)
     """
     u, v = parts(lattice, y)
     modes = parameter("modes", modes)
@@ -38,6 +46,14 @@ def modal_energy(lattice: Lattice, y: StateLike, modes: Parameter, omega: Parame
     **Arguments:** `modes`: as in `modal_amplitudes`; `omega`: their frequencies (M,), or (M,) + lanes [rad/s].
     **Returns:** (M,) + lanes. In a linear lattice each is constant and, over all modes, they sum to `energy`.
     **Raises** ValueError for modes or frequencies that do not fit.
+
+    **Example:**
+
+    >>> chain = gx.scenes.monomer(20, precompression=1.0)
+    >>> found = gx.linear.normal_modes(chain)
+    >>> shares = gx.measures.modal_energy(chain, gx.states.impact(chain), found.modes, found.omega)
+    >>> shares.shape, round(float(shares.sum()), 6)
+    ((20,), 0.5)
     """
     a, rate = modal_amplitudes(lattice, y, modes)
     omega = parameter("omega", omega)

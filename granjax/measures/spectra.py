@@ -15,7 +15,15 @@ WINDOWS = ("hann", "none")
 
 
 class Spectrum(Result):
-    """Power over wave number k (K,) [rad/site], rising in [-pi, pi], and angular frequency omega (W,) >= 0."""
+    """Power over wave number k (K,) [rad/site], rising in [-pi, pi], and angular frequency omega (W,) >= 0.
+
+    **Example:**
+
+    >>> ts, n = 0.1 * np.arange(400), np.arange(20)
+    >>> found = gx.measures.spectrum(np.cos(np.pi / 2 * n - np.pi * ts[:, None]), 0.1)
+    >>> found.outcome
+    '20 wave numbers, 201 frequencies up to 31.4159.'
+    """
 
     held: ClassVar[dict[str, Held]] = {
         "k": Held("k", "rad"), "omega": Held("omega", "rad/s"), "power": Held("k omega"),
@@ -31,7 +39,17 @@ class Spectrum(Result):
 
 
 class Spectrogram(Result):
-    """Power density over time (S,) and angular frequency omega (W,) [rad/time]; power (S, W) + trailing axes."""
+    """Power density over time (S,) and angular frequency omega (W,) [rad/time]; power (S, W) + trailing axes.
+
+    **Example:**
+
+    >>> ts = 0.1 * np.arange(400)
+    >>> found = gx.measures.spectrogram(np.cos(2.0 * ts), 0.1, window=10.0)
+    >>> found.outcome
+    '13 windows, 51 frequencies up to 31.4159.'
+    >>> found.power.shape
+    (13, 51)
+    """
 
     held: ClassVar[dict[str, Held]] = {
         "time": Held("time", "s"), "omega": Held("omega", "rad/s"), "power": Held("time omega"),
@@ -64,6 +82,16 @@ def spectrum(
     **Returns:** `Spectrum(k, omega, power)`, power (N, T//2 + 1) and lanes.
     Resolution: 2 pi/(N) in k and 2 pi/(T dt) in omega, doubled by a Hann window.
     **Raises** ValueError for fewer than four frames or two sites, dt <= 0, or another window.
+
+    **Example:**
+
+    >>> ts, n = 0.1 * np.arange(400), np.arange(20)
+    >>> found = gx.measures.spectrum(np.cos(np.pi / 2 * n - np.pi * ts[:, None]), 0.1, space_window="none")
+    >>> k, omega = np.unravel_index(found.power.argmax(), found.power.shape)
+    >>> round(float(found.k[k]) / np.pi, 4), round(float(found.omega[omega]) / np.pi, 4)
+    (0.5, 1.0)
+    >>> round(float(found.power.sum()), 4)
+    0.5
     """
     us, dt = parameter("us", us), positive("dt", dt)
     if us.ndim < 2 or us.shape[0] < 4 or us.shape[1] < 2:
@@ -107,6 +135,13 @@ def spectrogram(
     **Returns:** `Spectrogram(time, omega, power)`, NumPy arrays, time counted from the first frame; power (S, W) and
     trailing axes. **Raises** ValueError for a window shorter than four frames or longer than the record, or traced
     input.
+
+    **Example:**
+
+    >>> ts = 0.1 * np.arange(400)
+    >>> found = gx.measures.spectrogram(np.cos(2.0 * ts), 0.1, window=10.0)
+    >>> round(float(found.omega[found.power[0].argmax()]), 4), round(float(found.power[0].sum() * found.omega[1]), 4)
+    (1.885, 0.5)
     """
     v, dt = np.asarray(parameter("v", v)), float(positive("dt", dt))
     frames = len(v) if v.ndim else 0

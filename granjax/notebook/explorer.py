@@ -64,6 +64,13 @@ def explore(
     **Returns:** an `Explorer`, which a notebook shows; `.run`, `.lattice`, `.state`, `.values` are the present ones.
     **Raises** ImportError outside of a notebook and without ipywidgets, saying what to install; ValueError for names
     that the scene does not have, and for first values that it refuses.
+
+    **Example:**
+
+    >>> scene = lambda ratio=0.5: gx.scenes.dimer(20, ratio=ratio)
+    >>> scene(ratio=0.3).shape
+    (20,)
+    >>> view = gx.explore(scene, 20.0, ratio=(0.1, 1.0))  # in a notebook  # doctest: +SKIP
     """
     if not callable(quantity):
         one_of("quantity", quantity, MAPS)

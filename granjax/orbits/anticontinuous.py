@@ -78,6 +78,15 @@ def anticontinuous(
     harmonics is a wave already in the limit, sites that are coupled there, and as `family`; RuntimeError where the
     first breather is not found. Typical: 11 to 41 sites, couplings up to a tenth of the stiffness of the sites.
     Source: MacKay, Aubry, Nonlinearity 7, 1623 (1994); Marin, Aubry, Nonlinearity 9, 1501 (1996).
+
+    **Example:**
+
+    >>> scene = lambda coupling: gx.scenes.klein_gordon(5, coupling)
+    >>> branch = gx.breathers.anticontinuous(scene, 0.02, 1.4, points=10, steps=64, stability=False)
+    >>> branch.outcome
+    'p reached 0.02.'
+    >>> branch.u[-1].round(4).tolist()
+    [0.0005, -0.0239, 1.1182, -0.0239, 0.0005]
     """
     omega = float(positive("omega", omega))
     end, tolerance = float(parameter("coupling", coupling)), checked_tolerance("tolerance", tolerance)

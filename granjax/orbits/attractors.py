@@ -57,6 +57,13 @@ class Attractor(Result):
       what settles from there with half as many steps, and by what either still changes; NaN where nothing
       repeats, or half the steps settle to nothing.
     - `outcome`: what became of the motion, a sentence.
+
+    **Example:**
+
+    >>> chain = gx.driven.driven_chain(gx.scenes.monomer(3, precompression=1.0), 0.01, 0.5, damping=0.5)
+    >>> found = gx.driven.settle(chain, gx.states.rest(chain), 2 * np.pi / 0.5, steps=64)
+    >>> found.us.shape, found.peak_force.round(4).tolist()
+    ((64, 3), [1.0024, 1.0024, 1.0068, 1.0068])
     """
 
     held: ClassVar[dict[str, Held]] = {
@@ -115,6 +122,13 @@ def settle(
     T, a tolerance or numbers that are not above zero, or a lattice without a linear frequency (a sonic vacuum) where
     `steps` is not given.
     Typical: 200 to 2000 periods near a band edge with gamma T = 0.03.
+
+    **Example:**
+
+    >>> chain = gx.driven.driven_chain(gx.scenes.monomer(3, precompression=1.0), 0.01, 0.5, damping=0.5)
+    >>> found = gx.driven.settle(chain, gx.states.rest(chain), 2 * np.pi / 0.5, steps=64)
+    >>> found.multiple, found.outcome.split(":")[0]
+    (1, 'Settled')
     """
     state, period = checked_state(one_lattice(lattice), state), float(positive("period", period))
     tolerance = float(checked_tolerance("tolerance", tolerance))

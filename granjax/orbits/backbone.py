@@ -31,6 +31,12 @@ class Backbone(Result):
     `cubic`: its parts from the third derivative of the force and from the second one, squared; `error`: rounding of it.
     `shape`, `constant`, `second`: displacements. `limit`: the amplitude at which a correction of the
     shape is as large as the mode itself: the curve holds well below it; infinite where the shape needs none.
+
+    **Example:**
+
+    >>> found = gx.breathers.backbone(gx.scenes.klein_gordon(5, 0.02), 0)
+    >>> round(float(found.omega_at(0.2)) ** 2, 6)
+    1.03
     """
 
     held: ClassVar[dict[str, Held]] = {
@@ -96,6 +102,12 @@ def backbone(lattice: Lattice, mode: Count | StateLike) -> Backbone:
     **Raises** ValueError for a batch (use `jax.vmap` over `in_axes=-1`), a state that is no mode, a mode that does not
     oscillate, one whose second harmonic or constant part is a mode itself, and one that forces drive into another mode
     of the same frequency; and where `normal_modes` does. Source: Nayfeh, Mook, Nonlinear Oscillations (1979).
+
+    **Example:**
+
+    >>> found = gx.breathers.backbone(gx.scenes.klein_gordon(5, 0.02), 0)
+    >>> round(float(found.omega), 6), round(float(found.curvature), 6)
+    (1.0, 0.75)
     """
     modes = normal_modes(lattice)
     flat, unravel = ravel_pytree(lattice.zeros())

@@ -36,6 +36,13 @@ def bifurcations(branch: Branch, kinds: Sequence[str] = KINDS, *, accuracy: Scal
 
     **Returns:** a list of `Bifurcation` in the order of the branch. A pair that comes and goes between two breathers
     is not seen: give the family a shorter `longest_arclength`.
+
+    **Example:**
+
+    >>> chain = gx.scenes.klein_gordon(5, 0.02)
+    >>> branch = gx.breathers.family(chain, points=3, arclength=0.3, steps=64)
+    >>> branch.verdict.tolist(), gx.breathers.bifurcations(branch)
+    (['stable', 'stable', 'stable'], [])
     """
     if not branch._family.shooting.reversible:
         refuse("branch", "a family of breathers", "a branch of forced orbits", "Its own are branch.bifurcations.")

@@ -36,6 +36,11 @@ class Bifurcation(Result):
     - `multiplier`: on the unit circle, of a pair the one above the real axis; as far as its modulus is from 1, so far
       was it located. `before`, `behind`: what the kind counts on the two sides: real pairs beyond +1 or -1, complex
       quadruples; of a sweep the periods after which the motion repeats, 0 where it does not.
+
+    **Example:**
+
+    >>> gx.breathers.Bifurcation("fold", p=1.2, after=3)
+    Bifurcation(Fold at p = 1.2)
     """
 
     held: ClassVar[dict[str, Held]] = {"state": Held("site", STATE)}
@@ -67,6 +72,15 @@ class Branch(Result):
     largest modulus first, and `error` of each. `step_error` (P,): change of the tangent map when the steps are doubled.
     `verdict`: P words "stable", "unstable", "undecided", or "" where they were not computed.
     `bifurcations`: a tuple of `Bifurcation` in the order of the branch. `outcome`: why it ended. `t0`.
+
+    **Example:**
+
+    >>> chain = gx.scenes.klein_gordon(5, 0.02)
+    >>> branch = gx.breathers.family(chain, points=3, arclength=0.3, steps=64, stability=False)
+    >>> len(branch), branch.u.shape
+    (3, (3, 5))
+    >>> branch.energy.round(4).tolist()
+    [0.0001, 0.0003, 0.0009]
     """
 
     held: ClassVar[dict[str, Held]] = {

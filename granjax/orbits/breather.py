@@ -74,6 +74,14 @@ def breather(
     **Returns:** `Orbit`, which says how many cells share its energy; `throw=False` returns the best iterate.
     **Raises** ValueError for a frequency that has no such breather, with the reason; RuntimeError where Newton's method
     does not converge, or leads to rest or to a wave, with the participation number.
+
+    **Example:**
+
+    >>> chain = gx.scenes.klein_gordon(5, 0.02)
+    >>> guess = gx.breathers.guesses.single_site(chain, 1.4, 2)
+    >>> found = gx.breathers.breather(chain, 1.4, guess, steps=64)
+    >>> bool(found.converged), round(float(found.energy), 4)
+    (True, 1.0427)
     """
     first, tolerance = None, checked_tolerance("tolerance", tolerance)
     if isinstance(guess, Orbit):
@@ -258,6 +266,13 @@ def bands_of(lattice: Lattice) -> tuple[Float[np.ndarray, "bands 2"], Float[np.n
 
     Of the unit cell where there is one; else of the extended modes of the finite lattice: runs of neighbours closer
     than 8 mean spacings, of modes that spread over a fifth of the sites.
+
+    **Example:**
+
+    >>> chain = gx.scenes.dimer(20, ratio=0.5, precompression=1.0, boundary="periodic")
+    >>> bands, omega = gx.breathers.bands_of(chain)
+    >>> bands.round(4).tolist()
+    [[0.0, 1.7321], [2.4495, 3.0]]
     """
     modes = normal_modes(lattice)
     omega = np.asarray(modes.omega)
@@ -280,6 +295,14 @@ def resonant_harmonic(lattice: Lattice, omega: Scalar, first: Count = 1) -> tupl
     """The least n >= first with n omega in a band, with that band and the nearest frequency of the finite lattice.
 
     `None` where no harmonic meets a wave.
+
+    **Example:**
+
+    >>> chain = gx.scenes.klein_gordon(5, 0.02)
+    >>> gx.breathers.resonant_harmonic(chain, 1.4) is None
+    True
+    >>> gx.breathers.resonant_harmonic(chain, 0.51)[0]
+    2
     """
     intervals, discrete = bands_of(lattice)
     top = max(intervals.max(initial=0.0), discrete.max())

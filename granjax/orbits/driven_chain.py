@@ -38,6 +38,12 @@ def driven_chain(
     **Raises** ValueError for a lattice that is no chain with one bond to fixed walls, another term that reaches a
     wall, an unknown or repeated end, or as many phases as do not fit.
     Typical: a = 0.05 ... 0.5 d0, omega near a band edge, gamma = 0.01 ... 0.1 in scaled units (200/s for steel beads).
+
+    **Example:**
+
+    >>> chain = gx.driven.driven_chain(gx.scenes.monomer(20, precompression=1.0), 0.1, 1.0, ends="left")
+    >>> gx.measures.strain(chain, gx.states.rest(chain), bond=1).tolist()
+    [0.1]
     """
     ends = _checked_ends(ends)
     phases = _checked_phases(phase, ends)

@@ -73,6 +73,15 @@ def family(
     **Returns:** `Branch`. **Raises** ValueError for lattices that are damped, driven or in lanes, a mode that is not
     there, and both `mode` and `guess`; RuntimeError where the first breather is not found.
     Source: Flach, Gorbach, Phys. Rep. 467, 1 (2008); Theocharis et al., Phys. Rev. E 82, 056604 (2010).
+
+    **Example:**
+
+    >>> chain = gx.scenes.klein_gordon(5, 0.02)
+    >>> branch = gx.breathers.family(chain, points=3, arclength=0.3, steps=64, stability=False)
+    >>> branch.outcome
+    'The 3 points that were asked for.'
+    >>> branch.omega.round(4).tolist()
+    [1.0356, 1.0356, 1.0357]
     """
     checked_lattice(lattice)
     tolerance = checked_tolerance("tolerance", tolerance)

@@ -58,6 +58,13 @@ class Floquet(Result):
     - `expected`: how many multipliers symmetry puts at +1; these are left out of the verdict.
     - `verdict`: "stable", "unstable" or "undecided"; `outcome` says why.
     - `period`, `steps`, `state`, `rate` (of uniform damping: multipliers pair as rho rho' = exp(-gamma T)).
+
+    **Example:**
+
+    >>> chain = gx.scenes.monomer(3, precompression=1.0)
+    >>> found = gx.floquet.floquet(chain, gx.states.rest(chain), period=1.0)
+    >>> found.verdict, found.monodromy.shape
+    ('stable', (6, 6))
     """
 
     held: ClassVar[dict[str, Held]] = {
@@ -111,6 +118,14 @@ def decide(
     The `expected` ones nearest to +1 are left out. Unstable: one lies outside the circle by more than its error.
     Undecided: an error above `resolution` could hide such a one. Stable: neither; in a conservative lattice every
     multiplier then lies on the circle within its error, in a damped one inside.
+
+    **Example:**
+
+    >>> verdict, why = gx.floquet.decide(np.array([1.2, 1 / 1.2]), np.full(2, 1e-6), expected=0, conserves=True)
+    >>> verdict
+    'unstable'
+    >>> why
+    'A real multiplier of modulus 1.2 +- 1.0e-06 lies outside the unit circle.'
     """
     resolution = float(within("resolution", resolution, 0, 1, open_high=True))
     if error.shape != multipliers.shape:
@@ -172,6 +187,17 @@ def floquet(
     **Returns:** `Floquet`. **Raises** ValueError for a period that is not positive or after which the forces do not
     repeat, a batch of lattices, a state of another shape or one that does not return, segments that do not divide the
     steps, and steps too few for a finite motion.
+
+    **Example:**
+
+    >>> chain = gx.scenes.monomer(3, precompression=1.0)
+    >>> found = gx.floquet.floquet(chain, gx.states.rest(chain), period=1.0)
+    >>> found.outcome
+    'Every multiplier is on the unit circle, to 1.4e-10.'
+    >>> np.sort(np.abs(np.angle(found.multipliers)))[::2].round(6).tolist()
+    [0.937379, 1.732051, 2.263033]
+    >>> np.array(gx.linear.normal_modes(chain).omega).round(6).tolist()
+    [0.937379, 1.732051, 2.263033]
     """
     period, segments = one_period(lattice, period), whole("segments", segments, 1)
     tolerance = checked_tolerance("tolerance", tolerance)
@@ -346,6 +372,13 @@ def multipliers(flow: Flow, state: Pytree, t0: Scalar, period: Scalar, args: Any
 
     **Arguments:** `flow`: a `Flow` over one period; `state`: the orbit at `t0`; `args`: of its field, such as the
     lattice. In the order that LAPACK gives. Differentiate a simple one, `multipliers(...)[i]`.
+
+    **Example:**
+
+    >>> pair = gx.Lattice(1.0, (gx.Modulated(gx.OnSite(gx.Linear(1.0)), gx.Harmonic(0.1, 2.0, mean=1.0)),), sites=2)
+    >>> rho = gx.floquet.multipliers(gx.Flow(64), gx.states.rest(pair), 0.0, np.pi, pair)
+    >>> np.sort(np.array(rho).real).round(6).tolist()
+    [-1.081682, -1.081682, -0.924487, -0.924487]
     """
     check_moved("state", state, flow, args)
     _, monodromy = flow.derivative(state, t0, t0 + period, args)

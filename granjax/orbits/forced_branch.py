@@ -87,6 +87,16 @@ def forced_branch(
     RuntimeError where the first orbit does not converge.
     Source: Doedel, Keller, Kernevez, Int. J. Bifurcation Chaos 1, 493 and 745 (1991); Kuznetsov, Elements of Applied
     Bifurcation Theory.
+
+    **Example:**
+
+    >>> chain = gx.scenes.monomer(3, precompression=1.0)
+    >>> make = lambda a: gx.driven.driven_chain(chain, a, 0.5, damping=0.5)
+    >>> branch = gx.forced.forced_branch(make, 0.01, 0.02, period=2 * np.pi / 0.5, steps=64, arclength=0.5)
+    >>> branch.outcome
+    'p reached 0.02.'
+    >>> round(float(branch.response[-1] / branch.response[0]), 3)
+    2.0
     """
     start, until = (float(parameter(name, x)) for name, x in (("start", start), ("until", until)))
     tolerance = checked_tolerance("tolerance", tolerance)

@@ -40,6 +40,13 @@ class OrbitRun(Result):
     """One period of an orbit at equal distances, without its end: `ts` (F,), `us` and `vs` (F, N).
 
     Means over these frames are integrals over the period to the accuracy of a Fourier series.
+
+    **Example:**
+
+    >>> chain = gx.driven.driven_chain(gx.scenes.monomer(3, precompression=1.0), 0.01, 0.5, damping=0.5)
+    >>> run = gx.forced.forced_orbit(chain, 2 * np.pi / 0.5, steps=64).run(16)
+    >>> run.us.shape, round(float(run.ts[1]) * 8 / np.pi, 4)
+    ((16, 3), 2.0)
     """
 
     held: ClassVar[dict[str, Held]] = {
@@ -62,6 +69,16 @@ class Orbit(Result):
     ended. `flow`: steps and solver over a period. `symmetry`: S; after T times its order the state itself returns.
     `error`: estimated distance from the true orbit, from two step sizes, with `state`, `energy`, `omega`, `period`.
     `remark`: what else the outcome says, of a breather how many cells share its energy.
+
+    **Example:**
+
+    >>> chain = gx.scenes.klein_gordon(5, 0.02)
+    >>> guess = gx.breathers.guesses.single_site(chain, 1.4, 2)
+    >>> found = gx.breathers.breather(chain, 1.4, guess, steps=64)
+    >>> found.remark
+    '1.03 of 5 cells share its energy.'
+    >>> np.array(found.state.u).round(4).tolist()
+    [0.0005, -0.0239, 1.1182, -0.0239, 0.0005]
     """
 
     held: ClassVar[dict[str, Held]] = {
@@ -225,6 +242,13 @@ def orbit(
     **Returns:** `Orbit`. **Raises** ValueError for a period that is not positive, or none of the forcing, a batch of
     lattices, steps that the segments do not divide, what is no symmetry of the lattice, or a guess at rest where
     nothing moves it; RuntimeError where `throw` and it did not converge, or fell to such rest.
+
+    **Example:**
+
+    >>> chain = gx.driven.driven_chain(gx.scenes.monomer(3, precompression=1.0), 0.01, 0.5, damping=0.5)
+    >>> found = gx.orbits.orbit(chain, gx.states.rest(chain), 2 * np.pi / 0.5, steps=64)
+    >>> bool(found.converged), round(float(found.omega), 6)
+    (True, 0.5)
     """
     _refuse_batch(lattice)
     period, segments = positive("period", period), whole("segments", segments, 1)
@@ -253,6 +277,13 @@ def forced_orbit(lattice: Lattice, period: Scalar, guess: StateLike | None = Non
     `guess`: a `State` at t0; `None` is rest, from where Newton's first iterate is the linear response, as far as one
     period from rest is linear. `keywords`: of `gx.orbits.orbit`. **Returns:** `Orbit`. **Raises** ValueError as there,
     and for no guess where nothing moves a lattice that is at rest, such as stiffness alone that changes in time.
+
+    **Example:**
+
+    >>> chain = gx.driven.driven_chain(gx.scenes.monomer(3, precompression=1.0), 0.01, 0.5, damping=0.5)
+    >>> found = gx.forced.forced_orbit(chain, 2 * np.pi / 0.5, steps=64)
+    >>> bool(found.converged), np.array(found.state.v).round(4).tolist()
+    (True, [0.0021, 0.0028, 0.0021])
     """
     _refuse_batch(lattice)
     if guess is None:

@@ -43,7 +43,14 @@ AGAIN = 6
 
 
 class Jump(NamedTuple):
-    """A jump of the response at `value`: `before` and `after` it, in the direction of the sweep."""
+    """A jump of the response at `value`: `before` and `after` it, in the direction of the sweep.
+
+    **Example:**
+
+    >>> jump = gx.driven.Jump(value=1.2, before=0.5, after=0.1)
+    >>> jump.before > jump.after
+    True
+    """
 
     value: float
     before: float
@@ -59,6 +66,14 @@ class Way(Result):
     - `response_error` (P,), `velocity_error` (P, N), `energy_error` (P,): estimated distances from the true motion, as
       of `settle`; NaN where nothing repeats, or half the steps settle to nothing.
     - `states`: at phase 0, (P, N). `jumps`, `bifurcations`: tuples of `Jump` and `Bifurcation`, as they were met.
+
+    **Example:**
+
+    >>> chain = gx.scenes.monomer(3, precompression=1.0)
+    >>> make = lambda a: gx.driven.driven_chain(chain, a, 0.5, damping=0.5)
+    >>> way = gx.driven.sweep(make, [0.01, 0.02, 0.03], 2 * np.pi / 0.5, steps=64, down=False).up
+    >>> way.velocity.shape, way.jumps
+    ((3, 3), ())
     """
 
     held: ClassVar[dict[str, Held]] = {
@@ -94,6 +109,14 @@ class Sweep(Result):
     `down`: `None` where that way was not run. `hysteresis`: a list of pairs (low, high), intervals of the parameter in
     which the way up and the way down have settled differently; their ends are jumps where there is one beside, else
     values of the sweep.
+
+    **Example:**
+
+    >>> chain = gx.scenes.monomer(3, precompression=1.0)
+    >>> make = lambda a: gx.driven.driven_chain(chain, a, 0.5, damping=0.5)
+    >>> found = gx.driven.sweep(make, [0.01, 0.02, 0.03], 2 * np.pi / 0.5, steps=64)
+    >>> found.hysteresis, found.up.multiple.tolist(), found.down.multiple.tolist()
+    ([], [1, 1, 1], [1, 1, 1])
     """
 
     held: ClassVar[dict[str, Held]] = {"values": Held("value", "", "value"), "hysteresis": Held(None)}
@@ -144,6 +167,14 @@ def sweep(
 
     **Returns:** `Sweep`; without `down` its `down` is `None`, and no hysteresis. **Raises** ValueError for fewer than
     two values, values that do not ascend, a batch of lattices, or a period after which the forces do not repeat.
+
+    **Example:**
+
+    >>> chain = gx.scenes.monomer(3, precompression=1.0)
+    >>> make = lambda a: gx.driven.driven_chain(chain, a, 0.5, damping=0.5)
+    >>> found = gx.driven.sweep(make, [0.01, 0.02, 0.03], 2 * np.pi / 0.5, steps=64, down=False)
+    >>> (found.up.response / found.up.response[0]).round(2).tolist()
+    [1.0, 2.0, 3.0]
     """
     values = np.asarray(parameter("values", values), float)
     if values.ndim != 1 or len(values) < 2 or not (np.diff(values) > 0).all():

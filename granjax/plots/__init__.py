@@ -18,10 +18,11 @@ from .cells import cell_wave, resonance_map
 from .curves import profile, transmission
 from .devices import rectifier, sound_bullet, switch, truth_table, two_way
 from .evolutions import evolution, gap_breather
+from .films import film
 from .fits import corner, fit, law, planar
 from .histories import space_time, traces
 from .orbits import branch, breather, floquet_circle, hysteresis, strain_map
-from .plane import bands, beads, film, radial_profile, zone
+from .plane import bands, beads, radial_profile, zone
 from .precision import work_precision
 from .rest import equilibrium, kink
 from .shocks import modulation, shock, shock_core, shock_map

@@ -59,11 +59,20 @@ class _Stored:
             raise AttributeError(name)
         return self.data[key].values
 
+    @property
+    def units(self):
+        return getattr(self.data, "units", None)
+
 
 def is_stored(x: Any) -> bool:
     """Whether it is a dataset of a run, as `gx.Result.load` gives it: `time`, and `u` or `v`."""
     held = getattr(x, "data_vars", ())
     return "time" in getattr(x, "variables", ()) and ("u" in held or "v" in held)
+
+
+def opened(x: Any) -> Any:
+    """A run, as it is or as a dataset holds it."""
+    return _Stored(x) if is_stored(x) else x
 
 
 def is_run(x: Any) -> bool:
@@ -78,7 +87,7 @@ def history(run_or_array: Any, quantity: Any, ts: Any) -> tuple[Any, Float[np.nd
             refuse("quantity", "nothing beside an array, which is the quantity", repr(quantity)[:60],
                    "Give the array alone, or a run and quantity='u', 'v' or an array.")
         return ts, numbers("run_or_array", run_or_array, 2, finite=False)
-    run = _Stored(run_or_array) if is_stored(run_or_array) else run_or_array
+    run = opened(run_or_array)
     ts = run.ts if ts is None else ts
     if isinstance(quantity, str):
         if quantity not in ("u", "v"):

@@ -24,6 +24,13 @@ def cell_wave(wave: Any, ax: AxesOrNone = None, *, tail: bool = True, units: Uni
 
     **Returns:** the Axes; `ax.lines` holds the contacts' curves, the inset is `ax.child_axes[0]`.
     **Raises** ValueError for a record without these arrays.
+
+    **Example:**
+
+    >>> wave = gx.travelling.cell_wave(gx.Hertz(), [1.0, 0.342845781150], speed=1.0)
+    >>> ax = gx.plots.cell_wave(wave)
+    >>> len(ax.lines)  # one for each contact of the cell
+    2
     """
     having("wave", wave, "a wave of a cell", "xi", "strains", "amplitude")
     strains = numbers("wave.strains", wave.strains, 2)
@@ -64,6 +71,14 @@ def resonance_map(
     are pure numbers.
 
     **Returns:** the Axes; the map is `ax.collections[0]`. **Raises** ValueError for a record without these arrays.
+
+    **Example:**
+
+    >>> from types import SimpleNamespace
+    >>> found = SimpleNamespace(first=np.array([0.3, 0.6]), second=np.array([0.5, 1.0]),
+    ...                         rate=np.array([[0.0, 0.1], [0.2, 0.1]]), names=("ratio", "stiffness"))
+    >>> gx.plots.resonance_map(found, marks=1).get_xlabel()
+    'mass ratio, odd bead over the others'
     """
     having("record", record, "a map of resonances", "first", "second", "rate", "names")
     rate = numbers("record.rate", record.rate, 2, finite=False)

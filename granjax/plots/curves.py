@@ -35,6 +35,13 @@ def profile(
 
     **Returns:** the Axes; the inset is `ax.child_axes[0]`, the curves `ax.lines`.
     **Raises** ValueError for another inset, shapes that do not fit, a floor outside (0, 1).
+
+    **Example:**
+
+    >>> x = np.linspace(-10, 10, 201)
+    >>> ax = gx.plots.profile(x, 1 / np.cosh(x) ** 2)
+    >>> ax.child_axes[0].get_yscale()
+    'log'
     """
     inset = one_of("inset", "none" if inset is None else inset, INSETS)
     x, y = numbers("x", x, 1), numbers("y", y, finite=False)
@@ -105,6 +112,12 @@ def transmission(
     per curve; `y_label`: of the axis; `units`: of what it names, such as "peak force", as in `granjax.plots`.
 
     **Returns:** the Axes. **Raises** ValueError for ratios outside (0, 1] or shapes that do not fit.
+
+    **Example:**
+
+    >>> ax = gx.plots.transmission([0.3, 0.6, 1.0], [0.6, 0.2, 1.0], resonances=[0.59])
+    >>> ax.get_xlabel().startswith("mass ratio")
+    True
     """
     ratios = np.asarray(within("mass_ratio", mass_ratio, 0, 1, open_low=True))
     values = numbers("transmission", transmission, finite=False)

@@ -28,6 +28,15 @@ def truth_table(found: Any, ax: AxesOrNone = None, *, units: UnitsOrWords = None
 
     **Returns:** the Axes; the outputs are `ax.containers[0]`, the shaded bands are the thresholds' ranges.
     **Raises** ValueError for a record without these.
+
+    **Example:**
+
+    >>> from types import SimpleNamespace
+    >>> inputs, output = np.array([[0, 0], [0, 1], [1, 0], [1, 1]]), np.array([0.0, 1e-3, 1e-3, 2e-3])
+    >>> found = SimpleNamespace(inputs=inputs, output=output, output_error=np.zeros(4),
+    ...                         thresholds=lambda gate: (1e-4, 9e-4) if gate == "OR" else None)
+    >>> [label.get_text() for label in gx.plots.truth_table(found).get_xticklabels()]
+    ['00', '01', '10', '11']
     """
     having("found", found, "the result of gx.studies.truth_table", "inputs", "output", "output_error", "thresholds")
     inputs, output = numbers("found.inputs", found.inputs, 2), numbers("found.output", found.output, 1)
@@ -61,6 +70,15 @@ def switch(found: Any, ax: AxesOrNone = None, *, units: UnitsOrWords = None) -> 
     `granjax.plots`.
 
     **Returns:** the Axes; the two curves are `ax.containers`. **Raises** ValueError for a record without these.
+
+    **Example:**
+
+    >>> from types import SimpleNamespace
+    >>> found = SimpleNamespace(amplitudes=np.array([1e-8, 2e-8]), output=np.array([1e-6, 1e-3]),
+    ...                         output_error=np.zeros(2), alone=np.array([1e-6, 2e-6]), alone_error=np.zeros(2),
+    ...                         threshold=1.5e-8, threshold_error=5e-9)
+    >>> len(gx.plots.switch(found).containers)  # with the signal and without
+    2
     """
     having("found", found, "the result of gx.studies.switch", "amplitudes", "output", "output_error", "alone",
            "alone_error", "threshold", "threshold_error")
@@ -93,6 +111,16 @@ def rectifier(found: Any, ax: AxesOrNone = None, *, orbits: Any = None, units: U
     `granjax.plots`.
 
     **Returns:** the Axes; the two curves are `ax.lines[0]` and `[2]`. **Raises** ValueError for a record without these.
+
+    **Example:**
+
+    >>> from types import SimpleNamespace
+    >>> sides = [SimpleNamespace(up=SimpleNamespace(response=np.array(p), multiple=np.array([1.0, 1.0])))
+    ...          for p in ([1e-6, 4e-3], [1e-14, 1e-14])]
+    >>> found = SimpleNamespace(amplitudes=np.array([1e-7, 2e-7]), near=sides[0], far=sides[1],
+    ...                         threshold_near=1.8e-7, threshold_far=np.inf)
+    >>> gx.plots.rectifier(found).get_ylabel()
+    'transmitted power'
     """
     having("found", found, "the result of gx.studies.rectifier", "amplitudes", "near", "far", "threshold_near",
            "threshold_far")
@@ -127,6 +155,14 @@ def sound_bullet(found: Any, ax: AxesOrNone = None) -> Axes:
     **Arguments:** `found`: a `SoundBullet`, the result of `gx.studies.sound_bullet`, or anything with `gain`,
     `gain_error`, `bound`, `alone` (N,) and `at_once`. **Returns:** the Axes; the gain is `ax.containers[0]`, what
     pulses could add up to `ax.lines[-2]`. **Raises** ValueError for a record without these.
+
+    **Example:**
+
+    >>> from types import SimpleNamespace
+    >>> found = SimpleNamespace(gain=np.array([1.0, 1.9]), gain_error=np.zeros(2), bound=np.array([1.0, 2.0]),
+    ...                         alone=np.ones(2), at_once=1.2)
+    >>> gx.plots.sound_bullet(found).get_ylabel()
+    'gain at the focus'
     """
     having("found", found, "the result of gx.studies.sound_bullet", "gain", "gain_error", "bound", "alone", "at_once")
     gain, error, bound, alone = (numbers(f"found.{name}", getattr(found, name), 1)
@@ -158,6 +194,15 @@ def two_way(
 
     **Returns:** the two Axes, (2,) or as given; the error of the difference is shaded.
     **Raises** ValueError for a record without these.
+
+    **Example:**
+
+    >>> from types import SimpleNamespace
+    >>> found = SimpleNamespace(amplitudes=np.array([1e-8, 2e-8]), from_left=np.array([1e-3, 2e-3]),
+    ...                         from_right=np.array([1e-3, 1.8e-3]), asymmetry=np.array([0.01, 0.11]),
+    ...                         asymmetry_error=np.array([1e-3, 1e-3]))
+    >>> [ax.get_ylabel() for ax in gx.plots.two_way(found)]
+    ['force on the wall at rest', 'asymmetry']
     """
     names = "amplitudes", "from_left", "from_right", "asymmetry", "asymmetry_error"
     having("found", found, "the result of gx.studies.two_way", *names)

@@ -33,6 +33,15 @@ def evolution(
     energy since the start, relative as `norm_error` and `energy_error` are, and the error of psi over the root of the
     norm.
     **Raises** ValueError for a record without these, lanes, or a single time.
+
+    **Example:**
+
+    >>> from types import SimpleNamespace
+    >>> ones, zeros = np.ones(3), np.zeros(3)
+    >>> found = SimpleNamespace(ts=np.arange(3.0), densities=np.ones((3, 5)), norm=ones, energy=ones, error=zeros,
+    ...                         norm_error=1e-12, energy_error=1e-12)
+    >>> [ax.get_ylabel() for ax in gx.plots.evolution(found)]
+    ['time', 'relative change, error']
     """
     having("found", found, "the result of gx.first_order.evolve", "ts", "densities", "norm", "energy", "error",
            "norm_error", "energy_error")
@@ -77,6 +86,14 @@ def gap_breather(found: Any, ax: AxesOrNone = None, *, units: UnitsOrWords = Non
     `energy` (P,) and `growth`. `units`: `("ms", "uJ")`, as in `granjax.plots`.
 
     **Returns:** the Axes; `ax.lines[0]` is the energy. **Raises** ValueError for a record without these.
+
+    **Example:**
+
+    >>> from types import SimpleNamespace
+    >>> found = SimpleNamespace(ts=np.arange(5.0), energy=np.array([0.1, 0.5, 1.0, 0.5, 0.1]), growth=0.8)
+    >>> ax = gx.plots.gap_breather(found)
+    >>> ax.get_yscale()
+    'log'
     """
     having("found", found, "the result of gx.breathers.k_gap_breather", "ts", "energy", "growth")
     energy = numbers("found.energy", found.energy, 1)

@@ -39,6 +39,15 @@ def fit(
 
     **Returns:** an array of Axes (2, columns). **Raises** ValueError for sensors that are not there or Axes of another
     shape.
+
+    **Example:**
+
+    >>> from types import SimpleNamespace
+    >>> traces = SimpleNamespace(times=np.arange(3.0), data=np.array([[0.0], [1.1], [0.2]]), sensors=["velocity 5"])
+    >>> found = SimpleNamespace(traces=[traces], signals=[np.array([[0.0], [1.0], [0.3]])],
+    ...                         residuals=[np.array([[0.0], [1.0], [-1.0]])])
+    >>> gx.plots.fit(found)[0, 0].get_ylabel()
+    'velocity'
     """
     having("result", result, "a Fit", "traces", "signals", "residuals")
     columns = [(trace, k, trace.sensors[k], signal, residual)
@@ -110,6 +119,14 @@ def corner(
 
     **Returns:** the Axes (P, P), hidden above the diagonal. **Raises** ValueError for a covariance that is not finite
     (parameters that are not determined) or Axes or labels that do not fit.
+
+    **Example:**
+
+    >>> from types import SimpleNamespace
+    >>> found = SimpleNamespace(parameters={"stiffness": 1.0, "damping": 0.02}, names=["stiffness", "damping"],
+    ...                         covariance=np.diag([1e-4, 1e-6]))
+    >>> gx.plots.corner(found, truths={"stiffness": 1.01, "damping": 0.02}).shape
+    (2, 2)
     """
     having("result", result, "a Fit", "parameters", "names", "covariance")
     # a tree of parameters may have been sorted on the way: their places are those of their names
@@ -182,6 +199,13 @@ def law(
     `("um", "N")`, as in `granjax.plots`.
 
     **Returns:** the Axes. **Raises** ValueError for shapes that do not fit, strains that do not rise, low > high.
+
+    **Example:**
+
+    >>> y = np.linspace(0.0, 1.0, 11)
+    >>> ax = gx.plots.law(y, y**1.5, 0.9 * y**1.5, 1.1 * y**1.5)
+    >>> ax.get_xlabel(), ax.get_ylabel()
+    ('compression', 'force')
     """
     force = numbers("force", force, 1)
     if np.shape(strain) != force.shape:
@@ -261,6 +285,17 @@ def planar(record: Any, ax: AxesOrNone = None, *, units: UnitsOrWords = None) ->
 
     **Returns:** the Axes; `ax.lines`: the orbits that there are, the windows of the data, saddles and centres.
     **Raises** ValueError for a record without these.
+
+    **Example:**
+
+    >>> from types import SimpleNamespace
+    >>> xi = np.linspace(-3, 3, 61)
+    >>> y, slope = 1 / np.cosh(xi) ** 2, -2 * np.tanh(xi) / np.cosh(xi) ** 2
+    >>> orbit = SimpleNamespace(xi=xi, strains=y)
+    >>> found = SimpleNamespace(strains=y, slopes=slope, window=0 * xi, equilibria=[], homoclinic=lambda: orbit,
+    ...                         periodic=lambda: None)
+    >>> gx.plots.planar(found).lines[0].get_label()
+    'homoclinic orbit'
     """
     having("record", record, "a planar equation", "strains", "slopes", "window", "equilibria", "homoclinic", "periodic")
     y, slope = numbers("record.strains", record.strains, 1), numbers("record.slopes", record.slopes, 1)

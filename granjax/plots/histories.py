@@ -49,6 +49,13 @@ def space_time(
 
     **Returns:** the Axes; the image is `ax.images[0]` (`ax.collections[0]` where times or places are uneven).
     **Raises** ValueError for another scale, shapes that do not fit, a floor outside (0, 1).
+
+    **Example:**
+
+    >>> chain = gx.scenes.monomer(20)
+    >>> ax = gx.plots.space_time(gx.simulate(chain, gx.states.impact(chain), 5.0, step=0.05, save_at=11))
+    >>> ax.get_xlabel(), ax.get_ylabel()
+    ('site', 'time (scaled)')
     """
     one_of("scale", scale, SCALES)
     given, said = quantity if isinstance(quantity, str) else None, units_of(run_or_array)
@@ -150,6 +157,13 @@ def traces(
 
     **Returns:** the Axes; `ax.lines` holds the traces first, in order.
     **Raises** ValueError for shapes that do not fit, sites that are not there, an offset below zero.
+
+    **Example:**
+
+    >>> chain = gx.scenes.monomer(20)
+    >>> run = gx.simulate(chain, gx.states.impact(chain), 5.0, step=0.05, save_at=11)
+    >>> len(gx.plots.traces(run, "v", [0, 2, 4]).lines)
+    4
     """
     said, given = units_of(ts), qs if isinstance(qs, str) else None
     if is_run(ts) or isinstance(qs, str):

@@ -47,6 +47,14 @@ def floquet_circle(fl: Any, ax: AxesOrNone = None, *, legend: bool = True, units
     numbers, which take no words.
 
     **Returns:** the Axes; the rings are the last of `ax.lines`, labelled "unstable".
+
+    **Example:**
+
+    >>> from types import SimpleNamespace
+    >>> fl = SimpleNamespace(multipliers=np.array([2.0, 0.5]), krein=[0, 0], error=np.zeros(2), expected=0,
+    ...                      rate=0.0, period=1.0)
+    >>> gx.plots.floquet_circle(fl).lines[-1].get_label()
+    'unstable'
     """
     having("fl", fl, "a Floquet", "multipliers", "krein", "error", "expected", "rate", "period")
     drawn_in(units, units_of(fl))
@@ -104,6 +112,15 @@ def breather(
 
     **Returns:** the Axes, (2, 2) or as given. **Raises** ValueError for several fields without a name of one, lanes,
     other than four Axes, a mode that is not there.
+
+    **Example:**
+
+    >>> from types import SimpleNamespace
+    >>> fl = SimpleNamespace(multipliers=np.exp([0.5j, -0.5j, 1j, -1j]), vectors=np.eye(4), krein=[1, -1, 1, -1],
+    ...                      error=np.zeros(4), expected=0, rate=0.0, period=2.0)
+    >>> axes = gx.plots.breather(SimpleNamespace(state=gx.State(np.array([0.1, -0.1]), np.zeros(2))), fl)
+    >>> axes.shape
+    (2, 2)
     """
     having("breather", breather, "an Orbit", "state", *(["floquet"] if fl is None else []))
     fl = breather.floquet() if fl is None else fl
@@ -227,6 +244,15 @@ def branch(
       parameter's, where all have one frequency.
 
     **Returns:** the two Axes. **Raises** ValueError for shapes that do not fit, or other than two Axes.
+
+    **Example:**
+
+    >>> from types import SimpleNamespace
+    >>> omega = np.array([1.6, 1.65, 1.7])
+    >>> found = SimpleNamespace(omega=omega, energy=1.73 - omega, amplitude=1.73 - omega, verdict=["stable"] * 3)
+    >>> axes = gx.plots.branch(found)
+    >>> axes[0].get_ylabel()
+    'energy'
     """
     having("br", br, "a Branch", "omega", "energy", "amplitude", "verdict")
     omega = numbers("br.omega", br.omega, 1)
@@ -319,6 +345,12 @@ def hysteresis(
       `granjax.plots`.
 
     **Returns:** the Axes. **Raises** ValueError for shapes that do not fit, or values that do not ascend.
+
+    **Example:**
+
+    >>> ax = gx.plots.hysteresis(([1.0, 2.0, 3.0], [0.1, 0.2, 0.9], [0.1, 0.7, 0.9]), x_label="frequency")
+    >>> ax.get_xlabel()
+    'frequency'
     """
     values, up, down, intervals = _ways(sweep)
     said = units_of_both(sweep, orbits, "orbits", "sweep")
@@ -362,6 +394,13 @@ def strain_map(run: Any, ax: AxesOrNone = None, **options: Any) -> Axes:
 
     Contacts with walls are left out. **Arguments:** `run`: anything with `ts`, `us`, `vs`; `options`: as in
     `space_time`. **Returns:** the Axes. **Raises** ValueError for several fields, lanes or components.
+
+    **Example:**
+
+    >>> chain = gx.scenes.monomer(20)
+    >>> ax = gx.plots.strain_map(gx.simulate(chain, gx.states.impact(chain), 5.0, step=0.05, save_at=11))
+    >>> ax.images[0].get_array().shape  # times, bonds between beads
+    (11, 19)
     """
     ts, u = history(run, "u", options.pop("ts", None))
     own = {"label": "strain", "site_label": "contact", "sites": np.arange(u.shape[1] - 1) + 0.5}

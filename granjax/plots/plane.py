@@ -1,22 +1,22 @@
-"""The plane: beads as circles with their forces, films, bands along a path, the zone's frequencies."""
+"""The plane: beads as circles with their forces, bands along a path, the zone's frequencies."""
 
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 from matplotlib import colormaps
-from matplotlib.animation import FuncAnimation
 from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection, LineCollection
 from matplotlib.patches import Polygon
 
-from ..checks import one_of, positive, refuse, whole
+from ..checks import positive, refuse, whole
 from ..entry import checked
 from ..types import Count, Scalar
 from ..units import UnitsOrWords
-from .arrays import having, is_run, numbers
-from .histories import LABELS, colours_of
-from .quantities import OMEGA, Axis, drawn_in, scaled_by, units_of, units_of_both
-from .style import COLOURS, FAINT, AxesOrNone, add_colour_bar, axes_or_new, figure, style
+from .arrays import having, numbers
+from .histories import colours_of
+from .quantities import OMEGA, Axis, Shown, drawn_in, scaled_by, units_of
+from .style import COLOURS, FAINT, AxesOrNone, add_colour_bar, axes_or_new
 
 CLOSED = 1e-9
 # beads whose outlines would hide them
@@ -42,13 +42,20 @@ def beads(
     - `units`: as in `granjax.plots`.
 
     **Returns:** the Axes; the circles are `ax.collections[0]`. **Raises** ValueError for shapes that do not fit.
+
+    **Example:**
+
+    >>> places, values = np.array([[0.0, 0.0], [1.0, 0.0], [0.5, 0.87]]), np.array([1.0, 0.5, 0.0])
+    >>> ax = gx.plots.beads(places, values, label="energy")
+    >>> len(ax.collections[0].get_offsets())
+    3
     """
     said = units_of(places)
-    at, data = _flat(places, values)
+    at, data = flat(places, values)
     x, *by = drawn_in(units, said, Axis("length", at), *(() if data is None else (Axis(label, data),)))
     ax = axes_or_new(ax, 4.8, 4.2)
-    radius = _radius(at) if radius is None else float(positive("radius", radius))
-    circles = _circles(ax, scaled_by(at, x.factor), radius * x.factor)
+    radius = half_spacing(at) if radius is None else float(positive("radius", radius))
+    circles = circles_of(ax, scaled_by(at, x.factor), radius * x.factor)
     if network is not None:
         _lines(ax, network, x.factor, radius * x.factor)
     if data is None:
@@ -60,12 +67,14 @@ def beads(
         circles.set(array=data, norm=norm, cmap=name)
         if colour_bar:
             add_colour_bar(ax, circles, by[0].label)
-    _frame(ax, scaled_by(at, x.factor), radius * x.factor, x)
+    frame(ax, scaled_by(at, x.factor), radius * x.factor, x)
     return ax
 
 
-def _flat(places, values):
-    """Places (N, 2) and numbers (N,) of all fields, one after the other."""
+def flat(places: Any, values: Any) -> tuple[Float[np.ndarray, "N 2"], Float[np.ndarray, " N"] | None]:
+    """Places (N, 2) and numbers (N,), `None` of none, of all fields, one after the other."""
+    if getattr(places, "lanes", ()):
+        refuse("places", "one lattice", f"a batch of {places.lanes}", "Take a lane, or its positions.")
     places = getattr(places, "positions", places)
     if places is None:
         refuse("places", "a lattice with positions, or an array (..., 2)", "a lattice without positions")
@@ -77,7 +86,8 @@ def _flat(places, values):
     for name, x in fields.items():
         x = numbers("places", x)
         if x.ndim < 2 or x.shape[-1] != 2:
-            refuse("places", "an array (..., 2)", f"shape {x.shape}")
+            more = "Of places in space give two components: positions[:, :2]." if x.shape[-1:] == (3,) else ""
+            refuse("places", "an array (..., 2)", f"shape {x.shape}", more)
         at.append(x.reshape(-1, 2))
         if values is not None:
             value = numbers("values", held[name], finite=False)
@@ -87,7 +97,7 @@ def _flat(places, values):
     return np.concatenate(at), np.concatenate(data) if data else None
 
 
-def _radius(at):
+def half_spacing(at: Float[np.ndarray, "N 2"]) -> float:
     """Half of the least distance between some of the beads and all others."""
     some = at[:: max(1, len(at) // 64)]
     apart = np.linalg.norm(some[:, None] - at, axis=-1)
@@ -95,7 +105,8 @@ def _radius(at):
     return float(apart.min()) / 2 if np.isfinite(apart.min()) else 0.5
 
 
-def _circles(ax, at, radius):
+def circles_of(ax: Axes, at: Float[np.ndarray, "N 2"], radius: Scalar) -> EllipseCollection:
+    """Circles of one radius at some places."""
     size = np.full(len(at), 2 * radius)
     circles = EllipseCollection(size, size, np.zeros(len(at)), units="xy", offsets=at, offset_transform=ax.transData,
                                 edgecolor="0.35", linewidth=0.4 if len(at) < MANY else 0)
@@ -115,129 +126,14 @@ def _lines(ax, network, factor, radius):
                                          capstyle="round", zorder=2))
 
 
-def _frame(ax, at, radius, by):
+def frame(ax: Axes, at: Float[np.ndarray, "N 2"], radius: Scalar, by: Shown) -> None:
+    """Limits about all beads, equal scales, labels x and y."""
     low, high = at.min(0) - 1.5 * radius, at.max(0) + 1.5 * radius
     ax.set_xlim(low[0], high[0])
     ax.set_ylim(low[1], high[1])
     ax.set_aspect("equal")
     ax.set_xlabel(by.label.replace("length", "x"))
     ax.set_ylabel(by.label.replace("length", "y"))
-
-
-@checked
-def film(
-    run: Any, places: Any = None, *, quantity: Any = "v", limit: Scalar | None = None, label: str | None = None,
-    frames: Count | None = None, rate: Count = 20, move: Scalar = 0.0, radius: Scalar | None = None,
-    units: UnitsOrWords = None,
-) -> FuncAnimation:
-    """A film of a run: a chain as a curve over its sites, a lattice of the plane as beads.
-
-    `gx.plots.save(film(run, lattice), "impact.gif")`, or .mp4 where ffmpeg is installed.
-
-    **Arguments:**
-
-    - `run`: anything with `ts`, `us`, `vs`, of more than one time.
-    - `places`: of the plane, as in `beads`; `None` for a chain.
-    - `quantity`: `"v"`, `"u"` (of vectors in the plane their length), or an array over times and sites.
-    - `limit` > 0: of the colour or the axis, the largest of all frames by default. `label`: as in `beads`.
-    - `frames`: how many, spread over the times; all by default. `rate` a second. `move`: beads are drawn displaced by
-      so many times u. `radius`, `units`: as in `beads`.
-
-    **Returns:** an animation of matplotlib's, for `gx.plots.save`. **Raises** ValueError for a run of one time, and
-    shapes that do not fit.
-    """
-    if not is_run(run):
-        refuse("run", "a run, with ts, us and vs", f"a {type(run).__name__}")
-    ts = np.asarray(run.ts, float)
-    if ts.ndim != 1 or len(ts) < 2:
-        refuse("run", "a run of one scene that saved several times", f"{ts.size} of shape {ts.shape}",
-               "Give simulate(..., save_at=100).")
-    given = quantity if isinstance(quantity, str) else None
-    if given is not None:
-        one_of("quantity", given, ("u", "v"))
-        quantity = run.us if given == "u" else run.vs
-    count = len(ts) if frames is None else min(whole("frames", frames, 2), len(ts))
-    chosen = np.unique(np.round(np.linspace(0, len(ts) - 1, count)).astype(int))
-    name = LABELS.get(given, "quantity") if label is None else label
-    if places is None:
-        return _chain_film(run, ts, chosen, quantity, limit, name, rate, units)
-    return _plane_film(run, ts, chosen, places, quantity, limit, name, rate, move, radius, units, given)
-
-
-def _empty(width, height):
-    """A figure of its own, that no notebook shows beside the film."""
-    made = figure(width, height)
-    with style():
-        return made, made.subplots()
-
-
-def _chain_film(run, ts, chosen, quantity, limit, label, rate, units):
-    data = numbers("quantity", quantity, 2, finite=False)
-    if len(data) != len(ts):
-        refuse("quantity", f"{len(ts)} frames, one per time of the run", f"shape {data.shape}")
-    top = float(np.nanmax(np.abs(data)) or 1.0) if limit is None else float(positive("limit", limit))
-    by_time, by = drawn_in(units, units_of(run), Axis("time", ts), Axis(label, top))
-    made, ax = _empty(5.4, 3.0)
-    (line,) = ax.plot(np.arange(data.shape[1]), scaled_by(data[0], by.factor), "o-", ms=2.5, lw=0.8, color=COLOURS[0])
-    low = 0.0 if np.nanmin(data) >= 0 else -top
-    ax.set(xlabel="site", ylabel=by.label, ylim=(1.08 * low * by.factor, 1.08 * top * by.factor))
-    title = ax.set_title(" ")
-
-    def show(i):
-        line.set_ydata(scaled_by(data[i], by.factor))
-        title.set_text(_time(ts[i], by_time))
-        return line, title
-
-    return FuncAnimation(made, show, frames=chosen, interval=1000 / whole("rate", rate, 1), blit=False)
-
-
-def _time(t, by):
-    unit = by.label.partition("(")[2].rstrip(")")
-    return f"t = {t * by.factor:.4g}" + (f" {unit}" if unit and unit != "scaled" else "")
-
-
-def _plane_film(run, ts, chosen, places, quantity, limit, label, rate, move, radius, units, given):
-    at, _ = _flat(places, None)
-    fields = getattr(places, "positions", places)
-    names = list(fields) if isinstance(fields, dict) else [None]
-    data = np.concatenate([_frames(quantity, name, fields, len(ts), given is not None) for name in names], 1)
-    shift = 0.0
-    if move:
-        moves = [np.asarray(run.us if name is None else run.us[name], float) for name in names]
-        if any(m.ndim < 3 or m.shape[-1] < 2 for m in moves):
-            refuse("move", "0 for displacements out of the plane", f"{move}")
-        shift = float(move) * np.concatenate([m[..., :2].reshape(len(ts), -1, 2) for m in moves], 1)
-    top = float(np.nanmax(np.abs(data)) or 1.0) if limit is None else float(positive("limit", limit))
-    said = units_of_both(run, None if units_of(places) is None else places, "places", "run")
-    by_time, x, by = drawn_in(units, said, Axis("time", ts), Axis("length", at), Axis(label, top))
-    made, ax = _empty(4.8, 4.2)
-    radius = (_radius(at) if radius is None else float(positive("radius", radius))) * x.factor
-    circles = _circles(ax, scaled_by(at, x.factor), radius)
-    norm, name = colours_of(scaled_by(data, by.factor), top * by.factor)
-    circles.set(norm=norm, cmap=name, array=data[0] * by.factor)
-    add_colour_bar(ax, circles, by.label)
-    _frame(ax, scaled_by(at, x.factor), radius, x)
-    title = ax.set_title(" ")
-
-    def show(i):
-        circles.set_array(scaled_by(data[i], by.factor))
-        if move:
-            circles.set_offsets(scaled_by(at + shift[i], x.factor))
-        title.set_text(_time(ts[i], by_time))
-        return circles, title
-
-    return FuncAnimation(made, show, frames=chosen, interval=1000 / whole("rate", rate, 1), blit=False)
-
-
-def _frames(quantity, name, places, times, of_run):
-    """Numbers (T, beads of one field); the length of vectors of a run."""
-    x = np.asarray(quantity if name is None else quantity[name], float)
-    shape = np.shape(places if name is None else places[name])[:-1]
-    if of_run and x.ndim == len(shape) + 2:
-        x = np.linalg.norm(x[..., :2], axis=-1)
-    if x.shape != (times, *shape):
-        refuse("quantity", f"shape {(times, *shape)}, over times and sites", f"shape {x.shape}")
-    return x.reshape(times, -1)
 
 
 @checked
@@ -250,6 +146,13 @@ def bands(record: Any, ax: AxesOrNone = None, *, units: UnitsOrWords = None, col
 
     **Returns:** the Axes; of a path `ax.lines` begins with the bands, of a strip `ax.collections[0]` are its waves.
     **Raises** ValueError for a record without these arrays.
+
+    **Example:**
+
+    >>> strip = gx.scenes.honeycomb(4, 6, out_of_plane=True, boundary=("periodic", "free"))
+    >>> ax = gx.plots.bands(gx.linear.ribbon(strip, np.linspace(0, 2 * np.pi, 13)))
+    >>> ax.get_xlabel()
+    'wave number $k$ (rad/cell)'
     """
     strip = hasattr(record, "edge")
     having("record", record, "bands along a path or of a strip", "omega",
@@ -293,6 +196,16 @@ def zone(
 
     **Returns:** the Axes; the frequencies are `ax.collections[0]`. **Raises** ValueError for a record without these
     arrays, or a band that is not there.
+
+    **Example:**
+
+    >>> from types import SimpleNamespace
+    >>> q = np.stack(np.meshgrid(*[np.linspace(-np.pi, np.pi, 9)] * 2, indexing="ij"), axis=-1)
+    >>> omega = 2 * np.sqrt(np.sin(q / 2) ** 2 @ np.ones((2, 1)))  # a square of springs
+    >>> corners = np.pi * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    >>> ax = gx.plots.zone(SimpleNamespace(q=q, omega=omega, velocity=0 * q[:, :, None], corners=corners))
+    >>> len(ax.collections) > 1  # colours and contours
+    True
     """
     having("record", record, "frequencies over a zone", "q", "omega", "velocity", "corners")
     q, omega = numbers("record.q", record.q, 3), numbers("record.omega", record.omega, 3)
@@ -329,6 +242,15 @@ def radial_profile(
     units. `units`: `("mm", "uJ")`, as in `granjax.plots`.
 
     **Returns:** the Axes; the means are `ax.lines`. **Raises** ValueError for a record without these arrays.
+
+    **Example:**
+
+    >>> from types import SimpleNamespace
+    >>> rings = SimpleNamespace(distance=np.arange(1.0, 5.0), mean=1 / np.arange(1.0, 5.0), lowest=np.zeros(4),
+    ...                         highest=np.ones(4))
+    >>> ax = gx.plots.radial_profile(rings, label="energy")
+    >>> ax.get_ylabel()
+    'energy'
     """
     having("record", record, "the result of gx.measures.radial_profile", "distance", "mean", "lowest", "highest")
     x = numbers("record.distance", record.distance, 1)

@@ -32,6 +32,16 @@ def kink(
 
     **Returns:** the two Axes, (2,) or as given; the profile is `axes[0].lines[0]`.
     **Raises** ValueError for a record without these, or other than two Axes.
+
+    **Example:**
+
+    >>> from types import SimpleNamespace
+    >>> n = np.arange(20) - 9.5
+    >>> found = SimpleNamespace(state=gx.State(4 * np.arctan(np.exp(n)), 0 * n), energy=8.0,
+    ...                         omega=np.linspace(0.1, 2.0, 20), growth=0.0, verdict="stable")
+    >>> axes = gx.plots.kink(found)
+    >>> len(axes[0].lines[0].get_xdata())
+    20
     """
     having("found", found, "the result of gx.kinks.kink", "state", "energy", "omega", "growth", "verdict")
     u, omega = numbers("found.state.u", found.state[0], 1), numbers("found.omega", found.omega, 1)
@@ -111,6 +121,14 @@ def equilibrium(
 
     **Returns:** the two Axes, (2,) or as given; what presses on a chain's ends is drawn beside its first and last site.
     **Raises** ValueError for a record without these, a lattice of more than one axis, several fields without a name.
+
+    **Example:**
+
+    >>> from types import SimpleNamespace
+    >>> zeros = np.zeros(5)
+    >>> found = SimpleNamespace(state=gx.State(zeros, zeros), loads=zeros, ends=None, verdict="stable")
+    >>> [ax.get_ylabel() for ax in gx.plots.equilibrium(found)]
+    ['displacement $u_n$', 'load']
     """
     having("found", found, "the result of gx.equilibrium", "state", "loads", "ends", "verdict")
     u, loads = (_chosen(x, field) for x in (found.state[0], found.loads))

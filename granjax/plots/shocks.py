@@ -47,6 +47,14 @@ def shock(
     - `over`: "place" or "speed". `units`: `"um"`, as in `granjax.plots`; a speed counts bonds per time.
 
     **Returns:** the Axes; the strain is `ax.lines[0]`. **Raises** ValueError for what is none of these, a batch.
+
+    **Example:**
+
+    >>> n = np.arange(-100.0, 100.0)
+    >>> wave = gx.theory.kdv.velocity_shock(0.05, 1.0, 0.5)
+    >>> ax = gx.plots.shock(0.05 - 0.05 * np.tanh(n - 50), wave, places=n, time=50.0)
+    >>> ax.get_xlabel(), ax.get_ylabel()
+    ('bond from the step $n$', 'strain')
     """
     one_of("over", over, OVER)
     places, strain, time, said = _profile(run_or_strain, problem, places, time)
@@ -73,14 +81,14 @@ def _mark(ax, shock, along, by_y, strain):
     trailing, leading, mean, amplitude = (_number(f"shock.{name}", getattr(shock, name))
                                           for name in (*EDGES, "mean", "amplitude"))
     ahead, way = float(getattr(shock, "ahead", 0.0)), np.sign(leading)
-    low, high = ax.get_ylim()
+    level, top = (scaled_by(y, by_y.factor) for y in (mean, ahead + np.copysign(amplitude, mean - ahead)))
+    low, high = (pick([y, *(x for x in (level, top) if np.isfinite(x))]) for pick, y in zip((min, max), ax.get_ylim()))
     ax.set_ylim(low, high + 0.16 * (high - low))
     for name, speed, side in (("trailing edge", trailing, -way), ("leading edge", leading, way)):
         if np.isfinite(speed):
             ax.axvline(along * speed, color=COLOURS[1], ls="--", lw=1.0, zorder=1)
             ax.annotate(f"{name} ", (along * speed, 1.0), (5 * side, -3), ("data", "axes fraction"), "offset points",
                         color=COLOURS[1], size="small", va="top", ha="left" if side > 0 else "right")
-    level, top = (scaled_by(y, by_y.factor) for y in (mean, ahead + np.copysign(amplitude, mean - ahead)))
     unit = f" {by_y.unit}" if by_y.unit and by_y.unit != "scaled" else ""
     behind = along * (trailing if np.isfinite(trailing) else 0.0)
     ax.hlines(level, *sorted((0.0, behind)) if behind else ax.get_xlim(), color=COLOURS[2], ls="--", lw=1.2, zorder=3)
@@ -118,6 +126,13 @@ def shock_core(
       Toda, `gx.theory.toda.shock_wave(n, t, c).strain`; `None` draws the interpolating spline through the dots.
 
     **Returns:** the Axes; the dots are `ax.lines[0]`. **Raises** ValueError for a window of fewer than four bonds.
+
+    **Example:**
+
+    >>> n = np.arange(20.0)
+    >>> ax = gx.plots.shock_core(0.1 + 0.05 * np.cos(n), (0.0, 12.0), places=n)
+    >>> len(ax.lines[0].get_xdata())
+    13
     """
     places, strain, _, said = _profile(run_or_strain, problem, places, None)
     low, high = _pair("window", window, "the first and the last place")
@@ -164,6 +179,14 @@ def shock_map(
 
     **Returns:** the Axes; the image is `ax.images[0]` (`ax.collections[0]` where places are uneven), the lines
     `ax.lines`. **Raises** ValueError for a batch, shapes that do not fit, edges without speeds.
+
+    **Example:**
+
+    >>> t, n = np.arange(5.0), np.arange(-10.0, 11.0)
+    >>> edges = gx.theory.kdv.velocity_shock(0.05, 1.0, 0.5)
+    >>> ax = gx.plots.shock_map(0.1 * (n < t[:, None]), ts=t, places=n, edges={"KdV": edges})
+    >>> len(ax.lines)  # the trailing edge and the leading one
+    2
     """
     if ts is None and places is None:
         having("record", record, "a SpaceTime", "strain", "ts", "places")
@@ -219,6 +242,15 @@ def modulation(
     - `units`: `("1/ms", "nm")`, as in `granjax.plots`.
 
     **Returns:** the Axes; what was measured is `ax.lines[0]`. **Raises** ValueError for records without these.
+
+    **Example:**
+
+    >>> from types import SimpleNamespace
+    >>> wave = gx.theory.toda.modulation(0.5, 0.5)
+    >>> shock = SimpleNamespace(s=np.array([wave.speed]), amplitudes=np.array([wave.amplitude]))
+    >>> ax = gx.plots.modulation(shock, quantity="amplitude")
+    >>> ax.get_ylabel()
+    'strain, crest less trough'
     """
     measured, field, label, unit = QUANTITIES[one_of("quantity", quantity, tuple(QUANTITIES))]
     having("shock", shock, "a Shock", "s", measured)

@@ -34,6 +34,16 @@ def spreading(
 
     **Returns:** the Axes; the curve and the fit are `ax.lines`, the inset `ax.child_axes[0]`.
     **Raises** ValueError for what is no such result.
+
+    **Example:**
+
+    >>> from types import SimpleNamespace
+    >>> t = np.array([1.0, 10.0, 100.0])
+    >>> found = SimpleNamespace(times=t, window=np.array([1.0, 100.0]), moment=t, moment_error=0 * t,
+    ...                         exponent=SimpleNamespace(value=1.0, error=0.02, verdict="diffusive"),
+    ...                         local_exponent=np.ones(3), local_error=np.zeros(3))
+    >>> gx.plots.spreading(found).get_xscale()
+    'log'
     """
     one_of("measure", measure, tuple(MEASURES))
     fields = "times", "window", "exponent", "local_exponent", measure
@@ -60,16 +70,17 @@ def spreading(
         ax.axvspan(*window, color=FAINT, alpha=0.2, lw=0)
     ax.legend(loc="upper left", frameon=False)
     if inset and measure == "moment":
-        _local(ax, t, found, window, shown, first)
+        _local(ax, t, found, window, shown)
     return ax
 
 
-def _local(ax, t, found, window, shown, first):
-    small = ax.inset_axes([0.64, 0.1, 0.34, 0.34]) if first else ax.child_axes[0]
+def _local(ax, t, found, window, shown):
+    fresh = not ax.child_axes
+    small = ax.inset_axes([0.64, 0.1, 0.34, 0.34]) if fresh else ax.child_axes[0]
     local, error = np.asarray(found.local_exponent), np.asarray(found.local_error)
     small.fill_between(t, local - error, local + error, color=shown, alpha=0.25, lw=0)
     small.plot(t, local, color=shown, lw=1.1)
-    if first:
+    if fresh:
         small.axvspan(*window, color=FAINT, alpha=0.2, lw=0)
         small.set_xscale("log")
         small.set_title("local exponent", fontsize=7)

@@ -49,7 +49,15 @@ _STYLE = {
 
 @contextlib.contextmanager
 def style() -> Iterator[None]:
-    """The house style as a context: `with gx.plots.style(): ...` for Axes of your own."""
+    """The house style as a context: `with gx.plots.style(): ...` for Axes of your own.
+
+    **Example:**
+
+    >>> with gx.plots.style():
+    ...     ax = plt.figure().add_subplot()
+    >>> ax.spines["top"].get_visible()
+    False
+    """
     # not matplotlib's own context: it would undo what a notebook's backend sets when it loads inside
     kept = {name: matplotlib.rcParams[name] for name in _STYLE}
     matplotlib.rcParams.update(_STYLE)
@@ -65,6 +73,12 @@ def figure(width: Scalar = 5.0, height: Scalar = 3.6) -> Figure:
 
     **Arguments:** `width`, `height` [inch]. **Returns:** a matplotlib `Figure` that lays itself out.
     **Raises** ValueError for sizes that are not above zero.
+
+    **Example:**
+
+    >>> fig = gx.plots.figure(4.0, 3.0)
+    >>> fig.get_size_inches().tolist()
+    [4.0, 3.0]
     """
     size = float(positive("width", width)), float(positive("height", height))
     with style():
@@ -81,6 +95,12 @@ def save(made: Any, path: str | Path, *, dpi: Scalar = 200) -> Path:
     is written. Or an animation of matplotlib's; mp4 needs ffmpeg. `dpi`: dots per inch.
     **Returns:** the path. The file is there whole or not at all. **Raises** ValueError for what is no picture, Axes of
     several figures, another ending, or where nothing can be written there; OSError where writing fails (a full disk).
+
+    **Example:**
+
+    >>> ax = gx.plots.profile(np.arange(5.0), np.arange(5.0) ** 2, inset="none")
+    >>> gx.plots.save(ax, "square.png").name
+    'square.png'
     """
     path = target("path", path)
     return write(path, _drawn("path", made, path.suffix, dpi))
@@ -88,7 +108,13 @@ def save(made: Any, path: str | Path, *, dpi: Scalar = 200) -> Path:
 
 @checked
 def drawn(made: Any, ending: str, *, dpi: Scalar = 200) -> bytes:
-    """What a file with this ending (`".png"`, `".pdf"`, `".svg"`) of a picture holds, as `save` takes it."""
+    """What a file with this ending (`".png"`, `".pdf"`, `".svg"`) of a picture holds, as `save` takes it.
+
+    **Example:**
+
+    >>> gx.plots.drawn(plt.figure(), ".pdf")[:4]
+    b'%PDF'
+    """
     return _drawn("ending", made, ending, dpi)
 
 
@@ -176,5 +202,8 @@ def add_colour_bar(ax: Axes, image: object, label: str, extend: str = "neither")
     """A colour bar beside the Axes, with letters of their size."""
     bar = ax.figure.colorbar(image, ax=ax, pad=0.02, extend=extend, extendfrac=0.03)
     bar.set_label(label, size=ax.yaxis.label.get_size())
-    bar.ax.tick_params(labelsize=ax.yaxis.get_majorticklabels()[0].get_size())
+    # Axes that share an axis with others may have no letters of their own there
+    letters = [*ax.yaxis.get_majorticklabels(), *ax.xaxis.get_majorticklabels()]
+    if letters:
+        bar.ax.tick_params(labelsize=letters[0].get_size())
     return bar

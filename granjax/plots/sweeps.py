@@ -49,6 +49,14 @@ def sweep(
 
     **Returns:** the Axes; of several panels an array of them. The map is `ax.collections[0]`, the lines `ax.lines`.
     **Raises** ValueError for a name that is not there, for more than three parameters, and Axes for several panels.
+
+    **Example:**
+
+    >>> ratios = jnp.linspace(0.2, 1.0, 5)
+    >>> data = gx.sweep(lambda ratio: {"cutoff": jnp.sqrt(3 * (1 + 1 / ratio))}, {"ratio": ratios})
+    >>> ax = gx.plots.sweep(data)
+    >>> ax.get_xlabel(), ax.get_ylabel()
+    ('ratio', 'cutoff')
     """
     one_of("scale", scale, SCALES)
     having("data", data, "a sweep, or an xarray.Dataset of its form", "data_vars", "coords", "attrs", "dims")

@@ -37,6 +37,12 @@ def wave(
 
     **Returns:** the Axes; the inset is `ax.child_axes[0]`, the curves `ax.lines`: strain, slope, what is beside, dots.
     **Raises** ValueError for a record without these, or strains of another shape than its places.
+
+    **Example:**
+
+    >>> ax = gx.plots.wave(gx.travelling.solitary_wave(gx.Hertz(), speed=1.0))
+    >>> ax.child_axes[0].get_yscale()  # the tail
+    'log'
     """
     needed = ("xi", "strain", "velocity", "speed")
     if not all(hasattr(wave_record, name) for name in needed):
@@ -72,6 +78,12 @@ def front(record: Any, ax: AxesOrNone = None, *, units: UnitsOrWords = None) -> 
     **Returns:** the Axes; `ax.child_axes[0]` shows how far the strain is from that behind over the places, on a
     logarithmic axis, and the slope at which it falls, `ax.child_axes[1]` the same ahead.
     **Raises** ValueError for a record without these.
+
+    **Example:**
+
+    >>> ax = gx.plots.front(gx.shocks.dissipative_front(gx.Hertz(), 1.0, dashpot=0.3))
+    >>> len(ax.child_axes)  # both tails
+    2
     """
     having("record", record, "a front", "xi", "strain", "behind", "ahead", "decay_behind", "decay_ahead",
            "wavenumber_behind", "kind")
@@ -122,6 +134,14 @@ def wave_errors(record: Any, ax: AxesOrNone = None, *, floor: Scalar = 1e-12, un
     numbers, so that it changes nothing; words that name a unit are refused.
 
     **Returns:** the Axes. **Raises** ValueError for a record without these, or with no speed above sound.
+
+    **Example:**
+
+    >>> from types import SimpleNamespace
+    >>> found = SimpleNamespace(speed=np.array([1.01, 1.1]), sound=1.0, kdv_error=np.array([0.013, 0.12]),
+    ...                         toda_error=np.array([1e-6, 1e-5]))
+    >>> gx.plots.wave_errors(found).get_yscale()
+    'log'
     """
     needed = ("speed", "sound", "kdv_error", "toda_error")
     if not all(hasattr(record, name) for name in needed):
@@ -157,6 +177,14 @@ def wave_family(
     `units`: `"kHz"`, `"um"`, as in `granjax.plots`; a speed counts contacts per time.
 
     **Returns:** the Axes. **Raises** ValueError for a record without these, or another quantity.
+
+    **Example:**
+
+    >>> from types import SimpleNamespace
+    >>> c = np.array([1.0, 1.5, 2.0])
+    >>> ax = gx.plots.wave_family(SimpleNamespace(speed=c, energy=2.8235 * c**10, turns=np.array([])))
+    >>> ax.get_ylabel()
+    'energy'
     """
     one_of("quantity", quantity, tuple(MEASURED))
     having("record", record, "a family of waves", "speed", "turns", quantity)
@@ -193,6 +221,15 @@ def reflection(
 
     **Returns:** the Axes of the delay, with error bars; that of the amplitude over `record.amplitude`, the wave's own,
     is `ax.child_axes[0]`. **Raises** ValueError for a record without these, or of another shape than the stiffness.
+
+    **Example:**
+
+    >>> from types import SimpleNamespace
+    >>> found = SimpleNamespace(delay=np.array([0.5, 0.1]), delay_error=np.zeros(2),
+    ...                         amplitudes=np.array([0.9, 0.95]), amplitude=1.0)
+    >>> ax = gx.plots.reflection(found, [0.1, 1.0])
+    >>> ax.child_axes[0].get_ylabel()
+    'reflected amplitude / that sent'
     """
     needed = ("delay", "delay_error", "amplitudes", "amplitude")
     for name, one in (("record", record), ("rigid", rigid)):

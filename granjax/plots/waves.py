@@ -36,6 +36,13 @@ def dispersion(
 
     **Returns:** the Axes; `ax.lines` holds the bands, the spectrum is `ax.collections[0]`.
     **Raises** ValueError for a record without these arrays, or of a lattice with more than one axis.
+
+    **Example:**
+
+    >>> chain = gx.scenes.dimer(20, ratio=0.5, precompression=1.0, boundary="periodic")
+    >>> ax = gx.plots.dispersion(gx.linear.dispersion(chain, np.linspace(0, np.pi, 31)))
+    >>> len(ax.lines)  # two bands
+    2
     """
     k, omega, cell = _bands(dispersion_record)
     said = units_of_both(dispersion_record, spectrum, "spectrum", "dispersion")
@@ -75,6 +82,13 @@ def floquet_bands(bands: Any, ax: AxesOrNone = None, *, growth: bool = True, uni
 
     **Returns:** the Axes; `ax.lines[0]` holds the waves that do not grow, `ax.lines[1]` those that do, the axis of the
     growth is `ax.child_axes[0]`. **Raises** ValueError for a record without these arrays, or of several axes.
+
+    **Example:**
+
+    >>> crystal = gx.scenes.modulated(12, amplitude=0.1, omega=2.0, shape="square")
+    >>> ax = gx.plots.floquet_bands(gx.linear.floquet_bands(crystal, np.linspace(0, np.pi, 13), period=np.pi))
+    >>> ax.child_axes[0].get_ylabel()
+    'growth rate (scaled)'
     """
     having("bands", bands, "the result of gx.linear.floquet_bands", "k", "omega", "growth", "edges", "period", "cell")
     omega = numbers("bands.omega", bands.omega, 2)

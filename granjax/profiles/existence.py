@@ -110,5 +110,6 @@ def side_of(law: Law, side: str | None, amplitude: float | None) -> Bounds:
         why = "is infinitely stiff at rest, so that no wave is faster than sound" if stiff else (
             f"does not stiffen {' or '.join(where[one] for one in asked)}")
         refuse("law", "one that has solitary waves", f"one that {why}",
-               "They need a force that grows faster than the strain: Hertz, FPUT with K3 != 0, Toda, p < 1 in tension.")
+               "They need a force that grows faster than the strain: Hertz, FPUT with K3 != 0 or K4 > 0, Toda, p < 1 "
+               "in tension.")
     return there[0]

@@ -18,8 +18,10 @@ from .plane import (
     junction,
     kagome,
     lieb,
+    network,
     packing,
     quadrupole,
+    rotating_chain,
     sawtooth,
     square,
     ssh,
@@ -43,6 +45,6 @@ __all__ = [
     "plastic",
     "mass_in_mass", "mass_with_mass", "woodpile",
     "hexagon", "honeycomb", "kagome", "lieb", "packing", "quadrupole", "square", "triangular",
-    "aubry_andre", "diamond", "junction", "sawtooth", "ssh", "stub",
+    "aubry_andre", "diamond", "junction", "network", "rotating_chain", "sawtooth", "ssh", "stub",
     "alternating", "foam", "hollow_cylinders", "origami", "tensegrity",
 ]

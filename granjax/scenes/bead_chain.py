@@ -46,6 +46,12 @@ def beads(
     radius or tau that is not above zero, F0 < 0, or a wall where there is none.
     Source: Nesterenko, Dynamics of Heterogeneous Materials (2001); Boechler et al., Phys. Rev. Lett. 104, 244302
     (2010).
+
+    **Example:**
+
+    >>> chain = gx.scenes.beads("steel 316", 9.53e-3, precompression=10.0, cells=20)
+    >>> round(1e3 * float(chain.mass), 3)  # g
+    29.004
     """
     one_of("boundary", boundary, BOUNDARIES)
     if wall is not None and boundary != "fixed":

@@ -80,6 +80,12 @@ def monomer(
 
     **Returns:** a `Lattice`. **Raises** ValueError for N < 2, an unknown boundary, m or A <= 0, F0 < 0.
     Source: Nesterenko, J. Appl. Mech. Tech. Phys. 24, 733 (1983).
+
+    **Example:**
+
+    >>> chain = gx.scenes.monomer(20, precompression=1.0)
+    >>> round(float(gx.linear.normal_modes(chain).omega[-1]), 6)  # 6^{1/2} sin(20 pi/42)
+    2.44264
     """
     return _power_chain(sites, mass, stiffness, exponent, precompression, boundary)
 
@@ -94,6 +100,11 @@ def pattern(
     **Arguments:** `masses`: the masses of one cell, m > 0, numbers or traced; the others as in `monomer`.
 
     **Returns:** a `Lattice`. **Raises** ValueError as `monomer` does, and for a ring that the cell does not fill.
+
+    **Example:**
+
+    >>> gx.scenes.pattern(5, (1.0, 2.96)).mass.tolist()
+    [1.0, 2.96, 1.0, 2.96, 1.0]
     """
     sites = _sites(sites)
     if not isinstance(masses, (tuple, list)):
@@ -124,6 +135,12 @@ def dimer(
 
     **Returns:** a `Lattice`. **Raises** ValueError as `monomer` does, and for a ratio outside (0, 1].
     Source: Jayaprakash, Starosvetsky, Vakakis, Phys. Rev. E 83, 036606 (2011).
+
+    **Example:**
+
+    >>> chain = gx.scenes.dimer(20, ratio=0.5, precompression=1.0, boundary="periodic")
+    >>> print(gx.linear.bands(chain).lower.round(4))
+    [0.     2.4495]
     """
     return pattern(sites, (1.0, _ratio("ratio", ratio)), stiffness=stiffness, exponent=exponent,
                    precompression=precompression, boundary=boundary)
@@ -140,6 +157,11 @@ def trimer(
 
     **Returns:** a `Lattice`. **Raises** ValueError as `monomer` does, and for ratios that are not two in (0, 1].
     Source: Porter, Daraio, Szelengowicz, Herbold, Kevrekidis, Physica D 238, 666 (2009).
+
+    **Example:**
+
+    >>> gx.scenes.trimer(6).mass.tolist()
+    [1.0, 0.5, 0.25, 1.0, 0.5, 0.25]
     """
     if not isinstance(ratios, (tuple, list)):
         ratios = parameter("ratios", ratios)
@@ -162,6 +184,11 @@ def n_to_one(
 
     **Returns:** a `Lattice`. **Raises** ValueError as `dimer` does, and for N < 1.
     Source: Porter, Daraio, Szelengowicz, Herbold, Kevrekidis, Physica D 238, 666 (2009).
+
+    **Example:**
+
+    >>> gx.scenes.n_to_one(6, 2, ratio=0.5).mass.tolist()
+    [1.0, 1.0, 0.5, 1.0, 1.0, 0.5]
     """
     beads = whole("beads", beads, 1, "It counts the heavy beads of a cell.")
     # of a longer cell no light bead is seen
@@ -185,6 +212,12 @@ def defects(
 
     **Returns:** a `Lattice`. **Raises** ValueError as `monomer` does, for a site outside the chain or named twice.
     Source: Theocharis et al., Phys. Rev. E 80, 066601 (2009).
+
+    **Example:**
+
+    >>> chain = gx.scenes.defects(20, {10: 0.5}, precompression=1.0)
+    >>> round(float(gx.linear.normal_modes(chain).omega[-1]), 6)  # 8^{1/2}, above the band's 6^{1/2}
+    2.828427
     """
     sites = _sites(sites)
     m = jnp.full(sites, positive("mass", mass, "A bead needs a mass."))
@@ -214,6 +247,11 @@ def taper(
 
     **Returns:** a `Lattice`. **Raises** ValueError for N < 2, q outside (-1, 1), a ring (which has no taper) and as
     `monomer` does. Source: Sen, Manciu, Manciu, Physica A 299, 551 (2001).
+
+    **Example:**
+
+    >>> print(gx.scenes.taper(4, q=0.1).mass.round(4))
+    [1.     0.729  0.5314 0.3874]
     """
     sites = _sites(sites)
     if one_of("boundary", boundary, BOUNDARIES) == "periodic":
@@ -248,6 +286,12 @@ def fput(
 
     **Returns:** a `Lattice`. **Raises** ValueError for N < 2, an unknown boundary, m or K <= 0.
     Source: Fermi, Pasta, Ulam (with Tsingou), Los Alamos report LA-1940 (1955).
+
+    **Example:**
+
+    >>> chain = gx.scenes.fput(31)
+    >>> round(float(gx.linear.normal_modes(chain).omega[0]), 6)  # 2 sin(pi/64)
+    0.098135
     """
     stiffness = positive("stiffness", stiffness, "At rest the springs hold the chain.")
     if alpha is None:
@@ -271,5 +315,11 @@ def toda(
 
     **Returns:** a `Lattice`. **Raises** ValueError for N < 2, an unknown boundary, m, a or b <= 0.
     Source: Toda, J. Phys. Soc. Japan 22, 431 (1967).
+
+    **Example:**
+
+    >>> chain = gx.scenes.toda(20)
+    >>> float(gx.linear.sound_speed(chain))
+    1.0
     """
     return _chain(sites, mass, Toda(strength, rate), boundary, strength=strength, rate=rate)

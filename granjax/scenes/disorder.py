@@ -54,6 +54,12 @@ def disordered(
     does.
     Source: Martinez, Kevrekidis, Porter, Phys. Rev. E 93, 022902 (2016); random dimers: Dunlap, Wu, Phillips, Phys.
     Rev. Lett. 65, 88 (1990).
+
+    **Example:**
+
+    >>> chain = gx.scenes.disordered(20, 0.3, seed=1)
+    >>> bool((abs(chain.mass - 1) <= 0.3).all()), bool(chain.mass.std() > 0.1)
+    (True, True)
     """
     sites = _sites(sites)
     one_of("of", of, DISORDERED)

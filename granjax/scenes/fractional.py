@@ -87,6 +87,12 @@ def fractional(
     **Returns:** a `Lattice`; polynomial laws cost a few FFTs a force. **Raises** ValueError for s outside (0, 1] and as
     `monomer` does. Typical: s = 0.3 ... 1. Sources: Ciaurri et al., Adv. Math. 330, 688 (2018); Molina, Phys. Lett. A
     384, 126180 (2020); Cuevas-Maraver, Kevrekidis (eds.), Fractional Dispersive Models and Applications (2024).
+
+    **Example:**
+
+    >>> chain = gx.scenes.fractional(20, order=0.5)
+    >>> round(float(gx.linear.normal_modes(chain).omega[-1]), 6)  # 4^{1/4}
+    1.414214
     """
     sites = _checked(sites, boundary)
     terms = _weighted(sites, order, Linear(1.0) if law is None else law, boundary)
@@ -106,6 +112,12 @@ def fractional_fput(
     **Arguments:** `alpha` [N/m^2], `beta` [N/m^3], `stiffness`: k > 0 [N/m], one number each; the others as in
     `fractional`. **Returns:** a `Lattice`. **Raises** ValueError as `fractional`, and for k not above zero.
     Source: Macias-Diaz, Bountis, Commun. Nonlinear Sci. Numer. Simul. 102, 105917 (2021).
+
+    **Example:**
+
+    >>> chain = gx.scenes.fractional_fput(31, order=1.0)  # `fput`
+    >>> round(float(gx.linear.normal_modes(chain).omega[0]), 6)  # 2 sin(pi/64)
+    0.098135
     """
     sites = _checked(sites, boundary)
     stiffness = positive("stiffness", _number("stiffness", stiffness))
@@ -132,6 +144,12 @@ def fractional_sine_gordon(
     per site. The others as in `fractional`; a kink needs free ends.
     **Returns:** a `Lattice`. **Raises** ValueError as `fractional` and `sine_gordon`.
     Source: Alfimov, Pierantozzi, Vazquez, Fractional Differentiation and its Applications, 644 (2004).
+
+    **Example:**
+
+    >>> chain = gx.scenes.fractional_sine_gordon(20, order=0.5)
+    >>> print(gx.linear.normal_modes(chain).omega_squared[jnp.array([0, -1])].round(6))  # 1 and 1 + 4^{1/2}
+    [1. 3.]
     """
     sites = _checked(sites, boundary)
     stiffness = positive("stiffness", stiffness)

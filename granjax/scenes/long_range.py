@@ -49,6 +49,12 @@ def magnets(
     that touch (a spacing not above the diameter), a ring too short for its reach, more than 2000 magnets between ends.
     Source: Moleron, Leonard, Daraio, J. Appl. Phys. 115, 184901 (2014); Chong et al., Phys. Rev. Lett. 131, 117201
     (2023).
+
+    **Example:**
+
+    >>> chain = gx.scenes.magnets(20, reach=1)
+    >>> round(float(gx.linear.sound_speed(chain)), 6)  # (4 A/m)^{1/2}
+    2.0
     """
     sites, boundary = _sites(sites), one_of("boundary", boundary, BOUNDARIES)
     p, A, d = _number("exponent", exponent), positive("stiffness", stiffness), positive("spacing", spacing)
@@ -126,6 +132,12 @@ def long_range(
 
     **Returns:** a `Lattice`. **Raises** ValueError for s <= 0, K <= 0, a ring too short for its reach.
     Source: Flach, Phys. Rev. E 58, R4116 (1998).
+
+    **Example:**
+
+    >>> chain = gx.scenes.long_range(20, exponent=3.0, reach=2, boundary="periodic")
+    >>> round(float(gx.linear.normal_modes(chain).omega_squared[-1]), 6)  # 4 at k = pi
+    4.0
     """
     sites, boundary = _sites(sites), one_of("boundary", boundary, BOUNDARIES)
     s = positive("exponent", _number("exponent", exponent), "Interactions weaken with the distance.")

@@ -38,6 +38,13 @@ def modulated(
     modulated without a grounding.
     Source: Kim, Chong, Hajarolasvadi, Wang, Daraio, Phys. Rev. E 107, 034211 (2023); Chong, Kim, Wallace, Daraio,
     Phys. Rev. Res. 6, 023045 (2024).
+
+    **Example:**
+
+    >>> crystal = gx.scenes.modulated(12, amplitude=0.1, omega=2.0, shape="square")
+    >>> bands = gx.linear.floquet_bands(crystal, np.linspace(0, np.pi, 13), period=np.pi)
+    >>> bool(bands.fastest[0] > 0)  # waves grow in a gap of k
+    True
     """
     sites, places = _places(sites, on, boundary)
     wave = _wave(shape, amplitude, omega, phase, places)
@@ -61,6 +68,14 @@ def travelling_modulation(
     **Returns:** a `Lattice`. **Raises** ValueError as `modulated` does, for |L| < 2, and for a ring that L does not
     divide.
     Source: Swinteck, Matsuo, Runge, Vasseur, Lucas, Deymier, J. Appl. Phys. 118, 063103 (2015).
+
+    **Example:**
+
+    >>> crystal = gx.scenes.travelling_modulation(12, amplitude=0.1, omega=0.5, wavelength=3)
+    >>> y = gx.State((-1.0) ** jnp.arange(12), jnp.zeros(12))
+    >>> now, later = (gx.vector_field(t, y, crystal).v for t in (0.0, 4 * np.pi / 3))  # a third of its period
+    >>> bool(jnp.allclose(later, -jnp.roll(now, 1)))  # the stiffness has moved on by a site
+    True
     """
     sites, places = _places(sites, on, boundary)
     wavelength = _number("wavelength", wavelength)

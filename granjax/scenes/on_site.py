@@ -54,6 +54,12 @@ def cradle(
     beside a length. Typical:
     amplitudes of 0.01 ... 1 with A = k = m = 1; 9.53 mm steel beads on 10 cm: m = 28.4 g, k = 2.8 N/m.
     Source: James, Kevrekidis, Cuevas, Physica D 251, 39 (2013).
+
+    **Example:**
+
+    >>> chain = gx.scenes.cradle(5)
+    >>> print(gx.linear.normal_modes(chain).omega.round(6))  # uncoupled pendula
+    [1. 1. 1. 1. 1.]
     """
     pendulum = positive("pendulum", pendulum, "It is m g/L of each bead.")
     if law is not None:
@@ -95,6 +101,12 @@ def klein_gordon(
 
     **Returns:** a `Lattice`. **Raises** ValueError for N < 2, C < 0, m or k <= 0, a law beside coefficients, or an
     unknown boundary. Source: Marin, Aubry, Nonlinearity 9, 1501 (1996).
+
+    **Example:**
+
+    >>> chain = gx.scenes.klein_gordon(20, coupling=0.1, boundary="periodic")
+    >>> print(gx.linear.normal_modes(chain).omega_squared[jnp.array([0, -1])].round(6))  # 1 and 1 + 4 C
+    [1.  1.4]
     """
     if law is not None and not (alpha is None and beta is None):
         refuse("law", "a law, or alpha and beta", "both", "Leave one of them out.")
@@ -135,6 +147,13 @@ def sine_gordon(
 
     **Returns:** a `Lattice`. **Raises** ValueError for N < 2, C < 0, m, k or q <= 0, or an unknown boundary.
     Source: Frenkel, Kontorova, Zh. Eksp. Teor. Fiz. 8, 1340 (1938); Braun, Kivshar, The Frenkel-Kontorova Model (2004).
+
+    **Example:**
+
+    >>> chain = gx.scenes.sine_gordon(20, coupling=1.0)
+    >>> kink = gx.State(2 * jnp.pi * (jnp.arange(20.0) > 9), jnp.zeros(20))
+    >>> round(float(gx.measures.energy(chain, kink) / (2 * jnp.pi**2)), 6)  # the one stretched spring
+    1.0
     """
     stiffness = positive("stiffness", stiffness, "A site that is not held back is a site of another chain.")
     wavenumber = positive("wavenumber", wavenumber, "The potential's period is 2 pi/q.")

@@ -50,6 +50,13 @@ def mass_in_mass(
     **Raises** ValueError as `monomer` does, and for mu <= 0 or kappa < 0.
     Source: Liu, James, Kevrekidis, Vainchtein, Nonlinearity 29, 3496 (2016); Bonanomi, Theocharis, Daraio, Phys. Rev. E
     91, 033208 (2015).
+
+    **Example:**
+
+    >>> chain = gx.scenes.mass_in_mass(20, precompression=1.0)
+    >>> gap, = gx.linear.bands(chain).gaps
+    >>> round(float(gap[1]), 6)  # (kappa (1/m + 1/mu))^{1/2}
+    1.732051
     """
     return _resonant(sites, (mass,), (stiffness,), ("resonator",), bead_mass, contact_stiffness, exponent,
                      precompression, boundary, law, units)
@@ -73,6 +80,12 @@ def mass_with_mass(
     **Raises** ValueError as `mass_in_mass` does, for a bead outside of the chain or named twice.
     Source: Gantzounis, Serra-Garcia, Homma, Mendoza, Daraio, J. Appl. Phys. 114, 093514 (2013); Kevrekidis, Vainchtein,
     Serra Garcia, Daraio, Phys. Rev. E 87, 042911 (2013).
+
+    **Example:**
+
+    >>> chain = gx.scenes.mass_with_mass(20, at=[10])
+    >>> {name: mass.shape for name, mass in chain.mass.items()}
+    {'bead': (20,), 'resonator': (1,)}
     """
     if at is None:
         return _resonant(sites, (mass,), (stiffness,), ("resonator",), bead_mass, contact_stiffness, exponent,
@@ -117,6 +130,12 @@ def woodpile(
     **Returns:** a `Lattice` of the fields `"bead"` (the rod) and `"resonator_1"`, `"resonator_2"`, ..., (N,) each.
     **Raises** ValueError as `mass_in_mass` does, and for lengths that differ.
     Source: Kim, Li, Chong, Theocharis, Yang, Kevrekidis, Phys. Rev. Lett. 114, 118002 (2015).
+
+    **Example:**
+
+    >>> chain = gx.scenes.woodpile(20, precompression=1.0)
+    >>> len(gx.linear.bands(chain).gaps)  # three branches
+    2
     """
     masses, stiffnesses = _listed("masses", masses), _listed("stiffnesses", stiffnesses)
     if len(masses) != len(stiffnesses):

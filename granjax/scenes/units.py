@@ -15,7 +15,15 @@ from ..units import SCALED, Units
 
 
 class ScaledLattice(NamedTuple):
-    """A lattice in scaled numbers, and the units that lead back to SI."""
+    """A lattice in scaled numbers, and the units that lead back to SI.
+
+    **Example:**
+
+    >>> beads = gx.scenes.beads("steel 316", 9.53e-3, precompression=10.0, cells=20, boundary="periodic")
+    >>> found = gx.scenes.scaled(beads)
+    >>> round(float(found.lattice.mass), 6), round(float(found.units.force), 6)
+    (1.0, 10.0)
+    """
 
     lattice: Lattice
     units: Units
@@ -41,6 +49,13 @@ def scaled(lattice: Lattice, velocity: Scalar | None = None, *, units: Units | N
     back by `units.state_to_si(state)`, `run.ts * units.time`, `forces * units.force`.
     A kind of your own is wrapped: it reads and gives its own units. **Raises** ValueError where there is no contact
     law or no length to scale with.
+
+    **Example:**
+
+    >>> beads = gx.scenes.beads("steel 316", 9.53e-3, precompression=10.0, cells=20, boundary="periodic")
+    >>> chain, units = gx.scenes.scaled(beads)
+    >>> round(float(gx.linear.sound_speed(chain)), 6)  # (3/2)^{1/2}
+    1.224745
     """
     if units is None:
         units = _natural_units(lattice, velocity)

@@ -28,6 +28,13 @@ def plastic(
     `"periodic"`; `units`: "scaled" or "SI". In SI: `gx.materials.bead_mass`, `hertz_coefficient`, `yield_overlap`.
     **Returns:** a `Lattice`. **Raises** ValueError as `monomer` does, and for s_y that is not above zero.
     Source: C. Thornton, J. Appl. Mech. 64, 383 (1997).
+
+    **Example:**
+
+    >>> chain = gx.scenes.plastic(20)
+    >>> run = gx.simulate(chain, gx.states.impact(chain), 5.0, step=0.05)
+    >>> bool(run.lost.sum() > 0)  # what yielding has taken of the energy
+    True
     """
     sites = _sites(sites)
     one_of("boundary", boundary, BOUNDARIES)

@@ -36,6 +36,13 @@ class Balances(Result):
     `..._change`: what it holds at the end less what at the start; `..._inflow`: the flux through both ends,
     integrated over time along the run; `..._residual`: their difference; `..._error`: of the inflow, by a run of half
     the step, and of the rounding of the sums. Numbers, or one per lane.
+
+    **Example:**
+
+    >>> problem = gx.shocks.velocity_shock(gx.scenes.toda(40), 0.1)
+    >>> found = gx.shocks.balances(problem, 5.0, step=0.05)
+    >>> bool(abs(found.energy_residual) < 1e-6), found.first, found.last
+    (True, 20, 24)
     """
 
     held: ClassVar[dict[str, Held]] = {
@@ -92,6 +99,13 @@ def balances(
     `keywords`: those of `gx.simulate`, such as `step`; without any the step is half of the default one.
     **Returns:** `Balances`. **Raises** ValueError for a box that is none or touches an end, and for forces inside of it
     other than those of bonds to the next site, such as damping.
+
+    **Example:**
+
+    >>> problem = gx.shocks.velocity_shock(gx.scenes.toda(40), 0.1)
+    >>> found = gx.shocks.balances(problem, 5.0, step=0.05)
+    >>> bool(abs(found.momentum_residual) < 1e-6)
+    True
     """
     lattice, size = problem.lattice, problem.lattice.shape[0]
     first, last = _box(problem, box, size)

@@ -80,6 +80,12 @@ def dissipative_front(
     that is no uniform chain, a batch, both or none of `behind` and `piston`.
     Source: G. B. Whitham, Linear and Nonlinear Waves (Wiley 1974), 4.3 and 13.15; A. Molinari, C. Daraio, Phys. Rev. E
     80, 056602 (2009); E. B. Herbold, V. F. Nesterenko, Phys. Rev. E 75, 021304 (2007).
+
+    **Example:**
+
+    >>> front = gx.shocks.dissipative_front(gx.Hertz(), 1.0, dashpot=0.3)
+    >>> round(float(front.speed), 6), round(float(front.overshoot), 4)
+    (1.0, 0.0137)
     """
     if (behind is None) == (piston is None):
         refuse("behind, piston", "exactly one of them", "none" if behind is None else "both")

@@ -24,6 +24,13 @@ class SpaceTime(Result):
       the `Riemann` problem.
     - `final`: the `State` at t1. `step`: the time step, the longest where a tolerance was given.
     - `energy_error`: as of a `Run`, at the times of the map; NaN where a term does not keep the energy.
+
+    **Example:**
+
+    >>> problem = gx.shocks.velocity_shock(gx.scenes.toda(40), 0.1)
+    >>> record = gx.shocks.space_time(problem, 5.0, frames=6, step=0.05)
+    >>> record.strain.shape, record.kind
+    ((6, 39), 'velocity')
     """
 
     held: ClassVar[dict[str, Held]] = {
@@ -66,6 +73,13 @@ def space_time(
     `keywords`: `step`, `tolerance`, `solver` of `gx.simulate`.
     **Returns:** `SpaceTime`. **Raises** ValueError for fewer than two frames, bonds that are not there, a map beyond
     the memory, other keywords; RuntimeError where the run does not complete.
+
+    **Example:**
+
+    >>> problem = gx.shocks.velocity_shock(gx.scenes.toda(40), 0.1)
+    >>> record = gx.shocks.space_time(problem, 5.0, frames=6, step=0.05)
+    >>> record.ts.tolist(), round(float(record.strain[-1].max()), 2)
+    ([0.0, 1.0, 2.0, 3.0, 4.0, 5.0], 0.23)
     """
     frames = whole("frames", frames, 2)
     bonds = _bonds(sites, problem.lattice.shape[0] - 1)

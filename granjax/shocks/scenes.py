@@ -73,6 +73,12 @@ def velocity_shock(lattice: Lattice, c: Parameter, *, centre: Parameter | None =
     **Raises** ValueError for what is no chain, terms that hold or slow a translation (walls, on-site forces, damping
     of sites: `piston` serves those), c not finite, or a centre outside the chain.
     Source: S. Venakides, P. Deift, R. Oba, Comm. Pure Appl. Math. 44, 1171 (1991).
+
+    **Example:**
+
+    >>> lattice, state = gx.shocks.velocity_shock(gx.scenes.toda(40), 0.1)
+    >>> print(state.v[18:22])
+    [ 0.2  0.  -0.2 -0.2]
     """
     size = chain_only(lattice, "velocity_shock")
     chain, c = _opened(lattice), per_lane("c", c, lattice.lanes)
@@ -103,6 +109,12 @@ def step(lattice: Lattice, left: Parameter, right: Parameter = 0.0, *, centre: C
     **Returns:** `Riemann`, its `centre` half way between the bonds centre - 1 and centre.
     **Raises** ValueError for what is no chain, bonds that differ or do not lead to the next site, on-site forces, equal
     strains, those at which the law has no force, or a centre outside the chain.
+
+    **Example:**
+
+    >>> problem = gx.shocks.step(gx.scenes.toda(40), 0.2)
+    >>> print(problem.strain(problem.state.u)[18:22])
+    [0.2 0.  0.  0. ]
     """
     size = chain_only(lattice, "step")
     left, right = per_lane("left", left, lattice.lanes), per_lane("right", right, lattice.lanes)
@@ -149,6 +161,12 @@ def piston(lattice: Lattice, speed: Parameter) -> Riemann:
     and `centre` -1.5.
     **Raises** ValueError for what is no chain of bonds to the next site, speeds not finite or zero.
     Source: Molinari, Daraio, Phys. Rev. E 80, 056602 (2009).
+
+    **Example:**
+
+    >>> problem = gx.shocks.piston(gx.scenes.toda(40), 0.2)
+    >>> problem.kind, float(problem.c)  # half of a velocity shock of c = speed/2
+    ('piston', 0.1)
     """
     chain_only(lattice, "piston")
     speed = per_lane("speed", speed, lattice.lanes)
@@ -181,6 +199,12 @@ def impacts(
     **Raises** ValueError for what is no chain of bonds to the next site, an impulse of zero, times not above zero or a
     duration beyond the interval.
     Source: E. B. Herbold, V. F. Nesterenko, Phys. Rev. E 75, 021304 (2007).
+
+    **Example:**
+
+    >>> problem = gx.shocks.impacts(gx.scenes.toda(40), 0.1, 2.0, count=3)
+    >>> problem.kind, float(problem.c), float(problem.centre)
+    ('impacts', 0.1, -1.0)
     """
     chain_only(lattice, "impacts")
     impulse = per_lane("impulse", impulse, lattice.lanes)

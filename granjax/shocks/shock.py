@@ -31,6 +31,15 @@ class Shock(Result):
       Whitham's theory has for it; `phases` (W,): Theta_0 with the theory's own m(s), in radians, which a velocity
       shock of Toda has in closed form, `gx.theory.toda.modulation(m, c).phase`; `theory_errors`: what then remains of
       the strains at most, over the jump `mean - ahead`.
+
+    **Example:**
+
+    >>> problem = gx.shocks.velocity_shock(gx.scenes.toda(200), 0.5)
+    >>> shock = gx.shocks.measure(problem.run(step=0.1), points=3)
+    >>> round(shock.mean, 2), shock.theory  # 2 ln 1.5 = 0.81
+    (0.81, 'toda')
+    >>> problem.kind, float(problem.c)
+    ('velocity', 0.5)
     """
 
     held: ClassVar[dict[str, Held]] = {

@@ -26,6 +26,13 @@ def normal_mode(lattice: Lattice, index: Count = 0, amplitude: Parameter = 1.0, 
     **Arguments:** `index`: 0 is the lowest frequency, negative from the highest. `amplitude`: a
     [m]; `phase` [rad]; numbers, or one per lane. Where frequencies coincide the mode is one of many.
     **Raises** ValueError for an index that is not there, or a lattice without linear stiffness (a sonic vacuum).
+
+    **Example:**
+
+    >>> chain = gx.scenes.monomer(20, precompression=1.0)
+    >>> state = gx.states.normal_mode(chain, 1, amplitude=0.1)
+    >>> round(float(state.u.max()), 4), round(float(state.u.min()), 4)
+    (0.1, -0.1)
     """
     size, lanes = sum(_sizes(lattice)), lattice.lanes
     if not -size <= index < size:
@@ -58,6 +65,12 @@ def sine_mode(lattice: Lattice, k: Count = 1, amplitude: Parameter = 1.0) -> Sta
 
     **Arguments:** `k`: 1 ... N, the number of half waves; `amplitude`: a, a number or one per lane [m].
     **Raises** ValueError for a lattice that is no plain chain, or k outside 1 ... N.
+
+    **Example:**
+
+    >>> chain = gx.scenes.fput(31, alpha=0.25)
+    >>> round(float(gx.measures.energy(chain, gx.states.sine_mode(chain))), 8)
+    0.07704437
     """
     size = chain_only(lattice, "sine_mode")
     if whole("k", k, 1) > size:

@@ -15,7 +15,14 @@ EDGE = 1e-9
 
 @checked
 def rest(lattice: Lattice) -> State:
-    """Every site at rest in equilibrium: u = v = 0."""
+    """Every site at rest in equilibrium: u = v = 0.
+
+    **Example:**
+
+    >>> chain = gx.scenes.monomer(20, precompression=1.0)
+    >>> gx.measures.contact_force(chain, gx.states.rest(chain))[:3].tolist()
+    [1.0, 1.0, 1.0]
+    """
     return State(lattice.zeros(), lattice.zeros())
 
 
@@ -30,6 +37,13 @@ def impact(lattice: Lattice, velocity: Parameter = 1.0, site: Site = 0, field: s
     - `field`: name of the field where a cell holds several; `None` is the one called `"bead"`.
 
     **Raises** ValueError for a site or field that is not there, or a velocity that is not finite or of another shape.
+
+    **Example:**
+
+    >>> chain = gx.scenes.monomer(20)
+    >>> state = gx.states.impact(chain, velocity=0.5, site=2)
+    >>> state.v[:4].tolist()
+    [0.0, 0.0, 0.5, 0.0]
     """
     index = site_of(lattice, site, field := field_of(lattice, field))
     velocity = parameter("velocity", velocity)
@@ -60,6 +74,13 @@ def radial_impact(
     **Arguments:** `velocity`: V [m/s]; `radius` [m]; `centre`: c (2,) [m], `None` for the middle of the positions.
     **Raises** ValueError for a lattice without positions or with displacements that are numbers, a batch, fields, or no
     site that moves. Typical: a radius of 1 ... 5 spacings.
+
+    **Example:**
+
+    >>> crystal = gx.scenes.square(5)
+    >>> state = gx.states.radial_impact(crystal, velocity=0.1, radius=1.0)
+    >>> state.v[2, 1].tolist(), state.v[2, 3].tolist()
+    ([0.0, -0.1], [0.0, 0.1])
     """
     places = lattice.positions
     if places is None or lattice.fields or lattice.lanes or (lattice.dimension or 1) < places.shape[-1]:
@@ -86,6 +107,13 @@ def random(lattice: Lattice, seed: Seed = 0, displacement: Parameter = 0.1, velo
     **Arguments:** `seed`: a whole number or a `jax.random` key; the same seed gives the same state. `displacement` [m]
     and `velocity` [m/s]: amplitudes, not negative, numbers or one per lane. Every lane draws its own numbers.
     **Raises** ValueError for a seed that is neither, or amplitudes that are negative, not finite, or of another shape.
+
+    **Example:**
+
+    >>> chain = gx.scenes.monomer(20, precompression=1.0)
+    >>> state = gx.states.random(chain, seed=1, displacement=0.1)
+    >>> bool(jnp.abs(state.u).max() < 0.1), bool(jnp.any(state.v))
+    (True, False)
     """
     keys = jax.random.split(random_key(seed), 2)
     given, lanes = {"displacement": displacement, "velocity": velocity}, lattice.lanes
@@ -101,6 +129,13 @@ def thermal(lattice: Lattice, temperature: Parameter, seed: Seed = 0) -> State:
     component of each site is half of it. All energy is kinetic at first, so a linear lattice settles at half this
     temperature. `seed`: as in `random`.
     **Raises** ValueError for a temperature that is negative, not finite or of another shape, or a seed that is none.
+
+    **Example:**
+
+    >>> chain = gx.scenes.monomer(20, precompression=1.0)
+    >>> state = gx.states.thermal(chain, temperature=0.01, seed=1)
+    >>> round(float(gx.measures.kinetic_energy(chain, state)) / 20, 4)
+    0.0055
     """
     width = jnp.sqrt(per_lane("temperature", temperature, lattice.lanes, non_negative))
     drawn = _draw(lattice, random_key(seed), width, jax.random.normal)

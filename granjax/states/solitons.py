@@ -51,6 +51,13 @@ def toda_soliton(
     wave's total strain over their number, so that none is torn: it is then right to that share.
     **Raises** ValueError for a lattice that is no such chain, or has no K2 (a sonic vacuum) or K3, a wave that is not
     faster than sound, and one that does not fit into the chain.
+
+    **Example:**
+
+    >>> chain = gx.scenes.toda(40)
+    >>> state = gx.states.toda_soliton(chain, k=1.0, centre=20)
+    >>> round(float(gx.measures.energy(chain, state)), 6)  # sinh 2k - 2k
+    1.62686
     """
     chain, n, centre = _places("toda_soliton", lattice, centre, direction)
     strength, rate = toda.matched(chain.K2, chain.K3)
@@ -76,6 +83,13 @@ def kdv_soliton(
 
     The strain of each bond is that of `theory.kdv.soliton` and the velocities are those with which it travels.
     **Arguments**, ends, **Raises**: as `toda_soliton`, with `speed` or `amplitude`.
+
+    **Example:**
+
+    >>> chain = gx.scenes.toda(40)
+    >>> state = gx.states.kdv_soliton(chain, amplitude=0.2, centre=20)
+    >>> round(float(gx.measures.strain(chain, state)[20]), 4)
+    0.2
     """
     chain, n, centre = _places("kdv_soliton", lattice, centre, direction)
     given = dict(speed=_one(lattice, "speed", speed), amplitude=_one(lattice, "amplitude", amplitude))

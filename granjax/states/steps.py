@@ -23,6 +23,13 @@ def strain_step(lattice: Lattice, left: Parameter, right: Parameter = 0.0, centr
     **Arguments:** `left`, `right`: strains, positive in compression [m], numbers or one per lane; `centre`: bond where
     the step lies, from 0 to N - 1, `None` for the middle, (N-1)//2.
     **Raises** ValueError for a lattice that is no plain chain, strains not finite, or a centre outside the chain.
+
+    **Example:**
+
+    >>> chain = gx.scenes.monomer(20, precompression=1.0, boundary="free")
+    >>> state = gx.states.strain_step(chain, left=0.2, centre=10)
+    >>> np.array(gx.measures.strain(chain, state)[8:12]).round(6).tolist()
+    [0.2, 0.2, 0.0, 0.0]
     """
     size = chain_only(lattice, "strain_step")
     left, right = per_lane("left", left, lattice.lanes), per_lane("right", right, lattice.lanes)
@@ -47,6 +54,12 @@ def velocity_step(lattice: Lattice, c: Parameter, centre: Parameter | None = Non
     rest for odd N. The ends send their own waves inwards from t = 0 on.
     **Raises** ValueError for a lattice that is no plain chain, c not finite, or a centre outside the chain.
     Source: S. Venakides, P. Deift, R. Oba, Comm. Pure Appl. Math. 44, 1171 (1991).
+
+    **Example:**
+
+    >>> state = gx.states.velocity_step(gx.scenes.toda(20), c=0.1)
+    >>> state.v[8:12].tolist()
+    [0.2, 0.2, -0.2, -0.2]
     """
     size = chain_only(lattice, "velocity_step")
     c = per_lane("c", c, lattice.lanes)

@@ -25,6 +25,14 @@ def stored(lattice: Lattice, data: Any, frame: Count = -1) -> State:
 
     **Raises** ValueError for a dataset without them, a frame that is not there, sites or lanes that are not those of
     the lattice, and numbers in SI where those of the lattice are scaled, or the other way round.
+
+    **Example:**
+
+    >>> chain = gx.scenes.monomer(20)
+    >>> run = gx.simulate(chain, gx.states.impact(chain), 5.0, step=0.05, save_at=51)
+    >>> state = gx.states.stored(chain, run.to_xarray(), frame=-1)
+    >>> bool((state.u == run.us[-1]).all())
+    True
     """
     variables = getattr(data, "data_vars", {})
     fields = [None] if lattice.fields is None else [*lattice.fields]

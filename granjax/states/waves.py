@@ -45,6 +45,13 @@ def wave_packet(
 
     **Raises** ValueError for a lattice that is no plain chain, k outside (0, pi), a chain that is not uniform or has no
     linear stiffness where `omega` is `None`, or a width, centre, amplitude or direction that is none.
+
+    **Example:**
+
+    >>> chain = gx.scenes.monomer(20, precompression=1.0, boundary="periodic")
+    >>> state = gx.states.wave_packet(chain, k=2.0, centre=10, width=2.0)
+    >>> round(float(state.u[10]), 6)
+    0.01
     """
     size = chain_only(lattice, "wave_packet")
     lanes = lattice.lanes
@@ -81,6 +88,13 @@ def solitary_wave(
     `None` is the middle, (N - 2)/2; several waves are sums of states that are far apart. Exactly one of `speed`
     (contacts per time, below zero to the left), `amplitude`, `energy`.
     **Raises** ValueError for a centre outside the chain, and where `gx.travelling.solitary_wave` does.
+
+    **Example:**
+
+    >>> chain = gx.scenes.monomer(20, boundary="free")
+    >>> state = gx.states.solitary_wave(chain, centre=9, speed=1.0)
+    >>> round(float(gx.measures.strain(chain, state)[9]), 6)
+    1.487359
     """
     sites = chain_only(lattice, "solitary_wave")
     given = [name for name, x in (("speed", speed), ("amplitude", amplitude), ("energy", energy)) if x is not None]

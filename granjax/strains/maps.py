@@ -23,6 +23,15 @@ class StrainMap(Dimensional):
 
     Write `strain`; everything else follows from it by automatic differentiation, and is overridden where a map can do
     better. `linear`: the strain is linear in the displacements. `tangential`: it is how far a contact has slipped.
+
+    **Example:**
+
+    >>> class Swing(gx.StrainMap):   # next sites joined by slanting springs of length 1
+    ...     def strain(self, u):
+    ...         return 1 - jnp.sqrt(1 + jnp.diff(u) ** 2)
+    >>> chain = gx.Lattice(1.0, gx.Bond(Swing(), gx.Linear(1.0)), sites=4)
+    >>> round(float(chain.potential_energy(0.0, jnp.array([0.0, 0.75, 0.75, 0.75]))), 6)
+    0.03125
     """
 
     linear: ClassVar[bool] = False
@@ -140,7 +149,13 @@ def spectral_radius(product: Callable, lattice: Any):
 
 
 class LinearMap(StrainMap):
-    """A map that is a sum of selected sites, each with a weight, and its transpose."""
+    """A map that is a sum of selected sites, each with a weight, and its transpose.
+
+    **Example:**
+
+    >>> [isinstance(x, gx.strains.LinearMap) for x in (gx.Shift(1), gx.Stretch(gx.Shift(1), (1.0, 0.0)))]
+    [True, False]
+    """
 
     linear: ClassVar[bool] = True
 

@@ -25,6 +25,12 @@ class Pairs(TwoEnds):
 
     **Shapes:** `u` (N,) to `e` (bonds,). **Raises** ValueError for indices that are no whole numbers, lists of
     different length, an index outside the lattice, or a bond from a site to itself.
+
+    **Example:**
+
+    >>> star = gx.Pairs([0, 0, 0], [1, 2, 3])
+    >>> star.strain(jnp.array([1.0, 0.0, 0.5, 2.0]))
+    Array([ 1. ,  0.5, -1. ], dtype=float64)
     """
 
     dimensions = {"weights": (0, 0, 0)}
@@ -80,6 +86,11 @@ class Pairs(TwoEnds):
             return super().split(bonds, u)
         whole = sum(jnp.broadcast_to(_over(w, bonds), bonds.shape) for w in self.weights)
         return self.reach_back(bonds / whole)
+
+    def ends(self, places, u):
+        # weights are of displacements, not of places
+        plain = self if self.weights is None else eqx.tree_at(lambda x: x.weights, self, None)
+        return super(Pairs, plain).ends(places, u)
 
     def walls(self):
         return ("left", "right") if WALL in self.tail + self.head else ()

@@ -2,6 +2,7 @@
 
 from typing import ClassVar
 
+import jax
 import jax.numpy as jnp
 
 from ..checks import refuse
@@ -29,6 +30,12 @@ class Slip(Directed):
     **Shapes:** `u` (sites..., 3, lanes...) to `e` (bonds..., lanes...). **Raises** ValueError for a vector that is none
     of the plane. Source: Mindlin, J. Appl. Mech. 16, 259 (1949); Merkel, Tournat, Gusev, Phys. Rev. E 82, 031305
     (2010).
+
+    **Example:**
+
+    >>> slip = gx.strains.Slip(gx.Shift(1, "free"), (1.0, 0.0))
+    >>> slip.strain(jnp.array([[0.0, 0.0, 0.1], [0.0, 0.0, 0.1]])).round(6)   # both turn the same way
+    Array([0.2], dtype=float64)
     """
 
     dimensions = {"pairs": PART, "vector": (0, 1, 0)}
@@ -44,3 +51,11 @@ class Slip(Directed):
         D, R, rest, along, *_ = self._geometry(u)
         turned = jnp.arctan2(R[1] * D[0] - R[0] * D[1], rest * rest - along)
         return self.pairs.reach(self._component(u, 2)) - rest * turned
+
+    def stiffness_bound(self, lattice, k):
+        # a bead's inertia is J in m R^2: with weights J w of its displacements and w of its turning, both rows of
+        # |B|^T k |B| w are at most (1 + J) k (w_tail + w_head) over the smaller of its masses
+        axis = lattice.axes
+        parts = [jnp.min(m, axis) / jnp.max(m, axis) for m in jax.tree.leaves(lattice.mass) if jnp.ndim(m) > axis]
+        J = jnp.max(jnp.stack([jnp.max(x) for x in parts])) if parts else 1.0
+        return self.pairs.stiffness_bound(lattice, (1 + J) * k)

@@ -99,6 +99,11 @@ class Shift(_Grid, TwoEnds):
 
     **Shapes:** `u` (N,) to `e` (N + 1,), (N - 1,) or (N,) for offset 1; trailing axes (vectors, lanes) pass through.
     **Raises** ValueError for an unknown boundary, an offset that is no whole number, or 0 within one field.
+
+    **Example:**
+
+    >>> gx.Shift(1, "fixed").strain(jnp.array([0.1, 0.3]))   # wall - bead - bead - wall
+    Array([-0.1, -0.2,  0.3], dtype=float64)
     """
 
     dimensions = {}
@@ -146,6 +151,12 @@ class Stencil(_Grid):
 
     **Shapes:** for largest and least offset k_max, k_min: `u` (N,) to `e` (N + k_max - k_min,), (N - (k_max - k_min),)
     or (N,). **Raises** ValueError for parts that are no such triples, offsets of unlike length, or no part.
+
+    **Example:**
+
+    >>> bend = gx.strains.Stencil([(None, -1, 1.0), (None, 0, -2.0), (None, 1, 1.0)], "free")
+    >>> bend.strain(jnp.array([0.0, 1.0, 4.0, 9.0]))
+    Array([2., 2.], dtype=float64)
     """
 
     dimensions = {"weights": (0, 0, 0)}

@@ -83,6 +83,12 @@ class Stretch(Directed):
     a rotation, are left alone. **Raises** ValueError for a vector of length zero or a map that is neither Shift nor
     Pairs. That the preloads balance at u = 0, with the boundary's loads, is the user's: `Lattice.unbalanced()` gives
     what is left over.
+
+    **Example:**
+
+    >>> bond = gx.Stretch(gx.Shift(1, "free"), (3.0, 4.0))
+    >>> bond.strain(jnp.array([[0.0, 0.0], [0.0, -4.0]]))   # from length 5 to 3
+    Array([2.], dtype=float64)
     """
 
     dimensions = {"pairs": PART, "vector": (0, 1, 0)}

@@ -36,6 +36,13 @@ class BrightBreather(Result):
     - `site`: that bead. `velocity` (Q,): its velocity in the free periods, every `step` [s].
     - `driven_for`: number of driven periods. `lattice`, `state`: the free chain, and where it ended.
     - `outcome`: a sentence.
+
+    **Example:**
+
+    >>> beads = gx.scenes.beads(["steel 316", "aluminium 6061-T6"], 9.53e-3, 20.0, cells=10)  # such a chain
+    >>> found = gx.studies.bright_by_instability(20, driven_for=3, free_for=30)
+    >>> found.fraction.shape, found.driven_for
+    ((33,), 3)
     """
 
     _else: ClassVar[str | None] = SI
@@ -84,6 +91,13 @@ def bright_by_instability(
     driven periods, 0.22 for 80, when the wave has not broken up yet. Amplitude 0.25 thermalises the chain within 150
     periods (0.17); with tau = 0.05 s nothing reaches one half.
     Source: Boechler, Theocharis, Job, Kevrekidis, Porter, Daraio, Phys. Rev. Lett. 104, 244302 (2010).
+
+    **Example:**
+
+    >>> beads = gx.scenes.beads(["steel 316", "aluminium 6061-T6"], 9.53e-3, 20.0, cells=10)  # such a chain
+    >>> found = gx.studies.bright_by_instability(20, driven_for=3, free_for=30)
+    >>> bool(found.gap[0] < found.gap[1])  # Hz
+    True
     """
     sites, driven_for, free_for = whole("sites", sites, 20), whole("driven_for", driven_for, 1), \
         whole("free_for", free_for, 30)

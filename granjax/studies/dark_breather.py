@@ -30,6 +30,12 @@ def steel_chain(sites: Count = 21, precompression: Scalar = PRECOMPRESSION) -> L
 
     **Returns:** a `Lattice` without damping; A = 1.0114e10 N/m^{3/2}, d0 = 0.992 um and cut-off 7369 Hz at F0 = 10 N.
     Source: Chong, Li, Yang, Williams, Kevrekidis, Kevrekidis, Daraio, Phys. Rev. E 89, 032924 (2014).
+
+    **Example:**
+
+    >>> chain = gx.studies.steel_chain()
+    >>> round(float(gx.linear.bands(chain).upper[0]) / (2 * np.pi))  # Hz
+    7369
     """
     steel = Material("steel", YOUNG, POISSON, MASS / (4 / 3 * math.pi * RADIUS**3))
     return monomer(sites, MASS, hertz_coefficient(steel, RADIUS), precompression=precompression).counted_in("SI")
@@ -47,6 +53,12 @@ class DarkBreather(Result):
       reaches half of the background, by interpolation.
     - `staggering`: mean correlation of neighbours' velocities outside of the middle, -1 for an alternating chain.
     - `harmonics` (6, N): amplitudes of the velocities at 1 ... 6 times the frequency [m/s].
+
+    **Example:**
+
+    >>> found = gx.studies.dark_by_interference(gx.studies.steel_chain(5), periods=8)
+    >>> found.velocity.shape, found.harmonics.shape
+    ((5,), (6, 5))
     """
 
     _else: ClassVar[str | None] = SI
@@ -93,6 +105,12 @@ def dark_by_interference(
     at 0.89 of the largest speed; 0.02 um makes the arches of a sine instead (0.38). From 0.20324 um on (at 7290 Hz) the
     orbit is unstable by a Neimark-Sacker bifurcation; at 0.3 um the motion is chaotic, its exponent 0.065 a period.
     Source: as `steel_chain`.
+
+    **Example:**
+
+    >>> found = gx.studies.dark_by_interference(gx.studies.steel_chain(5), periods=8)
+    >>> bool(found.velocity[2] < 1e-5 * found.velocity.max())  # the middle bead is at rest
+    True
     """
     tolerance = checked_tolerance("tolerance", tolerance)
     lattice = steel_chain() if lattice is None else lattice

@@ -43,6 +43,13 @@ class TruthTable(Result):
     - `inputs` (rows, K): which signals are on, 0 or 1. `output` (rows,): root mean square velocity of the site that is
       watched [m/s]. `output_error` (rows,): estimated distance from the truth.
     - `amplitudes`, `omegas` (K,) of the signals.
+
+    **Example:**
+
+    >>> chain = gx.scenes.monomer(6, precompression=1.0)
+    >>> found = gx.studies.truth_table(chain, [0.01, 0.01], [0.5, 1.0], damping=0.2, settling=20.0, watch=20.0)
+    >>> found.inputs.tolist()
+    [[0, 0], [0, 1], [1, 0], [1, 1]]
     """
 
     held: ClassVar[dict[str, Held]] = {
@@ -90,6 +97,13 @@ class Switch(Result):
     - `threshold`: control [m] at which the output first passes half of its largest, `threshold_error` [m]: half of the
       way between the controls, of those that were run, where it is below and above for certain. NaN where there are
       none.
+
+    **Example:**
+
+    >>> chain = gx.scenes.monomer(6, precompression=1.0)
+    >>> found = gx.studies.switch(chain, (0.01, 0.5), [0.01, 0.02], 1.0, damping=0.2, settling=20.0, watch=20.0)
+    >>> found.output.shape, found.alone.shape
+    ((2,), (2,))
     """
 
     held: ClassVar[dict[str, Held]] = {
@@ -162,6 +176,13 @@ def truth_table(
     **Raises** ValueError as `driven_chain` does, for another number of frequencies than amplitudes, a batch, or numbers
     that are not above zero. For derivatives, `gx.simulate` the chain of `gx.driven.driven_chain`.
     Source: Li, Anzel, Yang, Kevrekidis, Daraio, Nature Communications 5, 5311 (2014).
+
+    **Example:**
+
+    >>> chain = gx.scenes.monomer(6, precompression=1.0)
+    >>> found = gx.studies.truth_table(chain, [0.01, 0.01], [0.5, 1.0], damping=0.2, settling=20.0, watch=20.0)
+    >>> bool(found.output[0] < found.output[1:].min())  # silent where no signal is on
+    True
     """
     amplitudes = np.atleast_1d(np.asarray(_known("amplitudes", amplitudes, positive), float))
     if amplitudes.ndim != 1 or not 1 <= len(amplitudes) <= 6:
@@ -185,6 +206,13 @@ def switch(
     ascending, P >= 2 [m]; `omega`: its angular frequency. Others, errors and source as in `truth_table`.
 
     **Returns:** `Switch`; its picture is `gx.plots.switch`. **Raises** ValueError as `truth_table` does.
+
+    **Example:**
+
+    >>> chain = gx.scenes.monomer(6, precompression=1.0)
+    >>> found = gx.studies.switch(chain, (0.01, 0.5), [0.01, 0.02], 1.0, damping=0.2, settling=20.0, watch=20.0)
+    >>> bool(found.output[1] > found.output[0])
+    True
     """
     own = [float(_known(f"signal[{i}]", x, positive)) for i, x in enumerate(signal)]
     amplitudes = np.asarray(_known("amplitudes", amplitudes, non_negative), float)

@@ -41,6 +41,13 @@ class Rectifier(Result):
       `asymmetry_error` (P,): estimated distance from the truth, by those of the two powers (`Way.response_error`; of a
       motion that does not repeat, by how much the next 60 periods differ).
     - `frequency` of the drive, `defect` mode, `cutoff` of the band [Hz].
+
+    **Example:**
+
+    >>> amplitudes = np.array([2e-8, 4e-8])
+    >>> found = gx.studies.rectifier(amplitudes, sites=6, periods=8)
+    >>> found.asymmetry.shape == amplitudes.shape, round(float(found.frequency / found.defect), 6)
+    (True, 0.98)
     """
 
     _else: ClassVar[str | None] = SI
@@ -120,6 +127,13 @@ def rectifier(
     um and transmits 4 to 12 mW from 0.2 um on; from the other side it stays periodic to 0.48 um and transmits 1e-14 W
     there, an asymmetry of 1e12 in the absence of noise.
     Source: Boechler, Theocharis, Daraio, Nature Materials 10, 665 (2011).
+
+    **Example:**
+
+    >>> amplitudes = np.array([2e-8, 4e-8])
+    >>> found = gx.studies.rectifier(amplitudes, sites=6, periods=8)
+    >>> bool(found.defect > found.cutoff)  # the defect's mode lies above the band
+    True
     """
     tolerance = checked_tolerance("tolerance", tolerance)
     amplitudes = np.asarray(non_negative("amplitudes", amplitudes), float)
@@ -185,6 +199,13 @@ def rectifier_branch(
     marks its onset. **Raises** ValueError and RuntimeError as `forced_branch`.
     Measured: from 0.02 um on, folds at 0.0828 and 0.0511 um (two stable orbits between), onset of quasi-periodicity at
     0.1792 um. Source: as `rectifier`.
+
+    **Example:**
+
+    >>> low, high = 2e-8, 2.1e-8
+    >>> branch = gx.studies.rectifier_branch(low, high, sites=6)
+    >>> str(branch.verdict[0])
+    'stable'
     """
     low, high = (float(positive(name, x)) for name, x in (("low", low), ("high", high)))
     if low == high:

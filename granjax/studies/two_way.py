@@ -28,6 +28,15 @@ class TwoWay(Result):
     - `from_left`, `from_right` (P,): amplitude, at the drive's frequency, of the force on the wall at rest while the
       left one moves, or the right one. `from_left_error`, `from_right_error` (P,): estimated distances from the truth.
     - `asymmetry` (P,): from_left/from_right - 1, zero for a linear chain; `asymmetry_error` (P,).
+
+    **Example:**
+
+    >>> chain = gx.scenes.monomer(4, precompression=1.0)
+    >>> found = gx.studies.two_way(chain, [1e-3], 1.0, damping=0.2)
+    >>> bool(abs(found.asymmetry[0]) < 1e-6)  # a chain that is its own mirror image
+    True
+    >>> chain.shape
+    (4,)
     """
 
     held: ClassVar[dict[str, Held]] = {
@@ -81,6 +90,15 @@ def two_way(
     under a transformation: it continues from orbit to orbit.
     Typical: 1e-5 ... 1e-2 of the static overlap. Source: Rayleigh, The Theory of Sound, section 107 (reciprocity);
     Boechler, Theocharis, Daraio, Nature Materials 10, 665 (2011) (its end).
+
+    **Example:**
+
+    >>> chain = gx.scenes.monomer(4, precompression=1.0)
+    >>> found = gx.studies.two_way(chain, [1e-3], 1.0, damping=0.2)
+    >>> bool(abs(found.from_left / found.from_right - 1).max() < 1e-6)  # its own mirror image
+    True
+    >>> chain.shape
+    (4,)
     """
     if traced((lattice, amplitudes, omega)):
         refuse("lattice", "numbers known before tracing", "traced ones", "Differentiate gx.forced.forced_orbit.")

@@ -16,6 +16,12 @@ class Chunk(NamedTuple):
     - `columns`: from name to an array of numbers or words, lanes first, (lanes, ...).
     - `reasons`: a sentence for each lane that failed, "" for all others.
     - `told`: from name to what is known of a column: its own axes ("dims"), its unit ("units").
+
+    **Example:**
+
+    >>> chunk = gx.sweeps.Chunk({"peak": np.array([0.5, 0.6])}, ["", ""], {"peak": {"units": "N"}})
+    >>> chunk.columns["peak"].shape, chunk.told["peak"]
+    ((2,), {'units': 'N'})
     """
 
     columns: dict[str, np.ndarray]

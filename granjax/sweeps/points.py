@@ -21,6 +21,12 @@ class Points:
     - `design`: `"grid"`, all combinations, the last parameter running fastest; or `"list"`, one value of each a lane.
     - `axes`: {name: values}, of a grid the coordinates along each axis, of a list one value a lane.
     - `shape`, `dims`: of the results; `count`: how many lanes there are.
+
+    **Example:**
+
+    >>> points = gx.sweeps.Points({"ratio": np.array([0.5, 1.0]), "load": np.array([1.0, 2.0, 3.0])}, "grid")
+    >>> points.shape, points.count, points.at(1)
+    ((2, 3), 6, {'ratio': 0.5, 'load': 2.0})
     """
 
     def __init__(self, axes: dict[str, np.ndarray], design: str):
@@ -73,6 +79,12 @@ def paired(parameters: dict[str, Values]) -> Points:
 
     **Arguments:** `parameters`: {name: values}, all of one length: numbers or words.
     **Returns:** what `gx.sweep` takes. **Raises** ValueError for lists of several lengths, empty ones, other values.
+
+    **Example:**
+
+    >>> points = gx.sweeps.paired({"ratio": [0.5, 1.0], "load": [1.0, 2.0]})
+    >>> points.count, points.at(1)
+    (2, {'ratio': 1.0, 'load': 2.0})
     """
     axes = {_name(name): _row(name, x) for name, x in parameters.items()}
     lengths = {name: len(x) for name, x in axes.items()}
@@ -92,6 +104,12 @@ def random(bounds: dict[str, tuple], count: Count, *, seed: Seed = 0) -> Points:
 
     **Returns:** what `gx.sweep` takes. **Raises** ValueError for bounds that are no such pair.
     Source: Sobol points as in `scipy.stats.qmc`.
+
+    **Example:**
+
+    >>> points = gx.sweeps.random({"ratio": (0.1, 1.0), "load": (1.0, 1e3, "log")}, 8)
+    >>> points.count, bool((points.axes["load"] > 1.0).all())
+    (8, True)
     """
     import warnings
 

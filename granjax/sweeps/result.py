@@ -28,6 +28,15 @@ class Scene:
     """What a lane of a sweep runs: `lattice`, `state`, `t1`, and the `keywords` that the function gave to `simulate`.
 
     It unpacks as (lattice, state); `run` makes the run, with a trajectory where that is asked for.
+
+    **Example:**
+
+    >>> def pulse(ratio):
+    ...     chain = gx.scenes.dimer(20, ratio=ratio)
+    ...     return {"v": gx.simulate(chain, gx.states.impact(chain), 5.0, step=0.05).final.v[0]}
+    >>> scene = gx.sweep(pulse, {"ratio": [0.5, 1.0]}).scene(ratio=0.5)
+    >>> scene.lattice.shape, scene.t1, scene.keywords["step"]
+    ((20,), 5.0, 0.05)
     """
 
     lattice: Any
@@ -58,6 +67,12 @@ class Sweep(xarray.Dataset):
     - Attributes: `outcome`; the versions, the commit, how to cite; the function and its parameters (`sweep`).
 
     What xarray makes of it (`.sel`, `.mean`) is one too, but no longer knows the function.
+
+    **Example:**
+
+    >>> data = gx.sweep(lambda x: {"y": x**2}, {"x": [1.0, 2.0, 3.0]})
+    >>> data.outcome, float(data.y.sel(x=3.0))
+    ('3 lanes over x (3).', 9.0)
     """
 
     __slots__ = ("_function", "_points")

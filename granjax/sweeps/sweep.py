@@ -70,6 +70,15 @@ def sweep(
 
     **Returns:** `Sweep`, an `xarray.Dataset`. **Raises** ValueError for parameters that the function does not take and
     for a store that is not this sweep's; RuntimeError where every lane failed.
+
+    **Example:**
+
+    >>> def pulse(ratio):
+    ...     chain = gx.scenes.dimer(20, ratio=ratio)
+    ...     return {"v": gx.simulate(chain, gx.states.impact(chain), 5.0, step=0.05).final.v[0]}
+    >>> data = gx.sweep(pulse, {"ratio": [0.5, 1.0]})
+    >>> data.v.values.round(4)
+    array([-0.1827, -0.0711])
     """
     checked_executor(executor)
     points = points_of(parameters)
@@ -209,6 +218,12 @@ def read(store: str | Path) -> Sweep:
     """What a store holds so far: `Sweep`, with the reason "not computed yet" where a lane is to come.
 
     It does not know the function. **Raises** ValueError for what is no store of a sweep, or is damaged.
+
+    **Example:**
+
+    >>> data = gx.sweep(lambda x: {"y": x**2}, {"x": [1.0, 2.0, 3.0]}, store="squares.nc")
+    >>> gx.sweeps.read("squares.nc").y.values
+    array([1., 4., 9.])
     """
     kept = Store.opened(store)
     if kept.result is not None:

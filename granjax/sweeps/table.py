@@ -23,6 +23,16 @@ def table(data: Any, rows: Count = 12) -> str:
     shape and range.
 
     **Returns:** the text. **Raises** ValueError for what is no such dataset, `rows` < 2.
+
+    **Example:**
+
+    >>> data = gx.sweep(lambda x: {"y": x**2}, {"x": [1.0, 2.0, 3.0]})
+    >>> print(gx.sweeps.table(data))
+    x  y
+    1  1
+    2  4
+    3  9
+    3 lanes.
     """
     rows = whole("rows", rows, 2)
     if not all(hasattr(data, name) for name in ("data_vars", "coords", "dims")):

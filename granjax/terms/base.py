@@ -24,6 +24,13 @@ class Compression(NamedTuple):
     """What a law of a term acts on at a time: `compression` [m] of all its bonds, or of its sites.
 
     `place`: "bond" (between sites), "wall" (a site and a wall: one value) or "site" (no contact).
+
+    **Example:**
+
+    >>> bond = gx.Bond(gx.Shift(1, "free"), gx.Hertz(precompression=1.0))
+    >>> contact, = bond.compressions(0.0, jnp.array([3.0, 0.0]))
+    >>> contact.compression, contact.force, contact.overlap
+    (Array([3.], dtype=float64), Array([8.], dtype=float64), Array([4.], dtype=float64))
     """
 
     law: Law
@@ -49,7 +56,15 @@ class Compression(NamedTuple):
 
 
 class Excitation(NamedTuple):
-    """The largest `force` [N] of a drive, `displacement` [m] and `speed` [m/s] of a moving wall."""
+    """The largest `force` [N] of a drive, `displacement` [m] and `speed` [m/s] of a moving wall.
+
+    **Example:**
+
+    >>> drive = gx.Drive(gx.Harmonic(0.5, omega=2.0))
+    >>> found = drive.excitation(gx.scenes.monomer(20), jnp.linspace(0.0, 5.0, 101))
+    >>> float(found.force)
+    0.5
+    """
 
     force: jax.Array
     displacement: jax.Array
@@ -67,6 +82,16 @@ class Term(Dimensional):
 
     - `force(t, u, v, mass)` has the structure of `u`, or is a dict of those fields that the term acts on.
     - `energy(t, u)`: from equilibrium, an array over bonds, sites or whatever it sums over, lanes last.
+
+    **Example:**
+
+    >>> class Gravity(gx.Term):
+    ...     g: jax.Array
+    ...     def force(self, t, u, v, mass): return self.g * mass * jnp.ones_like(u)
+    ...     def energy(self, t, u): return -self.g * u
+    >>> chain = gx.Lattice(1.0, (gx.Bond(gx.Shift(1, "free"), gx.Hertz()), Gravity(jnp.array(9.81))), sites=3)
+    >>> gx.vector_field(0.0, gx.states.rest(chain), chain)[1]
+    Array([9.81, 9.81, 9.81], dtype=float64)
     """
 
     @abc.abstractmethod

@@ -46,6 +46,14 @@ class Bond(Joined):
 
     **Arguments:** `strain_map`, such as `Shift(1, "fixed")`; `law`, such as `Hertz()`.
     **Raises** ValueError where these are no strain map or no law.
+
+    **Example:**
+
+    >>> bond = gx.Bond(gx.Shift(1, "free"), gx.Hertz())
+    >>> bond.force(0.0, jnp.array([4.0, 0.0]), jnp.zeros(2), 1.0)
+    Array([-8.,  8.], dtype=float64)
+    >>> gx.Lattice(1.0, bond, sites=20).shape
+    (20,)
     """
 
     dimensions = {"strain_map": PART, "law": PART}
@@ -148,6 +156,15 @@ class Modulated(Term):
     see g from one side. Without them every method is of order 2 at best there. `None`: those that the modulation knows
     itself, by an attribute `breaks`, as `Square` does.
     **Raises** ValueError for no term, a modulation that cannot be called, or breaks that are not finite.
+
+    **Example:**
+
+    >>> bond = gx.Bond(gx.Shift(1, "free"), gx.Linear())
+    >>> modulated = gx.Modulated(bond, gx.Harmonic(0.1, omega=2.0, mean=1.0))
+    >>> modulated.force(0.0, jnp.array([1.0, 0.0]), jnp.zeros(2), 1.0)
+    Array([-1.1,  1.1], dtype=float64)
+    >>> gx.Lattice(1.0, modulated, sites=20).reads_time
+    True
     """
 
     dimensions = {"term": PART, "modulation": Signal((0, 0, 0)), "breaks": PART}

@@ -22,6 +22,14 @@ class Damping(Term):
     **Arguments:** `rate`: gamma >= 0 [1/s], scalar or one per site; `field`: as in `OnSite`, `None` for all.
     Splitting solvers take it exactly, in the drift. Typical: tau = 0.2 ... 5 ms for steel beads, gamma = 0.01 ... 0.1
     in scaled units. **Raises** ValueError for gamma < 0.
+
+    **Example:**
+
+    >>> spring = gx.Bond(gx.Shift(1, "fixed"), gx.Linear())
+    >>> chain = gx.Lattice(1.0, (spring, gx.Damping(0.1)), sites=20)
+    >>> v, a = gx.vector_field(0.0, gx.states.impact(chain), chain)
+    >>> float(a[0])
+    -0.1
     """
 
     dimensions = {"rate": (0, 0, -1)}
@@ -80,6 +88,14 @@ class Dashpot(_Viscous):
     **Arguments:** `strain_map`: which sites are joined; `coefficient`: c >= 0 [N s/m], scalar or one per bond.
     Its force reads the velocities of neighbours, so splitting solvers refuse it: use diffrax's Tsit5 or Dopri8.
     **Raises** ValueError for c < 0.
+
+    **Example:**
+
+    >>> shift = gx.Shift(1, "free")
+    >>> chain = gx.Lattice(1.0, (gx.Bond(shift, gx.Hertz()), gx.Dashpot(shift, 0.1)), sites=2)
+    >>> v, a = gx.vector_field(0.0, gx.states.impact(chain), chain)
+    >>> a
+    Array([-0.1,  0.1], dtype=float64)
     """
 
     dimensions = {"strain_map": PART, "coefficient": (1, -1, 1)}
@@ -108,6 +124,12 @@ class ViscousContact(_Viscous):
     **Arguments:** `strain_map`; `coefficient`: c >= 0, scalar or one per bond; `exponent`: q > 0, 1/2 for
     viscoelastic spheres; `overlap`: d0 >= 0 at equilibrium [m]. **Raises** ValueError for c, d0 < 0 or q <= 0.
     Splitting solvers refuse it, as they do a dashpot. Source: Kuwabara, Kono, Jpn. J. Appl. Phys. 26, 1230 (1987).
+
+    **Example:**
+
+    >>> contact = gx.ViscousContact(gx.Shift(1, "free"), 0.1)
+    >>> contact.force(0.0, jnp.array([4.0, 0.0]), jnp.array([1.0, 0.0]), 1.0)
+    Array([-0.2,  0.2], dtype=float64)
     """
 
     dimensions = {
@@ -145,6 +167,15 @@ class BrilliantovContact(Bond):
     Dopri8. Typical: tau (A/m)^{2/5} V^{1/5} = 0.01 ... 0.3. **Raises** ValueError for A <= 0, tau or F0 < 0.
     Source: N. V. Brilliantov et al., Phys. Rev. E 53, 5382 (1996); T. Schwager, T. Poeschel, Phys. Rev. E 78, 051304
     (2008).
+
+    **Example:**
+
+    >>> contact = gx.BrilliantovContact(gx.Shift(1, "free"), stiffness=1.0, dissipative_time=0.1)
+    >>> u, v = jnp.array([1.0, 0.0]), jnp.array([1.0, 0.0])
+    >>> contact.force(0.0, u, v, 1.0)
+    Array([-1.15,  1.15], dtype=float64)
+    >>> bool(contact.force(0.0, u, -10 * v, 1.0).any())
+    False
     """
 
     dimensions = {"strain_map": PART, "law": PART, "dissipative_time": (0, 0, 1)}
@@ -201,6 +232,14 @@ class CaputoDamping(Term):
     per lane); `field`: as in `OnSite`, `None` for all. Typical: a = 0.2 ... 0.6 for rubber and PTFE.
     **Raises** ValueError for c < 0, or a outside (0, 1): order 1 is `Damping`. Source: M. Caputo, Geophys. J. R. Astr.
     Soc. 13, 529 (1967).
+
+    **Example:**
+
+    >>> spring = gx.Bond(gx.Shift(1, "fixed"), gx.Linear())
+    >>> chain = gx.Lattice(1.0, (spring, gx.CaputoDamping(0.1, order=0.5)), sites=20)
+    >>> run = gx.simulate(chain, gx.states.impact(chain), 5.0, step=0.05)
+    >>> round(float(run.work[-1]), 3)
+    -0.134
     """
 
     dimensions = {"coefficient": lambda term: (1, -1, term.order), "order": (0, 0, 0)}
@@ -248,6 +287,13 @@ class Drag(Term):
 
     **Arguments:** `coefficient`: c >= 0 [kg/m], scalar or one per site. **Raises** ValueError for c < 0. Splitting
     solvers refuse it.
+
+    **Example:**
+
+    >>> chain = gx.Lattice(1.0, (gx.Bond(gx.Shift(1, "fixed"), gx.Hertz()), gx.Drag(0.1)), sites=20)
+    >>> v, a = gx.vector_field(0.0, gx.states.impact(chain, velocity=2.0), chain)
+    >>> round(float(a[0]), 4)
+    -0.4
     """
 
     dimensions = {"coefficient": (1, -2, 2)}

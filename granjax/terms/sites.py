@@ -23,6 +23,14 @@ class OnSite(Term):
 
     **Arguments:** `law`, elementwise in u (Linear, Sine, Polynomial, ...); `field`: name of the field, where a cell
     holds several. **Raises** ValueError where `law` is no law.
+
+    **Example:**
+
+    >>> spring = gx.Bond(gx.Shift(1, "periodic"), gx.Linear(0.1))
+    >>> chain = gx.Lattice(1.0, (spring, gx.OnSite(gx.Sine())), sites=20)
+    >>> omega = gx.linear.normal_modes(chain).omega
+    >>> round(float(omega[0]), 4), round(float(omega[-1]), 4)
+    (1.0, 1.1832)
     """
 
     dimensions = {"law": PART}
@@ -78,6 +86,14 @@ class Drive(Term):
     it returns a vector. `site`: index (a tuple on a grid), negative from the end. `field`: as in `OnSite`. `breaks`:
     times at which it jumps, as in `Modulated`.
     **Raises** ValueError where `waveform` cannot be called.
+
+    **Example:**
+
+    >>> spring = gx.Bond(gx.Shift(1, "fixed"), gx.Linear())
+    >>> chain = gx.Lattice(1.0, (spring, gx.Drive(gx.Harmonic(0.5, omega=2.0), site=0)), sites=20)
+    >>> v, a = gx.vector_field(0.0, gx.states.rest(chain), chain)
+    >>> float(a[0])
+    0.5
     """
 
     dimensions = {"waveform": Signal((1, 0, 0)), "breaks": PART}

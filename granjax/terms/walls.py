@@ -30,6 +30,14 @@ class Wall(Term):
     [N/m], for a wall that yields; `None` for none. `field`: as in `OnSite`. `breaks`: times at which the motion or its
     speed jumps, as in `Modulated`.
     **Raises** ValueError for another side, a motion that cannot be called, support <= 0.
+
+    **Example:**
+
+    >>> wall = gx.Wall(gx.Hertz(), "right")
+    >>> chain = gx.Lattice(1.0, (gx.Bond(gx.Shift(1, "free"), gx.Hertz()), wall), sites=3)
+    >>> v, a = gx.vector_field(0.0, gx.State(jnp.array([0.0, 0.0, 4.0]), jnp.zeros(3)), chain)
+    >>> float(a[-1])
+    -8.0
     """
 
     dimensions = {"law": PART, "motion": Signal((0, 1, 0)), "breaks": PART}

@@ -15,6 +15,12 @@ class ChainWave(NamedTuple):
 
     - `strain`: y_n = u_n - u_{n+1} of the bond between n and n + 1, compression positive.
     - `velocity`: v_n = du_n/dt of site n. `displacement`: u_n, but for a constant.
+
+    **Example:**
+
+    >>> wave = gx.theory.kdv.soliton(jnp.arange(-50.0, 51.0), 0.0, 1.0, 0.5, speed=1.05)
+    >>> round(float(wave.strain.max()), 6), abs(float(wave.displacement[-1])) < 1e-12
+    (0.3, True)
     """
 
     strain: jax.Array

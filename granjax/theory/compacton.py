@@ -41,6 +41,12 @@ class Compacton(NamedTuple):
     - `strain`: Y(x), of bond n, which lies between the sites n and n + 1.
     - `velocity`: that of the continuum, c Y(x - 1/2), of site n, half a site behind the middle of its bond.
     - `half_width`: half the interval outside of which it is zero [sites].
+
+    **Example:**
+
+    >>> wave = gx.theory.compacton.nesterenko(0.0, speed=2.0)
+    >>> round(float(wave.strain), 6), round(float(wave.half_width), 4)
+    (25.0, 2.4836)
     """
 
     strain: jax.Array
@@ -56,6 +62,12 @@ def nesterenko(
     """The compacton of the long-wave equation of the displacements; Hertz: (25/16) c^4 cos^4((2/5)^{1/2} x).
 
     **Arguments:** `x` [sites]; `p` > 1; `speed`, `stiffness`, `mass` > 0. **Raises** ValueError for others.
+
+    **Example:**
+
+    >>> wave = gx.theory.compacton.nesterenko([0.0, 3.0])
+    >>> print(wave.strain.round(6))  # 25/16 at its crest, nothing outside of it
+    [1.5625 0.    ]
     """
     p = _exponent("p", p)
     return _chain(x, p, (p + 1) / 2, jnp.sqrt(6 / (p * (p + 1))) * (p - 1), speed, stiffness, mass)
@@ -68,6 +80,12 @@ def ahnert_pikovsky(
     """The compacton of the long-wave equation of the strains; Hertz: (36/25) c^4 cos^4(x/3^{1/2}).
 
     **Arguments**, **Raises**: as `nesterenko`.
+
+    **Example:**
+
+    >>> wave = gx.theory.compacton.ahnert_pikovsky([0.0, 3.0])
+    >>> print(wave.strain.round(6))  # 36/25 at its crest, nothing outside of it
+    [1.44 0.  ]
     """
     p = _exponent("p", p)
     return _chain(x, p, 2 * p / (p + 1), jnp.sqrt(3.0) * (p - 1) / p, speed, stiffness, mass)
@@ -83,6 +101,11 @@ def rosenau_hyman(x: Parameter, m: Parameter = 2.0, n: Parameter = 2.0, *, speed
 
     **Arguments:** `x`; `m`, `n` > 1, need not be whole; `speed` c > 0. **Returns:** u, zero outside of an interval.
     **Raises** ValueError for others.
+
+    **Example:**
+
+    >>> print(gx.theory.compacton.rosenau_hyman([0.0, 7.0]).round(6))  # K(2, 2): (4/3) cos^2(x/4)
+    [1.333333 0.      ]
     """
     m, n, speed = _exponent("m", m), _exponent("n", n), positive("speed", speed)
     return _of_powers(*_numbers(x=x, m=m, n=n, speed=speed))

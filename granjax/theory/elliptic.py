@@ -32,7 +32,14 @@ __all__ = ["E", "F", "Jacobi", "K", "Pi", "incomplete_E", "incomplete_Pi", "jaco
 
 
 class Jacobi(NamedTuple):
-    """Jacobi's functions sn, cn, dn."""
+    """Jacobi's functions sn, cn, dn.
+
+    **Example:**
+
+    >>> values = gx.theory.elliptic.jacobi(1.0, 0.0)
+    >>> round(float(values.sn), 6), round(float(values.dn), 6)  # sin 1 and 1
+    (0.841471, 1.0)
+    """
 
     sn: jax.Array
     cn: jax.Array
@@ -46,6 +53,12 @@ def jacobi(u: Parameter, m: Parameter | None = None, *, m1: Parameter | None = N
 
     **Arguments:** `u`: any real number; `m` in [0, 1], or `m1` = 1 - m. **Returns:** `Jacobi(sn, cn, dn)`.
     **Raises** ValueError for m outside [0, 1], values not finite, shapes that do not broadcast.
+
+    **Example:**
+
+    >>> sn, cn, dn = gx.theory.elliptic.jacobi(1.0, 1.0)
+    >>> round(float(sn), 6), round(float(cn), 6)  # tanh 1, sech 1
+    (0.761594, 0.648054)
     """
     (u,), m1 = _arguments(m, m1, u=u)
     return Jacobi(*_jacobi(_resolved(u, m1), m1))
@@ -56,6 +69,11 @@ def zeta(u: Parameter, m: Parameter | None = None, *, m1: Parameter | None = Non
     """Jacobi's zeta function Z(u, m) = int_0^u dn^2 - u E/K, of period 2K. At m = 1 tanh u.
 
     **Arguments**, **Raises**: as `jacobi`.
+
+    **Example:**
+
+    >>> round(float(gx.theory.elliptic.zeta(1.0, 1.0)), 6)  # tanh 1
+    0.761594
     """
     (u,), m1 = _arguments(m, m1, u=u)
     return _zeta(_resolved(u, m1), m1)
@@ -66,6 +84,11 @@ def K(m: Parameter | None = None, *, m1: Parameter | None = None) -> Numbers:
     """Complete integral of the first kind K(m) = F(pi/2, m): pi/2 at m = 0, infinite at m = 1.
 
     **Arguments:** `m` in [0, 1], or `m1` = 1 - m. **Raises** ValueError for others.
+
+    **Example:**
+
+    >>> round(float(gx.theory.elliptic.K(0.0)), 6), round(float(gx.theory.elliptic.K(0.5)), 6)
+    (1.570796, 1.854075)
     """
     return _complete(_K, _arguments(m, m1)[1])
 
@@ -75,6 +98,11 @@ def E(m: Parameter | None = None, *, m1: Parameter | None = None) -> Numbers:
     """Complete integral of the second kind E(m) = int_0^{pi/2} (1 - m sin^2)^{1/2}: pi/2 at m = 0, 1 at m = 1.
 
     Its derivative is infinite at m = 1. **Arguments**, **Raises**: as `K`.
+
+    **Example:**
+
+    >>> round(float(gx.theory.elliptic.E(0.0)), 6), round(float(gx.theory.elliptic.E(1.0)), 6)  # pi/2, 1
+    (1.570796, 1.0)
     """
     return _complete(_E, _arguments(m, m1)[1])
 
@@ -85,6 +113,11 @@ def Pi(n: Parameter, m: Parameter | None = None, *, m1: Parameter | None = None)
 
     **Arguments:** `n` <= 1, the characteristic, of either sign; infinite at n = 1 and at m = 1. `m`, `m1`: as `K`.
     **Raises** ValueError for n > 1, where the integrand has a pole: no principal value is taken; and as `K`.
+
+    **Example:**
+
+    >>> round(float(gx.theory.elliptic.Pi(0.0, 0.5)), 6)  # K(1/2)
+    1.854075
     """
     (n,), m1 = _arguments(m, m1, n=_characteristic(n))
     return _complete_Pi(n, m1)
@@ -96,6 +129,11 @@ def F(phi: Parameter, m: Parameter | None = None, *, m1: Parameter | None = None
 
     **Arguments:** `phi`: any real number; F(phi + pi) = F(phi) + 2K. Where sin phi = z is known, phi = arcsin z. `m`,
     `m1`: as `K`. At m = 1 infinite for |phi| >= pi/2. **Raises** ValueError as `K`.
+
+    **Example:**
+
+    >>> round(float(gx.theory.elliptic.F(np.pi / 2, 0.5)), 6)  # K(1/2)
+    1.854075
     """
     (phi,), m1 = _arguments(m, m1, phi=phi)
     return _F(phi, m1)
@@ -103,7 +141,13 @@ def F(phi: Parameter, m: Parameter | None = None, *, m1: Parameter | None = None
 
 @checked
 def incomplete_E(phi: Parameter, m: Parameter | None = None, *, m1: Parameter | None = None) -> Numbers:
-    """Incomplete integral of the second kind E(phi, m) = int_0^phi (1 - m sin^2)^{1/2}. As `F`, but always finite."""
+    """Incomplete integral of the second kind E(phi, m) = int_0^phi (1 - m sin^2)^{1/2}. As `F`, but always finite.
+
+    **Example:**
+
+    >>> round(float(gx.theory.elliptic.incomplete_E(np.pi / 2, 0.5)), 6)  # E(1/2)
+    1.350644
+    """
     (phi,), m1 = _arguments(m, m1, phi=phi)
     return _incomplete_E(phi, m1)
 
@@ -115,6 +159,11 @@ def incomplete_Pi(
     """Incomplete integral of the third kind Pi(n; phi, m) = int_0^phi 1/((1 - n sin^2)(1 - m sin^2)^{1/2}).
 
     **Arguments:** as `F` and `Pi`; infinite for |phi| >= pi/2 at n = 1 and at m = 1. **Raises** ValueError as `Pi`.
+
+    **Example:**
+
+    >>> round(float(gx.theory.elliptic.incomplete_Pi(0.5, np.pi / 4, 0.0)), 6)  # 2^{1/2} arctan 2^{-1/2}
+    0.87042
     """
     (n, phi), m1 = _arguments(m, m1, n=_characteristic(n), phi=phi)
     return _incomplete_Pi(n, phi, m1)

@@ -65,6 +65,12 @@ class FittedEdges(Result):
     | FPUT, K2 = 1, K3 = 1/2, 0.3 | 1.15449 | 1.15687 | 1.1570 | 0.53404 | 0.53385 |
     | magnets p = -3, A = d0 = 1, 0.3 | 2.59558 | 2.58736 | 2.5856 | 0.25728 | 0.25779 |
     | p = 1/2, A = d0 = 1, -0.1 | 0.74569 | 0.74590 | 0.7459 | -0.27232 | -0.27234 |
+
+    **Example:**
+
+    >>> edges = gx.theory.shock_edges(gx.Toda(), 0.5)
+    >>> round(float(edges.mean), 5), float(edges.error) < 1e-6
+    (0.81093, True)
     """
 
     held: ClassVar[dict[str, Held]] = {
@@ -106,6 +112,12 @@ def shock_edges(
     **Raises** ValueError for c = 0, a c that makes no shock but a rarefaction, a law that is linear, that has an
     inflection between the states, that ends before them or has no stiffness.
     Typical: Toda, c = 1/2: 1/2, 1.31519, mean 0.81093.
+
+    **Example:**
+
+    >>> edges = gx.theory.shock_edges(gx.Toda(), 0.5)
+    >>> round(float(edges.trailing_speed), 5), round(float(edges.leading_speed), 5)
+    (0.5, 1.31519)
     """
     medium = medium_of(law, mass)
     c, ahead = parameter("c", c), parameter("ahead", ahead)

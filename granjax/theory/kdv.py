@@ -57,7 +57,14 @@ HALF_STEP = (1.0, -1 / 24, 7 / 5760, -31 / 967680)
 
 
 class Scales(NamedTuple):
-    """`sound` sigma [sites/s]; `strain` K2/K3 [m], the unit of strain of KdV's solutions here."""
+    """`sound` sigma [sites/s]; `strain` K2/K3 [m], the unit of strain of KdV's solutions here.
+
+    **Example:**
+
+    >>> sigma, strain = gx.theory.kdv.scales(1.0, 0.5)
+    >>> float(sigma), float(strain)
+    (1.0, 2.0)
+    """
 
     sound: jax.Array
     strain: jax.Array
@@ -71,6 +78,12 @@ def scales(K2: Parameter, K3: Parameter, mass: Parameter = 1.0) -> Scales:
     So that Y = 24 s/eps^2 of X and T is the equation with coefficients 1. **Arguments:** `K2` > 0 [N/m], `K3` not zero
     [N/m^2], of `granjax.laws.taylor(law)`; `mass` > 0 of a site. **Raises** ValueError for others.
     Typical: Hertz with d0 = A = m = 1: sigma = 1.22474, K2/K3 = 4.
+
+    **Example:**
+
+    >>> scales = gx.theory.kdv.scales(1.5, 0.375)  # Hertz with d0 = A = m = 1
+    >>> round(float(scales.sound), 5), float(scales.strain)
+    (1.22474, 4.0)
     """
     K2, K3, mass = _stiffnesses(K2, K3, mass, STRAIGHT)
     return Scales(jnp.sqrt(K2 / mass), K2 / K3)
@@ -81,6 +94,11 @@ def speed(amplitude: Parameter, K2: Parameter, K3: Parameter, mass: Parameter = 
     """Speed of the soliton of an amplitude, sigma (1 + K3 amplitude/(3 K2)) [sites/s].
 
     **Raises** ValueError for an amplitude not of the sign of K3, and as `scales`.
+
+    **Example:**
+
+    >>> round(float(gx.theory.kdv.speed(0.06, 1.0, 0.5)), 6)
+    1.01
     """
     sound, unit = scales(K2, K3, mass)
     return sound * (1 + _excess({"amplitude": amplitude}, sound, unit))
@@ -91,6 +109,11 @@ def amplitude(speed: Parameter, K2: Parameter, K3: Parameter, mass: Parameter = 
     """Amplitude of the soliton of a speed, 3 (K2/K3) (speed/sigma - 1) [m].
 
     **Raises** ValueError for a speed not above that of sound, and as `scales`.
+
+    **Example:**
+
+    >>> round(float(gx.theory.kdv.amplitude(1.01, 1.0, 0.5)), 6)  # 3 (K2/K3) 0.01
+    0.06
     """
     sound, unit = scales(K2, K3, mass)
     return 3 * unit * _excess({"speed": speed}, sound, unit)
@@ -112,6 +135,12 @@ def soliton(
 
     **Returns:** `ChainWave` of strain, velocity, displacement (zero far to the right). Relative error of the strain as
     a wave of the chain about d: 1 % at 1 % above sound. **Raises** ValueError for a wave that is not faster than sound.
+
+    **Example:**
+
+    >>> wave = gx.theory.kdv.soliton(105.0, 100.0, 1.0, 0.5, speed=1.05)
+    >>> round(float(wave.strain), 6)  # its crest, 105 sites on after t = 100
+    0.3
     """
     sign, (sound, unit) = _direction_of(direction), scales(K2, K3, mass)
     excess = _excess({"speed": speed, "amplitude": amplitude}, sound, unit)
@@ -132,6 +161,12 @@ def cnoidal(
     **Arguments:** r1 <= r2 <= r3, r1 < r3, small against 1; all else as `soliton`. **Returns:** `ChainWave`; the
     velocity is zero in the mean, where r2 = r3 far from the crest; the displacement has -(mean strain) n in it.
     **Raises** ValueError for numbers in another order.
+
+    **Example:**
+
+    >>> wave = gx.theory.kdv.cnoidal(0.0, 0.0, 0.0, 0.05, 0.1, 1.0, 0.5)  # at a crest
+    >>> round(float(wave.strain), 6)
+    0.3
     """
     sign, (sound, unit) = _direction_of(direction), scales(K2, K3, mass)
     n, t, centre, r1, r2, r3, unit, sound = _numbers(

@@ -27,6 +27,12 @@ class Modulation(NamedTuple):
     - `speed`: n/t of that place [sites/s]. `r1`, `r2`, `r3`: its numbers for `cnoidal`.
     - `mean`, `crest`, `trough`: of its strain [m]; `amplitude`: crest less trough. `wavelength` [sites].
     - `phase` [rad]: that of `shock_wave`, 3 pi/2 at the leading edge; behind it diverges, like ln^2 m.
+
+    **Example:**
+
+    >>> wave = gx.theory.kdv.modulation(1.0, 0.05, 1.0, 0.5)  # the leading edge
+    >>> round(float(wave.speed), 6), round(float(wave.amplitude), 6)
+    (1.033333, 0.2)
     """
 
     speed: jax.Array
@@ -55,6 +61,12 @@ def velocity_shock(c: Parameter, K2: Parameter, K3: Parameter, mass: Parameter =
     rarefaction. `K2` > 0, `K3` not zero, `mass`: as in `scales`. **Returns:** `ShockEdges`. **Raises** ValueError
     unless 0 < C < 1: for c of the other sign no shock, from C = 1 on an edge that runs backwards, far beyond what KdV
     tells of a chain. Typical: C = 0.1.
+
+    **Example:**
+
+    >>> edges = gx.theory.kdv.velocity_shock(0.05, 1.0, 0.5)
+    >>> round(float(edges.trailing_speed), 6), round(float(edges.leading_speed), 6)
+    (0.95, 1.033333)
     """
     C, sound, unit = _scaled(c, K2, K3, mass)
     return ShockEdges(sound * (1 - C), sound * (1 + 2 * C / 3), unit * C, 2 * unit * C)
@@ -70,6 +82,12 @@ def modulation(m: Parameter, c: Parameter, K2: Parameter, K3: Parameter, mass: P
     **Arguments:** `m` in [0, 1], all else as `velocity_shock`. **Returns:** `Modulation`. **Raises** ValueError for
     others. The slope of speed and mean in m is infinite at m = 1. Typical: S(1/2) = -0.22947987.
     Source: A. V. Gurevich, L. P. Pitaevskii, Sov. Phys. JETP 38, 291 (1974).
+
+    **Example:**
+
+    >>> wave = gx.theory.kdv.modulation(0.5, 0.05, 1.0, 0.5)
+    >>> round(float(wave.speed), 6), round(float(wave.crest - wave.trough), 6)
+    (0.988526, 0.1)
     """
     C, sound, unit = _scaled(c, K2, K3, mass)
     return Modulation(*_modulation(1 - _modulus_of(m, c=C), C, sound, unit))
@@ -81,6 +99,11 @@ def modulus(speed: Parameter, c: Parameter, K2: Parameter, K3: Parameter, mass: 
 
     **Arguments:** `speed` [sites/s], any; all else as `velocity_shock`. **Returns:** m in (0, 1) between the edges, 0
     behind and 1 ahead of them; derivatives of any order between. **Raises** ValueError as `velocity_shock`.
+
+    **Example:**
+
+    >>> round(float(gx.theory.kdv.modulus(0.98852601, 0.05, 1.0, 0.5)), 4)
+    0.5
     """
     C, sound, _ = _scaled(c, K2, K3, mass)
     speed, _ = _numbers(speed=speed, c=C)
@@ -100,6 +123,12 @@ def shock_wave(
     as in `toda.shock_wave`, of whose phase KdV's is the limit of weak shocks; all else as `velocity_shock`.
 
     **Returns:** `ShockWave`. **Raises** ValueError for t <= 0 and as `velocity_shock`.
+
+    **Example:**
+
+    >>> wave = gx.theory.kdv.shock_wave(50.0, 100.0, 0.05, 1.0, 0.5)
+    >>> round(float(wave.strain), 6)  # the plateau
+    0.1
     """
     C, sound, unit = _scaled(c, K2, K3, mass)
     n, t, phase = _places(n, t, phase, c=C)

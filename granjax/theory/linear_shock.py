@@ -43,6 +43,12 @@ def velocity_step(n: Parameter, t: Parameter, c: Parameter, K2: Parameter = 1.0,
     `n[:, None]` and `t` for all of both. **Returns:** y [m], differentiable in all but n. **Raises** ValueError for
     bonds that are no whole numbers, t < 0, and a t that is traced by `jax.jit` or `jax.vmap`: it says how many points
     the sum has. Typical: c = K = m = 1: 2 near n = 0 at late times.
+
+    **Example:**
+
+    >>> y = gx.theory.linear_shock.velocity_step(np.arange(-50, 51), 20.0, 1.0)
+    >>> round(float(y.max()), 4), abs(float(y[-1])) < 1e-12
+    (2.4471, True)
     """
     n, t, c, w = _given(n, t, c, K2, mass)
     return 2 * c / w * _at(n, w * t, "velocity")
@@ -54,6 +60,12 @@ def strain_step(n: Parameter, t: Parameter, c: Parameter, K2: Parameter = 1.0, m
 
     **Arguments**, **Raises**: as `velocity_step`, `c` [m]. **Returns:** y [m]. Typical: c = 1: 1/2 near n = 0 at late
     times, 1.27/2 at the first crest.
+
+    **Example:**
+
+    >>> y = gx.theory.linear_shock.strain_step(np.arange(-50, 51), 20.0, 1.0)
+    >>> round(float(y[0]), 6), round(float(y[50]), 2), abs(float(y[-1])) < 1e-12
+    (1.0, 0.5, True)
     """
     n, t, c, w = _given(n, t, c, K2, mass)
     return c * (jnp.where(n <= 0, 1.0, 0.0) + _at(n, w * t, "strain"))

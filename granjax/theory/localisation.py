@@ -39,6 +39,12 @@ def lyapunov_exponent(
     At band centre (k = pi/2) and near the edge the series is another one; random dimers of two alike of masses m1 and
     m2 let waves pass at omega^2 = 2K/m1 and 2K/m2, exactly, in place of k = pi/2 between.
     **Raises** ValueError for omega outside the band, m or K <= 0, deviations below zero.
+
+    **Example:**
+
+    >>> gamma = gx.theory.localisation.lyapunov_exponent([0.5, 1.0], mass_deviation=0.2)
+    >>> print(gamma.round(6))
+    [0.001333 0.006667]
     """
     omega = non_negative("omega", omega, "It is an angular frequency.")
     mass, stiffness = positive("mass", mass), positive("stiffness", stiffness, "At rest the springs hold the chain.")

@@ -42,6 +42,11 @@ def omega_squared(k: Parameter, form: str, *, K2: Parameter = 1.0, mass: Paramet
 
     That of the chain is (4 K2/m) sin^2(k/2). **Arguments:** `k` [rad/site]; `form`: of `FORMS`; `K2` = F'(0).
     **Returns:** omega^2 [1/s^2], below zero where a wave grows. **Raises** ValueError for another form, mass <= 0.
+
+    **Example:**
+
+    >>> round(float(gx.theory.long_wave.omega_squared(1.0, "regularised")), 6)  # 12/13
+    0.923077
     """
     k, K2, mass = _numbers(k=k, K2=K2, mass=positive("mass", mass))
     less = 1 / (1 + k**2 / 12) if one_of("form", form, FORMS) == "regularised" else 1 - k**2 / 12
@@ -56,6 +61,11 @@ def regularised_wave(
 
     F = A y^p, p > 1, x = n - c t [sites]; Hertz: (25/16) c^4 sech^4(3^{1/2} x/2). It has tails exp(-12^{1/2} |x|), no
     edge: `half_width` is infinite. **Arguments**, **Returns**, **Raises**: as `compacton.nesterenko`.
+
+    **Example:**
+
+    >>> float(gx.theory.long_wave.regularised_wave(0.0).strain)  # 25/16
+    1.5625
     """
     p = compacton._exponent("p", p)
     speed, stiffness, mass = positive("speed", speed), positive("stiffness", stiffness), positive("mass", mass)
@@ -81,6 +91,13 @@ def travelling_residual(
     **Arguments:** `profile`: a function of one place, such as `lambda x: compacton.nesterenko(x).strain`; `x`: places
     (...,), inside of a compacton; `force`: F, a function of the strain, such as `law.force`; `speed` c; `form`: of
     `FORMS`; `mass`. **Returns:** (...,). **Raises** ValueError for another form, functions that give no numbers.
+
+    **Example:**
+
+    >>> wave = lambda x: 25 / 16 / jnp.cosh(3**0.5 * x / 2) ** 4  # that of `regularised_wave`
+    >>> left = gx.theory.long_wave.travelling_residual(wave, 1.0, gx.Hertz().force, 1.0, "regularised")
+    >>> abs(float(left)) < 1e-12
+    True
     """
     one_of("form", form, FORMS)
     x, speed, mass = _numbers(x=x, speed=speed, mass=positive("mass", mass))
@@ -111,6 +128,14 @@ def residual(
     **Arguments:** `y`, `y_tt`: strain and its second derivative in time on X places (X, *lanes), `spacing` > 0 apart
     [sites]; `force`: F, elementwise; `form`: of `FORMS`; `mass`. **Returns:** (X, *lanes).
     **Raises** ValueError for another form, shapes that differ, fewer than four places.
+
+    **Example:**
+
+    >>> x, k = jnp.linspace(0.0, 20.0, 64, endpoint=False), 2 * jnp.pi / 20.0
+    >>> y, square = jnp.cos(k * x), gx.theory.long_wave.omega_squared(k, "strain")
+    >>> left = gx.theory.long_wave.residual(y, -square * y, lambda y: y, "strain", spacing=20.0 / 64)
+    >>> float(abs(left).max()) < 1e-12  # a linear wave solves the equation
+    True
     """
     one_of("form", form, FORMS)
     y, y_tt, mass, spacing = parameter("y", y), parameter("y_tt", y_tt), positive("mass", mass), positive(

@@ -53,6 +53,11 @@ def bright(
     **Arguments:** `X`, `T`: arrays that broadcast; `kappa`: shift of the frequency, of the sign of nu2 and nu3; `nu2`,
     `nu3`: as in `coefficients`, at constant force; `X0`: centre. **Returns:** Y, complex.
     **Raises** ValueError where nu2 nu3 < 0, which has only dark solitons, and where kappa nu3 <= 0.
+
+    **Example:**
+
+    >>> complex(gx.theory.nls.bright(0.0, 0.0, 0.02, nu2=1.0, nu3=1.0))
+    (0.2+0j)
     """
     broadcast(X=X, T=T, kappa=kappa, nu2=nu2, nu3=nu3, X0=X0)
     amplitude, width = _bright(kappa, nu2, nu3)
@@ -72,6 +77,13 @@ def dark(
     **Arguments:** as in `bright`; `nu3` of the background, `nu3_force` of the dip, `None` for the same.
     **Returns:** Y, complex.
     **Raises** ValueError where nu2 nu3_force > 0, which has only bright solitons, and where kappa nu3 <= 0.
+
+    **Example:**
+
+    >>> complex(gx.theory.nls.dark(0.0, 0.0, -0.02, nu2=1.0, nu3=-1.0))  # nothing in the middle
+    0j
+    >>> round(float(abs(gx.theory.nls.dark(1e3, 0.0, -0.02, nu2=1.0, nu3=-1.0))), 6)
+    0.141421
     """
     nu3_force = nu3 if nu3_force is None else nu3_force
     broadcast(X=X, T=T, kappa=kappa, nu2=nu2, nu3=nu3, X0=X0, nu3_force=nu3_force)
@@ -88,6 +100,11 @@ def growth_rate(Q: Parameter, amplitude: Parameter, nu2: Number, nu3: Number) ->
     **Arguments:** `Q`: per cell; `amplitude`: |Y|; `nu2`, `nu3`: as in `coefficients`, at constant force, also where
     the chain has a fixed length. **Returns:** array of their broadcast shape.
     Source: T. B. Benjamin, J. E. Feir, J. Fluid Mech. 27, 417 (1967).
+
+    **Example:**
+
+    >>> print(gx.theory.nls.growth_rate([0.1, 0.2], 0.1, nu2=1.0, nu3=1.0).round(6))
+    [0.01 0.  ]
     """
     Q, amplitude, nu2, nu3 = map(parameter, ("Q", "amplitude", "nu2", "nu3"), (Q, amplitude, nu2, nu3))
     broadcast(Q=Q, amplitude=amplitude, nu2=nu2, nu3=nu3)
@@ -104,6 +121,13 @@ class Profile(Result):
     - `mean_strain` (N,): its part that does not oscillate. `displacement` (N,): sites, with `strain` as differences.
     - `amplitude`: |Y|, at the centre (bright) or far from it (dark); `inverse_width`: per cell.
     - `omega`: frequency of the breather; `kappa`: that less the linear one.
+
+    **Example:**
+
+    >>> found = gx.theory.nls.coefficients(1.0, 1.5, 0.375, -0.0625, np.pi)
+    >>> dark = gx.theory.nls.dark_profile(found, 0.99 * 6**0.5, 41)
+    >>> dark.strain.shape, round(float(dark.kappa), 6)
+    ((41,), -0.024495)
     """
 
     held: ClassVar[dict[str, Held]] = {
@@ -146,6 +170,13 @@ def bright_profile(
     **Raises** ValueError for another k, where nu2 nu3 < 0, and for omega on the other side.
     Typical: dimer K2, K3, K4 = 3/2, 3/8, -1/16 with m = 1, M = 3 at the bottom of its optical branch,
     omega = 0.99 sqrt3.
+
+    **Example:**
+
+    >>> found = gx.theory.nls.coefficients(1.0, 0.5, -0.125, 0.0625, np.pi)  # PowerLaw(1, 1/2, 1), which softens
+    >>> bright = gx.theory.nls.bright_profile(found, 1.01 * 2**0.5, 40)
+    >>> bright.strain.shape, round(float(bright.amplitude), 4)
+    ((40,), 0.5657)
     """
     kappa = _kappa(coefficients, omega)
     amplitude, width = _bright(kappa, coefficients.nu2, coefficients.nu3_force, coefficients.omega)
@@ -164,6 +195,12 @@ def dark_profile(
 
     **Raises** ValueError for k other than 0 or pi, where nu2 nu3_force > 0, and for omega on the other side.
     Typical: monomer K2, K3, K4 = 3/2, 3/8, -1/16, m = 1, k = pi, omega = 0.99 sqrt6: amplitude 0.23094.
+
+    **Example:**
+
+    >>> found = gx.theory.nls.coefficients(1.0, 1.5, 0.375, -0.0625, np.pi)
+    >>> round(float(gx.theory.nls.dark_profile(found, 0.99 * 6**0.5, 41).amplitude), 5)
+    0.23094
     """
     kappa, c = _kappa(coefficients, omega), coefficients
     amplitude, width = _dark(kappa, c.nu2, c.nu3, c.nu3_force, c.omega)

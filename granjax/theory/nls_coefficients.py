@@ -29,6 +29,12 @@ class Coefficients(Result):
     - `harmonic_mode`, `harmonic_strain` (P,): second harmonic per Y^2, on e^{2i(kn + omega t)}.
     - `resonant`: whether 2k, 2 omega is a wave of the chain that the second harmonic feeds. `nu3` is then infinite.
     - `bond`: where s_j is real and positive; the bond that is strained most, the first of equals.
+
+    **Example:**
+
+    >>> found = gx.theory.nls.coefficients(1.0, 1.5, 0.375, -0.0625, np.pi)
+    >>> round(float(found.omega), 6), round(float(found.nu3), 6)  # 6^{1/2}, nu3 of `B`
+    (2.44949, -0.459279)
     """
 
     held: ClassVar[dict[str, Held]] = {
@@ -98,6 +104,12 @@ def coefficients(
     **Raises** ValueError for masses or K2 that are not positive, shapes that do not fit, a branch that the cell has
     not, omega = 0 (k = 0 of the acoustic branch: long waves, Korteweg-de Vries), and where two branches touch.
     Typical: K2, K3, K4 = 3/2, 3/8, -1/16 (Hertz, d0 = A = 1), m = 1, k = pi: nu2 = 0.306186, nu3 = -0.459279.
+
+    **Example:**
+
+    >>> found = gx.theory.nls.coefficients(1.0, 1.5, 0.375, -0.0625, np.pi)
+    >>> round(float(found.nu2), 6), round(float(found.nu3), 6)
+    (0.306186, -0.459279)
     """
     mass, K2, K3, K4 = _cell(mass, K2, K3, K4)
     k = parameter("k", k)
@@ -222,6 +234,11 @@ def B(K2: Parameter, K3: Parameter, K4: Parameter, mass: Parameter = 1.0) -> Flo
 
     Power law A [d0 + sign(p) y]^p with m = 1: -p^3 (p - 1) A^2 d0^{2p-4}/(2 K2^{3/2}), positive for 0 < p < 1 alone.
     **Raises** ValueError for K2 or masses that are not positive.
+
+    **Example:**
+
+    >>> round(float(gx.theory.nls.B(1.5, 0.375, -0.0625)), 6)  # Hertz with d0 = A = 1: dark breathers
+    -0.459279
     """
     K2, mass, K3, K4 = positive("K2", K2), positive("mass", mass), parameter("K3", K3), parameter("K4", K4)
     broadcast(K2=K2, K3=K3, K4=K4, mass=mass)
@@ -235,6 +252,11 @@ def band_edges(mass: Parameter, K2: Parameter) -> Float[Array, "P 2"]:
     In a chain of nearest neighbours they lie at k = 0 and pi: even branches rise from 0 to pi, odd ones fall.
     **Arguments:** as in `coefficients`. **Raises** ValueError for masses or K2 that are not positive.
     Typical: dimer (2 K2/M)^{1/2}, (2 K2/m)^{1/2}, (2 K2 (1/m + 1/M))^{1/2}.
+
+    **Example:**
+
+    >>> gx.theory.nls.band_edges([1.0, 3.0], 1.5).round(4).tolist()
+    [[0.0, 1.0], [1.7321, 2.0]]
     """
     mass, K2, _, _ = _cell(mass, K2)
     return _edges(mass, K2)

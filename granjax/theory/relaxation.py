@@ -28,6 +28,13 @@ def mittag_leffler(z: Parameter, order: Parameter, second: Parameter = 1.0) -> N
     **Raises** ValueError for others; z > 0 grows as exp(z^{1/a})/a, and orders above 1 oscillate: their poles are not
     counted here. Source: J. A. C. Weideman, L. N. Trefethen, Math. Comput. 76, 1341 (2007); R. Garrappa, SIAM J.
     Numer. Anal. 53, 1350 (2015).
+
+    **Example:**
+
+    >>> round(float(gx.theory.mittag_leffler(-1.0, 1.0)), 6)  # exp(-1)
+    0.367879
+    >>> round(float(gx.theory.mittag_leffler(-1.0, 0.5)), 6)  # e erfc(1)
+    0.427584
     """
     z, second = parameter("z", z), positive("second", second)
     order = within("order", order, 0, 1, open_low=True, remedy="Relaxation has orders up to 1.")

@@ -12,7 +12,13 @@ FIRST = 1.1534488581
 
 @checked
 def walton_braun(loading: Parameter, unloading: Parameter) -> Number:
-    """e = sqrt(k1/k2), at every speed. Source: O. R. Walton, R. L. Braun, J. Rheol. 30, 949 (1986)."""
+    """e = sqrt(k1/k2), at every speed. Source: O. R. Walton, R. L. Braun, J. Rheol. 30, 949 (1986).
+
+    **Example:**
+
+    >>> round(float(gx.theory.restitution.walton_braun(1.0, 4.0)), 6)
+    0.5
+    """
     return jnp.sqrt(positive("loading", loading) / positive("unloading", unloading))
 
 
@@ -25,6 +31,12 @@ def thornton(speed: Parameter, yield_speed: Parameter) -> Number:
     **Arguments:** `speed`: relative speed V of approach [m/s]; `yield_speed`: V_y [m/s], (4 A s_y^{5/2}/(5 m))^{1/2}
     of `gx.Thornton(A, s_y)` and a reduced mass m. Falls as V^{-1/4}. Source: C. Thornton, J. Appl. Mech. 64, 383
     (1997).
+
+    **Example:**
+
+    >>> e = gx.theory.restitution.thornton(np.array([0.5, 16.0]), 1.0)
+    >>> print(e.round(4))
+    [1.     0.5882]
     """
     speed, yield_speed = non_negative("speed", speed), positive("yield_speed", yield_speed)
     r = yield_speed / jnp.maximum(speed, yield_speed)
@@ -46,6 +58,11 @@ def viscoelastic(
     **Arguments:** `speed`: V [m/s]; `stiffness`: A [N/m^{3/2}]; `dissipative_time`: tau [s]; `reduced_mass`: m [kg],
     half of each of two equal ones. Source: R. Ramirez, T. Poeschel, N. V. Brilliantov, T. Schwager, Phys. Rev. E 60,
     4465 (1999).
+
+    **Example:**
+
+    >>> round(float(gx.theory.restitution.viscoelastic(1.0, 1.0, 0.01)), 5)
+    0.97748
     """
     speed, stiffness = non_negative("speed", speed), positive("stiffness", stiffness)
     time, mass = non_negative("dissipative_time", dissipative_time), positive("reduced_mass", reduced_mass)

@@ -28,6 +28,12 @@ class ShockEdges(NamedTuple):
 
     - `trailing_speed`, `leading_speed`: n/t of its harmonic edge behind and of its solitary edge ahead [sites/s].
     - `mean`: strain of the plateau behind, in the mean. `amplitude`: strain of the crest at the leading edge.
+
+    **Example:**
+
+    >>> edges = gx.theory.kdv.velocity_shock(0.05, 1.0, 0.5)
+    >>> round(float(edges.mean), 6), round(float(edges.amplitude), 6)
+    (0.1, 0.2)
     """
 
     trailing_speed: jax.Array
@@ -43,6 +49,12 @@ class ShockWave(NamedTuple):
     - `strain`: that of the modulated periodic wave, the plateau behind it, what the last crest leaves ahead.
     - `m`: parameter of the periodic wave there, 1 ahead, and 0 on the plateau where that is one.
     - `mean`, `crest`, `trough`: of the periodic wave there: mean, and strains between which it oscillates.
+
+    **Example:**
+
+    >>> wave = gx.theory.kdv.shock_wave(50.0, 100.0, 0.05, 1.0, 0.5)  # behind the trailing edge
+    >>> round(float(wave.mean), 6), float(wave.m)
+    (0.1, 0.0)
     """
 
     strain: jax.Array

@@ -46,6 +46,11 @@ def mean(law: Law | Lattice, c: Scalar, mass: Scalar = 1.0, *, ahead: Scalar = 0
     law without stiffness ahead, or one that ends before: contacts open, magnets meet.
     Typical: Toda 2 ln(1 + c); Hertz without precompression, A = m = 1, c = 1/2: 1.01646, 1.2 % above the mean that was
     simulated: the wave is no simple one there.
+
+    **Example:**
+
+    >>> round(float(gx.theory.simple_wave.mean(gx.Toda(), 0.5)), 6)  # 2 ln 1.5
+    0.81093
     """
     medium = medium_of(law, mass)
     c, ahead = parameter("c", c), parameter("ahead", ahead)
@@ -68,6 +73,12 @@ def fan(
     n/t [sites/s], any shape. **Returns:** strains of that shape [m], differentiable as `mean` is; at the two edges,
     where it has a kink, from the side of the fan. **Raises** ValueError as `mean`, where c makes a shock, and where the
     law has an inflection between the states. Long waves alone: at the edges a lattice rings over t^{1/3} sites.
+
+    **Example:**
+
+    >>> y = gx.theory.simple_wave.fan(np.array([0.5, 0.8, 1.5]), gx.Toda(), -0.5)
+    >>> print(y.round(6))  # the middle, 2 ln 0.8 in the fan, rest ahead
+    [-1.386294 -0.446287  0.      ]
     """
     medium = medium_of(law, mass)
     speed, c, ahead = parameter("speed", speed), parameter("c", c), parameter("ahead", ahead)
@@ -113,6 +124,11 @@ def power_law_mean(
     vacuum, where y = (2 r c)^{1/r} (m/(p A))^{1/(2r)}; `mass`: arrays that broadcast. **Returns:** strains [m],
     differentiable in all. **Raises** ValueError for p <= 0, and a c that opens the contacts.
     Typical: d0 = 1/2, A = 2^{3/2}/3, p = 3/2, m = 1: [(1 + 5c)^{4/5} - 1]/2.
+
+    **Example:**
+
+    >>> round(float(gx.theory.simple_wave.power_law_mean(0.5)), 5)
+    1.01646
     """
     c, A, p = parameter("c", c), positive("stiffness", stiffness), positive("exponent", exponent)
     d0, m = non_negative("rest", rest), positive("mass", mass)

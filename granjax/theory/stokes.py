@@ -40,6 +40,12 @@ class StokesWave(NamedTuple):
     - `mean_strain` y0 [m] beyond the one that K2, K3, K4 are taken at; `mean_force` beyond the force there, to a^2 [N].
     - `first` a, `second`, `third`: the harmonics [m].
     - `error`: estimated relative error of `shift`, from the size of the harmonics; it falls like a^2.
+
+    **Example:**
+
+    >>> wave = gx.theory.stokes.wave(np.pi / 2, 0.1, 1.5, 0.375, -0.0625)
+    >>> round(float(wave.wavelength), 6), round(float(wave.omega), 5)
+    (4.0, 1.73205)
     """
 
     omega: jax.Array
@@ -79,6 +85,12 @@ def wave(
     **Returns:** `StokesWave`, differentiable in every number, under `jax.jit` and `jax.vmap` too. **Raises** ValueError
     for a k outside of (0, pi], K2 or mass not above zero. Typical: Hertz with A = d0 = m = 1, k = pi: shift/(a^2/4)
     -0.153093 at fixed length, -0.459279 at fixed force.
+
+    **Example:**
+
+    >>> wave = gx.theory.stokes.wave(np.pi, 0.01, 1.5, 0.375, -0.0625, constraint="force")
+    >>> round(float(wave.shift / (0.01**2 / 4)), 4)
+    -0.4593
     """
     length = one_of("constraint", constraint, ("length", "force")) == "length"
     k = within("k", k, 0.0, float(jnp.pi), open_low=True, remedy="Others are the same wave, or its mirror image.")

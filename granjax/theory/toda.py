@@ -54,7 +54,14 @@ NEWTON = 9
 
 
 class TodaConstants(NamedTuple):
-    """`strength` a [N] and `rate` b [1/m] of a Toda chain."""
+    """`strength` a [N] and `rate` b [1/m] of a Toda chain.
+
+    **Example:**
+
+    >>> constants = gx.theory.toda.matched(1.5, 0.375)
+    >>> float(constants.strength), float(constants.rate)
+    (3.0, 0.5)
+    """
 
     strength: jax.Array
     rate: jax.Array
@@ -67,6 +74,12 @@ def matched(K2: Parameter, K3: Parameter) -> TodaConstants:
 
     **Arguments:** of any law, `granjax.laws.taylor(law)`. **Raises** ValueError for K2 <= 0 and for K3 = 0, which no
     Toda chain has. Typical: Hertz with d0 = A = 1, K2 = 3/2, K3 = 3/8: a = 3, b = 1/2.
+
+    **Example:**
+
+    >>> a, b = gx.theory.toda.matched(1.5, 0.375)  # Hertz with d0 = A = 1
+    >>> float(a), float(b)
+    (3.0, 0.5)
     """
     K2, K3, _ = _stiffnesses(K2, K3, 1.0, "Every Toda chain is stiffer one way than the other.")
     return TodaConstants(K2**2 / (2 * K3), 2 * K3 / K2)
@@ -77,14 +90,26 @@ def matched(K2: Parameter, K3: Parameter) -> TodaConstants:
 
 @checked
 def speed(k: Parameter, *, strength: Parameter = 1.0, rate: Parameter = 1.0, mass: Parameter = 1.0) -> Numbers:
-    """Speed of a soliton, sinh k/k times that of sound (a b/m)^{1/2} [sites/s]. **Arguments:** `k` > 0 [1/site]."""
+    """Speed of a soliton, sinh k/k times that of sound (a b/m)^{1/2} [sites/s]. **Arguments:** `k` > 0 [1/site].
+
+    **Example:**
+
+    >>> round(float(gx.theory.toda.speed(1.0)), 6)  # sinh 1
+    1.175201
+    """
     k, (a, b, m) = _wave_number("k", k), _toda_constants(strength, rate, mass)
     return jnp.sqrt(a * b / m) * (1 + _sinh_less(k) / k)
 
 
 @checked
 def amplitude(k: Parameter, *, rate: Parameter = 1.0) -> Numbers:
-    """Largest strain of a soliton, 2 ln(cosh k)/b. **Arguments:** `k` > 0 [1/site]; `rate`: b, not zero."""
+    """Largest strain of a soliton, 2 ln(cosh k)/b. **Arguments:** `k` > 0 [1/site]; `rate`: b, not zero.
+
+    **Example:**
+
+    >>> round(float(gx.theory.toda.amplitude(1.0)), 6)  # 2 ln(cosh 1)
+    0.867562
+    """
     k, b = _numbers(k=_wave_number("k", k), rate=rate)
     _toda_constants(b, b, 1.0)
     return jnp.log1p(jnp.sinh(k) ** 2) / b
@@ -92,7 +117,13 @@ def amplitude(k: Parameter, *, rate: Parameter = 1.0) -> Numbers:
 
 @checked
 def energy(k: Parameter, *, strength: Parameter = 1.0, rate: Parameter = 1.0) -> Numbers:
-    """Energy of a soliton, (sinh 2k - 2k) a/b. **Arguments:** `k` > 0 [1/site]."""
+    """Energy of a soliton, (sinh 2k - 2k) a/b. **Arguments:** `k` > 0 [1/site].
+
+    **Example:**
+
+    >>> round(float(gx.theory.toda.energy(1.0)), 6)  # sinh 2 - 2
+    1.62686
+    """
     k, (a, b, _) = _wave_number("k", k), _toda_constants(strength, rate, 1.0)
     return a / b * _sinh_less(2 * k)
 
@@ -106,6 +137,11 @@ def wavenumber(
 
     **Arguments:** one of `speed` [sites/s], `amplitude` [m], of the sign of b, `energy` [J].
     **Raises** ValueError for none or several, a speed not above that of sound, an amplitude of the wrong sign.
+
+    **Example:**
+
+    >>> round(float(gx.theory.toda.wavenumber(speed=1.1752012)), 6)  # sinh k/k = sinh 1
+    1.0
     """
     a, b, m = _toda_constants(strength, rate, mass)
     sound = jnp.sqrt(a * b / m)
@@ -158,6 +194,12 @@ def soliton(
 
     **Returns:** `ChainWave` of strain, velocity and displacement, which is zero far to the right, and 2k/b far to the
     left: the sum of all strains. **Raises** ValueError for k <= 0, and constants that no Toda chain has.
+
+    **Example:**
+
+    >>> wave = gx.theory.toda.soliton(0.0, 0.0, 1.0)
+    >>> round(float(wave.strain), 6)  # its crest, 2 ln(cosh 1)
+    0.867562
     """
     sign, k = _direction_of(direction), _wave_number("k", k)
     n, t, k, centre = _numbers(n=n, t=t, k=k, centre=centre)
@@ -175,6 +217,12 @@ def two_solitons(
     `centre1`, `centre2`: where the crests would be at t = 0 had they never met: before they meet they are at
     centre + speed t, afterwards by `phase_shifts` further. **Raises** ValueError as `soliton`, and where k1 = k2 of two
     that run the same way, which never meet.
+
+    **Example:**
+
+    >>> wave = gx.theory.toda.two_solitons(-50.0, 0.0, 1.0, 0.5, centre1=-50.0, centre2=50.0)
+    >>> round(float(wave.strain), 6)  # the first, long before they meet: 2 ln(cosh 1)
+    0.867562
     """
     k1, k2 = _pair(k1, k2, head_on)
     n, t, k1, k2, centre1, centre2 = _numbers(n=n, t=t, k1=k1, k2=k2, centre1=centre1, centre2=centre2)
@@ -197,6 +245,12 @@ def phase_shifts(k1: Parameter, k2: Parameter, *, head_on: bool = False) -> tupl
 
     **Returns:** the two shifts. **Raises** ValueError for k <= 0 and for k1 = k2 of two that run the same way.
     Typical: k = 1 and 0.5 +1.18027, -2.36054; head-on +0.22734, -0.45467.
+
+    **Example:**
+
+    >>> first, second = gx.theory.toda.phase_shifts(1.0, 0.5)
+    >>> round(float(first), 5), round(float(second), 5)
+    (1.18027, -2.36054)
     """
     k1, k2 = _pair(k1, k2, head_on)
     shift = -_log_meeting(k1, k2, head_on) / 2

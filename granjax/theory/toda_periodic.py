@@ -22,6 +22,12 @@ class PeriodicNumbers(NamedTuple):
     - `wavelength` [sites], `period` [s], both infinite of a soliton; `speed` of its crests [sites/s].
     - `m1`: 1 less the parameter of its elliptic functions: 0 of a soliton, 1 of a wave without amplitude.
     - `mean_strain` [m], `mean_velocity` [m/s]; `crest`, `trough`: largest and smallest strain (for b > 0).
+
+    **Example:**
+
+    >>> numbers = gx.theory.toda.periodic_numbers(-1.5, -0.5, 0.5, 1.5)
+    >>> round(float(numbers.wavelength), 6), round(float(numbers.m1), 6)
+    (2.0, 0.25)
     """
 
     wavelength: jax.Array
@@ -55,6 +61,12 @@ def periodic_wave(
     displacement has -(mean strain) n + (mean velocity) t in it, which `periodic_numbers` gives.
     **Raises** ValueError for numbers in another order. Source: Biondini, Chong, Kevrekidis (2024), with the sign of
     omega t of a wave that runs to the right, and mu + b = (E1 + E2 + E3 + E4)/2.
+
+    **Example:**
+
+    >>> wave = gx.theory.toda.periodic_wave(0.0, 0.0, -1.5, -0.5, 0.5, 1.5)  # at a crest
+    >>> round(float(wave.strain), 6)  # 2 ln 2
+    1.386294
     """
     Es = _ends(E1, E2, E3, E4)
     n, t, centre, _ = _numbers(n=n, t=t, centre=centre, E1=sum(Es))
@@ -69,6 +81,12 @@ def periodic_numbers(
     """Wavelength, period, speed and means of `periodic_wave`. **Arguments**, **Raises**: as there.
 
     A wavelength between 1 and 2 sites is that of a wave to the left, in which sites see a longer one, 1/(1 - 1/it).
+
+    **Example:**
+
+    >>> numbers = gx.theory.toda.periodic_numbers(-1.0, 0.0, 0.0, 1.0)  # a uniform chain
+    >>> round(float(numbers.mean_strain), 6), round(float(numbers.speed), 6)
+    (0.0, 0.63662)
     """
     a, b, m = _toda_constants(strength, rate, mass)
     return PeriodicNumbers(*_of_ends(_ends(E1, E2, E3, E4), a, b, m))
@@ -143,6 +161,13 @@ def lax_eigenvalues(
     load, are no part of the matrix: it is kept as long as the ends stay at rest.
     **Raises** ValueError for shapes that do not fit, fewer than two sites (three on a ring).
     Source: H. Flaschka, Phys. Rev. B 9, 1924 (1974).
+
+    **Example:**
+
+    >>> wave = gx.theory.toda.soliton(jnp.arange(-20.0, 21.0), 0.0, 1.0)
+    >>> values = gx.theory.toda.lax_eigenvalues(wave.strain[:-1], wave.velocity)
+    >>> round(float(values[-1]), 6)  # cosh 1
+    1.543081
     """
     ring = one_of("boundary", boundary, ("free", "periodic")) == "periodic"
     strain, velocity = parameter("strain", strain), parameter("velocity", velocity)

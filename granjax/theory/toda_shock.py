@@ -41,6 +41,12 @@ class Modulation(NamedTuple):
     - `speed`: n/t of that place [sites/s]. `E1`, `E2`, `E3`, `E4`: its numbers for `periodic_wave` (scaled).
     - `mean`, `crest`, `trough`: of its strain [m]; `amplitude`: crest less trough. `wavelength` [sites].
     - `phase` [rad]: that of `shock_wave`, 3 pi/2 at the leading edge; behind it diverges, like ln^2 m.
+
+    **Example:**
+
+    >>> wave = gx.theory.toda.modulation(1.0, 0.5)  # the leading edge, a soliton
+    >>> round(float(wave.crest), 6), round(float(wave.trough), 6)
+    (1.386294, 0.0)
     """
 
     speed: jax.Array
@@ -73,6 +79,12 @@ def velocity_shock(
     rate/mass)^{1/2}. `strength`, `rate`, `mass`: as everywhere here. **Returns:** `ShockEdges`. **Raises** ValueError
     for c of the other sign, which pulls the chain apart and has a rarefaction.
     Typical: c = 0.1 0.9, 1.06581768, 0.19062036, 0.36464311.
+
+    **Example:**
+
+    >>> edges = gx.theory.toda.velocity_shock(0.1)
+    >>> round(float(edges.leading_speed), 6), round(float(edges.mean), 6)
+    (1.065818, 0.19062)
     """
     c, rate, b = _scaled(c, strength, rate, mass)
     return ShockEdges(*_edges(c, rate, b))
@@ -93,6 +105,11 @@ def modulation(
     The slope of speed and mean in m is infinite at m = 1.
     Typical: c = 0.5, m = 0.2, 0.5, 0.8, 0.95: speed 0.607509, 0.803701, 1.063430, 1.237004.
     Source: Biondini, Chong, Kevrekidis (2024).
+
+    **Example:**
+
+    >>> round(float(gx.theory.toda.modulation(0.5, 0.5).speed), 6)
+    0.803701
     """
     c, rate, b = _scaled(c, strength, rate, mass)
     m = _modulus_of(m, c=c)
@@ -114,6 +131,11 @@ def modulus(
     **Arguments:** `speed` [sites/s], any; all else as `velocity_shock`. **Returns:** m between the edges, 0 behind
     them, or 1 - 1/c^2 where c > 1 (scaled), and 1 ahead; derivatives of any order between.
     **Raises** ValueError as `velocity_shock`.
+
+    **Example:**
+
+    >>> round(float(gx.theory.toda.modulus(0.80370112, 0.5)), 4)
+    0.5
     """
     c, rate, _ = _scaled(c, strength, rate, mass)
     speed, _ = _numbers(speed=speed, c=c)
@@ -144,6 +166,12 @@ def shock_wave(
     n = 0, where a motion of few sites stands. **Raises** ValueError for t <= 0 and as `velocity_shock`.
     Typical: c = 1/2, t = 200: wrong by 0.006 in the middle. Source of the form of the phase: J. Michor, Phys. Lett. A
     380, 1110 (2016); chi is the scattering of these two halves.
+
+    **Example:**
+
+    >>> wave = gx.theory.toda.shock_wave(50.0, 200.0, 0.5)
+    >>> round(float(wave.strain), 6)  # the plateau, 2 ln 1.5
+    0.81093
     """
     c, rate, b = _scaled(c, strength, rate, mass)
     n, t, phase = _places(n, t, phase, c=c)

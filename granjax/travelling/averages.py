@@ -26,6 +26,13 @@ class Averages(Result):
     preload [N], `kinetic`, `potential` (from the law's own rest) and `energy`, their sum [J]; `lagrangian`, their
     difference [J]; `action` J = 2 `kinetic`/omega [J s]; `energy_flux` S, work that a bond does on the bead ahead of it
     [W]. `error`: estimated relative distance from the truth.
+
+    **Example:**
+
+    >>> wave = gx.travelling.periodic_wave(gx.Toda(), 6.0, amplitude=0.2)
+    >>> means = wave.averages()
+    >>> abs(float(means.kinetic + means.potential - means.energy)) < 1e-12
+    True
     """
 
     held: ClassVar[dict[str, Held]] = {

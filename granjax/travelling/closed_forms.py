@@ -24,6 +24,12 @@ class ClosedForms(Result):
     - `speed` (S,) [1/s]; `sound`: c_0 [1/s]; `amplitude` (S,): peak strain of the exact wave [m].
     - `kdv_error`, `toda_error` (S,): max |y - phi|/max |phi| over all places. `exact_error` (S,): to which the exact
       wave is known, in the same way.
+
+    **Example:**
+
+    >>> found = gx.travelling.closed_forms(gx.Toda(), [1.1])
+    >>> bool(found.toda_error[0] < 1e-9), float(found.sound)
+    (True, 1.0)
     """
 
     held: ClassVar[dict[str, Held]] = {
@@ -57,6 +63,12 @@ def closed_forms(law: Law | Lattice, speed: Parameter, *, mass: Scalar = 1.0) ->
     **Arguments:** `law`, `mass`: as in `solitary_wave`; `speed`: (S,) or one, each above sound [contacts/s].
     **Returns:** `ClosedForms`. Typical: Hertz at 1 % above sound, 2.5 % and 2.9 %; Toda's own law, 1.3 % and none.
     **Raises** ValueError for a law without linear stiffness or without K3, and as `solitary_wave`.
+
+    **Example:**
+
+    >>> found = gx.travelling.closed_forms(gx.Toda(), [1.1])
+    >>> round(float(found.kdv_error[0]), 3)  # Toda's own soliton is exact
+    0.124
     """
     speeds = np.atleast_1d(np.asarray(parameter("speed", speed)))
     if speeds.ndim != 1 or not speeds.size:

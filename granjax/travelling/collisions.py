@@ -42,6 +42,16 @@ class Collision(Result):
     - `separation`: least distance between the two in the frames after they met, and `least_separation`: from which on
       they have parted [contacts]. `misfits` (2,): what the waves leave of the strains about them, over their peaks.
     - `times`, `places` (2, T): where each was found. `run`: the run, for pictures.
+
+    **Example:**
+
+    >>> fast = gx.travelling.solitary_wave(gx.Toda(), speed=2.0)
+    >>> slow = gx.travelling.solitary_wave(gx.Toda(), speed=-1.8)
+    >>> found = gx.travelling.collide(fast, slow, tolerance=1e-2)
+    >>> found.kind, abs(found.radiated) < 1e-5
+    ('head-on', True)
+    >>> round(float(fast.amplitude), 4)  # before and after
+    2.9939
     """
 
     held: ClassVar[dict[str, Held]] = {
@@ -125,6 +135,16 @@ def collide(
     overtaking, +0.2273362938026457, -0.4546725876052915 head-on.
     Source: N. J. Zabusky, M. D. Kruskal, Phys. Rev. Lett. 15, 240 (1965); Y. Shen, P. G. Kevrekidis, S. Sen,
     A. Hoffman, Phys. Rev. E 90, 022905 (2014).
+
+    **Example:**
+
+    >>> fast, slow = (gx.travelling.solitary_wave(gx.Toda(), speed=c) for c in (2.0, -1.8))
+    >>> found = gx.travelling.collide(fast, slow, tolerance=1e-2)
+    >>> print(found.shifts.round(4))
+    [ 0.6427 -0.7046]
+    >>> k1, k2 = (gx.theory.toda.wavenumber(speed=c) for c in (2.0, 1.8))
+    >>> [round(float(shift), 4) for shift in gx.theory.toda.phase_shifts(k1, k2, head_on=True)]
+    [0.6427, -0.7046]
     """
     waves = known("first", first), known("second", second)
     tolerance = float(within("tolerance", tolerance, 0, 0.1, open_low=True, open_high=True))

@@ -23,6 +23,15 @@ class WaveFamily(Result):
     `energy_slope`: dE/dc, by the implicit function theorem. Where it passes zero, at the speeds `turns`, waves gain or
     lose their stability: one pair of multipliers of `Wave.floquet` is at +1 there, and waves on the side where energy
     falls with speed are unstable.
+
+    **Example:**
+
+    >>> wave = gx.travelling.solitary_wave(gx.Hertz(), speed=1.0)
+    >>> found = gx.travelling.family(gx.Hertz(), speed=[1.0, 2.0])
+    >>> round(float(found.energy_slope[0] / wave.energy), 4)  # energies grow as c^10
+    10.0
+    >>> round(float(wave.momentum), 4)
+    2.7136
     """
 
     held: ClassVar[dict[str, Held]] = {
@@ -53,6 +62,15 @@ def family(
     **Arguments:** as of `solitary_wave`, with one of `speed`, `amplitude`, `energy` an array (P,).
     **Returns:** `WaveFamily`. **Raises** ValueError where `solitary_wave` does, of the first that is none, and for what
     is traced: `solitary_wave` has derivatives.
+
+    **Example:**
+
+    >>> found = gx.travelling.family(gx.Hertz(), speed=[1.0, 2.0])
+    >>> round(float(found.energy[1] / found.energy[0]), 4)
+    1024.0
+    >>> low, high = (gx.travelling.solitary_wave(gx.Hertz(), speed=c) for c in (1.0, 2.0))
+    >>> round(float(high.energy / low.energy), 4)  # 2^10
+    1024.0
     """
     given = {name: x for name, x in (("speed", speed), ("amplitude", amplitude), ("energy", energy)) if x is not None}
     if len(given) != 1:

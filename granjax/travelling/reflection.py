@@ -36,6 +36,15 @@ class Reflection(Result):
       `energy_errors`; `speed`, `amplitude`, `energy` of the one that was sent. What it has lost is in other waves.
     - `misfits`: what the reflected wave leaves of the strains about it, over its peak.
     - `distance`: from the last bead, at which it was followed on [contacts]; `run`: the run, for pictures.
+
+    **Example:**
+
+    >>> wave = gx.travelling.solitary_wave(gx.Toda(), speed=2.0)
+    >>> found = gx.travelling.reflect(wave)
+    >>> round(float(found.amplitudes / wave.amplitude), 6)  # a rigid wall gives all of it back
+    1.0
+    >>> round(float(wave.amplitude), 4)
+    2.9939
     """
 
     held: ClassVar[dict[str, Held]] = {
@@ -91,6 +100,15 @@ def reflect(
     lanes. Not differentiable: places are fitted.
     Source: J. Yang, C. Silvestro, D. Khatri, L. De Nardo, C. Daraio, Phys. Rev. E 83, 046606 (2011); S. Job, F. Melo,
     A. Sokolow, S. Sen, Phys. Rev. Lett. 94, 178002 (2005).
+
+    **Example:**
+
+    >>> wave = gx.travelling.solitary_wave(gx.Toda(), speed=2.0)
+    >>> round(float(gx.travelling.reflect(wave).delay), 6)
+    -0.343757
+    >>> k = gx.theory.toda.wavenumber(speed=2.0)
+    >>> round(float(-jnp.log(jnp.cosh(k)) / jnp.sinh(k)), 6)  # what Toda's soliton does at a rigid wall
+    -0.343757
     """
     known("wave", wave)
     known("wall", wall)

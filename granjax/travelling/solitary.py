@@ -46,6 +46,12 @@ def solitary_wave(
     amplitude and energy.
     Source: English, Pego, Proc. AMS 133, 1763 (2005); Friesecke, Wattis, Commun. Math. Phys. 161, 391 (1994);
     Petviashvili, Sov. J. Plasma Phys. 2, 257 (1976).
+
+    **Example:**
+
+    >>> wave = gx.travelling.solitary_wave(gx.Hertz(), speed=1.0)
+    >>> round(float(wave.amplitude), 6)
+    1.487359
     """
     given = [name for name, x in (("speed", speed), ("amplitude", amplitude), ("energy", energy)) if x is not None]
     if len(given) != 1:

@@ -36,6 +36,13 @@ def ring(wave: Any, sites: Count | None = None) -> tuple[Lattice, State]:
 
     **Arguments:** `sites`: `None` is as many as bring the strain half-way round to 1e-10 of the peak.
     **Raises** ValueError where more than 200 are needed (a wave little faster than sound), or fewer than 12 asked.
+
+    **Example:**
+
+    >>> wave = gx.travelling.solitary_wave(gx.Toda(), speed=2.0)
+    >>> lattice, state = gx.travelling.ring(wave)
+    >>> state.u.shape, round(float(gx.linear.sound_speed(lattice)), 3)  # of a ring that the wave shortens
+    ((14,), 1.168)
     """
     _refuse_other(wave)
     sites = _sites_of(wave) if sites is None else whole("sites", sites, SHORTEST)
@@ -76,6 +83,15 @@ def wave_orbit(lattice: Lattice, guess: StateLike, speed: Scalar, **keywords: An
     **Arguments:** `lattice`: a ring of equal cells. `guess`: a state near the wave, such as that of `ring(wave)`, or of
     a lattice that is near. `speed`: c, sites per time, below zero to the left. `keywords`: of `gx.orbits.orbit`.
     **Returns:** `Orbit`. **Raises** as `gx.orbits.orbit` does, and ValueError for a speed of zero.
+
+    **Example:**
+
+    >>> ring, guess = gx.travelling.ring(gx.travelling.solitary_wave(gx.Toda(), speed=2.0))
+    >>> orbit = gx.travelling.wave_orbit(ring, guess, 2.0)
+    >>> float(orbit.period)
+    0.5
+    >>> guess.u.shape
+    (14,)
     """
     if not 0 < abs(speed) < np.inf:
         refuse("speed", "a speed that is not zero", repr(speed), "What stands still is gx.equilibrium's.")
@@ -99,6 +115,12 @@ def stability(wave: Any, sites: Count | None = None, ends: str | None = None, **
     **Arguments:** `sites`: of the ring or the chain, `None` by the tail. `ends`: `None` is "ring" where there is sound,
     "held" elsewhere. `keywords`: of `gx.floquet.floquet` on a ring.
     **Returns:** `Floquet`. **Raises** as `ring` and `wave_orbit` do.
+
+    **Example:**
+
+    >>> wave = gx.travelling.solitary_wave(gx.Hertz(), speed=1.0)
+    >>> gx.travelling.stability(wave).verdict
+    'stable'
     """
     _refuse_other(wave)
     ends = ("ring" if np.isfinite(float(wave.decay)) else "held") if ends is None else ends

@@ -19,6 +19,12 @@ class Units(eqx.Module):
 
     **Arguments:** `mass` [kg], `length` [m], `time` [s], above zero. The others follow from them: `velocity`,
     `acceleration`, `force`, `energy`, `omega`. **Raises** ValueError for a unit that is not above zero.
+
+    **Example:**
+
+    >>> units = gx.Units(mass=2.0, length=0.01, time=1e-3)
+    >>> round(float(units.velocity), 4), round(float(units.force), 4)
+    (10.0, 20000.0)
     """
 
     mass: jax.Array

@@ -84,6 +84,14 @@ def work_precision(
     left of it.
 
     Typical: ten solvers compile in 10 s; then a chain of 100 beads takes some seconds.
+
+    **Example:**
+
+    >>> chain = gx.Lattice(1.0, gx.Bond(gx.Shift(1, "fixed"), gx.Linear()), sites=2)
+    >>> state = gx.State(jnp.ones(2), jnp.ones(2))
+    >>> table = gx.work_precision(chain, state, 2 * np.pi, gx.SRKN6b(), [0.1, 0.05], reference=state, repeats=1)
+    >>> round(table.error[0] / table.error[1])
+    16
     """
     state = checked_state(lattice, state)
     t0, t1 = (float(t) for t in checked_times(t0, t1))

@@ -48,6 +48,14 @@ class WorkPrecision(Result):
     - `reference`, `reference_note`: what errors are measured against, and how it came about.
     - `repeats`: timed calls a point; `machine`: dict of processor, versions, date, commit.
     - `ladders`: what was measured, for `advice` to run more of it; empty after `from_json`.
+
+    **Example:**
+
+    >>> chain = gx.Lattice(1.0, gx.Bond(gx.Shift(1, "fixed"), gx.Linear()), sites=2)
+    >>> state = gx.State(jnp.ones(2), jnp.ones(2))
+    >>> table = gx.work_precision(chain, state, 2 * np.pi, gx.SRKN6b(), [0.1, 0.05], reference=state, repeats=1)
+    >>> table.methods, table.value[:2]
+    (('SRKN6b', 'default'), array([0.1 , 0.05]))
     """
 
     _else: ClassVar[str | None] = SI

@@ -69,6 +69,13 @@ def single_site(
     Source: MacKay, Aubry, Nonlinearity 7, 1623 (1994); Livi, Spicci, MacKay, Nonlinearity 10, 1421 (1997); for the
     cradle James, Kevrekidis, Cuevas, Physica D 251, 39 (2013); Pelinovsky, Stepanyants, SIAM J. Numer. Anal. 42, 1110
     (2004).
+
+    **Example:**
+
+    >>> chain = gx.scenes.klein_gordon(5, 0.02)
+    >>> state = gx.breathers.guesses.single_site(chain, 1.4, 2)
+    >>> round(float(state.u[2]), 4), float(jnp.abs(state.u[3])) < 1e-12
+    (1.1187, True)
     """
     positive("omega", omega)
     checked_lattice(lattice)

@@ -10,7 +10,7 @@ import numpy as np
 from ...checks import held_in_memory, non_negative, one_of, positive, refuse, whole
 from ...lattice import Lattice
 from ...laws import Law, Linear, Strained
-from ...strains import BOUNDARIES, Pairs, Shift, Slip, Stretch
+from ...strains import BOUNDARIES, Along, Pairs, Shift, Slip, Stretch
 from ...terms import Bond, OnSite
 from ..chains import _contact
 from .cells import Cell
@@ -20,12 +20,37 @@ from .outline import cut, positions_of
 SPHERE = 0.4
 
 
+# Mindlin's k_t/k_n = 2 (1 - nu)/(2 - nu) of two bodies of one material with nu = 0.3
+MINDLIN = 2 * (1 - 0.3) / (2 - 0.3)
+
+
 class Motion(NamedTuple):
-    """What a site does: components of its displacement, tangential law and inertia of one that turns."""
+    """What a site does: components of its displacement, tangential law and inertia of one that turns.
+
+    `rolling`: law of the difference of two turns; `pull`: a law more along the line of centres.
+    """
 
     components: int | None
     tangential: Law | None = None
     inertia: Any = SPHERE
+    rolling: Law | None = None
+    pull: Law | None = None
+
+
+def motion_of(laws: tuple, out_of_plane: bool, rotation: bool, tangential: Any, inertia: Any) -> Motion:
+    """What the sites do, with Mindlin's tangential stiffness where none is given."""
+    if not rotation:
+        if tangential is not None:
+            refuse("tangential", "None without rotation=True", repr(tangential), "Beads that do not turn do not slip.")
+        return Motion(None if out_of_plane else 2)
+    if out_of_plane:
+        refuse("rotation", "False where sites move out of the plane", "True", "Beads turn in the plane.")
+    if isinstance(tangential, Law):
+        return Motion(3, tangential, inertia)
+    if tangential is None:
+        tangential = MINDLIN * laws[0].derivative(jnp.zeros(()))
+    return Motion(3, Linear(positive("tangential", tangential, "Without static load contacts slide: give F0 > 0.")),
+                  inertia)
 
 
 def built(
@@ -96,6 +121,10 @@ def _bonds(pairs, law, vector, motion):
     bonds = [Bond(Stretch(pairs, vector), law)]
     if motion.tangential is not None:
         bonds.append(Bond(Slip(pairs, vector), motion.tangential))
+    if motion.rolling is not None:
+        bonds.append(Bond(Along(pairs, (0.0, 0.0, 1.0)), motion.rolling))
+    if motion.pull is not None:
+        bonds.append(Bond(Stretch(pairs, vector), motion.pull))
     return bonds
 
 

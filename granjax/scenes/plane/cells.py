@@ -66,6 +66,7 @@ QUADRUPOLE = Cell(
      Tie("b", "a", (1, 0)), Tie("d", "c", (1, 0)), Tie("c", "a", (0, 1)), Tie("d", "b", (0, 1))),
 )
 # chains, drawn in the plane
+CHAIN = Cell(((1.0, 0.0),), {"a": (0.0, 0.0)}, (Tie("a", "a", (1,)),))
 SAWTOOTH = Cell(
     ((1.0, 0.0),), {"a": (0.0, 0.0), "b": (HALF, ROOT)},
     (Tie("a", "a", (1,)), Tie("a", "b", (0,)), Tie("b", "a", (1,))),

@@ -35,6 +35,12 @@ def ssh(
     **Returns:** a `Lattice` of the fields `a`, `b`, (N,) each. **Raises** ValueError for stiffnesses that are not above
     zero. Source: Su, Schrieffer, Heeger, Phys. Rev. Lett. 42, 1698 (1979); Chaunsali, Xu, Yang, Kevrekidis,
     Theocharis, Phys. Rev. B 103, 024106 (2021).
+
+    **Example:**
+
+    >>> modes = gx.linear.normal_modes(gx.scenes.ssh(10, 1.0, 2.0))
+    >>> modes.omega_squared[9:11].round(6)   # states of the two ends
+    Array([2.998535, 3.001465], dtype=float64)
     """
     laws = laws_of(SSH, law, (positive("k1", k1), positive("k2", k2)), 1, 0.0)
     return _chain(SSH, cells, laws, mass, boundary, ground, on_site, False, units)
@@ -65,6 +71,13 @@ def aubry_andre(
     **Returns:** a `Lattice`, u of shape (N,). All numbers are differentiable but `sites`. **Raises** ValueError for
     numbers outside these ranges. Source: Aubry, Andre, Ann. Israel Phys. Soc. 3, 133 (1980); Martinez, Porter,
     Kevrekidis, Phil. Trans. R. Soc. A 376, 20170139 (2018).
+
+    **Example:**
+
+    >>> chain = gx.scenes.aubry_andre(89, 4.0, ground=4.0)
+    >>> mode = gx.linear.normal_modes(chain).modes[:, 44]   # falls off as exp(-gamma |n|), gamma = log(V/2K)
+    >>> bool((mode**4).sum() > 0.2)
+    True
     """
     count, held = whole("sites", sites, 2), non_negative("ground", ground)
     n = jnp.arange(count)
@@ -96,6 +109,11 @@ def sawtooth(
 
     **Returns:** a `Lattice` of the fields `a`, `b`. **Raises** ValueError as `ssh` does. Source: Leykam, Andreanov,
     Flach, Advances in Physics: X 3, 1473052 (2018).
+
+    **Example:**
+
+    >>> gx.linear.flat_bands(gx.scenes.sawtooth(8)).omega_squared.round(6)   # 2 K (1 + 2^(1/2)) + 2 K
+    array([6.828427])
     """
     K = positive("stiffness", stiffness)
     side = 2**0.5 * K if tooth is None else positive("tooth", tooth)
@@ -117,6 +135,11 @@ def stub(
 
     **Arguments:** as of `sawtooth`; `stiffness`: a number, or one each for a-b within the cell, between cells, a-c.
     **Returns:** a `Lattice` of the fields `a`, `b`, `c`. **Raises** ValueError as `ssh` does.
+
+    **Example:**
+
+    >>> gx.linear.flat_bands(gx.scenes.stub(8)).omega_squared.round(6)
+    array([3.])
     """
     return _chain(STUB, cells, laws_of(STUB, law, stiffness, 1, 0.0), mass, boundary, ground, on_site, equal, units)
 
@@ -135,6 +158,11 @@ def diamond(
 
     **Arguments:** as of `sawtooth`; `stiffness`: a number, or one each for a-b, a-c, b-a', c-a'.
     **Returns:** a `Lattice` of the fields `a`, `b`, `c`. **Raises** ValueError as `ssh` does.
+
+    **Example:**
+
+    >>> gx.linear.flat_bands(gx.scenes.diamond(8)).omega_squared.round(6)
+    array([4.])
     """
     laws = laws_of(DIAMOND, law, stiffness, 1, 0.0)
     return _chain(DIAMOND, cells, laws, mass, boundary, ground, on_site, equal, units)

@@ -1,21 +1,15 @@
 """Lattices of the plane by name: square, triangular, honeycomb, kagome, Lieb; a hexagon of beads."""
 
 from collections.abc import Callable, Sequence
-from typing import Any
 
-import jax.numpy as jnp
-
-from ...checks import positive, refuse, whole
+from ...checks import positive, whole
 from ...entry import checked
 from ...lattice import Lattice
 from ...laws import Law, Linear
 from ...types import Count, Parameter, Scalar
 from ...units import SCALED
-from .build import SPHERE, Motion, built, grounded, laws_of
+from .build import SPHERE, Motion, built, grounded, laws_of, motion_of
 from .cells import HONEYCOMB, KAGOME, LIEB, QUADRUPOLE, SQUARE, TRIANGULAR
-
-# Mindlin's k_t/k_n = 2 (1 - nu)/(2 - nu) of two bodies of one material with nu = 0.3
-MINDLIN = 2 * (1 - 0.3) / (2 - 0.3)
 
 
 @checked
@@ -59,6 +53,12 @@ def square(
 
     **Returns:** a `Lattice` with `positions`. All numbers are differentiable but n, m; a batch by `jax.vmap(...,
     out_axes=-1)`. **Raises** ValueError for a boundary, an outline or masses that do not fit, `rotation` out of plane.
+
+    **Example:**
+
+    >>> crystal = gx.scenes.square(6, precompression=-0.1, boundary="periodic")
+    >>> gx.linear.dispersion(crystal, [np.pi, 0.0]).omega_squared.round(6)   # -4 f and 4 K
+    Array([0.4, 4. ], dtype=float64)
     """
     return _plane(SQUARE, n, m, mass, stiffness, exponent, precompression, law, spacing, boundary, outline,
                   out_of_plane, rotation, tangential, inertia, units, ground, on_site)
@@ -80,6 +80,12 @@ def triangular(
 
     **Arguments:** as of `square`. Bonds of the cell: along the first axis, the second, the second less the first.
     **Returns:** a `Lattice`, u of shape (n, m, 2). **Raises** ValueError as `square` does.
+
+    **Example:**
+
+    >>> crystal = gx.scenes.triangular(6, 6, boundary="periodic")
+    >>> gx.linear.dispersion(crystal, [np.pi, 0.0]).omega_squared.round(6)   # at M
+    Array([2., 6.], dtype=float64)
     """
     return _plane(TRIANGULAR, n, m, mass, stiffness, exponent, precompression, law, spacing, boundary, outline,
                   out_of_plane, rotation, tangential, inertia, units, ground, on_site)
@@ -97,6 +103,11 @@ def hexagon(
 
     **Arguments:** `rings`: r >= 1 around the bead in the middle, whose number is half of all. The others as of
     `square`; `boundary`: `"fixed"` or `"free"`. **Returns:** a `Lattice`. **Raises** ValueError as `square` does.
+
+    **Example:**
+
+    >>> gx.scenes.hexagon(4, exponent=1.5).shape
+    (61, 2)
     """
     rings = whole("rings", rings, 1)
     return _plane(TRIANGULAR, rings, None, mass, stiffness, exponent, precompression, law, spacing, boundary, "hexagon",
@@ -119,6 +130,12 @@ def honeycomb(
 
     **Arguments:** as of `square`, and: `mass`: a number, or a dict of one for each of `a` and `b`.
     **Returns:** a `Lattice` of the fields `a`, `b`. **Raises** ValueError as `square` does.
+
+    **Example:**
+
+    >>> crystal = gx.scenes.honeycomb(6, out_of_plane=True, boundary="periodic")
+    >>> gx.linear.dispersion(crystal, [2 * np.pi / 3, 4 * np.pi / 3]).omega_squared.round(6)   # the Dirac point
+    Array([3., 3.], dtype=float64)
     """
     return _plane(HONEYCOMB, n, m, mass, stiffness, exponent, precompression, law, spacing, boundary, outline,
                   out_of_plane, rotation, tangential, inertia, units, ground, on_site)
@@ -141,6 +158,12 @@ def kagome(
 
     **Arguments:** as of `square` and `honeycomb`. Bonds of the cell: a-b, a-c, b-c within, then between cells.
     **Returns:** a `Lattice` of the fields `a`, `b`, `c`. **Raises** ValueError as `square` does.
+
+    **Example:**
+
+    >>> crystal = gx.scenes.kagome(6, out_of_plane=True, boundary="periodic")
+    >>> gx.linear.flat_bands(crystal).omega_squared.round(6)   # 4 K - K E, E = -2
+    array([6.])
     """
     return _plane(KAGOME, n, m, mass, stiffness, exponent, precompression, law, spacing, boundary, outline,
                   out_of_plane, rotation, tangential, inertia, units, ground, on_site)
@@ -163,6 +186,12 @@ def lieb(
 
     **Arguments:** as of `square` and `honeycomb`. `equal`: whether edges get the on-site springs that corners need not
     (out of plane alone). **Returns:** a `Lattice` of the fields `a`, `b`, `c`. **Raises** ValueError as `square` does.
+
+    **Example:**
+
+    >>> crystal = gx.scenes.lieb(6, boundary="periodic")
+    >>> gx.linear.flat_bands(crystal).omega_squared.round(6)   # 4 K
+    array([4.])
     """
     return _plane(LIEB, n, m, mass, stiffness, exponent, precompression, law, spacing, boundary, outline,
                   out_of_plane, rotation, tangential, inertia, units, ground, on_site, equal and out_of_plane)
@@ -183,6 +212,13 @@ def quadrupole(
     **Arguments:** `n`, `m`: cells; `k1`, `k2` > 0; the others as in `honeycomb`. **Returns:** a `Lattice` of the fields
     `a`, `b`, `c`, `d`. **Raises** ValueError as `square` does. Source: Benalcazar, Bernevig, Hughes, Science 357, 61
     (2017); Serra-Garcia et al., Nature 555, 342 (2018).
+
+    **Example:**
+
+    >>> crystal = gx.scenes.quadrupole(4, k1=0.5, k2=2.0)
+    >>> squared = gx.linear.normal_modes(crystal).omega_squared
+    >>> int((abs(squared - 5.0) < 0.2).sum())   # one state at each corner
+    4
     """
     inner, outer = positive("k1", k1), positive("k2", k2)
     laws = tuple(Linear(k) for k in (inner, inner, inner, -inner, outer, outer, outer, -outer))
@@ -194,24 +230,9 @@ def quadrupole(
 def _plane(cell, n, m, mass, stiffness, exponent, precompression, law, spacing, boundary, outline, out_of_plane,
            rotation, tangential, inertia, units, ground=None, on_site=None, equal=False):
     laws = laws_of(cell, law, stiffness, exponent, precompression)
-    motion = _motion(laws, out_of_plane, rotation, tangential, inertia)
+    motion = motion_of(laws, out_of_plane, rotation, tangential, inertia)
     springs = None
     if ground is not None or on_site is not None:
         springs = grounded(cell, laws, 0.0 if ground is None else ground, equal, on_site)
     return built(cell, (n, n if m is None else m), laws, motion, mass=mass, spacing=spacing, boundary=boundary,
                  outline=outline, on_site=springs, units=units)
-
-
-def _motion(laws: tuple, out_of_plane: bool, rotation: bool, tangential: Any, inertia: Any) -> Motion:
-    if not rotation:
-        if tangential is not None:
-            refuse("tangential", "None without rotation=True", repr(tangential), "Beads that do not turn do not slip.")
-        return Motion(None if out_of_plane else 2)
-    if out_of_plane:
-        refuse("rotation", "False where sites move out of the plane", "True", "Beads turn in the plane.")
-    if isinstance(tangential, Law):
-        return Motion(3, tangential, inertia)
-    if tangential is None:
-        tangential = MINDLIN * laws[0].derivative(jnp.zeros(()))
-    return Motion(3, Linear(positive("tangential", tangential, "Without static load contacts slide: give F0 > 0.")),
-                  inertia)

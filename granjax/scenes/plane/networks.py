@@ -1,19 +1,60 @@
-"""Chains of beads that meet: Y-junctions."""
+"""Chains of beads in guides that meet: Y-junctions, and networks of any number of guides in the plane or in space."""
 
 from collections.abc import Sequence
+from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ...checks import concrete, one_of, refuse, whole
+from ...checks import concrete, held_in_memory, one_of, parameter, refuse, whole
 from ...entry import checked
 from ...lattice import Lattice
 from ...laws import Law
-from ...strains import Pairs
+from ...strains import WALL, Pairs
 from ...terms import Bond
 from ...types import Count, Parameter
 from ...units import SCALED
 from ..chains import _contact, _number
+
+# a cosine below this is that of a right angle
+SQUARE_ON = 1e-9
+
+
+class _Guides(NamedTuple):
+    """Chains and what their ends touch: `meetings` (last bead's guide, first bead's guide), weights of both."""
+
+    counts: list
+    meetings: list
+    weights: tuple
+    # guides whose first bead, and whose last one, touches a wall
+    begin: list
+    end: list
+
+    @property
+    def starts(self):
+        return np.concatenate([[0], np.cumsum(self.counts)])
+
+    def bonds(self):
+        """Tails, heads and guides of all contacts but those of the meetings: walls, within, walls."""
+        starts, rows = self.starts, [(WALL, self.starts[i], i) for i in self.begin]
+        for i, n in enumerate(self.counts):
+            rows += [(bead, bead + 1, i) for bead in range(starts[i], starts[i] + n - 1)]
+        rows += [(starts[i + 1] - 1, WALL, i) for i in self.end]
+        return [list(map(int, column)) for column in zip(*rows)] or [[], [], []]
+
+    def lattice(self, mass, laws, positions, units):
+        """The lattice; `laws`: a function from the guides of contacts to their law."""
+        total = int(self.starts[-1])
+        tails, heads, guides = self.bonds()
+        terms = [Bond(Pairs(tails, heads, sites=total), laws(guides))] if tails else []
+        if self.meetings:
+            last, first, owners = (list(x) for x in zip(*self.meetings))
+            starts = self.starts
+            pairs = Pairs([starts[i + 1] - 1 for i in last], [starts[i] for i in first], sites=total,
+                          weights=self.weights)
+            terms.append(Bond(pairs, laws(owners)))
+        return Lattice(mass, tuple(terms), sites=None if np.ndim(mass) else total, positions=positions, units=units)
 
 
 @checked
@@ -42,6 +83,13 @@ def junction(
     branches[0]`, ... **Raises** ValueError for fewer than two beads in the stem, one in a branch, or an angle beyond.
     Source: Daraio, Ngo, Nesterenko, Fraternali, Phys. Rev. E 82, 036603 (2010); Leonard, Ponson, Daraio, Phys. Rev. E
     86, 031305 (2012).
+
+    **Example:**
+
+    >>> fork = gx.scenes.junction(6, (9, 9), angles=(0.4, -0.4))
+    >>> force = fork.force(0.0, jnp.zeros(24).at[5].set(0.1), jnp.zeros(24))   # the stem's last bead pushes
+    >>> force[jnp.array([5, 6, 15])].round(4)   # (0.1 cos(0.4))^(3/2) on each branch
+    Array([-0.0515,  0.028 ,  0.028 ], dtype=float64)
     """
     stem = whole("stem", stem, 2)
     counts = [whole(f"branches[{i}]", n, 1) for i, n in enumerate(branches)]
@@ -57,19 +105,12 @@ def junction(
     cosines = jnp.cos(jnp.stack(turned))
     one_of("boundary", boundary, ("fixed", "free"))
     law = _contact(stiffness, exponent, precompression) if law is None else law
-    starts = stem + np.concatenate([[0], np.cumsum(counts)])[:-1]
-    tails, heads = list(range(stem - 1)), list(range(1, stem))
-    for start, n in zip(starts, counts):
-        tails += range(start, start + n - 1)
-        heads += range(start + 1, start + n)
-    if boundary == "fixed":
-        tails, heads = [-1, *tails, *(s + n - 1 for s, n in zip(starts, counts))], [0, *heads, *([-1] * len(counts))]
-    total = stem + sum(counts)
-    meeting = Pairs([stem - 1] * len(counts), starts, sites=total, weights=(cosines, jnp.ones(len(counts))))
-    sites = None if np.ndim(mass) else total
-    return Lattice(mass, (Bond(Pairs(tails, heads, sites=total), law), Bond(meeting, law)), sites=sites,
-                   positions=_positions(stem, counts, np.array([0.0 if a is None else a for a in known])),
-                   units=units)
+    out = list(range(1, len(counts) + 1))
+    fixed = boundary == "fixed"
+    guides = _Guides([stem, *counts], [(0, i, i) for i in out], (cosines, jnp.ones(len(counts))), [0] * fixed,
+                     out * fixed)
+    return guides.lattice(mass, lambda _: law,
+                          _positions(stem, counts, np.array([0.0 if a is None else a for a in known])), units)
 
 
 def _positions(stem, counts, angles):
@@ -80,3 +121,144 @@ def _positions(stem, counts, angles):
         shown = angle if not same else angle + 0.3 * (i - (len(counts) - 1) / 2)
         places.append([stem - 1, 0] + np.arange(1, n + 1)[:, None] * [np.cos(shown), np.sin(shown)])
     return np.concatenate(places)
+
+
+@checked
+def network(
+    nodes: Parameter | dict[str, Parameter], edges: Sequence, beads: Count | Sequence[Count] = 10, *,
+    mass: Parameter = 1.0, stiffness: Parameter = 1.0, exponent: Parameter = 1.5, precompression: Parameter = 0.0,
+    boundary: str = "fixed", law: Law | None = None, units: str = SCALED,
+) -> Lattice:
+    r"""Network: chains of beads in straight guides between nodes of the plane or of space.
+
+    Each bead moves along its guide, u counts from the guide's tail to its head. At a node the last bead of each guide
+    that comes in touches the first one of each guide that leaves within 90 degrees of its direction:
+    e = n . (d_in u_last - d_out u_first), with the directions d of the guides and the contact's normal n. Where one
+    guide comes in its last bead lies at the node and n = d_out, so that e = cos(angle) u_last - u_first, as in
+    `junction`; where several come in and one leaves it is the first bead of that one, n = d_in,
+    e = u_last - cos(angle) u_first; where several meet several, n halves the angle. Nothing touches at 90 degrees: a
+    rigid contact of a guide that leaves at a right angle passes no force on at first order.
+
+    **Arguments:**
+
+    - `nodes`: positions (nodes, 2) or (nodes, 3) [m], or a dict of such by name. `edges`: guides, pairs (tail, head) of
+      numbers or names of nodes. `beads`: in each guide, one number or one per guide.
+    - `mass`: a number, one per guide, or one per bead, guide by guide. `stiffness`, `exponent`, `precompression`: as in
+      `monomer`, the first and the last a number or one per guide; a contact at a node has those of the guide along its
+      normal (of several with several, of the one that leaves). `law`: in their place, of all contacts.
+    - `boundary`: `"fixed"` (walls at nodes where guides only begin or only end) or `"free"`.
+
+    With a static load, what the contacts of a node leave over is a constant force that holds its bead
+    (`lattice.unbalanced()`); none is left where F0 of the guides balances, F0_in = sum of cos(angle) F0_out, such as
+    half of it in each of two branches at angle 0.
+
+    **Returns:** a `Lattice`, u of shape (beads,), guide after guide in the order of `edges`, with `positions`: n beads
+    lie evenly along their guide, the first half a diameter from the node; of space `gx.plots.beads` draws a projection,
+    such as `lattice.positions[:, :2]`. Differentiable in all numbers, also in `nodes`. **Raises** ValueError for nodes
+    that are not there, a guide without length, one whose end touches nothing at a node where guides begin and end.
+    Source: Leonard, Ponson, Daraio, J. Mech. Phys. Solids 73, 103 (2014).
+
+    **Example:**
+
+    >>> nodes = {"in": (0, 0, 0), "fork": (10, 0, 0), "up": (18, 4, 3), "down": (18, -4, -3)}
+    >>> tree = gx.scenes.network(nodes, [("in", "fork"), ("fork", "up"), ("fork", "down")], (6, 9, 9))
+    >>> tree.shape, tree.positions.shape
+    ((24,), (24, 3))
+    """
+    names = list(nodes) if isinstance(nodes, dict) else None
+    at = jnp.stack([_place(f"nodes[{n!r}]", nodes[n]) for n in names]) if names else parameter("nodes", nodes)
+    if at.ndim != 2 or at.shape[-1] not in (2, 3) or not len(at):
+        refuse("nodes", "positions (nodes, 2) or (nodes, 3)", f"shape {at.shape}")
+    known = concrete(jax.lax.stop_gradient(at))
+    if known is None:
+        refuse("nodes", "positions that are known", "traced ones", "Which guides touch follows from them: leave jit "
+               "and vmap; jax.grad may stay.")
+    ends = [_ends(f"edges[{i}]", edge, names, len(at)) for i, edge in enumerate(edges)]
+    if not ends:
+        refuse("edges", "at least one guide (tail, head)", "none")
+    several = not isinstance(beads, (int, np.integer))
+    counts = [whole("beads", n, 1) for n in (beads if several else [beads] * len(ends))]
+    if len(counts) != len(ends):
+        refuse("beads", f"one number, or {len(ends)}, one per guide", f"{len(counts)}")
+    held_in_memory("beads", sum(counts))
+    tail, head = np.array(ends).T
+    if not np.all(np.linalg.norm(known[head] - known[tail], axis=-1) > 0):
+        refuse("edges", "guides between different places", "one without length")
+    span = at[head] - at[tail]
+    direction = span / jnp.linalg.norm(span, axis=-1, keepdims=True)
+    one_of("boundary", boundary, ("fixed", "free"))
+    guides = _meet(counts, tail, head, direction, boundary == "fixed")
+    given = {"mass": mass, "stiffness": stiffness, "precompression": precompression}
+    for name, x in given.items():
+        shapes = [(), (len(ends),)] + [(sum(counts),)] * (name == "mass")
+        if np.shape(x)[:1] not in shapes:
+            refuse(name, f"one number, or an array of shape {' or '.join(map(str, shapes[1:]))}", f"{np.shape(x)}")
+    if np.ndim(mass) and np.shape(mass)[0] == len(ends):
+        mass = jnp.asarray(mass)[np.repeat(np.arange(len(ends)), counts)]
+
+    def laws(owners):
+        if law is not None:
+            return law
+        own = [jnp.asarray(x)[np.array(owners)] if np.ndim(x) else x for x in (stiffness, precompression)]
+        return _contact(own[0], exponent, own[1])
+
+    along = [(np.arange(n) + 0.5)[:, None] / n for n in counts]
+    places = jnp.concatenate([at[a] + x * (at[b] - at[a]) for a, b, x in zip(tail, head, along)])
+    return guides.lattice(mass, laws, places, units)
+
+
+def _place(name, x):
+    x = parameter(name, x)
+    if x.shape not in ((2,), (3,)):
+        refuse(name, "a place, two or three numbers", f"shape {x.shape}")
+    return x
+
+
+def _ends(name, edge, names, count):
+    """The numbers of the nodes at a guide's ends."""
+    if isinstance(edge, str) or np.size(np.asarray(edge, object)) != 2:
+        refuse(name, "a pair (tail, head) of nodes", repr(edge))
+    found = []
+    for node in edge:
+        if names is not None:
+            if node not in names:
+                refuse(name, f"nodes among {names}", repr(node))
+            found.append(names.index(node))
+        else:
+            number = whole(name, node)
+            if number >= count:
+                refuse(name, f"nodes from 0 to {count - 1}", repr(node))
+            found.append(number)
+    return found
+
+
+def _meet(counts, tail, head, direction, fixed):
+    """Which ends touch at each node, and by what weights."""
+    known = np.asarray(concrete(jax.lax.stop_gradient(direction)))
+    meetings, halved, begin, end = [], [], [], []
+    for node in sorted({*tail.tolist(), *head.tolist()}):
+        come, leave = np.flatnonzero(head == node), np.flatnonzero(tail == node)
+        if not len(come) or not len(leave):
+            begin += leave.tolist()
+            end += come.tolist()
+            continue
+        touching = known[come] @ known[leave].T > SQUARE_ON
+        lost = [*come[~touching.any(1)], *leave[~touching.any(0)]]
+        if lost:
+            i = int(lost[0])
+            refuse("edges", "guides whose ends touch another within 90 degrees, at nodes where guides begin and end",
+                   f"edges[{i}], ({tail[i]}, {head[i]}), which touches none at node {node}",
+                   "At a right angle a rigid contact passes no force on at first order: turn the guide, or the "
+                   "direction in which it is counted, or end it at a node of its own.")
+        for i, j in zip(*np.nonzero(touching)):
+            kind = 0 if len(come) == 1 else 1 if len(leave) == 1 else 2
+            halved.append(kind)
+            meetings.append((int(come[i]), int(leave[j]), int(come[i] if kind == 1 else leave[j])))
+    weights: Any = ()
+    if meetings:
+        last, first, _ = np.array(meetings).T
+        cosine = (direction[last] * direction[first]).sum(-1)
+        kind, half = np.array(halved), jnp.sqrt((1 + cosine) / 2)
+        weights = (jnp.where(kind == 0, cosine, jnp.where(kind == 1, 1.0, half)),
+                   jnp.where(kind == 0, 1.0, jnp.where(kind == 1, cosine, half)))
+    return _Guides(counts, meetings, weights, sorted(begin) if fixed else [], sorted(end) if fixed else [])

@@ -9,7 +9,14 @@ from ...entry import checked
 
 
 class Choice(NamedTuple):
-    """A parameter that the source does not state: the value chosen here, its unit, and what it is."""
+    """A parameter that the source does not state: the value chosen here, its unit, and what it is.
+
+    **Example:**
+
+    >>> choice = gx.reproduce.figure("fig1.2").chosen["speed"]
+    >>> choice.value, choice.about
+    (1.0, 'speed of the wave, contacts per time')
+    """
 
     value: object
     unit: str
@@ -28,6 +35,12 @@ class Figure:
     - `number(data)`: one number of the data; `quantity`: what it is; `expected`, `tolerance` (absolute): what it has to
       be; `source`: where the expected value comes from.
     - `chosen`: dict from name to `Choice`; `binding`: names of those that the expected value holds for.
+
+    **Example:**
+
+    >>> figure = gx.reproduce.figure("fig1.2")
+    >>> figure.quantity, {name: choice.value for name, choice in figure.chosen.items()}
+    ('peak strain over c^4', {'speed': 1.0, 'reach': 6})
     """
 
     label: str

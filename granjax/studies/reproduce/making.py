@@ -27,6 +27,12 @@ class Made(Result):
     - `parameters`: dict of the chosen parameters that were used; `picture`, `data`: paths, `None` where not written.
     - `failure`: a sentence where the simulation failed, and empty otherwise; `unwritten`: the same where a file could
       not be written to its place (and is in a temporary folder, if that can be). `outcome`: all of it in words.
+
+    **Example:**
+
+    >>> made, = gx.reproduce.run("fig1.2", overrides={"reach": 3})
+    >>> made.parameters
+    {'speed': 1.0, 'reach': 3}
     """
 
     label: str = eqx.field(static=True)
@@ -65,6 +71,12 @@ def run(
     **Returns:** a list of `Made`, one per label; after `check` all is well where none has `passed is False`.
     **Raises** ValueError for an unknown label (suggesting the nearest), a parameter that none of the
     figures has, or a folder that cannot be written.
+
+    **Example:**
+
+    >>> made, = gx.reproduce.run("fig1.2", check=True)
+    >>> made.label, made.passed
+    ('fig1.2', True)
     """
     return list(one_by_one(labels, out, check, plots, overrides))
 
@@ -74,7 +86,14 @@ def one_by_one(
     labels: str | Figure | Sequence[str | Figure] | None = None, out: str | Path | None = None, check: bool = False,
     plots: ModuleType | None = None, overrides: Mapping[str, object] | None = None,
 ) -> Iterator[Made]:
-    """`run`, of which each `Made` is given out when it is there; what is wrong is refused at the call."""
+    """`run`, of which each `Made` is given out when it is there; what is wrong is refused at the call.
+
+    **Example:**
+
+    >>> for made in gx.reproduce.one_by_one("fig1.2", check=True):
+    ...     print(made.label, made.passed)
+    fig1.2 True
+    """
     chosen = [figure(label) for label in _labels(labels)]
     overrides = dict(overrides or {})
     known = tuple(dict.fromkeys(name for f in chosen for name in f.chosen))

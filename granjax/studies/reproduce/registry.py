@@ -19,18 +19,37 @@ _BY_LABEL = {figure.label: figure for figure in _FIGURES}
 
 
 def figures() -> dict[str, Figure]:
-    """A dict from label to `Figure`, in the order of the review."""
+    """A dict from label to `Figure`, in the order of the review.
+
+    **Example:**
+
+    >>> figures = gx.reproduce.figures()
+    >>> len(figures), next(iter(figures))
+    (16, 'fig1.2')
+    """
     return {label: _BY_LABEL[label] for label in _LABELS}
 
 
 @checked
 def figure(label: str) -> Figure:
-    """The figure of a label. **Raises** ValueError for an unknown label, naming the nearest."""
+    """The figure of a label. **Raises** ValueError for an unknown label, naming the nearest.
+
+    **Example:**
+
+    >>> print(gx.reproduce.figure("fig1.3").title)
+    Space-time evolution of the exact travelling wave, strain, c = 1
+    """
     return _BY_LABEL[one_of("label", label, _LABELS)]
 
 
 def listing() -> str:
-    """A table of all figures as text: label, title, what it chooses."""
+    """A table of all figures as text: label, title, what it chooses.
+
+    **Example:**
+
+    >>> print(gx.reproduce.listing().splitlines()[0])
+    fig1.2     The travelling wave's profile, its derivative and its tail
+    """
     lines = []
     for label, found in figures().items():
         lines.append(f"{label:<11}{found.title}")

@@ -29,6 +29,12 @@ def contact_forces(
 
     **Returns:** a NumPy array (c, n), in units of A^(2/5) (m v^2)^(3/5). **Raises** ValueError for ratios outside
     (0, 1] or a contact that is no whole number. Typical: 0.63955 for the monomer, 0.30190 at ratio 1/2, contact 20.
+
+    **Example:**
+
+    >>> forces = gx.resonance.contact_forces([1.0, 0.5], [20])
+    >>> print(forces.round(4))
+    [[0.6396 0.3019]]
     """
     ratios = checked_ratios(ratios)
     bonds = tuple(whole(f"contacts[{i}]", n, 0) for i, n in enumerate(np.atleast_1d(contacts)))
@@ -52,6 +58,12 @@ def decay_rate(
 
     **Returns:** a NumPy array (n,). **Raises** ValueError for ratios outside (0, 1], or contacts that are not such a
     pair. Source: Jayaprakash, Starosvetsky, Vakakis, Phys. Rev. E 83, 036606 (2011).
+
+    **Example:**
+
+    >>> rates = gx.resonance.decay_rate([1.0, 0.5], contacts=(10, 20))
+    >>> bool(abs(rates[0]) < 1e-3), round(float(rates[1]), 3)  # a monomer's pulse does not decay
+    (True, 0.042)
     """
     contacts = _checked_contacts(contacts)
     first, last = contact_forces(ratios, contacts, progress=progress)
@@ -87,6 +99,11 @@ def anti_resonance(
     own, 1, only at that end of the interval). **Raises** ValueError for an interval outside (0, 1] or empty,
     RuntimeError where the rate has no minimum inside.
     Source: Jayaprakash, Starosvetsky, Vakakis, Phys. Rev. E 83, 036606 (2011).
+
+    **Example:**
+
+    >>> round(gx.resonance.anti_resonance(0.3, 0.4, contacts=(20, 40)), 2)  # 0.342846 far down the chain
+    0.35
     """
     low, high = (
         float(within(name, x, 0, 1, open_low=True, remedy="The ratio is light over heavy."))

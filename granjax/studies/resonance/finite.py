@@ -22,6 +22,12 @@ class Transmission(Result):
 
     - `mass_ratio` (n,); `peak_force` (n,): largest force on the wall; `transmission` (n,): that over the monomer's.
     - `reference`: the monomer's peak force; `beads`; `run_time`: until when the wall was watched.
+
+    **Example:**
+
+    >>> sweep = gx.resonance.transmission([0.5, 0.7, 1.0], beads=5)
+    >>> sweep.beads, sweep.peak_force.shape
+    (5, (3,))
     """
 
     held: ClassVar[dict[str, Held]] = {
@@ -46,6 +52,13 @@ class Extrema(Result):
     """What `refine` returns: local minima (`resonances`) and maxima (`anti_resonances`) of the transmission, (k,) each.
 
     `resonance_transmission`, `anti_resonance_transmission`: the transmission there. Ratios ascend.
+
+    **Example:**
+
+    >>> sweep = gx.resonance.transmission([0.5, 0.7, 1.0], beads=5)
+    >>> found = gx.resonance.refine(sweep, accuracy=0.02)
+    >>> [round(float(x), 6) for x in found.anti_resonance_transmission]
+    [1.0]
     """
 
     held: ClassVar[dict[str, Held]] = {
@@ -90,6 +103,12 @@ def transmission(
     **Returns:** `Transmission`; NaN where a run did not complete. **Raises** ValueError for ratios outside (0, 1],
     N < 3 or a shorter run. Typical: N = 101, T = 0.21 at 0.595.
     Source: Jayaprakash, Starosvetsky, Vakakis, Phys. Rev. E 83, 036606 (2011).
+
+    **Example:**
+
+    >>> sweep = gx.resonance.transmission([0.5, 0.7, 1.0], beads=5)
+    >>> print(sweep.transmission.round(3))
+    [0.899 0.984 1.   ]
     """
     ratios = checked_ratios(ratios)
     beads = whole("beads", beads, LEAST_BEADS, "A dimer chain between walls.")
@@ -123,6 +142,12 @@ def refine(sweep: Transmission, *, accuracy: Scalar = 1e-4, progress: bool = Fal
     progress bar.
 
     **Returns:** `Extrema`. **Raises** ValueError for fewer than three different ratios or transmissions that are NaN.
+
+    **Example:**
+
+    >>> sweep = gx.resonance.transmission([0.5, 0.7, 1.0], beads=5)
+    >>> gx.resonance.refine(sweep, accuracy=0.02).anti_resonances.tolist()  # the monomer
+    [1.0]
     """
     accuracy = float(tolerance("accuracy", accuracy, 1, 1e-4))
     ratios, first = np.unique(sweep.mass_ratio, return_index=True)

@@ -46,6 +46,12 @@ class ResonanceMap(Result):
     - `rate` (p, q): decay rate of the leading pulse per cell; 0 where it travels without loss, NaN where a run failed.
     - `force` (p, q): its largest contact force in the last of the cells.
     - `first` (p,), `second` (q,): the parameters, `names` what they are; `kind`; `cells`: between which it was read.
+
+    **Example:**
+
+    >>> record = gx.resonance.resonance_map("2:1", [0.5, 1.0], [1.0], cells=(2, 4))
+    >>> record.rate.shape, record.names
+    ((2, 1), ('ratio', 'stiffness'))
     """
 
     first: Float[np.ndarray, " p"]
@@ -110,6 +116,12 @@ def resonance_map(
     **Returns:** `ResonanceMap`. **Raises** ValueError for another kind, values not above zero, cells that are no such
     pair. Typical: 80 chains of 3:1 in a second.
     Source: Jayaprakash, Starosvetsky, Vakakis, Phys. Rev. E 83, 036606 (2011), and the review's references for N:1.
+
+    **Example:**
+
+    >>> record = gx.resonance.resonance_map("2:1", [0.5, 1.0], [1.0], cells=(2, 4))
+    >>> bool(abs(record.rate[1, 0]) < 0.01)  # a monomer
+    True
     """
     if not callable(kind):
         one_of("kind", kind, KINDS)

@@ -30,6 +30,12 @@ class Oscillations(Result):
 
     `count` (n,): swings of the light bead during one squeeze, to half a swing: 1, 2, 3, 4 at the anti-resonances 1,
     0.342846, 0.154751, 0.090128. `bead`: its number.
+
+    **Example:**
+
+    >>> found = gx.resonance.oscillations([1.0], bead=5)
+    >>> found.mass_ratio.tolist(), found.bead
+    ([1.0], 5)
     """
 
     held: ClassVar[dict[str, Held]] = {
@@ -55,6 +61,12 @@ def oscillations(ratios: Parameter, *, bead: Count = 41) -> Oscillations:
     **Returns:** `Oscillations`; NaN where a run did not complete. Between anti-resonances the count passes through half
     a swing more. **Raises** ValueError for ratios outside (0, 1] or a bead that is not light.
     Source: Jayaprakash, Starosvetsky, Vakakis, Phys. Rev. E 83, 036606 (2011).
+
+    **Example:**
+
+    >>> found = gx.resonance.oscillations([1.0], bead=5)
+    >>> found.count.tolist()  # once
+    [1.0]
     """
     ratios, bead = checked_ratios(ratios), whole("bead", bead, 1)
     if bead % 2 == 0:
@@ -93,6 +105,13 @@ def squeeze_count(left: Parameter, right: Parameter) -> float:
     **Arguments:** `left`, `right` (T,): compressions, of one pulse, in the order of time (or of -xi of a wave), dense
     enough to show the swings. **Returns:** a multiple of 1/2; NaN for numbers that are none.
     **Raises** ValueError for arrays that are not two such rows.
+
+    **Example:**
+
+    >>> t = np.linspace(-3, 3, 601)
+    >>> squeeze, z = np.exp(-t**2), 0.1 * np.sin(3 * np.pi * t) * np.exp(-t**2)
+    >>> gx.resonance.squeeze_count(squeeze + z, squeeze - z)
+    7.0
     """
     left, right = np.asarray(left, float), np.asarray(right, float)
     if left.ndim != 1 or left.shape != right.shape or len(left) < 3:

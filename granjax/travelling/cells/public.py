@@ -47,6 +47,13 @@ class CellWave(Result):
       truth [m].
     - `xi` (X,), `strains`, `velocities` (P, X): a table, on the box where it was solved; `strain` and `velocity` give
       any place, beyond the box that of the linear ripple.
+
+    **Example:**
+
+    >>> cell = lambda ratio: (gx.Hertz(), [1.0, ratio])
+    >>> wave = gx.travelling.tail_free(cell, 0.33, 0.35, speed=1.0)
+    >>> wave.strains.shape[0], bool(wave.converged)  # contacts of a cell
+    (2, True)
     """
 
     held: ClassVar[dict[str, Held]] = {
@@ -174,6 +181,12 @@ def cell_wave(
     Typical: Toda, masses (1, 0.9), 1.2 times the speed of sound: ripple 2.6 % of the peak.
     Source: Jayaprakash, Starosvetsky, Vakakis, Phys. Rev. E 83, 036606 (2011); Faver, Wright, SIAM J. Math. Anal. 50,
     473 (2018); Vainchtein, Starosvetsky, Wright, Perline, Phys. Rev. E 93, 042210 (2016).
+
+    **Example:**
+
+    >>> wave = gx.travelling.cell_wave(gx.Hertz(), [1.0, 0.342845781150], speed=1.0)  # at an anti-resonance
+    >>> round(float(wave.amplitude), 4), float(wave.ripple)
+    (0.6545, 0.0)
     """
     speed, origin = float(positive("speed", speed, "To the left runs the mirrored chain.")), {}
     if isinstance(law, Lattice):
@@ -262,6 +275,13 @@ def tail_free(
     **Returns:** `CellWave` with `parameter` (dimers of the sonic vacuum: 0.342845781150, any speed).
     **Raises** ValueError for an empty interval, a cell that does not fit; RuntimeError where `throw` and nothing was
     found between `low` and `high`.
+
+    **Example:**
+
+    >>> cell = lambda ratio: (gx.Hertz(), [1.0, ratio])
+    >>> wave = gx.travelling.tail_free(cell, 0.33, 0.35, speed=1.0)
+    >>> round(float(wave.parameter), 6)  # the first anti-resonance of dimers
+    0.342846
     """
     speed = float(positive("speed", speed, "To the left runs the mirrored chain."))
     low, high = float(parameter("low", low)), float(parameter("high", high))

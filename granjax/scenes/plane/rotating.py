@@ -1,0 +1,94 @@
+"""A straight chain of beads that move across it and turn."""
+
+import jax.numpy as jnp
+
+from ...checks import non_negative, one_of, whole
+from ...entry import checked
+from ...lattice import Lattice
+from ...laws import Law, Linear
+from ...strains import BOUNDARIES
+from ...types import Count, Parameter, Scalar
+from ...units import SCALED
+from .build import SPHERE, built, laws_of, motion_of
+from .cells import CHAIN
+
+
+@checked
+def rotating_chain(
+    sites: Count, *, mass: Parameter = 1.0, stiffness: Parameter = 1.0, exponent: Parameter = 1.5,
+    precompression: Scalar = 0.01, law: Law | None = None, tangential: Scalar | Law | None = None,
+    bending: Scalar | Law = 0.0, attraction: Scalar = 0.0, inertia: Scalar = SPHERE, spacing: Scalar = 1.0,
+    boundary: str = "fixed", units: str = SCALED,
+) -> Lattice:
+    r"""Straight chain of beads that turn: u = (u_x, u_y, s) of each, s = R theta anticlockwise, R = L/2.
+
+    Of neighbours the normal force F acts along their line of centres (`gx.Stretch`), the tangential spring k_t on the
+    slip s_n + s_{n+1} - L phi, phi the angle of that line (`gx.strains.Slip`), and the bending stiffness k_b, the
+    resistance to rolling, on s_n - s_{n+1} (`gx.strains.Along`). Longitudinal waves are those of `monomer`; waves
+    across turn the beads. With J = `inertia`, the net force over the length f = (F0 - T)/L of a bond, and c = cos k:
+
+        m omega^2 (u_y, J^{1/2} s) = [[a, i b], [-i b, d]] (u_y, J^{1/2} s),
+        a = 2 (k_t - f)(1 - c),  b = 2 k_t sin(k)/J^{1/2},  d = (2 k_t (1 + c) + 2 k_b (1 - c))/J,
+        m omega^2 = (a + d)/2 +- (((a - d)/2)^2 + b^2)^{1/2}.
+
+    The upper one begins at m omega^2 = 4 k_t/J, where beads turn in place; at k = pi they are 4 (k_t - f) and 4 k_b/J.
+    With f = 0 the lower one begins as k^2, and the upper one has zero group velocity, at its highest, for
+    (1 - J) k_t < k_b < (1 + J) k_t, at 1 - c = 4 k_t D/(4 J k_t k_b - D^2), D = k_b - (1 - J) k_t. Without k_b the
+    lower one is zero for every k: beads roll on each other like gears. A chain that is pressed together, f > 0, buckles
+    at long waves, about k^2 < 4 f/k_b: guides hold it, or an attraction (magnets, a stretched string).
+
+    **Arguments:**
+
+    - `sites`: N >= 2. `mass`: m, a number or one per bead. `stiffness` (A, or one per contact), `exponent`,
+      `precompression` F0: of the contacts as in `monomer`; `exponent=1`: springs. `law`: in their place.
+    - `tangential`: k_t or a law of the slip; `None` for Mindlin's 0.82 K2 of nu = 0.3. `bending`: k_b or a law of
+      s_n - s_{n+1}; a moment of k_b R^2 per radian; of a contact of radius a it is (a/R)^2 K2 at most, far below k_t.
+    - `attraction`: T >= 0 [N], a constant force that pulls neighbours together; T = F0 leaves no net force.
+    - `inertia`: J in m R^2, 2/5 for a sphere, 1/2 for a disk. `spacing`: L = 2R.
+    - `boundary`: `"fixed"` (beads at rest that do not turn at both ends), `"free"` (F0 - T held at the ends),
+      `"periodic"`.
+
+    Contacts do not slide here: `gx.measures.slip_ratio` says when they would, |T|/N above the friction coefficient.
+
+    **Returns:** a `Lattice`, u of shape (sites, 3), with positions (n L, 0). **Raises** ValueError for another
+    boundary, contacts without static load and without `tangential`. Source: Merkel, Tournat, Gusev, Phys. Rev. E 82,
+    031305 (2010); Allein, Tournat, Gusev, Theocharis, Appl. Phys. Lett. 108, 161903 (2016).
+
+    **Example:**
+
+    >>> chain = gx.scenes.rotating_chain(8, tangential=0.5, bending=0.1, attraction=0.01, boundary="periodic")
+    >>> bands = gx.linear.dispersion(chain, jnp.pi).omega_squared
+    >>> [round(float(x), 6) for x in bands]   # 4 k_b/J, 4 K2, 4 k_t
+    [1.0, 1.292661, 2.0]
+    """
+    sites = whole("sites", sites, 2, "A chain has at least two beads.")
+    one_of("boundary", boundary, BOUNDARIES)
+    laws = laws_of(CHAIN, law, (stiffness,), exponent, precompression)
+    motion = motion_of(laws, False, True, tangential, inertia)
+    if isinstance(bending, Law) or not (isinstance(bending, (int, float)) and bending == 0):
+        rolling = bending if isinstance(bending, Law) else Linear(non_negative("bending", bending))
+        motion = motion._replace(rolling=rolling)
+    if not (isinstance(attraction, (int, float)) and attraction == 0):
+        motion = motion._replace(pull=_Pull(non_negative("attraction", attraction)))
+    return built(CHAIN, (sites,), laws, motion, mass=mass, spacing=spacing, boundary=boundary, outline="cells",
+                 on_site=None, units=units)
+
+
+class _Pull(Law):
+    """A constant force that pulls: F0 = -T, and no stiffness of its own."""
+
+    dimensions = {"tension": (1, 0, 0)}
+    positive = ("tension",)
+    opens = False
+    is_linear = True
+    tension: jnp.ndarray
+
+    @property
+    def preload(self):
+        return -self.tension
+
+    def force(self, e):
+        return 0 * self.tension * e
+
+    def energy(self, e):
+        return 0 * self.tension * e
