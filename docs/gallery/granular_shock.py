@@ -1,0 +1,23 @@
+"""A dispersive shock of a granular chain between fitted edges
+
+Two halves of a precompressed chain collide. Dispersive-shock fitting asks the contact law for the speed of sound on
+either side, and says where the oscillation begins and ends (lines).
+
+:systems: granular dispersive shock
+:part: Shocks
+:number: mean strain of the plateau at c = 0.3, overlap 1/2, sound 1
+:expected: 0.54047944
+:within: 1e-4
+:source: a simulation by another method until t = 8000; El, Hoefer, Physica D 333, 11 (2016) on fitting
+"""
+import matplotlib.pyplot as plt
+import numpy as np
+
+import granjax as gx
+
+law = gx.Hertz(2 * 2**0.5 / 3, precompression=1 / 3)
+chain = gx.Lattice(1.0, gx.Bond(gx.Shift(1, "free"), law), sites=340)
+shock = gx.shocks.space_time(gx.shocks.velocity_shock(chain, 0.3), 130.0, frames=101)
+number = float(np.average(shock.strain[-1, 120:220], weights=np.hanning(100)))
+ax = plt.subplots(figsize=(5.4, 3.2), layout="constrained")[1]
+gx.plots.shock_map(shock, ax, edges={"fitting": gx.theory.shock_edges(law, 0.3)})

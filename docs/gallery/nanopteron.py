@@ -1,0 +1,23 @@
+"""A nanopteron: a solitary wave on a ripple that never ends
+
+In a precompressed dimer an optical wave keeps pace with any supersonic pulse, which therefore rides on a ripple that
+reaches to infinity on both sides. Its wave number is that at which the optical branch has the phase speed of the
+pulse.
+
+:systems: nanoptera in dimers
+:part: Travelling waves
+:number: wave number of the ripple, measured in the tail, in rad per site
+:expected: 1.5746031
+:within: 0.001
+:source: c k = omega(k) of the optical branch, to the square of the ripple; Vainchtein et al., Phys. Rev. E 93, 042210
+"""
+import matplotlib.pyplot as plt
+
+import granjax as gx
+
+law, masses = gx.Hertz(precompression=1.0), [1.0, 0.5]
+sound = (1.5 / 0.75) ** 0.5
+wave = gx.travelling.cell_wave(law, masses, speed=1.1 * sound)
+number = float(wave.wavenumber)
+ax = plt.subplots(figsize=(5.4, 3.2), layout="constrained")[1]
+gx.plots.cell_wave(wave, ax)

@@ -1,0 +1,128 @@
+"""Pages of what is stored: the gallery with its pictures and numbers, the review's figures, notebooks."""
+
+import json
+import shutil
+import sys
+from pathlib import Path
+
+from PIL import Image
+from reference import keep
+
+import granjax as gx
+
+HERE = Path(__file__).parent
+sys.path.insert(0, str(HERE / "gallery"))
+
+import examples  # noqa: E402
+
+PARTS = (
+    "Lattices", "Travelling waves", "Breathers", "Shocks", "Beyond the granular chain", "Disorder and losses",
+    "Topology and flat bands", "The plane", "Data", "Devices",
+)
+THUMB = (260, 180)
+
+
+def write(docs: Path) -> None:
+    """All pages."""
+    made = json.loads((docs / "gallery" / "made.json").read_text())
+    # what was not made yet has no page (tests/test_gallery.py asks for all of them)
+    known = {name: one for name, one in examples.every().items() if name in made}
+    thumbs = docs / "gallery" / "thumbs"
+    thumbs.mkdir(exist_ok=True)
+    for name in known:
+        _thumb(docs / "gallery" / "pictures" / f"{name}.png", thumbs / f"{name}.webp")
+    pages = {f"{name}.md": _page(one, made[name]) for name, one in known.items()}
+    keep(docs / "gallery", {"index.md": _sheet(known), **pages})
+    (docs / "gallery" / "sheet.txt").write_text("\n".join(sheet(known, "/gallery/", "###")))
+    (docs / "figures" / "index.md").write_text(_figures(json.loads((docs / "figures" / "made.json").read_text())))
+    _notebooks(docs)
+
+
+def _thumb(picture, thumb):
+    if not thumb.exists() or thumb.stat().st_mtime < picture.stat().st_mtime:
+        image = Image.open(picture).convert("RGB")
+        image.thumbnail((2 * THUMB[0], 2 * THUMB[1]))
+        image.save(thumb, quality=60, method=6)
+
+
+def sheet(known: dict, root: str = "", mark: str = "##") -> list[str]:
+    """The contact sheet: a card with a thumbnail for each example, by parts."""
+    lines = []
+    for part in PARTS:
+        inside = [one for one in known.values() if one.part == part]
+        if not inside:
+            continue
+        lines += [f"{mark} {part}", "", "::::{grid} 2 3 4 4", ":gutter: 2", ""]
+        for one in inside:
+            lines += [f":::{{grid-item-card}} {one.title}", f":link: {root}{one.name}", ":link-type: doc",
+                      f":img-top: {root}thumbs/{one.name}.webp", f":img-alt: {one.title}", ":class-card: thumb", ":::",
+                      ""]
+        lines += ["::::", ""]
+    return lines
+
+
+def _sheet(known):
+    head = [
+        "# Gallery", "", f"Every system that the review *Dynamics of Nonlinear Lattices* names, each in at most "
+        f"{examples.MOST_LINES} lines: {len(known)} scripts,", "each with a picture and one number beside its source.",
+        "", "```{toctree}", ":hidden:", *known, "```", "",
+    ]
+    return "\n".join(head + sheet(known))
+
+
+def _page(one, made):
+    return "\n".join([
+        f"# {one.title}", "", one.words, "", f"```{{image}} pictures/{one.name}.png", f":alt: {one.title}", "```", "",
+        "```{list-table}", f"* - {one.number}", f"  - {made['number']:.10g}", "* - expected",
+        f"  - {one.expected:.10g}, within {one.within:.2g}", "* - source", f"  - {one.source}", "* - time",
+        f"  - {made['seconds']:.0f} s on one core, compiling included", "* - systems",
+        f"  - {', '.join(one.systems)}", "```", "", f"```{{literalinclude}} {one.name}.py", ":language: python",
+        f":lines: {_begin(one)}-", "```", "",
+    ])
+
+
+def _begin(one):
+    """The first line of an example's file after its docstring."""
+    text = (HERE / "gallery" / f"{one.name}.py").read_text()
+    head = text[: text.index('"""', 3)]
+    return head.count("\n") + 2
+
+
+def _figures(made):
+    lines = [
+        "# The review's figures", "",
+        "The sixteen figures of *Dynamics of Nonlinear Lattices* (C. Chong and P. G. Kevrekidis), each computed anew,",
+        "with one number beside what is expected of it. `granjax reproduce fig2.2` makes one, `--all --check` all.",
+        "", "```{contents}", ":local:", ":depth: 1", "```", "",
+    ]
+    for label, figure in gx.reproduce.figures().items():
+        lines += [
+            f"## {label}: {figure.title}", "", figure.caption.replace("<", r"\<").replace("*", r"\*"), "",
+            f"```{{image}} {label}.webp", f":alt: {figure.title}", "```", "",
+            f"**{figure.quantity}:** {made[label]['number']:.10g}; {figure.expected:.10g} expected, within "
+            f"{figure.tolerance:.2g} ({figure.source}); {made[label]['seconds']:.0f} s.", "",
+        ]
+        if figure.chosen:
+            rows = ((name, f"{c.value} {c.unit}".strip(), c.about) for name, c in figure.chosen.items())
+            chosen = "; ".join(f"`{name}` = {value} ({about})" for name, value, about in rows)
+            lines += [f"Chosen here, as the review does not say: {chosen}.", ""]
+    return "\n".join(lines)
+
+
+def _notebooks(docs):
+    """Copies of the notebooks with their stored outputs, and a page that lists them."""
+    folder = docs / "notebooks"
+    folder.mkdir(exist_ok=True)
+    names = []
+    for path in sorted((docs.parent / "notebooks").iterdir()):
+        if path.suffix == ".ipynb":
+            names.append(path.stem)
+        copy = folder / path.name
+        if not copy.exists() or copy.read_bytes() != path.read_bytes():
+            shutil.copy(path, copy)
+    for old in folder.glob("*.ipynb"):
+        if old.stem not in names:
+            old.unlink()
+    page = ["# Notebooks", "", "One published result each, with its number; shown as they ran.", "", "```{toctree}",
+            ":maxdepth: 1", *names, "```", ""]
+    (folder / "index.md").write_text("\n".join(page))
