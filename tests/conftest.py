@@ -1,7 +1,7 @@
 """granjax is imported before JAX starts computing, so that its float type and XLA flags are in force for every test.
 
-Before that the import hook is set, with which every annotation is checked (tests/typed.py). A process that only hands
-tests to others imports neither.
+Before that the import hook is set for the fast tests, with which every annotation is checked (tests/typed.py); it
+lengthens traces. A process that only hands tests to others imports neither.
 
 Most of the tests' time is compiling programs that run once. So they are compiled cheaply, unless XLA_FLAGS is set
 (`XLA_FLAGS= pytest` compiles as a user's programs are; the numbers are the same to rounding), and what was compiled is
@@ -16,8 +16,9 @@ from pathlib import Path
 import pytest
 
 KEPT_FOR = 14 * 24 * 3600
-# bytes of a worker above which programs are let go where a module ends, and anywhere
-MUCH, MOST = 1.2e9, 2.4e9
+# a worker of more bytes than these, or than its part of this share of the machine's, lets programs go where a module
+# ends; anywhere from twice as many on
+MUCH, SHARE = 1.2e9, 0.2
 WORKER = os.environ.get("PYTEST_XDIST_WORKER")
 
 
@@ -25,25 +26,26 @@ def pytest_configure(config):
     """What has to come before the first computation, and before a module of tests is imported."""
     hands_out = config.getoption("numprocesses", None) and not config.getoption("collectonly")
     if WORKER or not hands_out:
-        # programs of the slow tests run long enough to be worth the optimiser
-        config.programs = _prepare("not slow" in config.getoption("markexpr"))
+        asked = config.getoption("markexpr")
+        config.programs = _prepare(typed_too="not slow" in asked, long=asked == "study")
         _forget(config.programs)
 
 
-def _prepare(run_once):
-    """Flags, import hook, granjax; the folder of compiled programs, or None. `run_once`: most of them run once."""
+def _prepare(typed_too, long):
+    """Flags, import hook, granjax; the folder of compiled programs, or None. `long`: programs worth the optimiser."""
     import jax
-    import typed
 
     # XLA ends a process whose flags it does not know, and has let go of the last one
     cheap = "--xla_llvm_disable_expensive_passes=true --xla_cpu_parallel_codegen_split_count=1"
-    if run_once:
+    if not long:
         cheap += " --xla_backend_optimization_level=0"
     if jax.__version_info__ < (0, 12):
         cheap += " --xla_cpu_use_fusion_emitters=false"
     os.environ.setdefault("XLA_FLAGS", cheap)
     # older versions trace literals of a class of their own, which no annotation knows
-    if jax.__version_info__ >= (0, 10):
+    if typed_too and jax.__version_info__ >= (0, 10):
+        import typed
+
         typed.install()
 
     from granjax import tuning
@@ -84,6 +86,15 @@ def pytest_collection_finish():
     gc.freeze()
 
 
+def _much():
+    """Bytes above which a worker lets programs go."""
+    try:
+        there = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+        return max(MUCH, SHARE * there / int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", 1)))
+    except (AttributeError, ValueError):
+        return MUCH
+
+
 def _memory():
     """Resident bytes of this process; 0 where the system does not say."""
     try:
@@ -94,7 +105,7 @@ def _memory():
 
 def pytest_runtest_teardown(item, nextitem):
     """Compiled programs are let go, most where a module ends: a worker would grow to many GB."""
-    if nextitem is not None and _memory() > (MUCH if item.path != nextitem.path else MOST):
+    if nextitem is not None and _memory() > _much() * (1 if item.path != nextitem.path else 2):
         import granjax
 
         granjax.clear()

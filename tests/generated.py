@@ -462,7 +462,11 @@ OWN = {
         "packing.packing", "lattices.square", "lattices.triangular")), lambda: 3),
     "scenes.plane.packing.packing.radius": lambda: 0.01, "strains.along.Along.direction": lambda: [1.0, 0.0],
     "scenes.plane.networks.junction.branches": lambda: [3, 3], "scenes.plane.networks.junction.stem": lambda: 3,
-    **dict.fromkeys((f"topology.{name}.lattice" for name in ("berry_curvature", "chern", "valley_chern")),
+    "scenes.plane.networks.network.nodes": lambda: [[0.0, 0.0], [3.0, 0.0], [6.0, 1.0]],
+    "scenes.plane.networks.network.edges": lambda: [(0, 1), (1, 2)], "scenes.plane.networks.network.beads": lambda: 3,
+    "linear.gauge.smooth_gauge.vectors": lambda: np.ones((4, 1, 1)),
+    **dict.fromkeys((f"topology.{name}.lattice" for name in (
+        "berry_curvature", "chern", "polarisation", "valley_chern")),
                     lambda: gapped),
     "topology.quadrupole.lattice": lambda: squares,
     "topology.winding.lattice": lambda: gx.scenes.ssh(5, boundary="periodic"),

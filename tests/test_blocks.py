@@ -111,7 +111,7 @@ class Softened(gx.Law):
         return self.stiffness * self.size**2 * jnp.log(jnp.cosh(e / self.size))
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("law", few([
     gx.Linear(1.3), gx.Hertz(1.0, 1.0) + gx.Linear(0.2), Softened(jnp.linspace(0.5, 1.5, 131), jnp.ones(1)),
 ], -1), ids=["linear", "sum", "own"])

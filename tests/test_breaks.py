@@ -100,6 +100,7 @@ def test_adaptive_steps_land_on_breaks(solver):
         assert int(blind.stats["steps"]) > 5 * int(run.stats["steps"])
 
 
+@pytest.mark.slow
 def test_frames_and_records_between_breaks():
     run = gx.simulate(make(), START, 4.0, step=0.11, save_at=[0.7, 2.3, 4.0],
                       record={"way": gx.Integral(lambda t, y, lattice: y.v)})
@@ -130,7 +131,7 @@ def test_multipliers_of_a_lattice_whose_stiffness_jumps():
     assert gap.max() < 1e-9 and (gap <= np.asarray(found.error) + 1e-13).all()
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_breaks_in_other_units_and_in_lanes():
     units = gx.scenes.Units(3e-3, 2e-6, 5e-5)
     scaled = gx.scenes.scaled(make(), units=units).lattice

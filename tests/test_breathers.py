@@ -86,12 +86,13 @@ def test_a_breather_by_the_family_and_by_a_state_is_the_same(short):
         assert float(b.energy) == pytest.approx(short.energy[i], rel=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_breather_by_the_envelope_is_the_family_s():
     by_family, by_envelope = (gx.breathers.breather(dimer(121), 0.985 * OMEGA2, seed) for seed in (None, "bright"))
     assert float(by_envelope.energy) == pytest.approx(float(by_family.energy), rel=1e-9)
 
 
+@pytest.mark.slow
 def test_newton_that_fails_says_how_far_it_came():
     chain = dimer(25)
     rough = gx.State(2.0 * jnp.cos(jnp.arange(25.0) ** 2), jnp.zeros(25))
@@ -121,7 +122,7 @@ def test_what_does_not_exist_is_refused_with_the_reason(ask, words):
         ask()
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_dark_breather_in_its_band_is_not_refused():
     b = gx.breathers.breather(monomer(32), 0.97 * 6**0.5, "dark")
     strain = np.abs(gx.measures.strain(b.lattice, b.state))
@@ -157,7 +158,7 @@ def test_one_site_at_the_anticontinuous_limit():
         gx.breathers.guesses.single_site(chain, 0.5, 3)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_light_beads_between_heavy_ones_tend_to_their_own_limit():
     omega = 0.995 * 3**0.5
 
@@ -220,7 +221,7 @@ def five_points(f, h):
     return (8 * (f(1 + h) - f(1 - h)) - (f(1 + 2 * h) - f(1 - 2 * h))) / (12 * h)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_the_frequency_at_constant_energy_is_differentiable(seed15):
     near = gx.breathers.breather(dimer(15), 0.986 * OMEGA2, seed15.state, energy=float(seed15.energy), steps=48)
     assert float(near.omega) == pytest.approx(float(seed15.omega), rel=1e-9)
@@ -275,7 +276,7 @@ ENVELOPES = {"dark Hertz": (184, 0.004), "bright p = 1/2": (141, 0.002), "dimer'
 NEARER = {"dark Hertz": (260, 0.002), "bright p = 1/2": (201, 0.001), "dimer's optical edge": (241, 0.001)}
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("scenes", [ENVELOPES, pytest.param(NEARER, marks=pytest.mark.study)], ids=["", "nearer"])
 @pytest.mark.parametrize("case", ENVELOPES)
 def test_the_error_of_the_envelope_is_proportional_to_the_shift(case, scenes):
@@ -304,7 +305,7 @@ def test_the_error_of_the_envelope_is_proportional_to_the_shift(case, scenes):
     assert slope == pytest.approx(1.0, abs=0.1), errors
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("case", ["softening at pi", "Hertz dimer's optical bottom"])
 def test_modulational_instability_grows_at_the_envelopes_rate(case):
     cells, a = 100, 0.1
@@ -329,7 +330,7 @@ def test_modulational_instability_grows_at_the_envelopes_rate(case):
     np.testing.assert_allclose(found[:2], expected[0], rtol=0.05)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_no_modulational_instability_in_the_hertz_monomer():
     chain = monomer(40, boundary="periodic")
     wave = gx.State(0.05 * (-1.0) ** np.arange(40), np.zeros(40))
@@ -342,7 +343,7 @@ def test_no_modulational_instability_in_the_hertz_monomer():
 # --------------------------------------------------------------------------------------------------- published numbers
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("fraction, E, u, largest", [
     (0.9900, 2.6192908, (0.6377287, 0.0398740, -0.4638610), 1.0),
     (0.9875, 2.7263022, (0.7122202, 0.0471627, -0.4697628), 1.0),
@@ -360,7 +361,7 @@ def test_light_centred_breathers_of_the_dimer(fraction, E, u, largest):
     assert fl.defect < 1e-12
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_the_real_pair_leaves_where_the_energy_has_its_extremum():
     br = gx.breathers.family(dimer(81), until=0.98 * OMEGA2, longest_arclength=0.1)
     assert "reached" in br.outcome
@@ -370,7 +371,7 @@ def test_the_real_pair_leaves_where_the_energy_has_its_extremum():
     assert at["extremum of energy"] / OMEGA2 == pytest.approx(0.9866761, abs=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_the_heavy_centred_family_is_real_unstable():
     br = gx.breathers.family(dimer(121, "heavy"), until=0.98 * OMEGA2, longest_arclength=0.1)
     assert "reached" in br.outcome
@@ -379,7 +380,7 @@ def test_the_heavy_centred_family_is_real_unstable():
     assert np.all(br.verdict[below] == "unstable") and np.all(np.abs(largest.imag) < 1e-6) and np.all(largest.real > 1)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_the_dark_breather_of_the_monomer():
     chain = monomer(82)
     b = gx.breathers.breather(chain, 0.99 * 6**0.5, "dark", steps=96)
@@ -398,7 +399,7 @@ def test_the_dark_breather_of_the_monomer():
     assert np.abs(end).max() < 1e-11
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("gap", [0, 1])
 def test_trimers_have_breathers_in_each_gap(gap):
     chain = gx.scenes.trimer(61, (0.5, 0.25), precompression=1.0, boundary="free")
@@ -409,7 +410,7 @@ def test_trimers_have_breathers_in_each_gap(gap):
     assert gx.measures.participation(energy) < 20
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_alternating_softening_and_hardening_contacts():
     chain = dimer(41, law=gx.PowerLaw(1.0, np.where(np.arange(40) % 2, 1.5, 0.5), 1.0))
     found = gx.linear.bands(chain)
@@ -418,7 +419,7 @@ def test_alternating_softening_and_hardening_contacts():
     assert len(br) > 3 and np.isfinite(br.multipliers).all()
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_defects_lead_from_their_modes_to_the_dimers_optical_band():
     # light beads of mass 1/2 at every other of n places in a monomer, whose band ends at sqrt 6; of the dimer the
     # optical band is sqrt 6 ... 3
@@ -436,7 +437,7 @@ def test_defects_lead_from_their_modes_to_the_dimers_optical_band():
     assert np.all(np.diff(lowest) < 0) and np.all(np.diff(highest) > 0) and 3 - highest[-1] < 0.02
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_dark_breather_at_fixed_length():
     errors, shifts = [], np.array([0.0025, 0.005, 0.01])
     for shift in shifts:

@@ -54,7 +54,7 @@ def test_the_files_are_small():
     assert sum(path.stat().st_size for path in (ROOT / "data").iterdir()) < 1e6
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("name", CONSERVED)
 def test_references_keep_the_energy(name):
     scene = gx.canonical.scene(name)
@@ -166,7 +166,7 @@ RUNS = {
 }
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("name", few(list(RUNS), 0, 4, 7, -1))
 def test_an_accurate_run_agrees(name):
     scene = gx.canonical.scene(name)
@@ -188,7 +188,7 @@ def test_some_lanes_of_the_sweep_agree_one_by_one():
         assert bool(run.contact_opened)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_all_lanes_of_the_sweep_agree_at_a_fixed_step():
     scene = gx.canonical.scene("dimer_sweep")
     coarse, fine = (

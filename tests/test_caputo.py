@@ -108,7 +108,7 @@ def test_a_damped_oscillator_is_its_laplace_transform():
         assert errors[1] < 3e-5 and abs(np.log2(errors[0] / errors[1]) - 2) < 0.05
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_lanes_units_frames_and_both_modes_of_derivatives():
     orders = jnp.array([0.3, 0.5, 0.8])
     batch = jax.vmap(damped, out_axes=-1)(orders)

@@ -46,6 +46,7 @@ def chain(law, masses, sites=140):
     return gx.Lattice(np.resize(masses, sites), gx.Bond(gx.Shift(1, "free"), law))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("known", [
     ANTI_RESONANCES[0], *(pytest.param(x, marks=pytest.mark.slow) for x in ANTI_RESONANCES[1:])])
 def test_dimers_at_anti_resonances(known):
@@ -74,7 +75,7 @@ def test_the_ratio_does_not_depend_on_speed_or_units():
     assert wave.energy / (heavy * 3.1e4**2 * length**2) == pytest.approx(scaled.energy / 2.7**10, rel=1e-10)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_chain_knows_its_cell_and_its_units():
     chain = gx.scenes.beads(["steel 316", "aluminium 6061-T6"], 9.525e-3, 20.0, cells=8)
     wave = travelling.cell_wave(chain, speed=1.05 * float(gx.linear.sound_speed(chain)))
@@ -114,7 +115,7 @@ def optical(masses, speed, stiffness=1.0):
     return brentq(excess, 1e-3, 20.0, xtol=1e-14)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("law, masses, over", [
     (TODA, [1.0, 0.5], 1.02),
     pytest.param(gx.Polynomial(1.0, 0.25, 0.0), [1.0, 0.5], 1.02, marks=pytest.mark.study),
@@ -131,7 +132,7 @@ def test_nanoptera_ride_on_the_optical_wave_of_their_speed(law, masses, over):
     assert "ripple" in wave.outcome and np.isnan(wave.energy)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_nanopteron_runs_on_unchanged_and_its_ripple_grows_with_contrast():
     ripples = []
     for ratio in (0.98, 0.9):
@@ -146,7 +147,7 @@ def test_a_nanopteron_runs_on_unchanged_and_its_ripple_grows_with_contrast():
     assert np.abs(wave.strains[:, far]).max() == pytest.approx(wave.ripple, rel=0.02)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_no_box_has_a_smaller_ripple():
     law = gx.Hertz(1.0, 1.0)
     lattice = solving.chain_of(law, [1.0, 0.75], 1.1 * np.sqrt(3 / 1.75)).chain
@@ -173,7 +174,7 @@ def test_a_ripple_that_is_cut_off_ahead_grows_twice_as_high_behind():
     assert np.abs(behind).max() == pytest.approx(2 * wave.ripple, rel=0.1)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("law, ratio, over", [
     # each of these is confirmed below by the wave's own ripple there, which is zero
     (TODA, 0.3092496782, 1.1),
@@ -197,7 +198,7 @@ def test_a_wave_that_is_lost_at_its_own_speed_is_found_from_a_slower_one():
     assert wave.converged and 1e-3 < wave.ripple / wave.amplitude < 4e-3
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_alternating_stiffness():
     law = gx.Polynomial([1.0, 1.5], 0.25, 0.0)
     speed = 1.03 * np.sqrt(1 / np.mean([1.0, 1 / 1.5]))
@@ -231,6 +232,7 @@ def with_resonators(law, resonator, sites=140):
     return gx.Lattice(mass, (gx.Bond(gx.Shift(1, "free", "bead"), law), inner))
 
 
+@pytest.mark.slow
 def test_the_resonators_wave_without_tail():
     kappa = float(travelling.tail_free_stiffness(1.0, 0.1))
     assert kappa == pytest.approx(3.5889470549, abs=1e-10)
@@ -245,7 +247,7 @@ def test_the_resonators_wave_without_tail():
     assert wave.energy == pytest.approx(float(gx.measures.energy(lattice, wave.state(140, 60.3))), rel=1e-12)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_other_resonators_leave_a_ripple():
     ripples = []
     for factor in (0.9, 0.99, 1.0, 1.01):
@@ -257,7 +259,7 @@ def test_other_resonators_leave_a_ripple():
     assert ripples[0] > 10 * ripples[1] > 100 * ripples[2] == 0 and ripples[3] > 1e-9
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_with_precompression_the_same_stiffness_leaves_no_tail():
     law, speed = gx.Hertz(1.0, 1.0), 1.5
     kappa = float(travelling.tail_free_stiffness(speed, 0.2, 1.0, 2))
@@ -309,7 +311,7 @@ def test_other_powers_have_anti_resonances_too(exponent, ratio):
     assert moved(wave, lattice) < 1e-6
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_where_nothing_is_found():
     with pytest.raises(RuntimeError, match="almost without a stiffness"):
         travelling.cell_wave(gx.Hertz(1.0, 1e-8), [1.0, 0.5], speed=1.0)

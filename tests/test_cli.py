@@ -2,8 +2,11 @@
 
 import json
 import os
+import re
+import shlex
 import subprocess
 import sys
+from pathlib import Path
 from types import SimpleNamespace
 from typing import NamedTuple
 
@@ -13,7 +16,8 @@ import pytest
 import xarray as xr
 
 import granjax as gx
-from granjax.cli import main
+from granjax.cli import main, pages
+from granjax.cli.commands import _parser
 from granjax.work_precision import Ladder, measure
 
 SMALL = ["resonance", "--beads", "11", "--ratios", "12"]
@@ -27,7 +31,7 @@ def command(*arguments, cwd, **environment):
     )
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_resonance_from_a_shell(tmp_path):
     done = command(*SMALL, "--json", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
@@ -48,7 +52,7 @@ def test_resonance_from_a_shell(tmp_path):
         assert "A = 1" in data.attrs["units"]
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_the_command_makes_a_device_of_every_core(tmp_path):
     code = (
         "import jax; from granjax.cli.commands import _cores, _prepare; _prepare(False); "
@@ -61,7 +65,7 @@ def test_the_command_makes_a_device_of_every_core(tmp_path):
     assert done.stdout.strip() == "True", done.stderr
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_compiled_programs_are_kept_unless_asked_not_to(tmp_path):
     kept, none = tmp_path / "kept", tmp_path / "none"
     for place, switch in ((kept, ()), (none, ("--no-cache",))):
@@ -71,7 +75,7 @@ def test_compiled_programs_are_kept_unless_asked_not_to(tmp_path):
     assert command(*SMALL, cwd=tmp_path, GRANJAX_CACHE=str(kept)).stderr == "", "what is read back brings no warning"
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_resonance_prints_a_table(tmp_path, capsys):
     assert main([*SMALL, "--out", str(tmp_path / "made" / "here")]) == 0
     out = capsys.readouterr().out
@@ -84,6 +88,18 @@ def test_resonance_prints_a_table(tmp_path, capsys):
 def test_out_may_name_the_files(tmp_path):
     assert main([*SMALL, "--json", "--out", str(tmp_path / "other.nc")]) == 0
     assert sorted(path.name for path in tmp_path.iterdir()) == ["other.nc", "other.png"]
+
+
+def titles():
+    """Of the pages of the documentation."""
+    docs = Path(__file__).parents[1] / "docs"
+    return {page.read_text().partition("\n")[0].removeprefix("# ") for page in docs.rglob("*.md")}
+
+
+def page_named_in(text):
+    """The one page that a text names."""
+    (title,) = re.findall(r"See the page '([^']+)'", text)
+    return title
 
 
 @pytest.mark.parametrize(
@@ -112,9 +128,10 @@ def test_bad_input_is_one_sentence_and_code_2(arguments, message, tmp_path, caps
     complaint = [line for line in printed.err.splitlines() if "JAX has started" not in line]
     assert len(complaint) == 1
     assert message in complaint[0]
+    assert page_named_in(complaint[0]) in titles()
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_bad_input_from_a_shell(tmp_path):
     done = command("resonance", "--beads", "2", cwd=tmp_path)
     assert done.returncode == 2
@@ -130,7 +147,8 @@ def test_a_computation_that_fails_is_code_1(tmp_path, monkeypatch, capsys):
 
     monkeypatch.setattr(gx.resonance, "transmission", fail)
     assert main([*SMALL, "--out", str(tmp_path)]) == 1
-    assert "granjax: It did not complete." in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "granjax: It did not complete." in said and page_named_in(said) == pages.OUTCOMES
 
 
 def test_version_and_help(capsys):
@@ -141,6 +159,63 @@ def test_version_and_help(capsys):
     assert main([]) == 0
     out = capsys.readouterr().out
     assert "resonance" in out and "reproduce" in out
+
+
+COMMANDS = ("resonance", "sweep", "reproduce", "bench")
+
+
+def help_of(monkeypatch, capsys, *command):
+    monkeypatch.setenv("COLUMNS", "80")
+    with pytest.raises(SystemExit) as stop:
+        main([*command, "--help"])
+    assert stop.value.code == 0
+    lines = capsys.readouterr().out.rstrip("\n").split("\n")
+    assert max(map(len, lines)) <= 80
+    return lines
+
+
+def test_help_is_one_screenful_with_an_example_of_every_command(monkeypatch, capsys):
+    lines = help_of(monkeypatch, capsys)
+    assert 24 <= len(lines) <= 40
+    examples = [shlex.split(line) for line in lines if line.startswith(" " * 10 + "        granjax ")]
+    assert [example[1] for example in examples] == list(COMMANDS)
+    assert all(f"  {name} " in "\n".join(lines) for name in COMMANDS)
+    assert page_named_in("\n".join(lines)) == pages.START
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_of_a_command_ends_with_examples_and_a_page(name, monkeypatch, capsys):
+    lines = help_of(monkeypatch, capsys, name)
+    assert page_named_in(lines[-1]) in titles()
+    examples = lines[lines.index("examples:") + 1 : -2]
+    assert 1 <= len(examples) <= 2
+    for line in examples:
+        arguments = _parser().parse_args(shlex.split(line)[1:])
+        assert arguments.page == page_named_in(lines[-1])
+
+
+def test_pages_that_are_named_exist():
+    named = {title for name, title in vars(pages).items() if name.isupper()}
+    assert len(named) == 6 and named <= titles()
+
+
+def test_an_error_names_the_page_that_explains_it(tmp_path, capsys):
+    file = tmp_path / "a.toml"
+    file.write_text("[scene]\nkind = 'dimer'\nsites = 8\n[vary]\nratio = [0.5, 1.0]\n[run]\nuntil = 2\n"
+                    "[record]\nlast = {kind = 'final', of = 'energy'}\n[start]\nkind = 'impact'\n")
+    begun = tmp_path / "b.nc.chunks"
+    begun.mkdir()
+    stored = tmp_path / "b.toml"
+    stored.write_text(file.read_text() + "[result]\nstore = 'b.nc'\n")
+    cases = {
+        ("sweep", "none.toml"): pages.FILE, ("sweep", str(file), "--nothing"): pages.FILE,
+        ("sweep", str(file), "--resume"): pages.RESUME, ("sweep", str(file), "--workers", "9999"): pages.CLUSTER,
+        ("sweep", str(stored), "--out", str(tmp_path)): pages.RESUME, ("bench", "nowhere"): pages.METHOD,
+        ("resonance", "--beads", "x"): pages.START, ("sing",): pages.START,
+    }
+    for arguments, page in cases.items():
+        assert main([*arguments]) == 2
+        assert page_named_in(capsys.readouterr().err) == page, arguments
 
 
 def test_reproduce_lists_the_figures(capsys):
@@ -305,6 +380,7 @@ def test_bench_says_what_it_takes_and_runs_the_quick_scenes_first(timed):
     assert printed.out.index("quick:") < printed.out.index("middle:")
 
 
+@pytest.mark.slow
 def test_bench_ends_within_its_time_on_a_slow_machine_and_does_more_on_a_fast_one(timed):
     code, printed, files, _ = timed(pace=4.0)
     assert code == 0 and len(files) == 2 and "quick" in files[0]

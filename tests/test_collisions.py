@@ -26,7 +26,7 @@ def fast():
 
 
 @pytest.mark.parametrize(("way", "shifts"), [
-    pytest.param(1, (1.180269670641735, -2.360539341283469), marks=pytest.mark.slow),
+    pytest.param(1, (1.180269670641735, -2.360539341283469), marks=pytest.mark.study),
     pytest.param(-1, (0.2273362938026457, -0.4546725876052915), marks=pytest.mark.study)],
     ids=["overtaking", "head-on"])
 def test_two_solitons_of_toda_are_shifted_as_the_closed_form_says(fast, way, shifts):
@@ -54,7 +54,7 @@ def test_waves_to_the_left_are_mirror_images():
         np.testing.assert_allclose(collide(toda(1.0, -1), second, tolerance=1e-3).shifts, shifts, atol=1e-4)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_collision_in_steel_beads_is_that_in_scaled_numbers():
     chain = gx.scenes.beads("steel 316", 9.525e-3, 20.0, cells=12, boundary="free")
     sound = float(gx.linear.sound_speed(chain))
@@ -70,7 +70,7 @@ def test_a_collision_in_steel_beads_is_that_in_scaled_numbers():
     assert (np.abs(found.shifts - found.toda_shifts) > 10 * found.shift_errors).all()
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_stiffer_wall_sends_a_wave_back_earlier_towards_the_rigid_limit(fast):
     stiffness = np.array([50.0, 500.0])
     found, rigid = reflect(fast, gx.Linear(jnp.asarray(stiffness)), distance=58), reflect(fast, distance=58)
@@ -105,7 +105,7 @@ def test_beads_at_a_wall_of_beads():
     assert (found.energies < found.energy).all()
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_wall_of_young_s_modulus_in_si():
     chain = gx.scenes.beads("steel 316", 9.525e-3, 0.0, cells=12, boundary="free")
     wave, E = solitary_wave(chain, speed=500.0 / 19.05e-3), np.geomspace(2e9, 2e12, 4)

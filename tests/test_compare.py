@@ -47,7 +47,7 @@ def traces(velocity, seed, share=0.01, known=True):
     return gx.Traces(TIMES, velocity=made, sites=SENSORS, sigma=sigma if known else None)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_dissipation_is_told_apart():
     """Under 1 % of noise in all of 20 draws, half of each kind, at a rate of 0.005."""
     clean = {kind: measured(kind, 0.005) for kind in MODELS}
@@ -61,7 +61,7 @@ def test_dissipation_is_told_apart():
                    for name in parameters)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_where_the_data_do_not_decide_and_where_no_model_describes_them():
     lossless = compare(MODELS, traces(measured("on-site", 0.0), 0, 0.1), state=STATE)
     assert not lossless.decided and lossless.outcome.startswith("The data do not decide")

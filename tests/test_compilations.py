@@ -129,7 +129,7 @@ def phi4(coupling):
     return gx.scenes.klein_gordon(5, coupling)
 
 
-@also("anticontinuous", SLOW)
+@also("anticontinuous", STUDY)
 def _(seed):
     gx.breathers.anticontinuous(phi4, 0.02 + 0.001 * seed, 1.5 + 0.05 * seed, points=4)
 
@@ -234,7 +234,7 @@ def _(seed):
     gx.floquet.multipliers(gx.Flow(16), moving(seed), 0.0, 1.0 + 0.1 * seed, chain(seed))
 
 
-@also("what an orbit tells", SLOW)
+@also("what an orbit tells", STUDY)
 def _(seed):
     lattice = gx.driven.driven_chain(chain(seed), 0.05, 0.8, damping=0.25)
     orbit = gx.forced.forced_orbit(lattice, 2 * np.pi / 0.8, steps=32)
@@ -247,7 +247,7 @@ def wall_force(ratio, site):
     return {"force": run.recorded["force"][site], "error": run.record_error["force"][site]}
 
 
-@also("sweep of a function", SLOW)
+@also("sweep of a function", STUDY)
 def _(seed):
     gx.sweep(wall_force, {"ratio": [0.3, 0.5 + 0.1 * seed, 0.9], "site": [2, 4 - seed]}, progress=False)
 
@@ -307,7 +307,7 @@ def _(seed):
     el.incomplete_E(x, x), el.incomplete_Pi(x, x, x)
 
 
-@also("solitary_wave", SLOW)
+@also("solitary_wave", STUDY)
 def _(seed):
     for law in (gx.Hertz(1.0 + 0.1 * seed), gx.Toda(1.0 + 0.1 * seed)):
         wave = gx.travelling.solitary_wave(law, speed=1.3 + 0.01 * seed)
@@ -316,7 +316,7 @@ def _(seed):
     gx.states.solitary_wave(gx.scenes.monomer(9, stiffness=1.0 + seed), 4.0 + seed, speed=1.3)
 
 
-@also("Toda's and KdV's waves, compactons", SLOW)
+@also("Toda's and KdV's waves, compactons", STUDY)
 def _(seed):
     f, n, t = 1 + 0.1 * seed, np.arange(5.0), 0.3 + seed
     toda, kdv, compacton = gx.theory.toda, gx.theory.kdv, gx.theory.compacton
@@ -332,7 +332,7 @@ def _(seed):
     compacton.nesterenko(n, 1.5 * f), compacton.ahnert_pikovsky(n, 1.5 * f), compacton.rosenau_hyman(n, 2 * f)
 
 
-@also("cell_wave", SLOW)
+@also("cell_wave", STUDY)
 def _(seed):
     travelling, f = gx.travelling, 1 + 0.01 * seed
     stiffness = travelling.tail_free_stiffness(f, 0.1)
@@ -341,14 +341,14 @@ def _(seed):
     travelling.tail_free(lambda ratio: (gx.Hertz(f), [1.0, ratio]), 0.33, 0.36, speed=1.0).state(9)
 
 
-@also("collide and reflect", SLOW)
+@also("collide and reflect", STUDY)
 def _(seed):
     law, f = gx.Toda(1.0 + 0.1 * seed), (1.0 + 0.1 * seed) ** 0.5
     one, two = (gx.travelling.solitary_wave(law, speed=c * f) for c in (1.5, -1.4))
     repr(gx.travelling.collide(one, two)), repr(gx.travelling.reflect(one, gx.Toda(jnp.array([0.3, 3.0]) * f)))
 
 
-@also("measure a shock", SLOW)
+@also("measure a shock", STUDY)
 def _(seed):
     f = 1 + 0.1 * seed
     chain = gx.Lattice(1.0, (gx.Bond(gx.Shift(1, "free"), gx.Toda(f)),), sites=200)
@@ -359,7 +359,7 @@ def bump(x):
     return jnp.exp(-(x**2))
 
 
-@also("long_wave", SLOW)
+@also("long_wave", STUDY)
 def _(seed):
     own, f = gx.theory.long_wave, 1 + 0.1 * seed
     own.omega_squared(f, "strain"), own.regularised_wave(np.arange(3.0), 1.4 + 0.1 * seed, speed=f)
@@ -379,14 +379,14 @@ def _(seed):
     gx.theory.localisation.lyapunov_exponent(0.5 + 0.1 * seed, mass_deviation=0.1, correlations=[0.5])
 
 
-@also("dissipative_front", SLOW)
+@also("dissipative_front", STUDY)
 def _(seed):
     for law in (gx.Hertz(1.0 + 0.1 * seed), gx.Toda(1.0 + 0.1 * seed)):
         front = gx.shocks.dissipative_front(law, 1.0 + 0.01 * seed, dashpot=0.5 + 0.01 * seed)
         front.strain(0.3 + seed), front.velocity(0.2), front.displacement(0.2), front.state(9, 4.0 + seed), repr(front)
 
 
-@also("periodic_wave", SLOW)
+@also("periodic_wave", STUDY)
 def _(seed):
     law = gx.Toda(1.0 + 0.1 * seed)
     wave = gx.travelling.periodic_wave(law, 8.0 + seed, amplitude=0.2 + 0.1 * seed)
@@ -395,7 +395,7 @@ def _(seed):
     gx.travelling.family(law, speed=[1.5 + 0.1 * seed])
 
 
-@also("first_order", SLOW)
+@also("first_order", STUDY)
 def _(seed):
     chi = 3.0 + 0.1 * seed
     equation = gx.first_order.DNLS(8, 1.0, chi, order=0.5 + 0.1 * seed)
@@ -406,7 +406,7 @@ def _(seed):
     gx.fractional.to_the_right(0.5 + 0.1 * seed, 9)
 
 
-@also("self_trapping", SLOW)
+@also("self_trapping", STUDY)
 def _(seed):
     gx.first_order.self_trapping(dimer, 3.0 + 0.1 * seed, 5.0, 12.0 + seed, tolerance=0.05, frames=20)
 
@@ -415,7 +415,7 @@ def dimer(chi):
     return gx.first_order.DNLS(2, 1.0, chi, boundary="fixed")
 
 
-@also("spreading", SLOW)
+@also("spreading", STUDY)
 def _(seed):
     gx.studies.spreading(light_and_heavy, 20.0, samples=4, seed=4 * seed, frames=24, chunk=4, progress=False)
 
@@ -435,6 +435,11 @@ def relaxing(t, y, args):
     return -args * y
 
 
+@also("smooth_gauge")
+def _(seed):
+    gx.linear.smooth_gauge(np.random.default_rng(seed).normal(size=(8, 2, 2)), 1.0 + seed)
+
+
 @also("restitution")
 def _(seed):
     own, speed = gx.theory.restitution, np.linspace(0.1, 1.0 + seed, 4)
@@ -449,6 +454,7 @@ WITHIN = {
                      "scenes.long_range", "scenes.resonators", "scenes.softening",
                      "scenes.disorder", "scenes.fractional", "scenes.modulated", "scenes.on_site", "scenes.yielding",
                      "scenes.plane.chains", "scenes.plane.lattices", "scenes.plane.networks", "scenes.plane.packing",
+                     "scenes.plane.rotating",
                      "work_precision.measuring", "orbits.symmetry", "laws.power"),
                     "numbers, words and Python: no program of their own"),
     **dict.fromkeys(("exchange.datasets", "files", "fit.files", "reading.reader", "reading.tables"),

@@ -72,7 +72,7 @@ def test_a_step_that_time_does_not_resolve_ends_the_run():
     assert result == diffrax.RESULTS.dt_min_reached
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("scene", ["wall to wall", "free", "dimer"])
 def test_contact_loss_is_resolved_and_few_steps_are_refused(scene):
     chain = {
@@ -88,7 +88,7 @@ def test_contact_loss_is_resolved_and_few_steps_are_refused(scene):
         assert int(run.stats["rejected"]) < 0.5 * int(run.stats["steps"])
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_magnets_that_meet_end_the_run_with_a_sentence():
     # an exponent above -1: the energy that keeps them apart is finite
     chain = gx.scenes.monomer(6, exponent=-0.5, precompression=1.0)

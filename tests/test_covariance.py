@@ -621,6 +621,12 @@ def _(s):
     return found.flux, gx.topology.valley_chern(s.lattice, points=6)
 
 
+@row("polarisation", slow=(valleys,))
+def _(s):
+    found = gx.topology.polarisation(s.lattice, points=12)
+    return np.exp(2j * np.pi * found.polarisation), About(found.error)
+
+
 @row("force_network", slow=(crystal_of_beads,))
 def _(s):
     found = gx.measures.force_network(s.lattice, s.state)
@@ -1358,7 +1364,9 @@ def test_every_public_function_that_takes_a_lattice_is_in_the_table():
 LONG = {"breather", "simulate", "simulate_tolerance", "frequency_bound", "fit", "fit_from_zero", "family",
         "forced_orbit", "forced_branch", "settle", "sweep", "lyapunov"}
 LONGER = {"law_power law", "law_polynomial", "law_spline", "law_network", "physics_informed", "two_way",
-          "wall_modulus"}
+          "wall_modulus", "wave_family", "wave_orbit", "solitary_wave", "sound_bullet", "work_precision",
+          "forced_branch", "fit_gradient", "fit_windows", "fit_from_zero", "switch", "truth_table", "compare",
+          "leading", "family", "anticontinuous"}
 
 
 def cases():

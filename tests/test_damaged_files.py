@@ -196,7 +196,7 @@ def test_valid_files_are_read_right(valid, tmp_path):
         assert looked_at(key, data, tmp_path / "whole", valid) == "same", key
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_damaged_files_are_read_right_or_refused_in_a_sentence(valid, tmp_path):
     found = tried(300, tmp_path, valid)
     kinds = {"csv", "mat", "nc", "json", "npz", "kept 5", "kept 7.3", "kept csv"}

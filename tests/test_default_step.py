@@ -41,6 +41,7 @@ def highest_frequency(lattice, us):
 SLOW = ("granular 0.5", "granular 3", "granular strain", "Toda rarefaction", "FPUT", "softening")
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("case", [pytest.param(x, marks=pytest.mark.slow) if x in SLOW else x for x in SHOCKS])
 def test_a_shock_takes_at_most_three_times_the_steps_of_what_it_reaches(case):
     """h omega between 1/6 and 1/2 (and a tenth) with the frequencies of 41 frames; energy kept to 1e-8."""
@@ -77,7 +78,7 @@ PROBLEMS = {
 
 
 @pytest.mark.parametrize("case", [
-    x if x == "Toda parts" else pytest.param(x, marks=pytest.mark.slow if x in ("magnets part", "vacuum piston")
+    x if x == "Toda parts" else pytest.param(x, marks=pytest.mark.study if x in ("magnets part", "vacuum piston")
                                              else pytest.mark.study) for x in PROBLEMS])
 def test_what_extends_only_is_not_taken_to_be_pressed_together(case):
     """Rarefactions, pistons and held steps: the same, until their waves come to an end of the chain."""

@@ -18,7 +18,7 @@ def shaken(stiffness, step):
     return gx.simulate(chain, gx.states.impact(chain, velocity=0.1), 6.0, step=step).final.u[1]
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_kink_shows():
     """Against differences of runs at a fine step, whose error is of second order: within the error, which is large."""
     largest = 0.0
@@ -32,6 +32,7 @@ def test_a_kink_shows():
     assert largest > 0.02
 
 
+@pytest.mark.slow
 def test_a_smooth_derivative_is_known():
     found = gx.derivative(shaken, 1.3, 0.2)
     fine = gx.derivative(shaken, 1.3, 0.02)

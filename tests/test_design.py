@@ -17,6 +17,7 @@ def bowl(parameters):
     return (parameters["x"] - 1.5) ** 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", ["forward", "reverse"])
 def test_masses_that_put_the_edges_of_a_gap_where_they_are_wanted(mode):
     low, high = 0.9, 1.6
@@ -180,7 +181,7 @@ def test_refusals():
         design(bowl, {"x": 1.0}, max_steps=0)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_the_mass_ratio_that_lets_a_pulse_through():
     # first anti-resonance 0.342846, the zero of the asymptotic decay rate; here of contacts 40 -> 80
     def force(t, y, lattice):

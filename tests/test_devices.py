@@ -17,7 +17,7 @@ def with_defect(sites=6):
     return gx.scenes.beads("steel 316", radii, 8.0)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_left_is_right_at_small_amplitude():
     chain = with_defect()
     modes = np.asarray(gx.linear.normal_modes(chain).omega)

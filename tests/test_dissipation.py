@@ -61,7 +61,7 @@ def test_a_viscoelastic_contact_never_pulls_and_rests_under_its_load():
         gx.BrilliantovContact(FREE, 1.0, -1.0)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_viscoelastic_front_oscillates_below_the_critical_dashpot_of_its_linearisation():
     """Behind the front contacts of overlap y act as dashpots c y^{1/2}: the front of these says which is critical."""
     critical = float(gx.shocks.dissipative_front(gx.Hertz(), 1.0, dashpot=1.0).critical)

@@ -149,7 +149,7 @@ def test_a_sonic_vacuum_asks_for_steps():
         driven.settle(lattice, rest(lattice), 1.0)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_period_that_is_not_the_drive_s_is_refused():
     # in SI too, where the forces of a displacement of a metre drown those of the drive
     chain = gx.scenes.monomer(3, 28.2e-3, 1.0114e10, precompression=10.0)
@@ -210,7 +210,7 @@ def test_jumps_and_hysteresis_of_a_duffing_oscillator():
     np.testing.assert_allclose(found.up.response[outside], found.down.response[outside], rtol=1e-4)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_period_doubling_is_located_from_either_side():
     make = lambda force: duffing(force, **DOUBLE_WELL)
     found = driven.sweep(make, [0.24, 0.27, 0.282], lambda force: 2 * jnp.pi / 1.2, state=WELL, steps=48)
@@ -226,6 +226,7 @@ def test_a_period_doubling_is_located_from_either_side():
     assert "down" not in repr(alone).lower() and "down_response" not in alone.to_xarray()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("values, damping", [([0.95, 1.01], 0.01), ([0.9, 0.97, 0.998], 0.004)])
 def test_neither_a_steep_flank_nor_slow_settling_is_a_jump(values, damping):
     # an oscillator without nonlinearity has one attractor, which moves steadily; the budget is too small for the second
@@ -263,7 +264,7 @@ def test_a_second_sweep_compiles_nothing_and_follows_what_its_scene_reads():
     assert (run() < first).all()
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_what_has_settled_states_its_error_where_contacts_open():
     chain = gx.scenes.monomer(4, precompression=0.05**1.5)
     lattice = driven.driven_chain(chain, 0.065, 1.2, damping=0.15)
@@ -331,6 +332,7 @@ def test_the_double_well_is_chaotic_where_it_does_not_repeat():
     assert found.exponents.sum() == pytest.approx(-0.6, abs=1e-12)
 
 
+@pytest.mark.slow
 def test_the_top_of_samples_is_traced_and_differentiated():
     """Of a + b cos(t - c) it is a + b."""
     ts = 2 * np.pi * np.arange(64) / 64

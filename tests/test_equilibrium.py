@@ -17,6 +17,7 @@ def pair_forces(x):
     return np.sum(np.sign(away) * np.abs(away) ** P, 1)
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("boundary, length", [
     ("fixed", N + 1), pytest.param("free", N - 1, marks=pytest.mark.slow)])
 def test_magnets_between_ends_rest(boundary, length):
@@ -33,7 +34,7 @@ def test_magnets_between_ends_rest(boundary, length):
     np.testing.assert_array_equal(lattice.force(0.0, lattice.zeros(), lattice.zeros()), 0)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_equal_spacings_are_no_rest_and_the_outcome_says_so():
     magnets = gx.LongRange(np.arange(1.0, N) ** P, gx.PowerLaw(1.0, P, 1.0), "free", takes="strain")
     lattice = gx.Lattice(np.linspace(1, 2, N), magnets, sites=N)
@@ -106,6 +107,7 @@ def test_loads_that_stay_are_those_of_the_preloads_and_without_any_it_falls_apar
     assert abs(np.mean(apart.state.u)) < 1e-15
 
 
+@pytest.mark.slow
 def test_a_lattice_with_fields_and_its_gradient():
     lattice = gx.scenes.mass_in_mass(4, 0.5, 2.0, precompression=1.0)
     load = {"bead": jnp.full(4, 0.02), "resonator": jnp.full(4, 0.01)}
@@ -144,6 +146,7 @@ def test_in_si_as_in_scaled_numbers():
     assert found.verdict == scaled.verdict == "stable" and " N " in f"{found.outcome} "
 
 
+@pytest.mark.slow
 def test_lanes_by_vmap():
     stiffness = jnp.asarray([1.0, 2.0, 4.0])
     batch = jax.vmap(lambda A: gx.scenes.monomer(5, stiffness=A, precompression=1.0), out_axes=-1)(stiffness)

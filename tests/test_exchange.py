@@ -346,6 +346,7 @@ def test_fields_vectors_and_lanes_come_back_as_states():
 LAZY = (("nc", None), ("npz", None), ("mat", "7.3"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ending, version", LAZY)
 def test_what_is_read_lazily_is_what_is_there(ending, version, tmp_path):
     data = trajectory(("time", "site", "lane"), lane=np.arange(4)).assign(
@@ -428,7 +429,7 @@ print((after - before) / 1024, other / 1024)
 """
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.skipif(sys.platform != "linux", reason="sparse files, and what a process has held")
 def test_a_waveform_of_gigabytes_costs_what_is_looked_at(tmp_path):
     sparse(tmp_path)
@@ -468,6 +469,7 @@ def any_dataset(rng):
 WORDS = ["", "a", "a,b", '"', "'", "\n", "\r\n", "\r", "#", "# granjax_structure: {}", "\u00b5", "nan", "1.5", " "]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seeds", [range(8), pytest.param(range(8, 400), marks=pytest.mark.study)])
 def test_any_dataset_goes_through_every_format(tmp_path, seeds):
     for seed in seeds:
@@ -490,6 +492,7 @@ NASTY = (None, -1, 0, 2**70, 1e308, float("nan"), "", "u", "O", "M8[ns]", "<U999
          {"u": 1}, True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [150, pytest.param(5000, marks=pytest.mark.study)])
 def test_a_structure_that_somebody_made_up_gives_a_dataset_or_a_sentence(tmp_path, count):
     """What a file says of itself may be anything, with the right sum: no other error, no flood of memory, no code."""

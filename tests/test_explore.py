@@ -103,6 +103,7 @@ def test_what_is_refused_is_said_below_the_map(notebook):
     assert explorer.said.startswith("Completed") and explorer.image.get_alpha() == 1
 
 
+@pytest.mark.slow
 def test_runs_that_stop_are_said(notebook, monkeypatch):
     explorer = gx.explore(dimer, 6.0, frames=12)
     monkeypatch.setattr(explorer._scenery, "_most", 20)
@@ -110,7 +111,7 @@ def test_runs_that_stop_are_said(notebook, monkeypatch):
     assert explorer.said.startswith("Stopped before t1 = 6:") and np.isnan(shown(explorer)[-1]).all()
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_lattice_in_si(notebook):
     chain = gx.scenes.beads(["steel 316", "PTFE"], 9.5e-3, cells=4, precompression=20.0)
     explorer = gx.explore(chain, quantity="force", frames=12, units="ms")
@@ -128,7 +129,7 @@ def test_a_lattice_in_si(notebook):
     np.testing.assert_allclose(chain.mass, gx.scenes.beads(["steel 316", "PTFE"], 9.5e-3, cells=4).mass)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_states_whole_numbers_and_fixed_arguments(notebook):
     explorer = gx.explore(gx.scenes.monomer, 3.0, sites=(4, 9), precompression=1.0, frames=8, quantity="u",
                           state=lambda lattice: gx.states.rest(lattice)._replace(u=0.1 * np.arange(lattice.sites[0])))
@@ -148,7 +149,7 @@ def test_states_whole_numbers_and_fixed_arguments(notebook):
 
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_single_precision_and_laws_without_a_floor(notebook):
     explorer = gx.explore(dimer(0.5, 0.1).astype(np.float32), frames=12)
     explorer.move(ratio=0.3)
@@ -178,6 +179,7 @@ BAD = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("call", "sentence"), BAD, ids=range(len(BAD)))
 def test_what_cannot_be_explored_meets_a_sentence(notebook, call, sentence):
     with pytest.raises(ValueError, match=sentence):

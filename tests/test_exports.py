@@ -135,6 +135,8 @@ MAKERS = {
     "DensityOfStates": lambda: linear.density_of_states(ring(), 5, 16),
     "ComplexBands": lambda: linear.complex_bands(ring(), [0.4, 9.0]),
     "Zak": lambda: gx.topology.zak(ring()),
+    "Polarisation": lambda: gx.topology.Polarisation(np.ones(2) / 3, np.ones((2, 4, 1)), np.ones(4), 1e-9, (0,)),
+    "SmoothGauge": lambda: linear.smooth_gauge(np.ones((4, 1, 1))),
     "BerryCurvature": lambda: gx.topology.BerryCurvature(np.ones((4, 4, 2)), np.ones((4, 4)), (0,)),
     "FloquetBands": lambda: linear.floquet_bands(ring(), np.linspace(0.1, 3.0, 4), 1.0),
     "GapBreather": lambda: gx.breathers.GapBreather(
@@ -232,7 +234,7 @@ def test_every_result_of_the_face_is_here():
 FORMATS = (("nc", None), ("npz", None), ("mat", None), ("mat", "7.3"), ("csv", None))
 # those that take a solved problem to make
 LONG = {"Run", "RunWithMemory", "Fit", "Branch", "Rectifier", "ForceLaw", "Comparison", "WallModulus", "Attractor",
-        "Orbit", "Collision"}
+        "Orbit", "Collision", "Reflection", "FloquetBands", "DissipativeFront", "Kink", "OrbitRun", "Wave"}
 
 
 @pytest.mark.parametrize("name", [pytest.param(x, marks=[pytest.mark.slow] * (x in LONG)) for x in MAKERS])
@@ -267,6 +269,7 @@ RATIOS, LOADS, NAMES_ = np.array([0.2, 0.5, 1.0]), np.array([1.0, 2.0, 4.0]), ["
 F = 4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lanes, named, wanted", [
     ((3,), None, ("lane",)), ((3,), {"ratio": RATIOS}, ("ratio",)), ((3,), {"bead": NAMES_}, ("bead",)),
     ((3,), {"bead": np.array(NAMES_, object)}, ("bead",)), ((3,), {"ratio": RATIOS, "load": LOADS}, ("lane",)),
@@ -399,6 +402,7 @@ def test_a_matlab_file_of_others_is_refused(tmp_path):
             Result.load(tmp_path / f"{name}.mat")
 
 
+@pytest.mark.slow
 def test_every_model_of_a_comparison_is_kept():
     data = made("Comparison").to_xarray()
     assert data["fits_on-site_parameter"].values.tolist() == ["stiffness/A"] and "fits_one_outcome" in data.attrs

@@ -33,6 +33,7 @@ def laplacian(weights, boundary):
     return matrix
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("boundary", ["periodic", "fixed", "free"])
 def test_the_equation_of_a_kernel_and_of_next_neighbours(boundary):
     weights = np.array([1.0, 0.5, 0.2])
@@ -42,6 +43,7 @@ def test_the_equation_of_a_kernel_and_of_next_neighbours(boundary):
         np.testing.assert_allclose(equation.gradient(jnp.asarray(PSI)), wanted, atol=1e-14)
 
 
+@pytest.mark.slow
 def test_the_gradient_is_that_of_the_energy():
     equations = (*EQUATIONS[:2], *(DpS(N, boundary=b) for b in ("periodic", "fixed", "free")))
     for equation in equations:
@@ -49,6 +51,7 @@ def test_the_gradient_is_that_of_the_energy():
         np.testing.assert_allclose(equation.gradient(psi), Equation.gradient(equation, psi), atol=1e-14)
 
 
+@pytest.mark.slow
 def test_the_flow_and_its_tangents_are_those_of_another_solver():
     split, other = gx.Flow(40, SplitStep(), field), gx.Flow(400, diffrax.Dopri8(), field)
     for equation in (EQUATIONS[0], EQUATIONS[4]):
@@ -66,7 +69,7 @@ def test_rounding_does_not_grow_with_the_number_of_steps():
     assert np.abs(end - equation.drift(start, jnp.asarray(1.0))).max() < 2e-13
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_norm_and_energy_are_kept_to_1e_10():
     start = jnp.zeros(33).at[16].set(1.5)
     for equation in (DNLS(33, 1.0, 2.0, order=0.5), DNLS(33, 1.0, 2.0, boundary="free")):
@@ -94,7 +97,7 @@ def test_the_dimer_traps_itself_at_4V():
     assert abs(found.nonlinearity - 2.8) < found.error < 4e-4
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_fractional_coupling_lowers_the_threshold_of_self_trapping():
     found = [first_order.self_trapping(lambda chi: DNLS(32, 1.0, chi, order=s), 1.0, 8.0, 10.0, tolerance=0.02)
              for s in (1.0, 0.5)]
@@ -113,7 +116,7 @@ def test_a_staggered_soliton_stands_still():
         soliton(DNLS(41, boundary="free"), -1.0, guess="bond", centre=-1)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_solitons_stand_still_and_are_those_of_the_continuum():
     for guess in ("site", "bond"):
         found = soliton(DNLS(61, 16.0, 2.0), -1.0, guess=guess)
@@ -132,6 +135,7 @@ def test_solitons_stand_still_and_are_those_of_the_continuum():
     assert float(jax.grad(norm_at)(0.6)) == pytest.approx(float(slope), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_the_p_schroedinger_equation_has_compact_looking_breathers():
     chain = DpS(21, boundary="periodic")
     guess = jnp.zeros(21).at[jnp.array([9, 10, 11])].set(jnp.array([-0.4, 1.0, -0.4]))
@@ -194,7 +198,7 @@ def test_the_electrical_lattice_s_envelope():
     assert errors[0] < 0.2 and errors[1] < errors[0] / 2
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_lanes_laws_and_derivatives():
     chis = jnp.array([0.5, 1.5])
     batch = jax.vmap(lambda chi: DNLS(N, 0.7, chi, order=0.4), out_axes=-1)(chis)
@@ -216,6 +220,7 @@ def test_lanes_laws_and_derivatives():
     np.testing.assert_allclose(both, difference, rtol=1e-7)
 
 
+@pytest.mark.slow
 def test_float32_stays():
     small = DNLS(N, jnp.float32(0.7), jnp.float32(1.3), order=jnp.float32(0.5))
     for equation, dtype in ((small, jnp.complex64), (DNLS(N), jnp.complex128)):
@@ -223,6 +228,7 @@ def test_float32_stays():
         assert run.final.dtype == dtype and run.norm_error < 1e-5
 
 
+@pytest.mark.slow
 def test_refusals():
     ring = DNLS(N)
     lanes = jax.vmap(lambda chi: DNLS(N, 1.0, chi), out_axes=-1)(jnp.ones(2))
@@ -245,7 +251,7 @@ def test_refusals():
             make()
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_what_takes_long_goes_in_pieces_with_a_bar(monkeypatch, capsys):
     equation, psi = gx.first_order.DNLS(8, 1.0, 3.0), np.eye(8)[4]
     whole = gx.first_order.evolve(equation, psi, 5.0, save_at=[1.0, 4.9], tolerance=1e-8)

@@ -16,7 +16,7 @@ import pytest  # noqa: E402
 
 import granjax as gx  # noqa: E402
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.study
 RADIUS, LOAD = 9.53e-3, 10.0  # m, N
 WAVES = np.linspace(0.1, np.pi, 7)
 

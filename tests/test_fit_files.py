@@ -154,6 +154,7 @@ def test_a_sensor_that_is_silent_before_the_trigger_or_overflows_is_refused(tmp_
         read_csv(path, **asked | {"velocity": ["two", "two"]}, gain=[1.0, 1.7e308])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("block", [3, 2**20])
 def test_every_format_gives_the_same_window(tmp_path, monkeypatch, block):
     """Whatever is read at once, and however it is stored: short blocks, samples in rows or columns, deflated."""

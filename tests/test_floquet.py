@@ -188,6 +188,7 @@ def test_a_growing_pair_of_pairs_is_called_unstable_at_any_step(dimers):
         assert np.all(np.abs(fl.multipliers[:2] - rho[:2]) < fl.error[:2])
 
 
+@pytest.mark.slow
 def test_coarse_steps_leave_a_stable_breather_undecided(dimers):
     b = nearest(dimers, 0.25)
     words = [b.floquet(steps=steps).verdict for steps in (6, 8, 10, 20, 32, 48)]
@@ -244,7 +245,7 @@ def test_any_vector_field_has_multipliers():
 # units --------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_errors_defects_and_vectors_do_not_depend_on_units():
     chain = gx.scenes.monomer(3, 28.2e-3, 1.0114e10, precompression=10.0)
     lattice = gx.driven.driven_chain(chain, 0.05e-6, 2 * np.pi * 7100.0, damping=200.0)
@@ -297,7 +298,7 @@ def test_a_state_that_is_no_orbit_is_refused(dimers):
 # against orbits and multipliers that granjax did not compute ----------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("name", [
     "forced_opening", "forced_branch", pytest.param("hard_pair", marks=pytest.mark.slow),
     pytest.param("forced_branch_upper", marks=pytest.mark.slow), pytest.param("defect", marks=pytest.mark.slow),
@@ -313,7 +314,7 @@ def test_errors_cover_multipliers_of_dop853(name):
     assert np.median(floquet(known.lattice, gx.State(known.u, known.v), period).error) < 1e-4
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("name, steps", [
     ("forced_opening", 24), ("defect", 40), ("light_centred", 48), ("light_centred", None)])
 def test_multipliers_of_an_orbit_from_few_steps_know_that_it_is_off(name, steps):
@@ -342,7 +343,7 @@ def least_overlap(orbit):
     return min(float(gx.measures.overlap(orbit.lattice, gx.State(u, 0 * u)).min()) for u in orbit.run(64).us)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("force, omega, damping, opens, modulus", [
     (0.3, 1.5, 0.2, False, 0.7086), (1.5, 1.5, 0.2, True, 0.8306), (2.0, 1.2, 0.1, True, 1.0343)])
 def test_multipliers_of_a_damped_driven_orbit(force, omega, damping, opens, modulus):
@@ -374,7 +375,7 @@ def opened(dimers):
             for steps in (32, 48, 64, 96, 128, 192, 256, 384)]
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_the_step_error_bounds_the_multipliers_where_contacts_open(opened):
     for fl, exact, mass in opened:
         # Bauer, Fike: |d rho| <= |dM|/|y^H x| to first order, of M without units
@@ -384,7 +385,7 @@ def test_the_step_error_bounds_the_multipliers_where_contacts_open(opened):
         assert np.all(apart(fl.multipliers, exact) <= bound)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_the_error_covers_the_true_one_where_contacts_open(opened):
     for fl, exact, _ in opened:
         assert np.all(apart(fl.multipliers, exact) <= fl.error)
@@ -466,6 +467,7 @@ def test_multipliers_are_differentiable_in_the_lattice_and_the_period():
         assert abs(slope) > 0.1
 
 
+@pytest.mark.slow
 def test_rest_between_loaded_contacts_needs_no_exact_balance():
     """Forces of neighbours cancel to rounding alone, whatever the order in which a program adds: it is rest."""
     mass = np.where(np.arange(9) % 2 == 0, 1.0, 2.9)

@@ -52,7 +52,7 @@ def test_frequency_bound_is_the_dimers_own_in_the_linear_limit(ratio):
     assert exact <= float(linear_frequency(chain)) * (1 + 1e-12)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_saved_times(closed):
     chain, state = closed
     end = gx.simulate(chain, state, 4.0, step=0.1)
@@ -71,7 +71,7 @@ def test_saved_times(closed):
     assert np.max(np.abs(times.vs[2] - fine.final.v)) < 1e-7
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_frames_of_an_adaptive_run_are_as_good_as_its_end(closed):
     chain, state = closed
     fine = gx.simulate(chain, state, 8.0, step=0.01, save_at=33)
@@ -81,6 +81,7 @@ def test_frames_of_an_adaptive_run_are_as_good_as_its_end(closed):
         assert np.max(np.abs(run.vs - fine.vs)) < 2e-9, run.solver
 
 
+@pytest.mark.slow
 def test_what_is_saved_at_every_step_stays_where_the_lattice_was_put(closed):
     chain, state = closed
     for scene, stays in ((jax.device_put((chain, state), jax.devices()[0]), True), ((chain, state), False)):
@@ -88,6 +89,7 @@ def test_what_is_saved_at_every_step_stays_where_the_lattice_was_put(closed):
         assert len(run.ts) == 11 and all(x.committed == stays for x in (run.ts, run.us, run.vs))
 
 
+@pytest.mark.slow
 def test_peak_between_steps_and_arrival_and_integral(struck):
     chain, state = struck
     record = {"peak": PEAK, "arrival": gx.Arrival(force_of, 0.3), "impulse": gx.Integral(force_of)}
@@ -105,7 +107,7 @@ def test_peak_between_steps_and_arrival_and_integral(struck):
     assert float(fine.recorded["impulse"][0]) == pytest.approx(float(lost), abs=1e-7)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_lanes_are_a_loop(struck):
     ratios = jnp.array([0.3, 0.6, 1.0])
     make = lambda r: gx.scenes.dimer(20, ratio=r)  # noqa: E731
@@ -120,7 +122,7 @@ def test_lanes_are_a_loop(struck):
         assert np.allclose(mapped[i], one.final.u, rtol=0, atol=1e-11)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_chain_in_its_working_layout_is_the_plain_one(closed):
     from granjax.lattice.split import ChainSplit, PlainSplit
 
@@ -158,7 +160,7 @@ def test_derivatives_in_both_modes_through_the_default():
     assert float(jax.grad(fixed)(1.0)) == pytest.approx(float(difference), rel=1e-5)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_run_of_plain_numbers_inside_jit(closed):
     chain, state = closed
     for how in ({}, {"step": 0.1}, {"step": 0.1, "save_at": 5}, {"tolerance": 1e-9}):
@@ -166,7 +168,7 @@ def test_a_run_of_plain_numbers_inside_jit(closed):
         assert np.allclose(inside, 2 * gx.simulate(chain, state, 2.0, **how).final.u, rtol=0, atol=1e-13)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_gradient_of_a_recorded_peak(struck):
     def peak(v):
         chain = gx.scenes.monomer(8, boundary="free")
@@ -193,7 +195,7 @@ def test_damping_is_exact_and_a_dashpot_is_refused(closed):
     assert gx.simulate(dashpot, state, 1.0).solver == "Dopri8"
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_float32_runs_stay_float32(struck):
     chain, state = struck
     small = jax.tree.map(lambda x: x.astype("float32"), state)
@@ -245,7 +247,7 @@ def test_a_run_prints_itself_and_exports(struck):
     assert set(run.to_numpy()) == {"ts", "us", "vs", "peak"}
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_any_diffrax_solver_and_a_bare_diffeqsolve(closed):
     chain, state = closed
     fine = gx.simulate(chain, state, 3.0, step=0.01)
@@ -301,6 +303,7 @@ BAD = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bad", BAD, ids=str)
 def test_bad_input_is_refused_in_a_sentence(bad):
     given, sentence = BAD[bad]
@@ -366,7 +369,7 @@ def test_uneven_times_leave_the_step_alone(closed):
     assert int(run.stats["steps"]) == 6
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_mapped_run_prints_itself(closed):
     chain, state = closed
     runs = jax.vmap(lambda a: gx.simulate(chain, gx.State(a * state.u, state.v), 1.0, save_at=3))(jnp.arange(1.0, 3.0))
@@ -378,6 +381,7 @@ def test_something_else_than_a_lattice():
         gx.simulate(3, MOVING, 1.0)
 
 
+@pytest.mark.slow
 def test_a_law_of_ones_own_may_hold_plain_numbers():
     class Cubic(gx.Law):
         k: float
@@ -399,7 +403,7 @@ def test_nothing_stiff_asks_for_a_step():
         gx.simulate(chain, (AT_REST, AT_REST), 1.0)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_step_past_stability_at_this_energy_is_remarked_upon():
     # below the linear limit, so that it is not refused; far above it where contacts are pressed
     chain = gx.scenes.monomer(8, precompression=1.0)
@@ -416,7 +420,7 @@ class OwnMap(gx.StrainMap):
         return u[:-1] - u[1:]
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_large_lattice_of_a_map_of_ones_own_has_a_bound():
     # too large for a dense matrix: by power iteration, which may lack a tenth
     chain = gx.Lattice(1.0, (gx.Bond(OwnMap(), gx.Hertz(1.0, 1.0)),), sites=4100)
@@ -446,12 +450,14 @@ def test_traced_times_that_span_nothing_complete_nothing(closed):
     assert run(0.4, 0.1).completed
 
 
+@pytest.mark.slow
 def test_a_traced_tolerance_below_zero_completes_nothing(closed):
     chain, state = closed
     run = jax.jit(lambda tolerance: gx.simulate(chain, state, 0.2, tolerance=tolerance, max_steps=200))
     assert [bool(run(x).completed) for x in (1e-6, -1e-6, 0.0, np.inf, np.nan)] == [True, False, False, False, False]
 
 
+@pytest.mark.slow
 def test_a_tolerance_with_a_longest_step(closed):
     chain, state = closed
     how = dict(tolerance=1e-6, save_at="steps")
@@ -462,6 +468,7 @@ def test_a_tolerance_with_a_longest_step(closed):
     np.testing.assert_allclose(bound.final.u, free.final.u, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_a_loose_tolerance_is_said():
     chain = gx.scenes.monomer(20)
     run = gx.simulate(chain, gx.states.impact(chain), 30.0, tolerance=0.99)
@@ -471,6 +478,7 @@ def test_a_loose_tolerance_is_said():
     assert float(fine.energy_error) < 1e-3 and fine.outcome == f"Completed at t = 30 after {fine.stats['steps']} steps."
 
 
+@pytest.mark.slow
 def test_an_opening_that_no_law_tells_of_is_unknown():
     def ring(law):
         lattice = gx.Lattice(1.0, (gx.Bond(gx.Shift(1, "periodic"), law),), sites=6)
@@ -497,7 +505,7 @@ def deepest(chain, state, t1):
     return (1 + u[:, :-1] - u[:, 1:]).min()
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_contact_that_opens_between_steps_is_seen(seeds=5):
     """Random starts, scaled until the closest approach is a little off zero; default step and a loose tolerance."""
     chain = gx.scenes.monomer(4, precompression=1.0)
@@ -522,6 +530,7 @@ def test_a_contact_that_opens_between_steps_is_seen(seeds=5):
     assert missed > seeds / 2  # by the ends of the steps alone
 
 
+@pytest.mark.slow
 def test_an_opening_within_the_error_is_unsure(closed):
     """A single spring-like contact whose least overlap is zero to rounding: u = sin t about d0 = 1."""
     lattice = gx.Lattice(1.0, (gx.Wall(gx.PowerLaw(1.0, 1.0, 1.0), "left"), gx.OnSite(gx.Linear(1e-9))), sites=2)
@@ -533,6 +542,7 @@ def test_an_opening_within_the_error_is_unsure(closed):
     assert jax.tree.map(lambda x: x, run).opening == "unsure"  # what a transformation leaves
 
 
+@pytest.mark.slow
 def test_a_long_given_step_is_always_looked_between():
     """Its ends keep 1.013 of how far they came, and between them the contact is 0.24 to 0.33 open."""
     lattice = gx.scenes.monomer(2, precompression=1.0)
@@ -564,6 +574,7 @@ class Wrapper(gx.Law):
         return self.law.overlap(e)
 
 
+@pytest.mark.slow
 def test_an_energy_of_rounding_is_not_called_lost_and_a_wrapped_law_may_not_know():
     lattice = gx.Lattice(np.ones(4), gx.Bond(gx.Shift(1, "fixed"), Wrapper(Rounded())))
     run = gx.simulate(lattice, gx.states.impact(lattice, velocity=1e-9), 5.0)

@@ -89,6 +89,7 @@ def test_stability_changes_at_the_folds_alone(hump):
     np.testing.assert_allclose(np.prod(hump.multipliers, 1), np.exp(-2 * DAMPING * hump.periods), rtol=1e-10)
 
 
+@pytest.mark.slow
 def test_the_drive_gives_what_damping_takes():
     orbit = forced_orbit(duffing(0.9), period_of(0.9))
     run = orbit.run(64)
@@ -131,7 +132,7 @@ def test_what_does_not_converge_says_so():
     assert not orbit.converged and float(orbit.residual) > 1e-10
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_batch_over_damping_and_its_gradient():
     omega, rates = 0.9, jnp.linspace(0.03, 0.09, 4)
 
@@ -203,7 +204,7 @@ def test_newton_finds_the_state_that_a_run_from_rest_settles_to(steel):
     assert pairs.max() < 1e-8
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_sweeps_jump_at_the_folds(steel):
     """At a = 0.08 d0 (79 nm) the folds lie at 0.96480 and 0.97065 of the cut-off, 7110 and 7153 Hz."""
     _, scaled, _, damping = steel
@@ -229,6 +230,7 @@ class Parametric(eqx.Module):
         return gx.Lattice(jnp.array([1.0, 2.0]), (bond, gx.OnSite(gx.Linear(1.0)), gx.Damping(self.damping)))
 
 
+@pytest.mark.slow
 def test_a_parametric_guess_that_falls_to_rest_is_no_orbit():
     lattice, period = Parametric(jnp.asarray(2.0), jnp.asarray(0.1))(0.1), np.pi
     with pytest.raises(RuntimeError, match="The guess fell to rest"):
@@ -275,7 +277,7 @@ class OneWall(eqx.Module):
         return driven_chain(chain, amplitude, self.omega, ends="left", damping=DAMPING)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("omega, kind, at", few([
     (2.449, "period doubling", 0.1628306), (3.346, "Neimark-Sacker", 0.3657490)], 1))
 def test_runs_on_either_side_of_a_bifurcation(omega, kind, at):
@@ -302,7 +304,7 @@ def test_an_orbit_of_the_branch_is_an_orbit(hump):
     assert float(np.sqrt(np.mean(orbit.rms_velocity**2))) == pytest.approx(hump.response[40], rel=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("masses", [(1.0, 0.5), (1.0, 0.5, 0.25)])
 def test_shaken_dimers_and_trimers_settle_to_newtons_orbit(masses):
     chain = gx.scenes.pattern(12, masses, precompression=1.0)

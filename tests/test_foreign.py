@@ -154,6 +154,7 @@ def test_what_the_force_reads_is_found(case):
     assert lattice.reads_velocity == (case.name == "friction") and not lattice.reads_time
 
 
+@pytest.mark.study
 @conservative
 def test_default_step_holds_along_the_run(case):
     """h omega <= 1/2 with the eigenvalues at every frame; SRKN11b, as for the library's own kinds."""
@@ -212,7 +213,7 @@ class Circling(gx.Term):
         return -self.strength * u**2 / 2
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_an_energy_that_is_not_kept_has_no_error():
     for term in (Pushed(gx.Linear(0.5)), Slowed(gx.Linear(0.5)), Circling(K)):
         lattice = _bead(RING, term)
@@ -227,6 +228,7 @@ def test_an_energy_that_is_not_kept_has_no_error():
                 gx.simulate(lattice, moving(CASES[0]), 5.0, solver=gx.SRKN11b(), step=0.1)
 
 
+@pytest.mark.slow
 @over
 def test_linear_theory_is_the_dense_one(case):
     lattice = case.make(K)
@@ -273,6 +275,7 @@ def test_uniform_displacements(case):
         np.testing.assert_array_equal(moves[:, 0], ravel_pytree(uniform)[0])
 
 
+@pytest.mark.slow
 @conservative
 def test_a_breather_and_its_multipliers(case):
     """The nonlinear continuation of the highest mode: closed, of finite size, with four multipliers at +1."""
@@ -288,7 +291,7 @@ def test_a_breather_and_its_multipliers(case):
     assert near.sum() == floquet.expected == case.at_one
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_driven_orbit_with_friction():
     lattice = _bead(CHAIN, gx.OnSite(gx.Linear(0.3)), Friction(K), gx.Drive(gx.Harmonic(0.5, 1.1), 0))
     orbit = gx.forced.forced_orbit(lattice, 2 * np.pi / 1.1, transient=40, steps=200)
@@ -316,7 +319,7 @@ def test_derivatives_in_both_modes(case):
     np.testing.assert_allclose(forward, reverse, rtol=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("case", few(CASES, 1, 3), ids=lambda case: case.name)
 def test_a_fit_finds_the_parameter(case):
     state, named = moving(case), case.name == "shear and rotation"
@@ -362,6 +365,7 @@ class OwnContacts(Bend):
         return (gx.terms.Compression(gx.Hertz(self.stiffness), u[:-1] - u[1:]),)
 
 
+@pytest.mark.slow
 def test_contacts_of_a_term_of_ones_own_modulated_or_not():
     u = moving(CASES[2]).u
     for term, factor in ((OwnContacts(K), 1.0), (gx.Modulated(OwnContacts(K), lambda t: 2.0 + 0 * t), 2.0)):
@@ -386,6 +390,7 @@ def test_a_modulated_term_of_ones_own():
         gx.linear.normal_modes(lattice)
 
 
+@pytest.mark.slow
 def test_what_hides_from_a_rule_of_thumb():
     """A drive whose period divides the samples, lanes, a bent strain map, weights a bond: the bound holds for all."""
     t1 = 256 * 2 * np.pi / 1.5
@@ -424,6 +429,7 @@ def test_a_bent_strain_map_and_weights_a_bond():
     assert shifts(_bead(gx.Bond(gx.strains.Stencil(thirds, "periodic"), gx.Linear(1.0)))).shape[1] == 1
 
 
+@pytest.mark.slow
 def test_damping_does_not_shorten_the_step_of_a_shock():
     lattice = gx.scenes.toda(200)
     damped = gx.Lattice(1.0, (*lattice.terms, gx.Damping(1e-6)), sites=200)

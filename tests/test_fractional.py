@@ -30,6 +30,7 @@ def test_the_kernel_is_the_closed_form(s):
     np.testing.assert_allclose(2 * far.sum() + tail * 1e5 / s, gamma(1 + 2 * s) / gamma(1 + s) ** 2, rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_the_ring_s_kernel_is_the_sum_over_all_images():
     s, wide = 0.7, fractional.kernel(0.7, 12 * 20_000)
     images = np.zeros(N)
@@ -56,6 +57,7 @@ def test_modes_of_a_ring_have_the_symbol_s_frequencies(s):
     np.testing.assert_allclose(found**2, 1.5 * (4 * np.sin(k[1:7] / 2) ** 2) ** s, rtol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("boundary", ["periodic", "fixed", "free"])
 def test_order_1_is_next_neighbours(boundary):
     chain = scenes.fput(N, alpha=0.3, beta=0.2) if boundary == "fixed" else gx.Lattice(
@@ -82,6 +84,7 @@ def test_bonds_of_finite_chains_one_by_one():
         np.testing.assert_allclose(force(own), wanted, atol=3e-5 if boundary == "fixed" else 1e-12)
 
 
+@pytest.mark.slow
 def test_energy_is_kept_and_the_order_differentiates():
     lattice = scenes.fractional_sine_gordon(N, 0.5, boundary="fixed")
     run = gx.simulate(lattice, gx.State(jnp.asarray(U), jnp.zeros(N)), 20.0)

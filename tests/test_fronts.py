@@ -73,6 +73,7 @@ def test_speed_beads_and_losses_follow_from_both_states(fronts, name):
     assert abs(eta * speed**2 * np.sum(rates**2) * dx / power - 1) < 3e-4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_the_profile_solves_the_equation_of_motion(fronts, name):
     front, (law, behind, ahead, eta) = fronts[name], CASES[name]
@@ -117,6 +118,7 @@ def test_both_tails_fall_as_their_roots_say(fronts, name):
         assert abs(d[0] / d[1] / q.real - 1) < 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law, behind", [(gx.Hertz(1.0, 1.0), 0.1), (gx.Hertz(), 1.0), (gx.Toda(), 0.5)])
 def test_a_front_oscillates_below_the_critical_dashpot_and_not_above(law, behind):
     eta = float(dissipative_front(law, behind, dashpot=1.0).critical)
@@ -148,6 +150,7 @@ def chain(law, eta, sites, push):
     return gx.Lattice(1.0, (gx.Bond(bonds, law), gx.Dashpot(bonds, eta), gx.Drive(lambda t: push)), sites=sites)
 
 
+@pytest.mark.slow
 def test_a_front_travels_unchanged():
     law, behind, ahead, eta = VACUUM
     front = dissipative_front(law, behind, ahead, dashpot=eta)
@@ -158,7 +161,7 @@ def test_a_front_travels_unchanged():
     assert np.abs(run.final.v - front.velocity(np.arange(100) - 40.0 - 30.0 * front.speed)).max() < 1e-8
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_velocity_step_becomes_the_front():
     """Waves between the two fronts die out as a power of time, about t^-3/2: so far from where they began."""
     front, sites, end = dissipative_front(gx.Hertz(), piston=1.0, dashpot=0.2), 2200, 1050.0
@@ -177,6 +180,7 @@ def test_a_velocity_step_becomes_the_front():
     assert abs((places[1] - places[0]) / 20.0 - 1) < 1e-6
 
 
+@pytest.mark.slow
 def test_numbers_of_other_units_and_of_the_mirror():
     law, behind, ahead, eta = CASES["precompressed"]
     front, L, M, T = dissipative_front(law, behind, ahead, dashpot=eta, mass=1.3), 1e-4, 1e-3, 1e-6
@@ -199,7 +203,7 @@ def test_numbers_of_other_units_and_of_the_mirror():
     assert one.speed == other.speed and np.array_equal(one.strain(x), -other.strain(x))
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_front_differentiates():
     def numbers(p):
         front = dissipative_front(gx.Hertz(p[0], p[1]), p[2], p[3], dashpot=p[4], mass=p[5])
@@ -221,6 +225,7 @@ def test_a_front_differentiates():
     assert abs(dissipative_front(gx.Hertz(), piston=0.7, dashpot=0.5).behind - 0.7**0.8) < 1e-12
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("call, words", [
     (lambda: dissipative_front(gx.Hertz(), 1.0, dashpot=0.0), "dashpot: expected numbers above zero.*dispersive shock"),
     (lambda: dissipative_front(gx.Hertz(), dashpot=1.0), "exactly one of them, got none"),

@@ -106,6 +106,7 @@ def test_network_keeps_its_digits_near_rest():
             np.testing.assert_allclose(energy(one, y), work, rtol=0, atol=8 * EPS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make, start", [
     (lambda k: Spline(KNOTS, k), STIFFNESS[1:] + [1.0]), (lambda p: Network(1, parameters=p), [0.3, 1.0, -0.4, 0.2]),
 ], ids=["spline", "network"])
@@ -119,7 +120,7 @@ def test_derivatives_in_the_parameters(make, start):
     np.testing.assert_allclose(forward, np.stack(differences, -1), rtol=0, atol=1e-8)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("law", [Spline(KNOTS, STIFFNESS), Network(3)], ids=["spline", "network"])
 def test_a_chain_of_them_runs_and_has_modes(law):
     chain = gx.Lattice(np.ones(N), (gx.Bond(WALLS, law),))
@@ -298,7 +299,7 @@ def _small(parameters):
     return gx.Lattice(np.ones(6), (contacts, gx.Damping(parameters["damping"])))
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_network_finds_stiffness_and_damping_from_three_sensors():
     """Under 1 % of noise: the stiffness to 2e-3, the damping to 2e-2, the motion of all sites to 1 % of its largest."""
     chain = _small({"stiffness": 1.0, "damping": 0.08})

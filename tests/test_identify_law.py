@@ -55,7 +55,7 @@ def traces(velocity, noise, seed=0):
     return gx.Traces(TIMES, velocity=made, sites=SENSORS, sigma=sigma)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("family", few(["power law", "polynomial", "spline", "network"], 2))
 def test_every_family_finds_the_force_over_the_strains_visited(measured, family):
     """To 1 % of the largest force, from a stiffness 20 % off, with 1 % of noise (5e-9 without for the true family)."""
@@ -77,7 +77,7 @@ def test_every_family_finds_the_force_over_the_strains_visited(measured, family)
             assert abs(float(found.law.exponent) - 1.5) < (3 * deviation if noise else 1e-7) and deviation < 0.02
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_damping_is_found_beside_the_law_and_a_known_precompression_held(measured):
     found = law(damped_chain, gx.PowerLaw(1.2, jnp.asarray(1.4), 1.0), traces(measured[0], 0.01), state=STATE,
                 others={"damping": 0.03}, hold=("precompression",))
@@ -101,6 +101,7 @@ def push(t):
     return jnp.where(t < 1.3, 0.2, 0.0)
 
 
+@pytest.mark.slow
 def test_strains_are_visited_across_a_jump_of_the_force():
     """u = F (1 - cos t) until the force ends at T, of amplitude 2 F sin(T/2) from then on."""
     def scene(law):

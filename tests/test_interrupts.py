@@ -90,6 +90,7 @@ def check(process, folder):
     whole(folder)
 
 
+@pytest.mark.slow
 def test_the_command_line_is_interrupted(tmp_path):
     draw = random.Random(1)
     moments = sorted(draw.uniform(STARTING, 5) for _ in range(4))
@@ -289,6 +290,7 @@ except KeyboardInterrupt:
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seconds, then, code, last", [
     (300, "raise", -signal.SIGINT, "KeyboardInterrupt"), (0.5, "sys.exit(3)", 3, ""),
 ], ids=["not caught", "caught"])

@@ -17,6 +17,7 @@ def pendula(coupling):
     return gx.scenes.sine_gordon(N, coupling)
 
 
+@pytest.mark.slow
 def test_kinks_have_the_energies_of_the_continuum():
     for make, right, exact in ((pendula, 2 * np.pi, 8.0), (double_well, -2.0, 2 * np.sqrt(2) / 3)):
         off = []

@@ -46,7 +46,7 @@ def batch(make=scene, lanes=LANES):
 FROM_LANE_TO_LANE = {"p": gx.Peak(lambda t, y, lattice: y.u - y.u.mean(-1, keepdims=True))}
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize(("lanes", "how"), [
     pytest.param(LANES, {"save_at": 4}, id="frames as many as lanes at a time"),
     pytest.param((3, 4), {"save_at": jnp.array([1.0, 2.2])}, id="two axes", marks=pytest.mark.study),
@@ -77,7 +77,7 @@ def test_derivatives_in_both_modes(by, mode):
         np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12 * np.abs(a).max())
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_lane_that_fails_says_so_for_all(by):
     magnets = lambda r: gx.Lattice(jnp.full(SITES, r), (gx.Bond(gx.Shift(1, "fixed"), gx.PowerLaw(1.0, -3.0, 1.0)),))
     lattice, state = batch(magnets)

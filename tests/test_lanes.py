@@ -44,7 +44,7 @@ def agree(run, k, one, atol=1e-13):
     np.testing.assert_array_equal(run.ts, one.ts)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_records_and_their_errors_are_those_of_each_lane():
     lattice, state = batch(dimer, RATIOS)
     thresholds = np.linspace(0.05, 0.1, 5)
@@ -56,9 +56,10 @@ def test_records_and_their_errors_are_those_of_each_lane():
         one = gx.simulate(alone, gx.states.impact(alone), END, save_at=TIMES, record=record(thresholds[k]), **HOW)
         agree(run, k, one)
         for name, error in one.record_error.items():
-            np.testing.assert_allclose(run.record_error[name][..., k], error, rtol=1e-6, atol=1e-15)
+            np.testing.assert_allclose(run.record_error[name][..., k], error, rtol=1e-6, atol=1e-6 * np.max(error))
 
 
+@pytest.mark.slow
 def test_each_lane_is_the_run_of_that_lane(monkeypatch):
     """Contacts open and close in every dimer; five lanes in programs of two, which overlap."""
     monkeypatch.setattr(marching, "ABREAST", 2)
@@ -82,7 +83,7 @@ def test_each_lane_is_the_run_of_that_lane(monkeypatch):
         gx.simulate(lattice, state, END, save_at=TIMES, record=kinetic, **HOW)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_lanes_that_take_long_go_one_by_one(monkeypatch):
     lattice, state = batch(dimer, RATIOS)
     expected = gx.simulate(lattice, state, END, **HOW)
@@ -107,7 +108,7 @@ def test_a_batch_of_one_and_what_it_refuses(dtype):
             gx.simulate(lattice, state, 1.0, record={"x": gx.Peak(within)}, tolerance=1e-4)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("mode", [jax.jacfwd, jax.jacrev])
 def test_derivatives_are_those_of_each_lane(mode):
     ratios, weights = jnp.asarray(RATIOS[:3]), jnp.linspace(1.0, 2.0, SITES)
@@ -134,6 +135,7 @@ class Pull(gx.terms.Term):
         return None
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("solver", [None, pytest.param(diffrax.Tsit5(), marks=pytest.mark.slow)])
 def test_lanes_in_some_of_the_leaves_two_axes_of_them_and_solvers_that_are_not_ours(solver):
     """Lanes (2, 3): masses have them, a bond's stiffness one axis of them, the rest is shared."""
@@ -164,7 +166,7 @@ def test_a_cell_of_two_fields():
         agree(run, k, gx.simulate(cell(value), gx.State(*lane(tuple(state), k)), 3.0, **HOW))
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_lane_that_fails_leaves_the_others():
     """The middle one runs out of its well to infinity; and lanes that may take no more steps."""
     def make(speed):
@@ -184,6 +186,7 @@ def test_a_lane_that_fails_leaves_the_others():
         gx.simulate(lattice, state, 2.0, **how)
 
 
+@pytest.mark.slow
 def test_what_holds_lanes_itself_is_refused():
     lattice, state = batch(dimer, RATIOS[:3])
     held = jnp.array([1.0, 2.0, 3.0])

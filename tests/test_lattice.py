@@ -58,7 +58,7 @@ def test_inner_forces_sum_to_zero(case):
     np.testing.assert_allclose(total, 0, atol=1e-14 * size(x["force"]))
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @over(ALL_LATTICES, SAME_LATTICES)
 def test_acceleration_is_force_over_mass_under_jit_as_eagerly(case):
     lattice, u, v, x = facts(case)
@@ -67,6 +67,7 @@ def test_acceleration_is_force_over_mass_under_jit_as_eagerly(case):
     assert_ulps(jax.tree.map(jnp.multiply, x["a"], lattice.mass), x["force"], 8, size(x["force"]))
 
 
+@pytest.mark.slow
 @over(ALL_LATTICES)
 def test_energies_add_up(case):
     lattice, u, v, x = facts(case)

@@ -160,7 +160,7 @@ RINGS = {
 }
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("name", RINGS)
 def test_bloch_waves_are_the_modes_of_a_ring(name):
     chain = RINGS[name]
@@ -474,6 +474,7 @@ def test_refusals(name):
         call()
 
 
+@pytest.mark.slow
 def test_gaps_inside_a_transformation_are_refused():
     with pytest.raises(ValueError, match="gaps: expected edges that are known"):
         jax.jit(lambda K: linear.bands(springs(np.ones(8), K), cell=1).gaps)(1.0)

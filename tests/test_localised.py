@@ -71,12 +71,13 @@ def test_a_guess_at_rest_or_without_numbers_is_refused_by_its_name():
             gx.breathers.breather(soft(), 0.8, still(u))
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_where_there_is_no_breather_both_ways_are_named():
     with pytest.raises(RuntimeError, match="did not reach omega = 1.3: .* No breather about a site was found either"):
         gx.breathers.breather(soft(), 1.3)
 
 
+@pytest.mark.slow
 def test_a_localised_guess_that_leads_to_a_wave_is_refused():
     # too short a ring for a breather this wide: it leaves the uniform oscillation at larger amplitudes alone
     short = soft(coupling=0.5)
@@ -94,7 +95,7 @@ def test_a_breather_in_other_units_is_the_same_with_the_same_words(on_a_ring):
     assert other.remark == on_a_ring.remark
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("omega, sites, signs", [(1.05, 5, None), (1.2, [5, 6], [1, -1])])
 def test_newtons_cradle_has_breathers(omega, sites, signs):
     lattice = cradle()

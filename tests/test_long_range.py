@@ -98,6 +98,7 @@ def test_refusals():
         gx.Lattice(1.0, gx.LongRange([1.0, 0.5], gx.Linear()), sites=(3, 3))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("boundary", ["free", "periodic"])
 def test_what_a_run_keeps_gives_the_same_forces_lane_by_lane(boundary):
     u = jnp.asarray(0.02 * np.random.default_rng(5).normal(size=(N, 2)))
@@ -166,7 +167,7 @@ def light_magnet(sites, mass=0.4):
     return chain, float(modes.omega[-1]), modes
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_light_magnet_that_is_driven_carries_a_breather():
     chain, omega, modes = light_magnet(11)
     driven = gx.Lattice(chain.mass, (*chain.terms, gx.Damping(0.02), gx.Drive(gx.Harmonic(0.004, 1.01 * omega), 5)))
@@ -188,6 +189,7 @@ def test_a_breather_of_magnets_has_the_tail_of_their_stiffness():
     assert float(family.omega[-1]) < omega
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("reach", [1, pytest.param(None, marks=pytest.mark.slow)])
 def test_magnets_that_meet_are_named(reach):
     chain = gx.scenes.magnets(6, -4.0, reach=reach)
@@ -200,7 +202,7 @@ def test_magnets_that_meet_are_named(reach):
         gx.simulate(chain, hit, 1.0, step=0.2)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_magnets_that_meet_in_a_lane_in_si_and_by_adaptive_steps():
     lanes = jnp.asarray([1e3, 1.0, 1e-3])
     batch = jax.vmap(lambda A: gx.scenes.magnets(8, -0.5, stiffness=A, reach=1), out_axes=-1)(lanes)

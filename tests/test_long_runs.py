@@ -45,7 +45,7 @@ def assert_same(a, b, tolerance=1e-10):
     assert {k: np.shape(x) for k, x in a.stats.items()} == {k: np.shape(x) for k, x in b.stats.items()}
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("save_at", [7, [0.0, 0.35, 2.0, 2.01, 2.02, 5.0]], ids=["frames", "times"])
 def test_pieces_of_equal_steps_are_one_run(save_at, request, monkeypatch):
     lattice = chain()
@@ -62,7 +62,7 @@ def test_pieces_of_equal_steps_are_one_run(save_at, request, monkeypatch):
         np.testing.assert_allclose(error, whole.record_error[name], rtol=1e-4, atol=1e-12)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_pieces_of_a_batch_with_jumps_in_time(request):
     def scene(stiffness):
         bond = gx.Bond(gx.Shift(1, "fixed"), gx.Hertz(stiffness, 1.0))
@@ -75,7 +75,7 @@ def test_pieces_of_a_batch_with_jumps_in_time(request):
     assert_same(whole, gx.simulate(lattice, state, 3.0, step=0.02, save_at=4), 1e-7)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_pieces_of_an_adaptive_run(request, monkeypatch):
     lattice = gx.scenes.fput(4, alpha=0.25)
     state = gx.states.impact(lattice, velocity=0.3)
@@ -110,7 +110,7 @@ def test_pieces_keep_the_floating_type_and_their_number_of_steps(soon):
     assert run.ts.dtype == run.us.dtype == np.float32 and run.stats["steps"] == 2000
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_run_that_a_program_closes_over_is_a_part_of_it(soon):
     lattice = chain()
     state = gx.states.impact(lattice, velocity=0.3)
@@ -122,6 +122,7 @@ def test_a_run_that_a_program_closes_over_is_a_part_of_it(soon):
         assert jax.eval_shape(end, 2.0).shape == (6,)
 
 
+@pytest.mark.slow
 def test_a_long_run_shows_its_progress(soon, capsys):
     lattice = chain()
     gx.simulate(lattice, gx.states.impact(lattice, velocity=0.3), 5.0, step=0.1, progress=True)

@@ -15,6 +15,7 @@ WAVES = {"displacement": compacton.nesterenko, "strain": compacton.ahnert_pikovs
          "regularised": long_wave.regularised_wave}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("p", [1.5, 3.0, *(pytest.param(p, marks=pytest.mark.slow) for p in (1.1, 2.0, 5.5))])
 def test_each_wave_solves_its_own_equation_and_no_other(p):
     x = np.linspace(-0.95, 0.95, 9) * float(compacton.nesterenko(0.0, p).half_width)
@@ -37,6 +38,7 @@ def test_the_regularised_wave():
     assert long_wave.regularised_wave(-300.0).strain == pytest.approx(25 * np.exp(-600 * np.sqrt(3)), rel=1e-11)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", ["displacement", *(
     pytest.param(form, marks=pytest.mark.slow) for form in ("strain", "regularised"))])
 def test_fields_in_a_box_leave_the_same(form):

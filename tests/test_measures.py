@@ -70,7 +70,7 @@ def total(lattice, x):
 # ---- energies and momentum
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_site_energies_have_the_sites_shape_and_sum_to_the_energy(lattice):
     @eqx.filter_jit
     def everything(lattice, t):

@@ -129,6 +129,7 @@ def agrees_with_dispersion(lattice):
     assert not found.gaps and not found.grows.any()
 
 
+@pytest.mark.slow
 def test_without_modulation_it_is_the_dispersion():
     agrees_with_dispersion(gx.scenes.dimer(10, 0.5, precompression=1.0))
 
@@ -186,7 +187,7 @@ def test_the_picture_shows_gaps_and_growth(layers):
     plt.close(ax.figure)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_derivatives():
     def largest(a, k):
         found = floquet_bands(modulated(6, a, 2.0, shape="square"), k, PERIOD)
@@ -201,6 +202,7 @@ def test_derivatives():
     np.testing.assert_allclose(each(jnp.array([0.1, 0.2]))[1], one, atol=1e-8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("call", "sentence"), [
     (lambda s: floquet_bands(s, K, 3.0), "period: expected one after which the stiffness repeats"),
     (lambda s: floquet_bands(s, K, PERIOD / 2), "period: expected one after which the stiffness repeats"),

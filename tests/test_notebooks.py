@@ -1,4 +1,7 @@
-"""Every notebook runs, in its own kernel, and its closing check holds; kernels find what was compiled before."""
+"""Every notebook runs, in its own kernel, and its closing check holds; kernels find what was compiled before.
+
+The first ones that a reader opens run always, the others as a study (`pytest -m study tests/test_notebooks.py`).
+"""
 
 import os
 from pathlib import Path
@@ -9,10 +12,13 @@ import pytest
 from nbclient import NotebookClient
 
 NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.ipynb"))
+ALWAYS = {"first_steps", "vibrometer", "breather_at_frequency"}
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
+@pytest.mark.parametrize("path", [
+    pytest.param(path, id=path.stem, marks=pytest.mark.slow if path.stem in ALWAYS else pytest.mark.study)
+    for path in NOTEBOOKS
+])
 def test_notebook(path):
     notebook = nbformat.read(path, as_version=4)
     assert len(notebook.cells) < 25

@@ -89,7 +89,7 @@ def breather_after_50_periods(h, w=0.9):
     return float(np.max(np.abs(run.final.u - exact(t1))))
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_sine_gordon_breather_after_50_periods_is_off_by_h_squared():
     errors = [breather_after_50_periods(h) for h in (0.2, 0.1, 0.05)]
     assert errors[0] < 0.1
@@ -128,7 +128,7 @@ def phi4_energy(c, u):
     return np.sum(u**2 / 2 + u**4 / 4) + c / 2 * np.sum(np.diff(u) ** 2)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_breathers_from_no_coupling_to_a_tenth(over_coupling):
     br = over_coupling
     assert br.outcome == "p reached 0.1." and br.p[0] == 0 and br.p[-1] == 0.1 and len(br) > 4
@@ -146,6 +146,7 @@ def test_breathers_from_no_coupling_to_a_tenth(over_coupling):
     assert gx.breathers.localisation(hard(0.1), br.orbit(-1).state).participation < 1.3
 
 
+@pytest.mark.slow
 def test_and_at_the_energy_that_it_had_without(over_coupling):
     br = over_coupling
     found = gx.breathers.breather(hard(0.1), OMEGA, br.orbit(-1), energy=br.energy[0])
@@ -220,7 +221,7 @@ def test_a_breather_of_the_cradle_falls_off_faster_than_exponentially():
     assert branch.p[-1] == 0.02 and np.all(decay[1:] < 1.3 * decay[:-1])
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_boomeron_turns_back_by_itself():
     # James, Kevrekidis, Cuevas, Physica D 251, 39 (2013): an impact, Hertz contacts, a hard force on the beads
     n, times = 20, np.linspace(0.0, 300.0, 61)

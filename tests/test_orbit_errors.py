@@ -43,7 +43,7 @@ def test_the_stated_error_covers_the_truth_and_is_what_was_asked_for(name):
     assert orbit.flow.steps == 64 and (orbit.error.state.u.max() > 1e-7 * size) == known.opened
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("name", few([n for n in LATTICES if n not in ("light_centred", "hard_pair")], 0, -1))
 def test_other_orbits_too(name):
     known = reference(name)
@@ -51,7 +51,7 @@ def test_other_orbits_too(name):
         covers(ask(known, **keywords), known)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_the_light_centred_breather_from_its_family():
     known = reference("light_centred")
     family = gx.breathers.family(known.lattice, until=known.omega, stability=False)
@@ -62,7 +62,7 @@ def test_the_light_centred_breather_from_its_family():
     covers(gx.breathers.breather(known.lattice, known.omega, at_the_end, check=False), known)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_branch_of_forced_orbits_states_its_error():
     known, chain = reference("forced_branch_upper"), gx.scenes.monomer(3, precompression=1.0)
     branch = forced_branch(
@@ -97,7 +97,7 @@ def test_the_length_at_which_a_lattice_is_no_longer_linear():
     assert nonlinear_length(chain(gx.Hertz(1.0)), zigzag) == 0
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("material", ("aluminium 6061-T6", pytest.param("PTFE", marks=pytest.mark.slow)))
 def test_a_family_in_metres_is_the_scaled_one(material):
     chain = gx.scenes.beads(["steel 440C", material] * 5 + ["steel 440C"], 9.53e-3, 10.0, boundary="free")

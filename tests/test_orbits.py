@@ -98,7 +98,7 @@ def breather():
     return half.state(jnp.asarray(curve.x[-1])), 2 * np.pi / curve.p[-1]
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("case", (
     "free", pytest.param("walls", marks=pytest.mark.slow), pytest.param("resonators", marks=pytest.mark.slow)))
 def test_the_half_periods_linearisation(case):
@@ -154,7 +154,7 @@ def test_newton_over_a_half_period_is_quadratic_and_differentiable(breather):
 # whole periods ------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("segments", (pytest.param(1, marks=pytest.mark.slow), 3))
 def test_an_orbit_over_half_a_period_is_one_over_a_whole(breather, segments):
     state, period = breather
@@ -211,7 +211,7 @@ FORCED = gx.Lattice(1.0, (
     gx.Bond(gx.Shift(1, "fixed"), gx.Hertz(1.0, 1.0)), gx.Damping(0.3), gx.Drive(gx.Harmonic(0.4, OMEGA), 0)), sites=N)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("segments, t0", (pytest.param(1, 0.0, marks=pytest.mark.slow), (3, 0.4)))
 def test_a_forced_damped_orbit_is_where_a_long_run_settles(segments, t0):
     period, scene = 2 * np.pi / OMEGA, (FORCED, 2 * np.pi / OMEGA)
@@ -292,6 +292,7 @@ def apart(exact, state, time):
     return float(jnp.abs(gx.Flow(4)(exact, 0.0, time, RING).u - state.u).max())
 
 
+@pytest.mark.slow
 def test_a_wave_modulo_a_shift_is_an_orbit_of_the_whole_ring(rotating):
     _, wave = rotating
     whole = orbit(RING, wave.state, 6 * wave.period, steps=42)
@@ -302,7 +303,7 @@ def test_a_wave_modulo_a_shift_is_an_orbit_of_the_whole_ring(rotating):
     assert np.abs(power[:, None] - full.multipliers).min(1).max() < 1e-6
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_travelling_wave_of_steel_beads_in_si_and_in_scaled_units():
     ring = gx.scenes.monomer(8, mass=28.2e-3, stiffness=9.76e9, precompression=20.0, boundary="periodic")
     scaled, units = gx.scenes.scaled(ring)
@@ -323,7 +324,7 @@ def test_a_travelling_wave_of_steel_beads_in_si_and_in_scaled_units():
     assert float(jax.jacfwd(energy)(period)) == pytest.approx(float(slope), rel=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_half_a_period_of_an_odd_lattice_is_an_orbit_modulo_its_sign():
     chain = gx.scenes.fput(5, alpha=0.0, beta=1.0)
     b = gx.breathers.breather(chain, 1.05 * float(gx.linear.normal_modes(chain).omega[-1]), check=False)
@@ -335,6 +336,7 @@ def test_half_a_period_of_an_odd_lattice_is_an_orbit_modulo_its_sign():
     np.testing.assert_allclose(mirrored.state.u, b.state.u, rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_symmetries_compose_and_what_is_none_of_the_lattice_is_refused():
     u = jnp.arange(4.0)
     for a, b in ((Translation(1), Mirror()), (Mirror(), Translation(1)), (Sign(), Translation(-1))):

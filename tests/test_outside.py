@@ -182,7 +182,7 @@ class Spring(gx.Law):
         return self.unit * SIZE * e**2 / 2
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_what_the_force_of_a_law_and_a_record_read_counts_as_it_stands():
     lattice = gx.Lattice(np.ones(3), gx.Bond(SHIFT, Spring()))
     state = gx.states.impact(lattice)
@@ -294,6 +294,7 @@ def test_what_a_scene_reads_counts_in_a_fit():
         set_global(1.0)
 
 
+@pytest.mark.slow
 def test_what_objectives_and_residuals_read_counts_as_it_stands():
     found = (
         lambda: float(gx.design(goal, {"x": 3.0}).parameters["x"]),

@@ -43,6 +43,7 @@ def test_the_equation_of_data_that_obey_one():
     assert np.abs(found.bend([0.0, 0.5]) - [0, 0.25]).max() < 1e-10
 
 
+@pytest.mark.slow
 def test_uneven_places_several_trains_and_a_drift():
     rng = np.random.default_rng(3)
     (x, y), (_, z) = solved(0.3), solved(0.6)
@@ -71,6 +72,7 @@ def test_the_wave_of_korteweg_and_de_vries():
     assert abs(found.coefficients[2] + 12 / unit) < 1e-7
 
 
+@pytest.mark.slow
 def test_a_wave_of_todas_chain_and_a_solitary_one():
     wave, x = gx.travelling.periodic_wave(gx.Toda(), 8.0, amplitude=0.2), np.linspace(-12, 12, 121)
     misfits = [planar_ode(x, np.asarray(wave.strain(x)), degree=k).misfit / wave.amplitude for k in (2, 3, 4)]
@@ -94,7 +96,7 @@ def test_the_interior_of_a_shock():
     assert found.misfit < 0.1 * np.ptp(y) and any(point.kind == "centre" for point in found.equilibria)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_noise_gives_its_size_and_error_bars_that_hold():
     x, y = solved(0.3)
     rng, off = np.random.default_rng(5), []

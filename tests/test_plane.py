@@ -8,6 +8,7 @@ from scipy.integrate import solve_ivp
 
 import granjax as gx
 from granjax import scenes
+from granjax.flow.stiffness import frequency_bound
 
 K, M = np.array([2 * np.pi / 3, 4 * np.pi / 3]), np.array([np.pi, 0.0])
 RNG = np.random.default_rng(7)
@@ -139,6 +140,7 @@ def test_a_struck_hexagon_against_an_independent_integration():
     assert np.abs(far[:122]).max() > 0.03
 
 
+@pytest.mark.slow
 def test_a_planar_front_in_the_square_lattice_is_a_chain():
     square = scenes.square(20, 3, exponent=1.5, boundary=("fixed", "periodic"))
     chain = scenes.monomer(20)
@@ -165,6 +167,7 @@ def test_outlines():
             scenes.square(4, **wrong)
 
 
+@pytest.mark.slow
 def test_lanes_derivatives_and_si():
     make = lambda f: scenes.triangular(4, 4, precompression=f, boundary="periodic", spacing=1.0)
     batch = jax.vmap(make, out_axes=-1)(jnp.array([0.02, 0.1]))
@@ -184,6 +187,7 @@ def test_lanes_derivatives_and_si():
     assert np.abs(np.asarray(gx.linear.normal_modes(plain).omega) / float(units.time) / want - 1).max() < 1e-12
 
 
+@pytest.mark.slow
 def test_forces_between_beads_and_what_slips():
     crystal = scenes.hexagon(1, precompression=0.5, rotation=True, tangential=0.4, boundary="free")
     network = gx.measures.force_network(crystal, gx.states.rest(crystal))
@@ -196,7 +200,7 @@ def test_forces_between_beads_and_what_slips():
         gx.measures.slip_ratio(scenes.square(3), gx.states.rest(scenes.square(3)))
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_two_equal_branches_are_one_chain():
     fork = scenes.junction(6, (9, 9))
     mass, A = np.r_[np.ones(6), 2 * np.ones(9)], np.r_[np.ones(6), 2 * np.ones(10)]
@@ -223,7 +227,7 @@ def test_a_packing_of_steel_beads():
         scenes.packing("steel 316", 5e-3, 7, rotation=True)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_front_is_a_solitary_wave_in_a_row_of_a_square_and_spreads_in_a_hexagon():
     speed = lambda t, y, lattice: jnp.linalg.norm(y.v, axis=-1)
 
@@ -270,3 +274,285 @@ def test_complex_wave_numbers():
     n = np.array([[np.cos(a), np.sin(a)] for a in (0, np.pi / 3, 2 * np.pi / 3)])
     D = sum(2 * (1 - np.cos(p)) * np.outer(x, x) for x, p in zip(n, (k, 0.7, 0.7 - k)))
     assert abs(np.linalg.det(D - 9 * np.eye(2))) < 1e-10 and plane.decay[0] > 0.1
+
+
+def on_line(depth, beads):
+    """Nodes and guides of a binary tree whose guides all lie on one line."""
+    nodes, edges = [(0.0, 0.0), (beads, 0.0)], [(0, 1)]
+    for level in range(1, depth + 1):
+        for node in range(2 ** (level - 1), 2**level):
+            for _ in (0, 1):
+                edges.append((node, len(nodes)))
+                nodes.append(((level + 1.0) * beads, 0.0))
+    return np.array(nodes), edges
+
+
+def turned_tree(depth, beads, angle):
+    """The same with branches at +-angle of their stem."""
+    nodes, edges, ways = [(0.0, 0.0), (beads, 0.0)], [(0, 1)], {1: 0.0}
+    for level in range(1, depth + 1):
+        for node in range(2 ** (level - 1), 2**level):
+            for way in (ways[node] + angle, ways[node] - angle):
+                ways[len(nodes)] = way
+                edges.append((node, len(nodes)))
+                nodes.append(nodes[node] + beads * np.array([np.cos(way), np.sin(way)]))
+    return np.array(nodes), edges
+
+
+@pytest.mark.slow
+def test_a_network_of_three_guides_in_space_is_a_junction():
+    angle, turn = 0.4, np.linalg.qr(RNG.normal(size=(3, 3)))[0]
+    out = [[np.cos(angle), np.sin(angle) * np.cos(x), np.sin(angle) * np.sin(x)] for x in (0.3, 2.5)]
+    nodes = np.array([[0, 0, 0], [6, 0, 0], *([6, 0, 0] + 9 * np.array(out))]) @ turn
+    edges = [(0, 1), (1, 2), (1, 3)]
+    net = scenes.network(nodes, edges, (6, 9, 9))
+    fork = scenes.junction(6, (9, 9), angles=(angle, -angle))
+    u = RNG.normal(size=24)
+    assert np.abs(net.force(0.0, u, 0 * u) - fork.force(0.0, u, 0 * u)).max() < 2e-15
+    assert net.positions.shape == (24, 3)
+    assert np.abs(np.linalg.norm(np.diff(np.asarray(net.positions)[:6], axis=0), axis=1) - 1).max() < 1e-14
+    named = {name: x for name, x in zip(("in", "fork", "up", "down"), nodes)}
+    words = scenes.network(named, [("in", "fork"), ("fork", "up"), ("fork", "down")], (6, 9, 9), boundary="free")
+    free = scenes.junction(6, (9, 9), angles=(angle, -angle), boundary="free")
+    assert np.abs(words.force(0.0, u, 0 * u) - free.force(0.0, u, 0 * u)).max() < 2e-15
+    # the places of contacts are those of the beads, whatever the weights
+    segments = gx.measures.force_network(fork, gx.states.rest(fork)).segments
+    assert np.abs(np.linalg.norm(segments[:, 1] - segments[:, 0], axis=-1) - 1).max() < 1e-14
+
+
+@pytest.mark.slow
+def test_a_network_read_backwards_is_the_same_network():
+    nodes, edges = turned_tree(2, 5, 0.3)
+    net = scenes.network(nodes, edges, 5)
+    back = scenes.network(nodes, [(head, tail) for tail, head in edges], 5)
+    u = RNG.normal(size=35)
+    # all ends but the first and the last of each guide change their roles
+    flip = lambda x: -np.asarray(x).reshape(7, 5)[:, ::-1].ravel()
+    assert np.abs(flip(back.force(0.0, flip(u), 0 * u)) - net.force(0.0, u, 0 * u)).max() < 1e-14
+    # two guides through one node at right angles pass through each other
+    cross = scenes.network([[-1, 0], [0, 0], [1, 0], [0, -1], [0, 1]], [(0, 1), (1, 2), (3, 1), (1, 4)], 4)
+    chain = scenes.monomer(8)
+    u = RNG.normal(size=16)
+    want = [chain.force(0.0, x, 0 * x) for x in (u[:8], u[8:])]
+    assert np.abs(cross.force(0.0, u, 0 * u) - np.concatenate(want)).max() < 1e-14
+
+
+@pytest.mark.study
+def test_a_tree_of_guides_on_a_line_is_a_chain_that_doubles():
+    depth, beads = 3, 4
+    nodes, edges = on_line(depth, beads)
+    tree = scenes.network(nodes, edges, beads)
+    double = 2.0 ** np.repeat(np.arange(depth + 1), beads)
+    chain = scenes.monomer(16, mass=double, stiffness=np.append(double, 2.0**depth))
+    first = [2**level - 1 for level in range(depth + 1)]
+    path = np.concatenate([np.arange(i * beads, (i + 1) * beads) for i in first])
+    level = np.repeat(np.floor(np.log2(np.arange(1, 16))).astype(int), beads)
+    same = beads * level + np.tile(np.arange(beads), 15)
+    u = 0.1 * RNG.normal(size=16)
+    force = np.asarray(tree.force(0.0, u[same], np.zeros(60)))
+    assert np.abs(force * 2.0**level - np.asarray(chain.force(0.0, u, 0 * u))[same]).max() < 1e-12
+    runs = [gx.simulate(x, gx.states.impact(x, 0.3), 25.0, step=0.05) for x in (tree, chain)]
+    both, one = (np.asarray(run.final.u) for run in runs)
+    assert np.abs(both[path] - one).max() < 1e-12 and np.abs(both - one[same]).max() < 1e-12 and one[10] > 1e-3
+
+
+@pytest.mark.slow
+def test_loads_of_a_network_and_its_derivative():
+    nodes, edges = turned_tree(1, 6, 0.3)
+    share = 0.5 / np.cos(0.3)
+    held = scenes.network(nodes, edges, 6, precompression=[1.0, share, share])
+    over = np.asarray(held.unbalanced())
+    assert np.abs(over).max() < 1e-14
+    over = np.asarray(scenes.network(nodes, edges, 6, precompression=1.0).unbalanced())
+    assert abs(over[5] - (1 - 2 * np.cos(0.3))) < 1e-14 and np.abs(np.delete(over, 5)).max() < 1e-14
+    masses = np.asarray(scenes.network(nodes, edges, 6, mass=[1.0, 2.0, 3.0]).mass)
+    assert (masses == np.repeat([1.0, 2.0, 3.0], 6)).all()
+    batch = jax.vmap(lambda A: scenes.network(nodes, edges, 6, stiffness=A), out_axes=-1)(jnp.array([1.0, 2.0]))
+    u = np.linspace(0.5, 0.0, 18)
+    both = np.asarray(batch.force(0.0, np.stack([u, u], -1), np.zeros((18, 2))))
+    assert batch.lanes == (2,) and np.abs(both[:, 1] - 2 * both[:, 0]).max() < 1e-15 < np.abs(both).max()
+    steel = scenes.network(1e-2 * nodes, edges, 6, mass=4e-3, stiffness=1e10, precompression=20.0, units="SI")
+    plain, units = scenes.scaled(steel)
+    modes = [np.asarray(gx.linear.normal_modes(x).omega) for x in (steel, plain)]
+    assert np.abs(modes[1] / float(units.time) / modes[0] - 1).max() < 1e-11 and steel.units == "SI"
+
+    def energy(x):
+        return scenes.network(nodes + x * np.eye(4, 2, -2), edges, 6).potential_energy(0.0, u)
+
+    slope = float(jax.grad(energy)(0.0))
+    assert abs(slope) > 1e-4 and abs(slope - (energy(1e-5) - energy(-1e-5)) / 2e-5) < 1e-8
+
+
+def test_networks_that_are_refused():
+    nodes = [[0, 0], [1, 0], [2, 0], [1, 1]]
+    for edges, beads, words in (
+        ([(0, 1), (1, 2), (1, 3)], 3, "right angle"), ([(0, 1), (1, 4)], 3, "from 0 to 3"), ([(0, 0)], 3, "length"),
+        ([], 3, "at least one guide"), ([(0, 1, 2)], 3, "pair"), ([(0, 1), (1, 2)], (3, 3, 3), "one per guide"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            scenes.network(nodes, edges, beads)
+    with pytest.raises(ValueError, match="traced"):
+        jax.jit(lambda x: scenes.network(x, [(0, 1)], 3).mass)(np.array(nodes, float))
+    with pytest.raises(ValueError, match="one number, or an array"):
+        scenes.network(nodes, [(0, 1), (1, 2)], 3, precompression=[1.0, 1.0, 1.0])
+
+
+def exponential(amplitude):
+    """The slope of log(amplitude) over its number, with its standard error."""
+    A = np.stack([np.ones(len(amplitude)), np.arange(len(amplitude))], -1)
+    c = np.linalg.lstsq(A, np.log(amplitude), rcond=None)[0]
+    left = np.log(amplitude) - A @ c
+    return c[1], np.sqrt(np.linalg.inv(A.T @ A)[1, 1] * (left @ left) / (len(left) - 2))
+
+
+@pytest.mark.study
+def test_a_pulse_falls_exponentially_with_depth_in_an_ordered_network():
+    beads, angle = 12, 0.3
+
+    def peaks(net, until):
+        run = gx.simulate(net, gx.states.impact(net), until, step=0.1, record={"peak": gx.Peak(lambda t, y, _: y.v)})
+        return np.asarray(run.recorded["peak"]).reshape(-1, beads)[:, beads // 2]
+
+    tree = peaks(scenes.network(*turned_tree(4, beads, angle), beads), 170.0)
+    rate, error = exponential(tree[[2**level - 1 for level in range(1, 5)]])
+    assert error < 1e-4 * abs(rate)
+    # one junction gives the factor of every level, as the law has no scale
+    single = peaks(scenes.junction(beads, (beads, beads), angles=(angle, -angle)), 45.0)
+    assert abs(np.log(single[1] / single[0]) / rate - 1) < 0.01
+    # a net of hexagons: guides split and join again
+    stems, nodes, edges = {}, {}, []
+    across, down = beads * np.sin(angle), beads * np.cos(angle)
+    rows = 5
+    for row in range(rows):
+        for column in range(-row, row + 1, 2):
+            y = -row * (beads + down)
+            for end, at in (("top", y), ("bottom", y - beads)):
+                nodes[f"{end} {row} {column}"] = (column * across, at)
+            stems[row, column] = len(edges)
+            edges.append((f"top {row} {column}", f"bottom {row} {column}"))
+            if row + 1 < rows:
+                edges += [(f"bottom {row} {column}", f"top {row + 1} {column + side}") for side in (-1, 1)]
+    net = peaks(scenes.network(nodes, edges, beads), 330.0)
+    rim = np.array([net[stems[row, row]] for row in range(1, rows)])
+    middle = np.array([max(net[stems[row, c]] for c in range(-row, row + 1, 2)) for row in range(rows)])
+    slope, error = exponential(rim)
+    # along the rim, two turns a row: those of the tree, with error
+    assert slope < -0.2 and error < 0.02 * abs(slope)
+    assert (np.diff(middle) < 0).all() and middle[-1] < 0.5 * middle[0]
+
+
+def across(k, kt, kb, f, J):
+    """Waves across a chain of beads that turn, by hand, of masses 1: from the energies of slip, roll and prestress."""
+    slip = np.array([1 - np.exp(1j * k), 1 + np.exp(1j * k)])
+    bend = np.array([0, 1 - np.exp(1j * k)])
+    turn = np.array([1 - np.exp(1j * k), 0])
+    D = sum(x * np.outer(row.conj(), row) for x, row in ((kt, slip), (kb, bend), (-f, turn)))
+    scale = np.array([1, J**-0.5])
+    return scale[:, None] * D * scale
+
+
+@pytest.mark.parametrize("kb, F0, pull", [(0.1, 0.02, 0.02), (0.8, 0.05, 0.0), (0.0, 0.01, 0.03)])
+def test_bands_of_a_chain_of_beads_that_turn(kb, F0, pull):
+    A, kt, J, L, m = 1.3, 0.9, 0.4, 1.7, 1.2
+    chain = scenes.rotating_chain(9, mass=m, stiffness=A, precompression=F0, tangential=kt, bending=kb, spacing=L,
+                                  attraction=pull, boundary="periodic")
+    k, f = PHASES[:, 0], (F0 - pull) / L
+    waves = np.stack([np.linalg.eigvalsh(across(x, kt, kb, f, J)) for x in k])
+    along = 2 * 1.5 * A ** (2 / 3) * F0 ** (1 / 3) * (1 - np.cos(k))
+    want = np.sort(np.concatenate([waves, along[:, None]], 1), 1) / m
+    assert np.abs(squares(chain, k) - want).max() < 1e-12
+    c = np.cos(k)
+    a, b = 2 * (kt - f) * (1 - c), 2 * kt * np.sin(k) / J**0.5
+    d = (2 * kt * (1 + c) + 2 * kb * (1 - c)) / J
+    root = np.sqrt(((a - d) / 2) ** 2 + b**2)
+    assert np.abs(np.stack([(a + d) / 2 - root, (a + d) / 2 + root], 1) - waves).max() < 1e-12
+
+
+def test_a_wave_of_turning_beads_stands_and_a_pressed_chain_buckles():
+    kt, kb, J = 1.0, 0.8, 0.4
+    chain = scenes.rotating_chain(9, tangential=kt, bending=kb, attraction=0.01, boundary="periodic")
+    D = kb - (1 - J) * kt
+    k = np.arccos(1 - 4 * kt * D / (4 * J * kt * kb - D**2))
+    waves = gx.linear.dispersion(chain, [k - 0.1, k, k + 0.1])
+    velocity = np.asarray(waves.group_velocity)[:, 2]
+    assert velocity[0] > 1e-3 and abs(velocity[1]) < 1e-12 and velocity[2] < -1e-3
+    bent = lambda pull: scenes.rotating_chain(30, tangential=kt, bending=kb, precompression=0.1, attraction=pull)
+    assert float(gx.linear.normal_modes(bent(0.0)).omega_squared[0]) < -1e-4
+    assert float(gx.linear.normal_modes(bent(0.1)).omega_squared[0]) > 0
+
+
+@pytest.mark.slow
+def test_turning_beads_keep_both_momenta_and_turn_freely():
+    chain = scenes.rotating_chain(8, precompression=0.05, tangential=0.3, bending=0.2, attraction=0.05,
+                                  boundary="free", spacing=1.4)
+    assert np.abs(np.asarray(chain.unbalanced())).max() < 1e-15
+    x, angle = np.asarray(chain.positions), 0.7
+    c, s = np.cos(angle), np.sin(angle)
+    u = np.concatenate([x @ np.array([[c, s], [-s, c]]) - x, np.full((8, 1), 0.7 * angle)], 1)
+    assert abs(float(chain.potential_energy(0.0, u))) < 1e-15
+    assert float(jnp.abs(chain.force(0.0, u, 0 * u)).max()) < 1e-14
+    v = np.zeros(chain.shape)
+    v[0] = 0.1, 0.04, 0.05
+    run = gx.simulate(chain, gx.State(chain.zeros(), v), 20.0, solver=gx.SRKN11b(), step=0.05, save_at=4)
+    turning = [float(gx.measures.angular_momentum(chain, gx.State(u, v), radius=0.7)) for u, v in zip(run.us, run.vs)]
+    assert np.ptp(turning) < 1e-12 and abs(turning[0]) > 1e-2
+    assert np.ptp(np.asarray(run.vs)[..., :2].sum(1), axis=0).max() < 1e-12
+    assert float(run.energy_error) < 1e-6 and np.abs(np.asarray(run.final.v)[-1]).max() > 1e-3
+
+
+@pytest.mark.slow
+def test_turning_beads_between_walls_in_batches_in_si_and_when_they_would_slide():
+    counts = {"fixed": 7, "free": 5, "periodic": 6}
+    for boundary, bonds in counts.items():
+        chain = scenes.rotating_chain(6, bending=0.1, attraction=0.01, boundary=boundary)
+        assert [term.strain_map.strain(chain.zeros()).shape for term in chain.terms] == [(bonds,)] * 4
+    make = lambda kb: scenes.rotating_chain(6, tangential=0.4, bending=kb)
+    batch = jax.vmap(make, out_axes=-1)(jnp.array([0.1, 0.7]))
+    u = 0.01 * RNG.normal(size=(6, 3))
+    both = batch.force(0.0, jnp.stack([u, u], -1), jnp.zeros((6, 3, 2)))
+    for i, kb in enumerate((0.1, 0.7)):
+        assert np.abs(both[..., i] - make(kb).force(0.0, u, 0 * u)).max() < 1e-15
+    slipped = np.zeros((6, 3))
+    slipped[3, 2] = 0.004
+    chain = make(0.1)
+    ratio = float(gx.measures.slip_ratio(chain, gx.State(slipped, 0 * slipped)))
+    assert abs(ratio - 0.4 * 0.004 / 0.01) < 1e-13
+    A = float(gx.materials.hertz_coefficient("steel 316", 5e-3))
+    steel = scenes.rotating_chain(8, mass=4.2e-3, stiffness=A, precompression=20.0, attraction=20.0, bending=2e3,
+                                  spacing=1e-2, boundary="periodic", units="SI")
+    plain, units = scenes.scaled(steel)
+    k = np.array([0.5, 2.0])
+    want = np.asarray(gx.linear.dispersion(steel, k).omega)
+    found = np.asarray(gx.linear.dispersion(plain, k).omega) / float(units.time)
+    assert steel.units == "SI" and np.abs(found / want - 1).max() < 1e-11
+    with pytest.raises(ValueError, match="slide"):
+        scenes.rotating_chain(6, precompression=0.0)
+    with pytest.raises(ValueError, match="boundary"):
+        scenes.rotating_chain(6, boundary="closed")
+
+
+@pytest.mark.slow
+def test_the_default_step_of_beads_that_turn_is_that_of_their_highest_mode():
+    crystal = scenes.packing("steel 316", 5e-3, 2, precompression=20.0, rotation=True, outline="hexagon")
+    highest = float(gx.linear.normal_modes(crystal).omega.max())
+    assert highest <= float(frequency_bound(crystal, gx.states.rest(crystal), 0.0, 1e-5)) < 2 * highest
+    # one bead alone may go anywhere along a contact without slipping, and through its neighbour
+    state = gx.states.impact(crystal, [1e-3, 0.0, 0.0], site=9)
+    assert highest < float(frequency_bound(crystal, state, 0.0, 1e-5)) < 2 * highest
+
+
+@pytest.mark.slow
+def test_films_of_stored_runs_and_what_is_no_picture(tmp_path):
+    crystal = scenes.hexagon(1, exponent=1.5)
+    run = gx.simulate(crystal, gx.states.impact(crystal, [0.1, 0.0], site=3), 1.0, step=0.1, save_at=3)
+    run.save(tmp_path / "run.nc")
+    film = gx.plots.film(gx.Result.load(tmp_path / "run.nc"), crystal)
+    assert gx.plots.save(film, tmp_path / "run.gif").stat().st_size > 1000
+    left, right = gx.plots.figure(6.0, 2.0).subplots(1, 2)
+    film = gx.plots.film(run, crystal, ax=right)
+    assert gx.plots.save(film, tmp_path / "two.gif").stat().st_size > 1000
+    assert not left.collections and len(right.collections[0].get_offsets()) == 7
+    batch = jax.vmap(lambda A: scenes.hexagon(1, stiffness=A), out_axes=-1)(jnp.ones(2))
+    for places in (batch, np.zeros((4, 3))):
+        with pytest.raises(ValueError, match="places: expected"):
+            gx.plots.beads(places)

@@ -36,6 +36,7 @@ def dimer():
     return gx.scenes.dimer(240, ratio=0.5, precompression=1.0, boundary="periodic")
 
 
+@pytest.mark.slow
 def test_a_packet_of_one_band_runs_with_its_group_velocity(dimer):
     waves = gx.linear.dispersion(dimer, np.array([1.3]))
     small = 1e-6
@@ -143,7 +144,7 @@ def test_a_channel_alone_by_scipy(linear_bullet):
     assert c - b * b / (4 * a) == pytest.approx(found.alone[1], rel=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_sound_bullet_in_a_packing_of_beads():
     crystal = gx.scenes.packing("steel 316", 5e-3, 15, 15, 50.0)
     found = gx.studies.sound_bullet(
@@ -156,7 +157,7 @@ def test_a_sound_bullet_in_a_packing_of_beads():
         gx.studies.sound_bullet(crystal, [(0, 3)], (7, 5), 1e-4, force=1.0, duration=4e-5)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_radial_front_falls_and_slows_down_where_a_planar_one_does_neither():
     speed = lambda t, y, lattice: jnp.linalg.norm(y.v, axis=-1)
 

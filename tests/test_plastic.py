@@ -20,7 +20,7 @@ def struck(law, speed, t1, **how):
     return gx.simulate(lattice, gx.states.impact(lattice, velocity=speed), t1, **how)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_measures_along_a_run_know_what_it_had_in_memory():
     lattice = gx.Lattice(1.0, tuple(gx.PlasticContact(FREE, gx.WaltonBraun(k, 2.0)) for k in (1.0, 0.5)), sites=2)
     run = gx.simulate(lattice, gx.states.impact(lattice, velocity=0.8), 9.0, save_at=12)
@@ -96,7 +96,7 @@ def scene(units):
     return make
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_chain_in_other_units_resumed_and_its_balance():
     one, other = gx.Units(), gx.Units(3e-4, 2e-3, 7e-6)
     runs = []

@@ -107,6 +107,9 @@ def test_a_rarefaction_shock_has_its_crest_below(strain, places):
     ax = plots.shock(-strain, toda.ShockEdges(0.7, 1.2, -0.5, 0.9), places=places, time=TIME)
     arrow = next(text for text in ax.texts if text.arrow_patch is not None)
     assert arrow.xyann[1] == pytest.approx(-0.9)
+    # a crest between bonds lies beyond every bond
+    ax = plots.shock(-0.5 * strain, toda.ShockEdges(0.7, 1.2, -0.5, 0.9), places=places, time=TIME)
+    assert ax.get_ylim()[0] <= -0.9
 
 
 def test_dots_of_a_zoom_lie_on_their_spline_and_on_what_is_beside(strain, places):

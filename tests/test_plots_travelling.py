@@ -30,7 +30,7 @@ def test_a_wave_its_slope_and_its_contacts(toda):
     assert len(plots.wave(toda, slope=False).lines) == 2
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_wave_of_steel_beads_has_units():
     chain = gx.scenes.beads("steel 316", 9.525e-3, 20.0, cells=12)  # whose walls are stiffer contacts
     wave = solitary_wave(chain, speed=1.1 * float(gx.linear.sound_speed(chain)))
@@ -44,12 +44,13 @@ def test_a_wave_of_steel_beads_has_units():
     np.testing.assert_allclose(found.toda_error, scaled.toda_error, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_the_soliton_of_toda_is_the_wave_of_its_law():
     found = closed_forms(gx.Toda(), np.sinh(1.0))
     assert found.toda_error[0] < 1e-12 < 1e-2 < found.kdv_error[0] and "Toda by" in found.outcome
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_family_over_its_speed():
     family = gx.travelling.family(gx.Toda(), speed=np.sinh([1.0, 0.9]) / np.array([1.0, 0.9]))
     ax = plots.wave_family(family)

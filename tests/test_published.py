@@ -16,7 +16,7 @@ def contact_force(t, y, lattice):
 FORCES = gx.Peak(contact_force)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_impact_of_a_monomer_chain():
     # computed with a converged step by two methods: plateau 0.63955423, speed 0.84050877 (A = m = 1, v = 1)
     chain = gx.scenes.monomer(240, boundary="free")
@@ -37,7 +37,7 @@ def test_dimer_contact_forces():
     assert np.max(np.abs(peak - [0.30190477, 0.25740781, 0.23094347])) < 2e-8
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_wall_minimum_of_the_dimer():
     # fixed wall after 101 beads: minimum of the transmitted force at 0.595, 0.2096 of the monomer's
     ratios = jnp.append(jnp.linspace(0.58, 0.61, 31), 1.0)
@@ -50,7 +50,7 @@ def test_wall_minimum_of_the_dimer():
     assert abs(transmission[lowest] - 0.2096) <= 0.001
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_toda_soliton_after_500_sites():
     # closed form: exp(y_n) - 1 = sinh^2 k sech^2(k (n - n0) - t sinh k), speed sinh k/k
     k, sites, start = 1.0, 640, 60.5
@@ -95,7 +95,7 @@ def test_fput_energy_and_first_recurrence():
     assert abs(share.min() - 0.0882) < 1e-4
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("precompression", [0.0, 0.3])
 def test_a_rigid_wall_reflects_like_a_mirror_pulse(precompression):
     # a bead on a rigid plane meets its mirror image: the contact with the plane has half the overlap of the pair's,
@@ -115,7 +115,7 @@ def test_a_rigid_wall_reflects_like_a_mirror_pulse(precompression):
     assert np.min(one.vs) < -0.5
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("step, band", [(0.6 / np.sqrt(6.0), 1e-8), (0.5, 1e-6)])
 def test_energy_band_of_a_precompressed_chain(step, band):
     # N = 128, A = d0 = m = 1, displacements uniform in +-0.1, t = 1e5: a band, and no slope beyond it

@@ -36,9 +36,9 @@ THRESHOLDS = np.array([0.9, 0.99, 0.9999])
 
 
 @pytest.mark.parametrize("method,within", [
-    pytest.param(dict(solver=gx.RKN1210(), tolerance=1e-9), 1e-9, marks=pytest.mark.slow),
+    pytest.param(dict(solver=gx.RKN1210(), tolerance=1e-9), 1e-9, marks=pytest.mark.study),
     pytest.param(dict(solver=gx.RKN1210(), tolerance=1e-6), 1e-6, marks=pytest.mark.study),
-    pytest.param({}, 1e-6, marks=pytest.mark.slow),
+    pytest.param({}, 1e-6, marks=pytest.mark.study),
 ], ids=["1e-9", "1e-6", "default"])
 def test_a_crossing_that_rises_and_falls_within_one_step_is_found(site, method, within):
     record = {"arrival": gx.Arrival(thrice, THRESHOLDS), "peak": gx.Peak(place), "integral": gx.Integral(square)}
@@ -49,6 +49,7 @@ def test_a_crossing_that_rises_and_falls_within_one_step_is_found(site, method, 
         assert np.all(gap < error) and np.all(error < within * (100 if name == "arrival" else 1)), (name, gap, error)
 
 
+@pytest.mark.slow
 def test_a_threshold_within_the_error_of_the_top_is_open(site):
     # Verlet's amplitude is 1/sqrt(1 - h^2/4) = 1.005 for 1: what lies between may be passed or not
     wait = {"arrival": gx.Arrival(thrice, np.array([0.9, 1.006, 1.2]))}
@@ -115,7 +116,7 @@ def test_a_name_of_an_error_is_not_a_name_of_a_record(site):
         gx.simulate(*site, 1.0, step=0.1, record=record)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_errors_pass_through_transformations(site):
     lattice, state = site
     record = {"peak": gx.Peak(place), "when": gx.Arrival(place, 0.5), "never": gx.Arrival(place, 2.0)}
@@ -167,7 +168,7 @@ def test_derivatives_of_records_in_both_modes(site):
     np.testing.assert_allclose(jax.jacfwd(jax.jacfwd(records))(s), second, rtol=1e-5, atol=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_lanes_and_float32(site):
     stiffness = jnp.array([1.0, 2.0])
     chains = jax.vmap(lambda k: gx.scenes.monomer(4, stiffness=k, precompression=1.0), out_axes=-1)(stiffness)
@@ -193,7 +194,7 @@ def test_a_run_with_records_is_pickled(site):
     assert pickle.loads(pickle.dumps(run)).recorded == run.recorded
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_lanes_that_stand_behind_leave_the_errors_out_of_a_dataset(site):
     lattice, state = site
     run = jax.vmap(lambda v: gx.simulate(lattice, gx.State(state.u, v * state.v), 2.0, step=0.5,

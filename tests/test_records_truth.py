@@ -171,7 +171,7 @@ def judged(name, seeds, kinds_of=KINDS):
     return wrong, excess, entries
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_records_are_within_their_errors():
     wrong, excess, _ = judged("RKN86", range(4), FEW)
     assert not wrong

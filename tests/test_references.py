@@ -76,7 +76,7 @@ def test_the_gauss_method_is_exact_for_polynomials():
         assert float(close @ c**power) == pytest.approx(1, rel=1e-14)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @extended_only
 @pytest.mark.parametrize("name", ["toda_soliton", "toda_shock_1e5", "driven", "softening", "magnets", "modulated"])
 def test_the_cheapest_references_are_made_again(name):

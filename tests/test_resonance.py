@@ -36,7 +36,7 @@ def python(code, **environment):
     return done.stdout.splitlines()[-1]
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_sweep_is_what_single_runs_give():
     # more than one chunk, not sorted; each chunk has its own step, whose error is below 1e-6
     ratios = np.array([0.7, 0.05, 1.0, 0.3, 0.59, 0.9, 0.1, 0.45, 0.2, 0.8, 0.5, 0.6])
@@ -68,7 +68,7 @@ def test_deepest_minimum_of_101_beads():
     assert found.resonance_transmission[lowest] == pytest.approx(0.208678, abs=2e-5)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_the_default_step_is_accurate_enough():
     # an eighth of the step; over 200 ratios the largest error is 5.5e-6, at 0.587
     for ratio in (0.05, 0.587):
@@ -87,7 +87,7 @@ def test_a_longer_run_meets_no_larger_force():
     np.testing.assert_allclose(longer.transmission, usual.transmission, rtol=2e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_refined_extrema_are_extrema():
     sweep = gx.resonance.transmission(np.linspace(0.1, 1, 46), 31)
     found = gx.resonance.refine(sweep, accuracy=1e-4)
@@ -130,7 +130,7 @@ def test_contact_forces_down_the_chain():
     np.testing.assert_allclose(forces[:, 1], MONOMER_FORCE, rtol=3e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_decay_is_fastest_at_the_second_and_third_resonance():
     # contacts 100 -> 200: 0.2399, 0.1225
     for centre in (0.2399, 0.1225):
@@ -143,12 +143,13 @@ def test_decay_is_fastest_at_the_second_and_third_resonance():
         assert tops[np.argmin(np.abs(tops - centre))] == pytest.approx(centre, abs=1e-4)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_anti_resonance_of_a_shorter_chain():
     # between contacts 40 and 120 the zero is already within 1e-5 of the asymptotic 0.342846
     assert gx.resonance.anti_resonance(0.32, 0.37, contacts=(40, 120)) == pytest.approx(0.342846, abs=1e-5)
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("contacts", [
     pytest.param((60, 160), marks=pytest.mark.slow), pytest.param((200, 600), marks=pytest.mark.study)
 ], ids=["60 to 160", "200 to 600"])
@@ -171,6 +172,7 @@ def test_an_interval_without_anti_resonance():
         gx.resonance.anti_resonance(0.4, 0.5, contacts=(40, 80))
 
 
+@pytest.mark.slow
 def test_light_beads_swing_once_more_at_each_anti_resonance():
     found = gx.resonance.oscillations([1.0, 0.342846, 0.154751, 0.090128, 0.0615, 0.6, 0.25])
     assert found.count[:5].tolist() == [1, 2, 3, 4, 5]
@@ -200,7 +202,7 @@ def test_a_map_of_dimers_is_their_decay_rate():
     assert found.force[3, 0] == pytest.approx(MONOMER_FORCE, rel=3e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_maps_of_larger_cells():
     ratios, stiffness = np.array([0.4, 1.0]), np.array([0.5, 0.8, 1.0])
     found = gx.resonance.resonance_map("2:1", ratios, stiffness, cells=(2, 6))
@@ -238,6 +240,7 @@ def test_whole_maps(kind):
     assert found.rate.max() > 0.03 and np.mean(np.abs(found.rate) < 3e-3) > 0.03
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "call, message",
     [
@@ -286,7 +289,7 @@ def test_another_step_count_compiles_nothing():
     assert program._cache_size() == before
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_several_devices_change_nothing():
     code = """
 import json

@@ -27,6 +27,7 @@ def correction(omega, k, K2, m, masses, stiffnesses):
     return np.abs(value / slope / x)
 
 
+@pytest.mark.slow
 def test_bands_of_a_woodpile_are_the_closed_form():
     chain = scenes.woodpile(9, MASSES, STIFFNESSES, bead_mass=1.1, precompression=1.0)
     omega = np.asarray(gx.linear.dispersion(chain, K).omega)
@@ -52,6 +53,7 @@ def test_bands_of_one_resonator_are_the_roots_of_a_quadratic():
     np.testing.assert_allclose(bands.lower[1], np.sqrt(kappa * (1 / m + 1 / mu)), rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_resonators_that_are_let_go_leave_the_monomer():
     chain = scenes.woodpile(9, MASSES, (0.0, 0.0), precompression=1.0)
     alone = scenes.monomer(9, precompression=1.0)
@@ -155,6 +157,7 @@ def standing(lattice, a, kappa, mu):
     return np.array(found), np.asarray(top.omega)
 
 
+@pytest.mark.slow
 def test_envelopes_shift_the_frequency_as_standing_waves_do():
     kappa, mu = 1.2, 0.3
     chain = scenes.mass_in_mass(8, mu, kappa, precompression=1.0)
@@ -169,7 +172,7 @@ def test_envelopes_shift_the_frequency_as_standing_waves_do():
     np.testing.assert_allclose(shift, nu3, rtol=2e-4)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("branch", [0, 1])
 def test_dark_breathers_of_precompressed_chains(branch):
     chain = scenes.mass_in_mass(40, 0.3, 1.2, precompression=1.0, boundary="free")
@@ -230,7 +233,7 @@ class TwoWays(gx.Law):
         return self.stiffness * 2 / 5 * (gx.laws.plus_power(e, 2.5) + gx.laws.plus_power(-e, 2.5))
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_bright_breather_without_precompression_decays_super_exponentially():
     # pushed and pulled alike, the mean force of every contact is zero: a breather that lasts
     chain = scenes.mass_in_mass(12, 0.5, 1.0, law=TwoWays(jnp.asarray(1.0)), boundary="free")
@@ -259,7 +262,7 @@ def test_a_tail_free_wave_leaves_no_resonator_swinging():
         gx.travelling.solitary_wave(gx.Hertz(), speed=1.0, resonator=gx.Resonator(0.1, 1.05 * kappa))
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_heavy_resonators_hold_a_bright_breather_for_long():
     # relative to its resonator a bead is a cradle's: m (m + mu)/mu, kappa (m + mu)^2/mu^2, until the pairs have drifted
     kappa, sites = 1.0, 11

@@ -47,6 +47,7 @@ def test_a_result_is_read_back_from_its_file(sample, tmp_path):
         sample.save(tmp_path / "sample.txt")
 
 
+@pytest.mark.slow
 def test_axes_that_share_a_size_share_a_name_and_no_others():
     inside = gx.Bond(gx.Shift(0, "periodic", ("bead", "core")), gx.Linear(0.3))
     masses = {"bead": np.ones(6), "core": np.full(6, 0.5)}
@@ -118,7 +119,7 @@ def test_a_result_without_an_outcome_cannot_be_made():
         Mute(1.0)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_run_is_written_with_its_records_and_statistics(tmp_path):
     lattice = gx.scenes.monomer(8, precompression=1.0)
     record = {"peak": gx.Peak(lambda t, y, lattice: gx.measures.contact_force(lattice, y))}

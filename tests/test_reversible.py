@@ -52,7 +52,7 @@ def differences(both, z, d):
     return sum(w * (both(z + k * WIDTH * d, d)[0] - both(z - k * WIDTH * d, d)[0]) for k, w in CENTRAL.items()) / WIDTH
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("case", few(DISTINCT, *range(0, len(DISTINCT), 4)), ids=lambda case: case.name)
 def test_every_scene_has_derivatives_in_both_modes(case):
     f, z = function(case.lattice, moving(case.lattice), steps=20)
@@ -67,7 +67,7 @@ def test_every_scene_has_derivatives_in_both_modes(case):
     assert float(forward) == pytest.approx(float(differences(both, z, d)), rel=1e-6, abs=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("solver", few(SPLITTING, 0, 2), ids=lambda s: s.__name__)
 def test_every_splitting_method_is_undone(solver):
     chain = gx.scenes.dimer(6, ratio=0.5, precompression=1.0)
@@ -77,7 +77,7 @@ def test_every_splitting_method_is_undone(solver):
     assert np.allclose(gradient, forward, rtol=1e-9, atol=1e-12)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_integrating_backwards_in_a_batch_and_the_return_error():
     chains = jax.vmap(lambda r: gx.scenes.dimer(6, ratio=r, precompression=1.0), out_axes=-1)(jnp.array([0.5, 0.8]))
 
@@ -110,7 +110,7 @@ def memory(function, *arguments):
     return jax.jit(function).lower(*arguments).compile().memory_analysis().temp_size_in_bytes
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_integrating_backwards_keeps_nothing_of_a_long_run():
     gradients = {n: jax.grad(lambda A, adjoint, n=n: precompressed(A, adjoint, n), (0, 1)) for n in (1000, 100_000)}
     kept = {n: memory(gradient, 1.0, gx.Reversible()) for n, gradient in gradients.items()}
@@ -127,7 +127,7 @@ def struck(stiffness, adjoint, steps):
     return jnp.sum(run.final.v[::2])
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_checkpoints_of_a_sonic_vacuum_grow_like_the_square_root_of_the_steps():
     def kept(steps):
         return memory(jax.grad(lambda A: struck(A, diffrax.RecursiveCheckpointAdjoint(), steps)), 1.0)
@@ -152,7 +152,7 @@ def test_a_gradient_through_contact_loss_is_that_of_differences():
         assert float(jax.jit(jax.grad(force))(1.0, adjoint)) == pytest.approx(float(difference), rel=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_the_end_that_is_saved_and_the_energy_error():
     def f(stiffness, adjoint, read):
         chain = gx.scenes.monomer(4, stiffness=stiffness, precompression=1.0)
@@ -176,6 +176,7 @@ def test_what_cannot_be_undone_is_refused():
         gx.Reversible(tolerance=0.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("adjoint", [gx.Reversible(), diffrax.RecursiveCheckpointAdjoint()], ids=["own", "diffrax"])
 @pytest.mark.parametrize("wrap", [lambda f: f, jax.jit, jax.vmap], ids=["plain", "jit", "vmap"])
 def test_forward_mode_is_refused_in_a_sentence(adjoint, wrap):

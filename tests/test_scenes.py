@@ -113,6 +113,7 @@ def test_a_uniform_chain_keeps_its_numbers_as_numbers():
     assert scenes.monomer(50).terms[0].law.precompression is None
 
 
+@pytest.mark.slow
 def test_exponents():
     assert isinstance(scenes.dimer(5, exponent=1.5).terms[0].law, gx.Hertz)
     assert isinstance(scenes.dimer(5, exponent=2).terms[0].law, gx.PowerLaw)
@@ -230,6 +231,7 @@ def test_gradient_with_respect_to_a_radius_and_a_modulus():
     np.testing.assert_allclose(jax.jit(jax.grad(loss))(x), central, rtol=1e-8)
 
 
+@pytest.mark.slow
 def test_beads_in_si():
     R, F0, tau = np.array([2e-3, 3e-3, 1e-3]), 5.0, 2e-3
     names = ["brass", "PTFE", "steel 316"]
@@ -335,6 +337,7 @@ def loaded():
     return scenes.beads("brass", 1e-3, 1.0, cells=3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("call, words", [
     (lambda: scenes.monomer(1), "sites: expected a whole number not below 2, got 1. A chain has"),
     (lambda: scenes.monomer(2.5), "sites: expected a whole number"),

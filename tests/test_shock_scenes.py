@@ -51,6 +51,7 @@ def speed_of(case):
     return () if case in FAST else pytest.mark.slow if case in SLOW else pytest.mark.study
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("name, c", [
     pytest.param(name, c, marks=speed_of((name, c)))
     for name in CHAINS for c in (0.2, -0.2)])
@@ -72,6 +73,7 @@ def test_nothing_comes_from_the_ends(name, c):
         assert np.abs(y - problem.strain(problem.state.u)).max() > 0.2 * size
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("name", ["toda", *(pytest.param(name, marks=pytest.mark.slow) for name in ("hertz", "own"))])
 def test_a_step_is_the_ramp_without_the_ramp(name):
     chain, left, right = CHAINS[name](), 0.3, 0.05
@@ -86,7 +88,7 @@ def test_a_step_is_the_ramp_without_the_ramp(name):
     assert np.ptp(there) > 0.2
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_piston_is_half_of_a_velocity_shock():
     """In the frame of the piston, for a chain that is precompressed and one whose contacts differ."""
     sites, c, t1 = 101, 0.15, 25.0
@@ -103,7 +105,7 @@ def test_a_piston_is_half_of_a_velocity_shock():
         assert np.abs(moved - u[sites // 2 + 1 :]).max() < 1e-12
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_the_binary_oscillation_of_toda():
     """From c = 1 on the strain behind the shock has period two: it oscillates between two values for ever.
 
@@ -123,6 +125,7 @@ def test_the_binary_oscillation_of_toda():
     assert np.abs(y - 2 * np.log(1.5)).max() < 0.2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("exponent", [1.5, pytest.param(2.5, marks=pytest.mark.slow)])
 def test_shocks_of_a_sonic_vacuum_are_one(exponent):
     """y -> c^{2/(p+1)}, t -> c^{(1-p)/(p+1)}, while rounding, which grows there, stays below."""
@@ -150,7 +153,7 @@ class Mirrored(gx.Law):
         return self.law.energy(-e)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_the_mirrored_law_has_the_mirrored_shock():
     """Strains of the other sign: a shock of compression becomes one of rarefaction, to the last bit."""
     c = 0.2
@@ -165,7 +168,7 @@ def test_the_mirrored_law_has_the_mirrored_shock():
     assert np.abs(np.asarray(left.us)).max() > 0.1
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("kind", ["velocity", "piston", "strain", "impacts"])
 def test_the_balances_close(kind):
     chain = hertz(121)
@@ -190,7 +193,7 @@ def test_the_balances_close(kind):
             gx.shocks.balances(problem, 10.0, box)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_every_impact_gives_its_momentum():
     chain, impulse = gx.scenes.toda(120), 0.4
     problem = gx.shocks.impacts(chain, impulse, 5.0, 3, duration=1.0)
@@ -224,7 +227,7 @@ def mapped(problem, sites):
     return found
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_map_is_what_the_run_shows():
     problem = gx.shocks.step(hertz(101), 0.5, 0.1)
     found = mapped(problem, 20)
@@ -237,7 +240,7 @@ def test_a_map_is_what_the_run_shows():
             gx.shocks.space_time(problem, 20.0, **wrong)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_maps_of_a_piston_and_of_a_batch():
     assert mapped(gx.shocks.piston(hertz(101), 0.4), [0, 1, 99]).bonds.tolist() == [0, 1, 99]
     many = jax.vmap(lambda c: gx.shocks.velocity_shock(gx.scenes.toda(101), c), out_axes=-1)(jnp.asarray([0.1, 0.2]))
@@ -257,7 +260,7 @@ print(int(told.split("VmHWM:")[1].split()[0]) / 1e6)
 """
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("problem", [
     "velocity_shock(chain, 0.3)", pytest.param("step(chain, 0.5, 0.1)", marks=pytest.mark.study)])
 def test_a_million_sites_need_less_than_two_gigabytes(problem):

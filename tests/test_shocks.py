@@ -37,7 +37,7 @@ def test_a_toda_shock_is_that_of_the_theory(toda):
     np.testing.assert_allclose(shock.wavelengths, known.wavelength, rtol=0.02)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_shock_of_a_bare_run_is_recognised(toda):
     shock = toda[1]
     chain = gx.scenes.toda(661)
@@ -64,7 +64,7 @@ def test_other_units_measure_the_same(toda):
         np.testing.assert_allclose(getattr(other, name) / unit, getattr(shock, name), rtol=1e-5, err_msg=name)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_rarefaction_shock_is_measured_upside_down(toda):
     # the Toda chain of negative constants is the mirror image: F(e) = -a (exp(-b e) - 1)
     shock = toda[1]
@@ -88,7 +88,7 @@ class Mirrored(gx.Law):
         return self.law.energy(-e)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_what_is_no_shock_is_refused(toda):
     for c, law, found in ((-0.3, gx.Toda(1.0, 1.0), "a rarefaction"), (0.3, gx.Linear(1.0), "a linear chain")):
         with pytest.raises(ValueError, match=f"faster sound behind than ahead.*{found}"):
@@ -106,7 +106,7 @@ def test_what_is_no_shock_is_refused(toda):
         gx.shocks.measure(gx.simulate(chain, gx.states.impact(chain, velocity=0.1), 5.0))
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("c, early, late", few(
     [(0.1, 1000.0, 4000.0), (0.5, 500.0, 2000.0), (0.9, 500.0, 2000.0)], 1))
 def test_toda_shocks_converge_to_the_theory(c, early, late):
@@ -127,7 +127,7 @@ def test_toda_shocks_converge_to_the_theory(c, early, late):
     assert falls == pytest.approx(1.0, abs=0.25)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_granular_shocks_have_their_plateaus():
     A = 2 * 2**0.5 / 3
     law = gx.Hertz(A, A * 0.5**1.5)

@@ -90,7 +90,7 @@ def test_refused(make, said):
         make()
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_contact_that_re_opens_is_said_to_be_infinitely_stiff():
     chain = scenes.foam(8, boundary="free")
     run = gx.simulate(chain, gx.states.impact(chain, velocity=-3.0), 4.0)
@@ -128,7 +128,7 @@ def test_rarefaction_pulses_mirror_those_of_the_hardening_chain(p):
         gx.travelling.solitary_wave(law, speed=0.9 * speed)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_rarefaction_shock_mirrors_the_shock_of_the_hardening_chain():
     law = scenes.hollow_cylinders(5).terms[0].law
     found = []
@@ -154,7 +154,7 @@ def test_a_step_up_in_compression_spreads():
         gx.shocks.measure(gx.shocks.velocity_shock(chain, 0.1).run(40.0))
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_bright_breathers_above_the_band():
     chain = scenes.foam(61, boundary="free")
     omega = 1.003 * np.sqrt(2)
@@ -170,7 +170,7 @@ def test_bright_breathers_above_the_band():
         gx.breathers.breather(hard, 1.003 * np.sqrt(6), "bright")
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_compressive_impact_sends_a_rarefaction_pulse_ahead():
     # the struck contact opens as the bead comes back: infinitely stiff there, so the step is halved to know the rest
     chain = scenes.origami(160, 0.5, boundary="free")
@@ -192,7 +192,7 @@ def test_a_compressive_impact_sends_a_rarefaction_pulse_ahead():
     assert misfit < 0.03 and float(pulse.speed) > 1.1 * sound
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_breathers_of_contacts_that_harden_and_soften_in_turn():
     chain = scenes.alternating(41, boundary="free")
     bright = gx.breathers.breather(chain, 1.72, "bright", steps=64)

@@ -153,7 +153,7 @@ def monodromy(solver, lattice, y, t1, step):
     return np.asarray(jax.jit(jax.jacfwd(flow))(jnp.concatenate(list(y))))
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @some_of(SPLITTING, SRKN11b, SRKN14a, SofroniouSpaletta10)
 def test_symplectic(solver):
     M = monodromy(solver, chain(), smooth(), 2.0, 0.25)
@@ -255,7 +255,7 @@ def plain_chain(t, y, args):
     return gx.State(v, force[:-1] - force[1:])
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @each
 def test_plain_field_equals_lattice(solver):
     ours = flat(last(solve(solver(), smooth(), 2.0, 0.25, chain())))
@@ -407,7 +407,7 @@ def between():
     return times, ys
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("solver, counts", ((RKN86, (16, 24, 36)), (RKN1210, (6, 8, 9, 12))), ids=("RKN86", "RKN1210"))
 def test_dense_output_is_as_good_as_the_steps(solver, counts, between):
     times, reference = between
@@ -431,7 +431,7 @@ def test_dense_output_of_splittings_has_order_six(between):
     assert slope(1 / counts, errors[:, 0]) > 5.5 and slope(1 / counts, errors[:, 1]) > 4.7
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @each
 def test_dense_output_meets_the_ends_and_runs_backwards(solver):
     method = solver()
@@ -447,7 +447,7 @@ def test_dense_output_meets_the_ends_and_runs_backwards(solver):
     assert np.abs(flat(back.interpolation.evaluate(0.6)) - flat(middle)).max() < close
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pair
 def test_nobody_pays_for_dense_output_that_is_not_read(solver):
     def roots(**options):
@@ -528,7 +528,7 @@ def test_lanes_and_vmap(solver, lanes):
     assert np.abs(flat(jax.tree.map(lambda x: x[:, 0], together)) - flat(single)).max() < 1e-14
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pair
 def test_adaptive_vmap(solver):
     # errors of a step well above what rounding, which differs, makes of them
@@ -545,7 +545,7 @@ def test_adaptive_vmap(solver):
         assert np.abs(flat(jax.tree.map(lambda x: x[i], mapped)) - flat(alone(mass))).max() < 1e-13
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @each
 def test_float32_stays_float32(solver):
     y = jax.tree.map(lambda x: x.astype(jnp.float32), smooth())
@@ -570,7 +570,7 @@ PLACE = (jnp.asarray(1.1), smooth().u)
 DIRECTION = (jnp.asarray(0.7), jnp.cos(jnp.arange(N) * 1.0))
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("solver", few((SRKN11b, RKN86, RKN1210), 1), ids=lambda s: s.__name__)
 def test_forward_and_reverse_derivatives_agree(solver):
     @jax.jit

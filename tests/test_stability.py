@@ -70,7 +70,7 @@ def test_limit_is_that_of_the_steps_that_are_taken(solver):
     assert stability_limit(solver) == pytest.approx(high, rel=1e-7)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("solver", few(EVERY, *range(1, len(EVERY), 3), -1), ids=lambda s: s.__name__)
 def test_runs_grow_outside_alone_and_as_computed(solver):
     limit = stability_limit(solver)
@@ -105,7 +105,7 @@ def test_simulate_refuses_just_outside(solver):
         gx.simulate(chain, state, 1.0, solver=solver(), step=1.001 * limit / omega)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("solver", few(EVERY, *range(0, len(EVERY), 4)), ids=lambda s: s.__name__)
 def test_simulate_takes_just_inside(solver):
     chain = gx.scenes.monomer(4, precompression=1.0)
@@ -194,6 +194,7 @@ def test_evaluations_are_those_of_the_solvers():
     assert np.isnan(stability.evaluations(diffrax.Kvaerno5))
 
 
+@pytest.mark.slow
 def test_what_is_not_known_has_no_limit():
     unknown = diffrax.HalfSolver(diffrax.Tsit5())
     assert stability_limit(unknown) is None

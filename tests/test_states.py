@@ -95,6 +95,7 @@ def test_thermal_energy():
     assert abs(3 * np.mean(state.v**2) / 0.4 - 1) < 0.03 and not np.any(state.u)
 
 
+@pytest.mark.slow
 def test_fput_first_mode_has_its_energy():
     fput = chain(31, gx.Polynomial(1.0, 0.25))
     # 32 sin^2(pi/64)
@@ -212,6 +213,7 @@ def pressed(sites=120, boundary="free", **numbers):
     return gx.scenes.monomer(sites, precompression=1.0, boundary=boundary, **numbers)
 
 
+@pytest.mark.slow
 def test_toda_soliton_of_a_toda_chain_is_exact():
     lattice, t = gx.scenes.toda(120, boundary="free"), 40.0
     state = states.toda_soliton(lattice, speed=np.sinh(0.8) / 0.8)
@@ -225,6 +227,7 @@ def test_toda_soliton_of_a_toda_chain_is_exact():
     np.testing.assert_allclose(back.v, -states.toda_soliton(lattice, 0.8, centre=119 - 91.0).v[::-1], atol=1e-14)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("numbers", [{}, dict(mass=2e-3, stiffness=5e3)])
 def test_kdv_soliton_of_any_law_in_any_units(numbers):
     lattice = pressed(**numbers)

@@ -32,7 +32,7 @@ def flat(y):
     return jnp.concatenate([y.u, y.v])
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("case", CASES)
 def test_tangents_are_the_derivative_of_the_flow(case):
     lattice, solver = CASES[case]
@@ -98,6 +98,7 @@ def test_arguments_that_may_change_are_read_at_each_call(kind):
         assert float(flow(1.0, 0, 1, args)) == pytest.approx(np.exp(-k), rel=1e-8)
 
 
+@pytest.mark.slow
 def test_a_field_may_ask_what_a_number_is():
     """A plain number is an input of the compiled flow where the field lets it."""
     def field(t, y, args):

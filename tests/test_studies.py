@@ -33,7 +33,7 @@ def test_walls_that_move_the_same_way_make_an_antinode():
     assert found.attractor.multiple == 1 and found.depth == pytest.approx(-0.455, abs=0.01) and found.width == 0
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_shaken_dimer_leaves_a_bright_breather_in_the_gap():
     found = studies.bright_by_instability()
     assert found.localised, found.outcome
@@ -42,7 +42,7 @@ def test_a_shaken_dimer_leaves_a_bright_breather_in_the_gap():
     assert found.fraction[found.driven_for // 2 : found.driven_for].min() < 0.4
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_defect_beside_the_driver_rectifies():
     amplitudes = np.linspace(0.05e-6, 0.35e-6, 7)
     found = studies.rectifier(amplitudes)

@@ -175,12 +175,12 @@ def killed(executor, given, task, told=None):
     assert os.getpid() not in {chunk.columns["process"][0] for chunk in found.values() if chunk.columns}
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_process_that_is_killed_in_mid_chunk(tmp_path):
     killed(2, chunks(6), Squares(dies_once=tmp_path / "died"))
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_chunk_that_always_kills_its_process(tmp_path):
     pool = ProcessPoolExecutor(2, multiprocessing.get_context("spawn"), initializer=time.sleep, initargs=(0.01,))
     killed(pool, chunks(6), Squares(dies=[13], dies_once=tmp_path / "died"), "BrokenProcessPool")
@@ -188,7 +188,7 @@ def test_a_chunk_that_always_kills_its_process(tmp_path):
     complete(completed(Squares(), chunks(), pool, 1), chunks())
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_fork_is_not_made():
     with ProcessPoolExecutor(2) as pool:
         if pool._mp_context.get_start_method() != "fork":
@@ -221,7 +221,7 @@ def script(tmp_path, last, executor, pause):
                             start_new_session=True, env={**os.environ, "PYTHONPATH": str(ROOT)})
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_script_without_a_guard_is_told(tmp_path):
     ended = script(tmp_path, "main()", "2", 0)
     out, err = ended.communicate(timeout=60)
@@ -235,7 +235,7 @@ def alive(group):
     return [line for line in found if line.split()[:1] == [str(group)] and "Z" not in line]
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize(
     "executor, key", [("None", signal.SIGINT), ("2", signal.SIGINT), ("2", signal.SIGKILL)],
     ids=["threads, Ctrl-C", "processes, Ctrl-C", "processes, killed"],
@@ -268,12 +268,12 @@ def client():
             yield client
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_worker_of_a_cluster_that_is_killed_in_mid_chunk(client, tmp_path):
     killed(client.get_executor(), chunks(6), Squares(dies_once=tmp_path / "died"))
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_chunk_that_always_kills_its_worker_of_a_cluster(client, tmp_path):
     task = Squares(dies=[13], dies_once=tmp_path / "died")
     killed(client.get_executor(), chunks(6), task, "KilledWorker")

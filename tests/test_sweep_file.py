@@ -161,6 +161,7 @@ def test_what_varies():
     assert len(axes["masses_4"]) == 5 and 0.1 <= axes["masses_4"].min() and axes["stiffness"].max() <= 2
 
 
+@pytest.mark.slow
 def test_several_places_and_ends_of_runs():
     text = changed(TINY, "bond = -1}", "bond = [1, -1]}").partition("through =")[0]
     text = changed(text, "ratio = {from = 0.5, to = 1.0, count = 3}", "run.until = [3, 13]")
@@ -494,7 +495,7 @@ def complaints(capsys):
     return [line for line in capsys.readouterr().err.splitlines() if "JAX has started" not in line]
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_sweep_from_beginning_to_end(tmp_path, capsys):
     (tmp_path / "tiny.toml").write_text(TINY)
     assert main(["sweep", str(tmp_path / "tiny.toml"), "--out", str(tmp_path / "made")]) == 0
@@ -560,6 +561,7 @@ def test_what_an_interrupted_run_has_begun_is_not_overwritten(tmp_path, capsys, 
     assert [(o["executor"], o["chunk"], o["store"]) for o in asked] == [(2, 8, tmp_path / "map.nc")]
 
 
+@pytest.mark.slow
 def test_a_store_of_another_file_is_refused_with_the_difference(tmp_path, capsys):
     (tmp_path / "tiny.toml").write_text(changed(TINY, "[result]", '[result]\nstore = "tiny.nc"'))
     command = ["sweep", str(tmp_path / "tiny.toml"), "--out", str(tmp_path)]
@@ -574,7 +576,7 @@ def test_a_store_of_another_file_is_refused_with_the_difference(tmp_path, capsys
         assert len(told) == 1 and said in told[0], told
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_lanes_that_fail_are_told_and_code_1(tmp_path, capsys):
     text = TINY.partition("through =")[0]
     text += 'when = {kind = "arrival", of = "velocity", site = -1, threshold = 0.9}\n'

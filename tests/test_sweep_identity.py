@@ -186,7 +186,7 @@ print(json.dumps({{k: t.function_identity(t.made(s[0])) for k, s in t.PAIRS.item
 """
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_identities_are_the_same_in_every_process():
     text = TELLING.format(folder=os.path.dirname(__file__))
     found = [subprocess.Popen([sys.executable, "-c", text], env={**os.environ, "PYTHONHASHSEED": seed},
@@ -257,7 +257,7 @@ def test_what_was_called_is_as_it_was():
         assert function_identity(f) == before, kind
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_what_is_loaded_later_changes_nothing():
     """Parts of a library that are loaded when they are first asked for."""
     script = """

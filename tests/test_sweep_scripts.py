@@ -82,7 +82,7 @@ def check_crystal(space, folder):
     return data
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_radii_of_a_crystal_short(folder):
     data = check_crystal(run(CRYSTAL, ("12e-3, 20", "12e-3, 4"), ("cells=14", "cells=3"), ("3e-3,", "5e-4,")), folder)
     assert data.transmitted.shape == (4, 4)
@@ -110,7 +110,7 @@ def check_breathers(space, folder):
     return good
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_breathers_over_mass_ratios_short(folder):
     assert check_breathers(run(BREATHERS, ("0.6, 64", "0.375, 2")), folder).all()
 
@@ -139,7 +139,7 @@ def check_fits(space, count, folder):
     assert np.abs(off).max() < 4
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_fits_of_traces_short(folder):
     measure(3, folder)
     check_fits(run(FITS, ("range(32)", "range(3)")), 3, folder)

@@ -118,13 +118,14 @@ def killed_and_resumed(script, tmp_path, name, seconds):
     return number
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("name", ["", pytest.param(".nc", marks=pytest.mark.slow)])
 def test_killed_and_resumed_gives_the_same_bits(script, tmp_path, name):
     killed_and_resumed(script("f"), tmp_path, name, [0.02, 0.05] if name else [0.01])
     assert [p for p in tmp_path.iterdir() if p.name.endswith(".chunks")] == []
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("function, name", few([("compiled", ".nc"), ("compiled", ""), ("f", ".nc"), ("f", "")], 0))
 def test_killed_at_ten_moments(script, tmp_path, name, function):
     moments = np.random.default_rng(len(name)).uniform(0, 0.01, 10)
@@ -555,6 +556,7 @@ def fuzz(folder, tmp_path, count, seed):
     return refused, trusted
 
 
+@pytest.mark.slow
 def test_files_of_any_content_are_refused_or_right(folder, tmp_path):
     refused, trusted = fuzz(folder, tmp_path, 200, 0)
     assert refused > 20 and trusted > 20

@@ -39,7 +39,7 @@ def how_of(function, parameters):
     return planned(function, points_of(parameters), None, None).how
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_lanes_are_what_single_runs_give(walls):
     assert how_of(wall, {"ratio": RATIOS, "beads": [7, 5]})[:2] == ("lanes", ("beads",))
     for beads in (5, 7):
@@ -62,6 +62,7 @@ def test_it_is_a_dataset_with_units_and_its_origin(walls):
     assert "wall [N]" in walls.table(4)
 
 
+@pytest.mark.slow
 def test_a_lane_is_run_again(walls):
     scene = walls.scene(ratio=RATIOS[3] * (1 + 1e-13), beads=5)
     lattice, state = scene
@@ -98,6 +99,7 @@ def test_runs_within_have_their_lanes_last():
     np.testing.assert_allclose(jax.jit(lifted)(ratios), by_hand(ratios).T, rtol=1e-14)
 
 
+@pytest.mark.slow
 def test_a_lane_that_goes_wrong_says_why_and_the_others_stand():
     def softening(K3):
         chain = gx.Lattice(1.0, gx.Bond(gx.Shift(1, "fixed"), gx.Polynomial(1.0, K3, 0.0)), sites=7)
@@ -112,6 +114,7 @@ def test_a_lane_that_goes_wrong_says_why_and_the_others_stand():
     np.testing.assert_allclose(data.softening[[0, 1, 3]], alone.softening, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_lane_that_is_refused_says_why():
     data = sweep(wall, {"ratio": [0.5, 1.5, 0.7]})
     assert "ratio: expected numbers in (0, 1], got 1.5" in str(data.reason[1].values)
@@ -138,6 +141,7 @@ def test_what_is_not_finite_is_named():
     assert data.a.values.tolist() == [-1.0, 1.0, np.inf] and data.b.shape == (3, 2)
 
 
+@pytest.mark.slow
 def test_ways_of_computing_agree():
     parameters = {"ratio": RATIOS, "beads": [7]}
     each = sweep(wall, parameters, lanes=False)
@@ -148,7 +152,7 @@ def test_ways_of_computing_agree():
         np.testing.assert_allclose(other.speed, each.speed, rtol=1e-8, atol=1e-11)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_records_have_errors_within_lanes():
     def peak(ratio):
         chain = gx.scenes.dimer(5, ratio=ratio)

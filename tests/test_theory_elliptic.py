@@ -66,6 +66,7 @@ def test_m_serves_as_well_where_it_is_accurate():
     assert "sn" in repr(elliptic.jacobi(0.7, 0.3)) and gx.theory.elliptic is elliptic
 
 
+@pytest.mark.slow
 def test_complete_integrals():
     close(elliptic.K(m1=M1[:-1]), values(mp.ellipk, M1[:-1]))
     close(elliptic.E(m1=M1), values(mp.ellipe, M1))
@@ -79,6 +80,7 @@ def test_complete_integrals():
     assert elliptic.K(m1=1e-300) == pytest.approx(np.log(4) + 150 * np.log(10), rel=1e-15)
 
 
+@pytest.mark.slow
 def test_incomplete_integrals():
     phi, m1 = np.meshgrid(PHI, M1[:6], indexing="ij")
     close(elliptic.F(phi, m1=m1), values(mp.ellipf, phi, m1))
@@ -147,7 +149,7 @@ def test_derivatives_of_jacobi():
     assert np.isfinite(both_modes(jnp.array([800.0, 0.0]))[0]).all()
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_derivatives_of_the_integrals():
     """In every argument, in both modes."""
     pairs = (

@@ -78,7 +78,7 @@ def test_a_solitary_wave_tells_how_far_to_trust_the_fit():
     assert own.amplitude == pytest.approx(2 * np.log(2), rel=1e-8)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_solitary_wave_is_nearer_to_a_granular_front():
     # simulated leading crests at t = 8000: 1.0549, 1.1342, 1.1925
     found = shock_edges(GRANULAR, 0.5, wave=True)
@@ -131,7 +131,7 @@ def test_shocks_of_a_power_law_are_alike():
     assert small.leading_speed == pytest.approx(float(found.leading_speed) * 1e-3 * scale**-0.8, rel=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_strong_shock_has_no_trailing_edge():
     found = shock_edges(gx.Toda(), 1.5)
     assert np.isnan(found.trailing_speed) and "twofold or more" in found.outcome
@@ -181,7 +181,7 @@ def test_the_chain_may_be_a_lattice_or_strained_before():
     assert before.mean == pytest.approx(float(again.mean) + 0.1, rel=1e-12)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_edges_differentiate_in_all_their_numbers():
     def edges(x):
         found = shock_edges(gx.Hertz(x[0], x[1]), x[2], x[3], ahead=x[4])
@@ -195,7 +195,7 @@ def test_edges_differentiate_in_all_their_numbers():
     np.testing.assert_allclose(backward, forward, rtol=1e-12)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_the_front_of_a_sonic_vacuum_differentiates():
     # speed = const c^{1/5} (A/m)^{2/5}, mean = const c^{4/5} (A/m)^{-2/5}
     def front(x):
@@ -227,7 +227,7 @@ def test_what_makes_no_such_shock_is_refused(law, c, more, said):
         shock_edges(law, c, **more)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_edges_in_short_numbers():
     code = ("import granjax as gx; f = gx.theory.shock_edges(gx.Toda(), 0.5); print(float(f.leading_speed), "
             "float(f.error), float(gx.theory.linear_shock.velocity_step(0, 5.0, 1.0)))")
@@ -286,6 +286,7 @@ def test_linear_shocks_are_those_of_a_simulated_chain():
         np.testing.assert_allclose(-np.diff(run.final.u)[kept], found[kept], atol=1e-12)
 
 
+@pytest.mark.slow
 def test_linear_shocks_broadcast_and_differentiate():
     n, t, K = np.arange(-6, 6)[:, None, None], np.array([0.0, 1.0, 5.0])[:, None], np.array([1.0, 2.0])
     whole = linear_shock.velocity_step(n, t, 0.3, K)
@@ -331,6 +332,7 @@ def test_the_mean_of_a_power_law_in_closed_form():
         simple_wave.power_law_mean(-0.3, STIFFNESS, 1.5, REST)
 
 
+@pytest.mark.slow
 def test_fans_of_rarefaction():
     s = np.linspace(-1.2, 1.2, 49)
     y = simple_wave.fan(s, gx.Toda(), -0.3)
@@ -343,6 +345,7 @@ def test_fans_of_rarefaction():
     np.testing.assert_allclose(1 - 2 * other, np.clip(s**4, behind, 1), atol=1e-14)
 
 
+@pytest.mark.slow
 def test_the_fan_of_a_simulated_chain():
     sites, t = 400, 150.0
     n = np.arange(sites) - sites // 2
@@ -355,7 +358,7 @@ def test_the_fan_of_a_simulated_chain():
     assert np.abs(gap[within]).max() < 1.1e-2 and np.abs(gap[np.abs(s) < 0.5]).max() < 2e-2
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_simple_waves_differentiate():
     def both(x):
         law = gx.Hertz(x[1], x[2])

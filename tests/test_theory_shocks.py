@@ -59,6 +59,7 @@ def test_m_of_a_speed():
     np.testing.assert_array_equal(toda.modulus(far, c), m >= 0.5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("own", CONSTANTS)
 def test_the_modulated_wave_of_toda(own):
     """It is `periodic_wave` of its numbers, counts its crests, and has its speed as d omega/dk."""
@@ -85,6 +86,7 @@ def test_the_modulated_wave_of_toda(own):
     np.testing.assert_allclose(turned.strain, shock.strain, rtol=1e-10, atol=1e-15)
 
 
+@pytest.mark.slow
 def test_periodic_waves_of_any_numbers_solve_the_equation():
     """At random E1 < E2 < E3 < E4; sound of the dispersion relation as E3 -> E2, a soliton on a strain as E3 -> E4."""
     E = np.sort(np.random.default_rng(5).uniform(-2, 2, (40, 4)), 1).T[:, :, None]
@@ -158,6 +160,7 @@ def simulated(c, times, step):
         yield t, x, -np.diff(u), np.asarray((x / t - back) / (front - back)), np.asarray(apart)
 
 
+@pytest.mark.slow
 def test_a_simulated_shock_is_that_of_the_theory():
     """Without anything fitted: the error in the middle falls like 1/t, the plateau is the mean."""
     middle, worst = [], []
@@ -170,6 +173,7 @@ def test_a_simulated_shock_is_that_of_the_theory():
     assert np.average(strain, weights=weight) == pytest.approx(2 * np.log(1.5), abs=2e-4)
 
 
+@pytest.mark.slow
 def test_a_shock_beyond_c_of_one_has_a_binary_oscillation():
     """Neighbours swing against each other behind the fan, exactly as the wave of two sites of the theory does."""
     c = 2.0
@@ -235,6 +239,7 @@ def test_the_shock_of_kdv():
     np.testing.assert_allclose(kdv.modulus(speed, 0.5, *NORMAL), M, atol=2e-15)
 
 
+@pytest.mark.slow
 def test_kdv_is_the_toda_chain_of_weak_shocks():
     """At c = 1e-4: what is left of the edges is the next term of their series, with its factor."""
     c = 1e-4
@@ -252,6 +257,7 @@ def test_kdv_is_the_toda_chain_of_weak_shocks():
     np.testing.assert_allclose(toda.shock_wave(n, t, c).strain, kdv.shock_wave(n, t, c, *NORMAL).strain, atol=0.2 * c)
 
 
+@pytest.mark.slow
 def test_the_modulated_wave_of_kdv():
     """It is `cnoidal` of its numbers; of a law that softens it is a wave of rarefaction."""
     c, m, t = -0.08, np.array([0.1, 0.5, 0.9]), 3000.0

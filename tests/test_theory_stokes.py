@@ -62,6 +62,7 @@ def test_the_expansion_differentiates_and_compiles():
         stokes.wave(3.0, 0.1, 1.0, 0.5, 0.1, constraint="mean")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("E", [(-1.2, 0.2, 0.7, 1.5), (-1.3, 0.3, 1.0, 1.25)])
 def test_the_periodic_family_of_toda_is_that_of_the_closed_form(E):
     # a number added to all four takes the mean velocity away

@@ -74,6 +74,7 @@ def crest(strain, k, near):
     return n + np.arccosh(np.sinh(k) / np.sqrt(np.expm1(strain[n]))) / k
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("head_on", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_solitons_of_a_simulation_are_shifted_and_keep_their_eigenvalues(head_on):
     """Shifts to 1e-8, eigenvalues of the ring to 1e-11."""
@@ -97,6 +98,7 @@ def test_solitons_of_a_simulation_are_shifted_and_keep_their_eigenvalues(head_on
     np.testing.assert_allclose(beyond, want, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_ring_keeps_all_eigenvalues_of_any_state():
     rng = np.random.default_rng(3)
     ring = gx.scenes.toda(24, boundary="periodic")

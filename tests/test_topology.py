@@ -8,6 +8,8 @@ import pytest
 import granjax as gx
 from granjax import scenes, topology
 
+RNG = np.random.default_rng(11)
+
 
 def test_the_chain_of_su_schrieffer_and_heeger():
     for k1, k2, phase, turns in ((1.0, 2.0, np.pi, 1), (2.0, 1.0, 0.0, 0), (0.3, 0.31, np.pi, 1)):
@@ -72,6 +74,7 @@ def test_flat_bands_and_their_compact_states(name, sites):
     assert sum(int((np.abs(np.asarray(u)) > 0).sum()) for u in state.u.values()) == sites
 
 
+@pytest.mark.slow
 def test_a_compact_state_keeps_its_support_and_is_lost_without_equal_sites():
     chain = scenes.diamond(8, ground=0.5, on_site=gx.Polynomial(0.0, 0.0, 0.4))
     found = gx.linear.flat_bands(chain)
@@ -83,6 +86,7 @@ def test_a_compact_state_keeps_its_support_and_is_lost_without_equal_sites():
     assert not len(gx.linear.flat_bands(lost).omega)
 
 
+@pytest.mark.slow
 def test_edge_bands_of_a_strip():
     strip = gx.linear.ribbon(scenes.honeycomb(6, 14, out_of_plane=True, boundary=("periodic", "free"), ground=0.0))
     assert strip.omega.shape == (121, 28)
@@ -202,3 +206,135 @@ def test_disorder_of_sites_broadens_a_flat_band_linearly():
 
     narrow, wide = width(0.01), width(0.02)
     assert abs(wide / narrow - 2) < 0.02 and 0.003 < narrow < 0.01
+
+
+def breathing(k1, k2, cells=6, **options):
+    return scenes.kagome(cells, out_of_plane=True, stiffness=(k1, k1, k1, k2, k2, k2), **options)
+
+
+def test_the_polarisation_of_a_breathing_kagome_is_a_third():
+    for k1, k2, third in ((1.0, 0.3, 0), (0.3, 1.0, 2), (0.2, 2.0, 2)):
+        for bands, expected in ((0, third), ((1, 2), -third % 3)):
+            found = topology.polarisation(breathing(k1, k2, boundary="periodic"), bands)
+            assert np.abs(found.polarisation - expected / 3).max() < 1e-10 and found.error < 1e-7
+            assert found.centres.shape == (2, 48, np.size(bands))
+    with pytest.raises(ValueError, match="touch"):
+        topology.polarisation(breathing(1.0, 1.0, boundary="periodic"))
+
+
+def test_the_polarisation_without_symmetry_and_its_error():
+    def matrix(k):
+        h = 0.5 + jnp.exp(1j * k[0]) + 0.2 * jnp.exp(1j * k[1])
+        return jnp.array([[0.2, h], [jnp.conj(h), -0.2]])
+
+    fine = topology.polarisation(matrix, points=128)
+    assert fine.error < 1e-12 and np.abs(fine.polarisation * 6 % 1 - 0.5).max() < 0.499
+    for points in (12, 24, 48):
+        found = topology.polarisation(matrix, points=points)
+        assert np.abs(found.polarisation - fine.polarisation).max() <= found.error
+    # both bands together are a cell's two sites
+    both = topology.polarisation(lambda k: matrix(k), (0, 1), points=8)
+    assert np.abs(both.polarisation).max() < 1e-10
+    # by the Berry connection on a dense mesh, in a gauge that is smooth: the vector of the lower band in closed form
+    k = 2 * np.pi * np.arange(256) / 256
+    x, y = np.meshgrid(k, k, indexing="ij")
+    h = 0.5 + np.exp(1j * x) + 0.2 * np.exp(1j * y)
+    size = np.sqrt(0.04 + np.abs(h) ** 2)
+    weight = (1 + 0.2 / size) / 2  # of the second site, in the gauge where the first component is real
+    for axis, slope in enumerate((1j * np.exp(1j * x), 0.2j * np.exp(1j * y))):
+        # q = (a, -b exp(-i arg h)): i <q|dq> = b^2 d(arg h)
+        mean = (weight * (slope * h.conj()).imag / np.abs(h) ** 2).mean()
+        assert abs((fine.polarisation[axis] - mean + 0.5) % 1 - 0.5) < 1e-10
+    with pytest.raises(ValueError, match="Chern"):
+        topology.polarisation(haldane)
+
+
+def test_a_triangle_of_breathing_kagome_has_a_state_at_each_corner():
+    inside = lambda p: p[..., 0] + p[..., 1] / 3**0.5 < 2 * 6 - 0.5
+
+    def near(k1, k2, **options):
+        crystal = breathing(k1, k2, outline=inside, **options)
+        modes = gx.linear.normal_modes(crystal)
+        squared = np.asarray(modes.omega_squared)
+        held = np.flatnonzero(np.abs(squared - 2 * (k1 + k2)) < 0.3)
+        share = np.concatenate([np.asarray(modes.modes[name])[:, held] ** 2 for name in "abc"])
+        places = np.concatenate([np.asarray(crystal.positions[name]) for name in "abc"])
+        return squared[held] - 2 * (k1 + k2), share, places
+
+    off, share, places = near(0.2, 1.0)
+    assert len(off) == 3 and np.abs(off).max() < 2e-4
+    middle = places.mean(0)
+    corners = np.argsort(-np.linalg.norm(places - middle, axis=1))[:3]
+    assert (share[corners].sum(0) > 0.85).all()
+    # the gap of the bulk, in which they lie
+    bulk = np.asarray(gx.linear.dispersion(breathing(0.2, 1.0, boundary="periodic"),
+                                           np.random.default_rng(1).uniform(-np.pi, np.pi, (200, 2))).omega_squared)
+    assert bulk[:, 0].max() < 2.4 - 0.4 and bulk[:, 1].min() > 2.4 + 0.4
+    assert not len(near(1.0, 0.2)[0])
+    # sites of a free edge are held by less
+    loose, share, _ = near(0.2, 1.0, boundary="free")
+    assert share[corners].max() < 0.85 or len(loose) != 3
+
+
+def linked(found, masses):
+    """<q_j|q_{j+1}> of the vectors of a path, (K - 1, bands)."""
+    vectors = found.vectors if isinstance(found.vectors, dict) else {"": found.vectors}
+    flat = [np.asarray(x).reshape(len(x), -1, x.shape[-1]) * np.sqrt(masses[name]) for name, x in vectors.items()]
+    q = np.concatenate(flat, 1)
+    return (q[:-1].conj() * q[1:]).sum(1), q
+
+
+def test_the_vectors_of_a_path_follow_their_bands():
+    crystal = scenes.honeycomb(6, mass={"a": 1.0, "b": 1.4}, out_of_plane=True, boundary="periodic", ground=0.3)
+    found = gx.linear.path(crystal, "GKMG", count=60)
+    overlap, q = linked(found, {"a": 1.0, "b": 1.4})
+    assert np.abs(overlap.imag).max() < 1e-14 and overlap.real.min() > 0.9
+    assert np.abs(np.linalg.norm(q, axis=1) - 1).max() < 1e-12
+    # they are those of the bands
+    for k, squared, x in zip(found.k[::7], found.omega_squared[::7], q[::7]):
+        D = np.asarray(gx.linear.unit_cell(crystal).dynamical_matrix(jnp.asarray(k)))
+        assert np.abs(D @ x - x * np.asarray(squared)).max() < 1e-12
+    # two polarisations that are together at G and K and cross between: each continues one of those before
+    _, q = linked(gx.linear.path(scenes.triangular(6, 6, boundary="periodic"), "GKMG", count=60), {"": 1.0})
+    links = np.einsum("kpm,kpn->kmn", q[:-1].conj(), q[1:])
+    best = np.take_along_axis(links, np.abs(links).argmax(1)[:, None], 1)
+    assert np.abs(best.imag).max() < 1e-14 and best.real.min() > 0.7
+
+
+@pytest.mark.study
+def test_the_vectors_of_a_path_in_float32_and_their_derivative():
+    make = lambda m: gx.linear.path(
+        scenes.honeycomb(6, mass={"a": 1.0, "b": m}, out_of_plane=True, boundary="periodic", ground=0.3), "KM", 3)
+    small = gx.linear.path(scenes.triangular(6, 6, boundary="periodic").astype(np.float32), "GK", count=8)
+    assert small.vectors.dtype == np.complex64
+    slope = jax.jvp(lambda m: make(m).vectors["a"], (1.4,), (1.0,))[1]
+    step = (make(1.4 + 1e-5).vectors["a"] - make(1.4 - 1e-5).vectors["a"]) / 2e-5
+    assert np.abs(slope - step).max() < 1e-7
+
+
+@pytest.mark.slow
+def test_a_smooth_gauge_is_closed_up_to_the_zak_phase():
+    k = 2 * np.pi * np.arange(64) / 64
+    shifted = lambda k: jnp.array([[0.3, 0.4 + jnp.exp(1j * k[0])], [0.4 + jnp.exp(-1j * k[0]), -0.3]])
+    own = np.linalg.eigh(np.stack([np.asarray(shifted(jnp.array([x]))) for x in k]))[1]
+    dimer = scenes.dimer(12, 0.4, precompression=1.0, boundary="periodic")
+    ssh = scenes.ssh(8, 1.0, 2.0, boundary="periodic")
+    for lattice, vectors, mass in ((shifted, own, 1.0), (dimer, gx.linear.dispersion(dimer, k).vectors, [1.0, 0.4]),
+                                   (ssh, gx.linear.dispersion(ssh, k).vectors, {"a": 1.0, "b": 1.0})):
+        found = gx.linear.smooth_gauge(vectors, mass)
+        apart = np.angle(np.exp(1j * (found.phase - topology.zak(lattice).phase)))
+        assert np.abs(apart).max() < 1e-10 and found.overlap.min() > 0.99
+        for q, phase in ((found.vectors, 0 * found.phase), (found.periodic, found.phase / 64)):
+            if isinstance(q, dict):
+                q = np.concatenate([np.sqrt(mass[name]) * x for name, x in q.items()], 1)
+            else:
+                q = np.asarray(q) * np.sqrt(np.broadcast_to(mass, 2))[:, None]
+            links = (q.conj() * np.roll(q, -1, 0)).sum(1)
+            assert np.abs(np.angle(links[:-1]) + phase).max() < 1e-12
+        assert np.abs(np.angle(links * np.exp(1j * phase))).max() < 1e-10
+    coarse = gx.linear.smooth_gauge(RNG.normal(size=(8, 3, 3)))
+    assert "hardly overlap" in coarse.outcome
+    with pytest.raises(ValueError, match="four wave numbers"):
+        gx.linear.smooth_gauge(own[:3])
+    with pytest.raises(ValueError, match="shape"):
+        gx.linear.smooth_gauge(own, [1.0, 1.0, 1.0])

@@ -42,6 +42,7 @@ def test_the_tail_falls_as_the_inequality_says(hertz):
     assert 0 < float(hertz.strain(10.0)) < 1e-140
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("ratio", "peak"), [(1.05, 0.653311577638), (1.2, 3.346111173809), (2, 49.4301641677)])
 def test_precompressed_peaks(ratio, peak):
     wave = solitary_wave(gx.Hertz(1.0, 1.0), speed=ratio * 1.5**0.5)
@@ -52,11 +53,13 @@ def test_precompressed_peaks(ratio, peak):
     assert np.sinh(wave.decay / 2) / (wave.decay / 2) == pytest.approx(ratio, rel=1e-13)
 
 
+@pytest.mark.slow
 def test_magnets():
     wave = solitary_wave(gx.PowerLaw(1.0, -3.0, 1.0), speed=1.05 * 3**0.5)
     assert float(wave.amplitude) == pytest.approx(0.069221794600, abs=1e-10)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("k", [0.1, 3.0])
 def test_the_toda_soliton_everywhere(k):
     wave = solitary_wave(gx.Toda(), speed=np.sinh(k) / k)
@@ -67,6 +70,7 @@ def test_the_toda_soliton_everywhere(k):
     assert float(wave.compression) == pytest.approx(2 * k, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_one_wave_by_speed_amplitude_or_energy_in_any_units():
     scene = gx.Lattice(0.03, gx.Bond(gx.Shift(1, "free"), gx.Hertz(9.8e9, 5.0)), sites=20, units="SI")
     wave = solitary_wave(scene, speed=-60e3)
@@ -81,7 +85,7 @@ def test_one_wave_by_speed_amplitude_or_energy_in_any_units():
     assert float(again.strain(0.3)) == float(wave.strain(0.3))
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("name", ["energy", *(pytest.param(x, marks=pytest.mark.slow) for x in ("speed", "amplitude"))])
 def test_derivatives_by_the_implicit_function_theorem(name):
     def found(x):
@@ -150,7 +154,8 @@ def test_towards_the_speed_of_sound_it_is_the_soliton_of_korteweg_and_de_vries()
     assert np.diff(np.log(errors)) / np.diff(np.log(excess)) == pytest.approx(1.0, abs=0.1)
 
 
-@pytest.mark.parametrize("p", [3.0, *(pytest.param(x, marks=pytest.mark.slow) for x in (1.05, 10.0))])
+@pytest.mark.slow
+@pytest.mark.parametrize("p", [3.0, *(pytest.param(x, marks=pytest.mark.study) for x in (1.05, 10.0))])
 def test_powers_scale_and_sum(p):
     wave, faster = (solitary_wave(gx.PowerLaw(1.0, p), speed=c) for c in (1.0, 1.3))
     scale = 1.3 ** (2 / (p - 1))
@@ -165,7 +170,7 @@ def test_powers_scale_and_sum(p):
 STEEP = gx.Linear() + gx.PowerLaw(1.0, 7.0)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("speed", [1.02, pytest.param(1.2, marks=pytest.mark.slow)])
 def test_a_wave_whose_energy_falls_with_its_speed_is_unstable(speed):
     """dE/dc changes its sign between, near 1.035, and one pair of multipliers leaves +1."""
@@ -182,6 +187,7 @@ def test_ring_and_held_ends_agree():
     assert np.isfinite(ring.krein).all()
 
 
+@pytest.mark.slow
 def test_the_toda_soliton_and_the_hertz_wave_are_stable(hertz):
     found = solitary_wave(gx.Toda(), speed=np.sinh(1)).floquet()
     assert found.verdict == "stable" and found.expected == 4 and set(found.krein) == {-1, 0, 1}
@@ -191,7 +197,7 @@ def test_the_toda_soliton_and_the_hertz_wave_are_stable(hertz):
     np.testing.assert_allclose(hertz.floquet(16).multipliers[2:5], held.multipliers[2:5], atol=1e-5)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_wave_with_second_neighbours_by_newtons_method_from_one_without():
     wave = solitary_wave(gx.Toda(), speed=np.sinh(1))
     lattice, state = gx.travelling.ring(wave)
@@ -231,7 +237,7 @@ def test_a_periodic_wave_runs_around_a_ring():
     np.testing.assert_allclose(run.final.v, v, atol=1e-8)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_family_and_where_its_energy_turns():
     waves = gx.travelling.family(STEEP, speed=[1.03, 1.035, 1.04])
     ends = [float(solitary_wave(STEEP, speed=waves.turns[0] + d).energy) for d in (-1e-3, 0, 1e-3)]
@@ -240,7 +246,7 @@ def test_a_family_and_where_its_energy_turns():
     np.testing.assert_allclose(by_energy.energy_slope, 10 * by_energy.energy / by_energy.speed, rtol=1e-8)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("k", [1e-3, 0.03, 0.3, 10.0, 30.0])
 def test_the_error_is_no_less_than_what_it_is_off(k):
     wave = solitary_wave(gx.Toda(), speed=np.sinh(k) / k)
@@ -249,7 +255,7 @@ def test_the_error_is_no_less_than_what_it_is_off(k):
     assert off <= float(wave.error) < 1e-7 * float(wave.amplitude)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize(("law", "speed"), [
     (gx.PowerLaw(1.0, -3.0, 1.0), 17.3), (gx.Polynomial(1.0, 0.5, -0.1), 1.23), (gx.PowerLaw(1.0, 0.5, 1.0), 0.8),
 ])
@@ -282,6 +288,7 @@ REFUSED = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("call", "why"), REFUSED, ids=[why for _, why in REFUSED])
 def test_refused_with_the_reason(call, why):
     with pytest.raises(ValueError, match=why.replace("(", r"\(")):

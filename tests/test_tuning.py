@@ -37,6 +37,7 @@ def test_import_sets_the_flags_and_float64():
     assert dtype == "float64"
 
 
+@pytest.mark.slow
 def test_the_environment_turns_both_off():
     flags, _, _, dtype = report(
         before="import jax; jax.numpy.zeros(()).block_until_ready()", GRANJAX_TUNE="0", JAX_ENABLE_X64="0"
@@ -44,6 +45,7 @@ def test_the_environment_turns_both_off():
     assert flags == "" and dtype == "float32"
 
 
+@pytest.mark.slow
 def test_too_late_is_said():
     _, complete, message, _ = report(before="import jax; jax.numpy.zeros(()).block_until_ready()")
     assert not complete and "before its first computation" in message
@@ -72,7 +74,7 @@ def test_a_form_of_a_root_that_is_none(monkeypatch):
 OWN = ("--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=7", "bare_word=1")
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("own", OWN)
 def test_what_the_user_set_stays(own):
     flags, complete, _, _ = report(XLA_FLAGS=own)
@@ -101,13 +103,13 @@ def kept(code=KEPT, **environment):
     return json.loads(done.stdout.splitlines()[-1])
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_programs_are_kept_in_the_users_cache_folder(tmp_path):
     place, used = kept(XDG_CACHE_HOME=str(tmp_path), HOME=str(tmp_path))
     assert place == used and place.startswith(str(tmp_path)) and "granjax" in place
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_the_environment_chooses_where_and_turns_it_off(tmp_path):
     assert kept(GRANJAX_CACHE="0") == [None, None]
     assert kept(GRANJAX_CACHE=str(tmp_path / "mine"))[0].startswith(str(tmp_path / "mine"))
@@ -116,7 +118,7 @@ def test_the_environment_chooses_where_and_turns_it_off(tmp_path):
     assert kept(GRANJAX_CACHE=str(tmp_path / "file")) == [None, None]
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_folder_of_the_users_own_stays(tmp_path):
     assert kept(JAX_COMPILATION_CACHE_DIR=str(tmp_path)) == [str(tmp_path)] * 2
 
@@ -164,7 +166,7 @@ print(json.dumps([grown, left, kept, found.to_xarray().sizes["site"], same]))
 """
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.skipif(not os.path.exists("/proc/self/statm"), reason="the system does not say what is resident")
 def test_clear_hands_memory_back_and_leaves_results():
     grown, left, caches, sites, same = kept(ONE_MORE_LENGTH)

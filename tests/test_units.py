@@ -128,6 +128,7 @@ def test_units_of_what_nobody_has_said_are_refused_or_said():
     assert (data.attrs["units"], data.omega.attrs["units"]) == ("SI", "rad/s")
 
 
+@pytest.mark.slow
 def test_what_a_transformation_returns_knows_it_too():
     chain = steel()
     run = lambda v: gx.simulate(chain, gx.states.impact(chain, velocity=v), 1e-5, solver=gx.VelocityVerlet(), step=2e-6)
@@ -160,6 +161,7 @@ def test_files_and_prints_say_what_numbers_are_counted_in(tmp_path):
     assert [x.units for x in spectrum] == [None, "SI"] and not spectrum[0].to_xarray().omega.attrs
 
 
+@pytest.mark.slow
 def test_numbers_of_scaled_lattices_are_called_so():
     family = gx.breathers.family(gx.scenes.fput(4, beta=1.0), points=3, stability=False)
     orbit = family.orbit(1)
@@ -176,6 +178,7 @@ def test_numbers_of_scaled_lattices_are_called_so():
     assert root.units is None and "units" not in root.to_xarray().attrs
 
 
+@pytest.mark.slow
 def test_what_has_no_unit_says_that_it_stays(runs):
     units = runs[2]
     chain = gx.scenes.scaled(steel(boundary="free"))[0]

@@ -286,7 +286,7 @@ def solved(factor, pause=0.0):
     return call
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_advice_is_never_worse_than_the_default():
     """Where no choice at all is better and faster, that is the advice."""
     steps = [0.5, 0.1, 0.02, 0.004]
@@ -496,7 +496,7 @@ def test_input_that_cannot_be_meant(positional, keywords, message):
         gx.work_precision(*positional, **keywords)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_steps_of_ones_own_and_a_reference_of_ones_own():
     reference = gx.simulate(CHAIN, STATE, 4.0, tolerance=1e-13).final
     steps = {"mine": [0.1, 0.2, 3.0], "RKN86": [1e-4, 1e-8]}
@@ -519,7 +519,7 @@ def test_a_solver_that_the_scene_refuses_stays_with_a_sentence():
     assert wp.methods == ("RKN86", "default") and "Damping" in str(wp)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("solver", [diffrax.Tsit5(), diffrax.Heun()])
 def test_evaluations_of_diffraxs_solvers_are_counted(solver):
     seen = []
@@ -546,7 +546,7 @@ def test_evaluations_of_diffraxs_solvers_are_counted(solver):
     assert math.isfinite(wp.evaluations[2])
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_tangents_of_a_linear_chain_are_a_matrix_exponential():
     chain = gx.Lattice(np.ones(3), gx.Bond(gx.Shift(1), gx.Linear(1.0)))
     K = np.array([[2.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 2.0]])
@@ -566,7 +566,7 @@ def smooth():
     return gx.work_precision(chain, gx.states.random(chain, 5, displacement=0.1), 12.0, repeats=1, longest=2.0)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize(
     "solver", [gx.VelocityVerlet, gx.SRKN6b, gx.SRKN11b, gx.SRKN14a, gx.KahanLi8, gx.SofroniouSpaletta10]
 )
@@ -576,7 +576,7 @@ def test_orders_on_a_smooth_scene(smooth, solver):
     assert uncertain < 0.1
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_the_reference_is_as_good_as_it_says(smooth):
     # one more method that had no part in it
     chain = gx.scenes.disordered(16, 0.2, 3, precompression=1.0)
@@ -587,7 +587,7 @@ def test_the_reference_is_as_good_as_it_says(smooth):
     assert "RKN1210" in smooth.reference_note and "SofroniouSpaletta10" in smooth.reference_note
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("name", ["impact", "light_dimer", "driven"])
 def test_the_floor_is_above_the_error_of_the_reference(name):
     # against references in extended precision
@@ -607,7 +607,7 @@ def test_contact_loss_makes_every_fixed_step_five_halves():
         assert abs(order - 2.5) < 0.5 and uncertain < 0.3
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_chaotic_scene_is_refused():
     chain = gx.scenes.monomer(16)
     state = gx.states.random(chain, 1, velocity=1.0)
@@ -628,7 +628,7 @@ def written_out(masses, F0, gamma, state, t1):
     return tuple(np.split(y, 2))
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("seed", range(2))
 def test_advice_on_a_random_damped_trimer_holds_when_followed(seed):
     rng = np.random.default_rng(seed)
@@ -667,7 +667,7 @@ def test_fields_lanes_and_a_nonlinear_drag_have_a_reference():
     assert wp.drawn[-1] and wp.error[-1] < 1e-5
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_single_precision_scene_is_measured_in_double():
     chain, state = CHAIN.astype("float32"), jax.tree.map(lambda x: x.astype("float32"), STATE)
     wp = gx.work_precision(chain, state, 4.0, [gx.RKN86()], repeats=1)

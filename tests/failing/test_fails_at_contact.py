@@ -54,7 +54,7 @@ SMOOTH = {
 }
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("solver", [
     s if s is gx.SRKN11b else pytest.param(s, marks=pytest.mark.slow) for s in SPLITTING
 ], ids=lambda s: s.__name__)
@@ -65,7 +65,7 @@ def test_order_is_lost_where_contacts_open(solver):
     assert 1.9 < lost < 2.8
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_adaptive_steps_escape_the_loss_of_order():
     free, state = beads(0.0), struck(1.0)
     exact = gx.simulate(free, state, T, tolerance=1e-14).final.u
@@ -80,7 +80,7 @@ def test_adaptive_steps_escape_the_loss_of_order():
 # a peak between steps ----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_peak_seen_at_accepted_steps_is_not_the_peak():
     chain = gx.scenes.monomer(10, boundary="free")
     state, record = gx.states.impact(chain), {"peak": gx.Peak(force_of)}
@@ -109,7 +109,7 @@ def taylor(hy, state, t1):
     return np.array(integrator.state[:BEADS]), outcome
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_taylor_integrator_is_silently_wrong_at_contact_loss():
     hy = pytest.importorskip("heyoka")
     chain = gx.scenes.monomer(BEADS, precompression=1.0)

@@ -50,7 +50,7 @@ def test_a_batch_is_paced_by_its_slowest_lane():
     assert work(jax.vmap(solve), np.sort(mixed.ravel()).reshape(4, 4)) < 1.4 * alone
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_lanes_of_one_lattice_have_steps_of_their_own():
     # in a sonic vacuum: where they shared steps, they took more than the worst lane takes alone
     ratios = jnp.linspace(0.3, 1.0, 8)

@@ -180,6 +180,7 @@ def test_light_masses_set_the_step():
 # no linear time scale ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_sonic_vacuum_has_no_linear_time_scale():
     chain = dimer(0.5, 0.0)
     with np.errstate(divide="ignore"):

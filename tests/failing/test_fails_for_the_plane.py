@@ -34,6 +34,7 @@ def test_a_phase_of_vectors_that_are_taken_as_they_come():
     assert abs(abs(gx.topology.zak(chain).phase[0]) - np.pi) < 1e-10
 
 
+@pytest.mark.slow
 def test_a_compact_state_is_lost_where_sites_are_not_equal():
     equal, unequal = (gx.scenes.stub(12, ground=0.3, equal=x) for x in (True, False))
     start = gx.linear.flat_bands(equal).state(equal)
@@ -45,7 +46,7 @@ def test_a_compact_state_is_lost_where_sites_are_not_equal():
     assert outside(kept) < 1e-13 and outside(lost) > 1e-2
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_what_travels_alone_in_a_chain_spreads_in_the_plane():
     """One bead is struck in a sonic vacuum: the chain's pulse keeps its speed, the hexagon's front decays."""
     chain = gx.simulate(gx.scenes.monomer(40), gx.states.impact(gx.scenes.monomer(40)), 40.0, save_at=801)

@@ -86,7 +86,7 @@ def test_kdv_and_toda_beyond_their_range():
     assert gx.theory.toda.amplitude(k, rate=rate) / crest == pytest.approx(0.1211, abs=1e-4)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_kdv_soliton_at_a_fifth_above_sound_sheds_a_fifth_of_its_crest():
     chain, speed, centre, sites = gx.scenes.monomer(220, precompression=1.0, boundary="free"), 1.2 * SOUND, 50.0, 100
 

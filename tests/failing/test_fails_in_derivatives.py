@@ -63,7 +63,7 @@ def thrown(velocity):
     return run.final.v[-1], run.recorded
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_an_impact_that_misses_has_no_gradient():
     derivative = jax.jit(jax.jacrev(thrown))
     short, hit = derivative(0.1), derivative(1.0)
@@ -107,7 +107,7 @@ def defect(M):
     return np.abs(M.T @ J @ M - J).max()
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_tangents_through_an_adaptive_mesh_are_garbage(exact):
     M, omega = exact
     # the mesh follows the state, and its steps are beyond stability for the tangents

@@ -40,7 +40,7 @@ def chaotic():
     return gx.Traces(times, velocity=data, sites=range(BEADS), sigma=0.01)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_one_long_window_has_a_useless_gradient_and_windows_succeed(chaotic):
     problem = prepared(vacuum, {"stiffness": 1.2}, chaotic, state=two_strokes)
     slope = jax.jit(lambda x: (lambda value, matrix, _: matrix[:, 0] @ value)(*problem.linearise(x)))
@@ -61,7 +61,7 @@ def apart(p):
     return gx.scenes.monomer(4, stiffness=p["stiffness"], boundary="free")
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_fit_whose_contacts_never_close_says_so():
     # the beads fly apart: nothing that is measured depends on the contacts
     state = gx.State(jnp.zeros(4), jnp.array([-0.3, -0.1, 0.1, 0.3]))
@@ -83,7 +83,7 @@ def coated(p):
     return gx.scenes.monomer(6, stiffness=p["modulus"] * p["width"], precompression=1.0)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_two_parameters_that_only_occur_as_a_product():
     state = gx.states.impact(coated({"modulus": 2.0, "width": 0.5}), 0.5)
     run = gx.simulate(coated({"modulus": 2.0, "width": 0.5}), state, 15.0, step=0.02, save_at=151)
@@ -109,7 +109,7 @@ def last_velocity(stiffness, adjoint, steps):
     return run.final.v[7]
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_integrating_backwards_in_a_sonic_vacuum_does_not_return():
     chain = gx.scenes.monomer(20)
     state = gx.states.impact(chain)

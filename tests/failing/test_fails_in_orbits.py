@@ -57,7 +57,7 @@ def period_of(omega):
     return 2 * jnp.pi / omega
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_natural_continuation_ends_at_a_fold():
     omegas, guess, converged = 0.7 + 0.02 * np.arange(36), None, []
     for omega in omegas:
@@ -77,7 +77,7 @@ def test_natural_continuation_ends_at_a_fold():
 # multipliers through an adaptive mesh -------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_multipliers_through_an_adaptive_mesh_are_garbage():
     # all beads swing together with frequency 1; contacts, up to 77 times as fast, stay at rest
     ring = gx.Lattice(1.0, (gx.Bond(gx.Shift(1, "periodic"), gx.Hertz(1000.0, 1.0)), gx.OnSite(gx.Linear(1.0))),
