@@ -460,7 +460,7 @@ WITHIN = {
     **dict.fromkeys(("exchange.datasets", "files", "fit.files", "reading.reader", "reading.tables"),
                     "files, read and written by NumPy"),
     **dict.fromkeys(("plots.cells", "plots.evolutions", "plots.style", "plots.curves", "plots.fits", "plots.orbits",
-                     "plots.plane", "plots.shocks", "plots.travelling"),
+                     "plots.films", "plots.plane", "plots.shocks", "plots.travelling"),
                     "drawn by NumPy; `plots`"),
     **dict.fromkeys(("lattice.split", "lattice.tangents", "lattice.blocks", "split_system"), "`simulate`"),
     **dict.fromkeys(("studies.bright_breather", "studies.dark_breather", "studies.reproduce.registry",
