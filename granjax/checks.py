@@ -32,6 +32,11 @@ def concrete(x: Any) -> np.ndarray | None:
     return None if isinstance(x, jax.core.Tracer) else np.asarray(x)
 
 
+def plain_zero(x: Any) -> bool:
+    """Whether it is a plain number zero: what is that is left out, at no cost; arrays and traced zeros stay."""
+    return isinstance(x, (int, float)) and x == 0
+
+
 def traced(tree: Any) -> bool:
     """Whether some leaf of a pytree is being traced."""
     return any(isinstance(x, jax.core.Tracer) for x in jax.tree.leaves(tree))

@@ -8,7 +8,7 @@ from typing import ClassVar
 import jax
 import jax.numpy as jnp
 
-from ..checks import non_negative, refuse
+from ..checks import non_negative, plain_zero, refuse
 from ..entry import checked
 from ..types import Number, Numbers, Parameter
 from ..units import PART, Dimensional
@@ -105,7 +105,7 @@ class Law(Dimensional):
 
 def checked_preload(argument: str, F0: Parameter, remedy: str):
     """`None` for a plain zero, so that a law without preload costs no operation; else a checked array."""
-    if isinstance(F0, (int, float)) and F0 == 0:
+    if plain_zero(F0):
         return None
     return non_negative(argument, F0, remedy)
 

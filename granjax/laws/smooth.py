@@ -3,14 +3,14 @@
 import jax
 import jax.numpy as jnp
 
-from ..checks import parameter, positive, refuse
+from ..checks import parameter, plain_zero, positive, refuse
 from ..entry import checked
 from ..types import Parameter
 from .base import Law
 
 
 def _optional(name, x):
-    return None if isinstance(x, (int, float)) and x == 0 else parameter(name, x)
+    return None if plain_zero(x) else parameter(name, x)
 
 
 class Polynomial(Law):

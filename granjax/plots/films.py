@@ -74,11 +74,19 @@ def _axes(ax, width, height):
         return figure(width, height).subplots()
 
 
+def _top(data, limit):
+    return float(np.nanmax(np.abs(data)) or 1.0) if limit is None else float(positive("limit", limit))
+
+
+def _film(ax, show, chosen, rate):
+    return FuncAnimation(ax.figure, show, frames=chosen, interval=1000 / whole("rate", rate, 1), blit=False)
+
+
 def _chain_film(run, ts, chosen, quantity, limit, label, rate, units, ax):
     data = numbers("quantity", quantity, 2, finite=False)
     if len(data) != len(ts):
         refuse("quantity", f"{len(ts)} frames, one per time of the run", f"shape {data.shape}")
-    top = float(np.nanmax(np.abs(data)) or 1.0) if limit is None else float(positive("limit", limit))
+    top = _top(data, limit)
     by_time, by = drawn_in(units, units_of(run), Axis("time", ts), Axis(label, top))
     ax = _axes(ax, 5.4, 3.0)
     (line,) = ax.plot(np.arange(data.shape[1]), scaled_by(data[0], by.factor), "o-", ms=2.5, lw=0.8, color=COLOURS[0])
@@ -91,7 +99,7 @@ def _chain_film(run, ts, chosen, quantity, limit, label, rate, units, ax):
         title.set_text(_time(ts[i], by_time))
         return line, title
 
-    return FuncAnimation(ax.figure, show, frames=chosen, interval=1000 / whole("rate", rate, 1), blit=False)
+    return _film(ax, show, chosen, rate)
 
 
 def _time(t, by):
@@ -110,7 +118,7 @@ def _plane_film(run, ts, chosen, places, quantity, limit, label, rate, move, rad
         if any(m.ndim < 3 or m.shape[-1] < 2 for m in moves):
             refuse("move", "0 for displacements out of the plane", f"{move}")
         shift = float(move) * np.concatenate([m[..., :2].reshape(len(ts), -1, 2) for m in moves], 1)
-    top = float(np.nanmax(np.abs(data)) or 1.0) if limit is None else float(positive("limit", limit))
+    top = _top(data, limit)
     said = units_of_both(run, None if units_of(places) is None else places, "places", "run")
     by_time, x, by = drawn_in(units, said, Axis("time", ts), Axis("length", at), Axis(label, top))
     ax = _axes(ax, 4.8, 4.2)
@@ -129,7 +137,7 @@ def _plane_film(run, ts, chosen, places, quantity, limit, label, rate, move, rad
         title.set_text(_time(ts[i], by_time))
         return circles, title
 
-    return FuncAnimation(ax.figure, show, frames=chosen, interval=1000 / whole("rate", rate, 1), blit=False)
+    return _film(ax, show, chosen, rate)
 
 
 def _frames(quantity, name, places, times, of_run):

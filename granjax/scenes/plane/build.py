@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ...checks import held_in_memory, non_negative, one_of, positive, refuse, whole
+from ...checks import held_in_memory, non_negative, one_of, plain_zero, positive, refuse, whole
 from ...lattice import Lattice
 from ...laws import Law, Linear, Strained
 from ...strains import BOUNDARIES, Along, Pairs, Shift, Slip, Stretch
@@ -20,8 +20,9 @@ from .outline import cut, positions_of
 SPHERE = 0.4
 
 
-# Mindlin's k_t/k_n = 2 (1 - nu)/(2 - nu) of two bodies of one material with nu = 0.3
-MINDLIN = 2 * (1 - 0.3) / (2 - 0.3)
+def mindlin(poisson: Any) -> Any:
+    """Mindlin's k_t/k_n of two bodies of one material: 2 (1 - nu)/(2 - nu)."""
+    return 2 * (1 - poisson) / (2 - poisson)
 
 
 class Motion(NamedTuple):
@@ -48,7 +49,7 @@ def motion_of(laws: tuple, out_of_plane: bool, rotation: bool, tangential: Any, 
     if isinstance(tangential, Law):
         return Motion(3, tangential, inertia)
     if tangential is None:
-        tangential = MINDLIN * laws[0].derivative(jnp.zeros(()))
+        tangential = mindlin(0.3) * laws[0].derivative(jnp.zeros(()))
     return Motion(3, Linear(positive("tangential", tangential, "Without static load contacts slide: give F0 > 0.")),
                   inertia)
 
@@ -178,7 +179,7 @@ def _law(stiffness, exponent, precompression):
     if not (isinstance(exponent, (int, float)) and exponent == 1):
         return _contact(stiffness, exponent, precompression)
     stiffness = positive("stiffness", stiffness, "A bond without stiffness is left out.")
-    if isinstance(precompression, (int, float)) and precompression == 0:
+    if plain_zero(precompression):
         return Linear(stiffness)
     return Strained(Linear(stiffness), precompression / stiffness)
 

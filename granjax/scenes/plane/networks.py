@@ -45,12 +45,12 @@ class _Guides(NamedTuple):
 
     def lattice(self, mass, laws, positions, units):
         """The lattice; `laws`: a function from the guides of contacts to their law."""
-        total = int(self.starts[-1])
+        starts = self.starts
+        total = int(starts[-1])
         tails, heads, guides = self.bonds()
         terms = [Bond(Pairs(tails, heads, sites=total), laws(guides))] if tails else []
         if self.meetings:
             last, first, owners = (list(x) for x in zip(*self.meetings))
-            starts = self.starts
             pairs = Pairs([starts[i + 1] - 1 for i in last], [starts[i] for i in first], sites=total,
                           weights=self.weights)
             terms.append(Bond(pairs, laws(owners)))

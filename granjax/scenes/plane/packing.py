@@ -2,14 +2,14 @@
 
 from collections.abc import Callable, Sequence
 
-from ...checks import one_of, positive, refuse
+from ...checks import one_of, plain_zero, positive, refuse
 from ...entry import checked
 from ...lattice import Lattice
 from ...laws import Hertz, Linear
 from ...materials import Material, bead_mass, hertz_coefficient, named
 from ...types import Count, Scalar
 from ...units import SI
-from .build import SPHERE, Motion, built
+from .build import SPHERE, Motion, built, mindlin
 from .cells import HONEYCOMB, KAGOME, SQUARE, TRIANGULAR
 
 ARRANGEMENTS = {"hexagonal": TRIANGULAR, "square": SQUARE, "honeycomb": HONEYCOMB, "kagome": KAGOME}
@@ -46,9 +46,8 @@ def packing(
     law = Hertz(hertz_coefficient(body, R), precompression)
     motion = Motion(2)
     if rotation:
-        if isinstance(precompression, (int, float)) and precompression == 0:
+        if plain_zero(precompression):
             refuse("precompression", "F0 > 0 with rotation=True", "0", "Without static load contacts slide.")
-        ratio = 2 * (1 - body.poisson) / (2 - body.poisson)
-        motion = Motion(3, Linear(ratio * law.derivative(0.0 * R)), SPHERE)
+        motion = Motion(3, Linear(mindlin(body.poisson) * law.derivative(0.0 * R)), SPHERE)
     return built(cell, (n, n if m is None else m), (law,) * len(cell.ties), motion, mass=bead_mass(body, R),
                  spacing=2 * R, boundary=boundary, outline=outline, on_site=None, units=SI)

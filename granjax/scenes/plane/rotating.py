@@ -2,7 +2,7 @@
 
 import jax.numpy as jnp
 
-from ...checks import non_negative, one_of, whole
+from ...checks import non_negative, one_of, plain_zero, whole
 from ...entry import checked
 from ...lattice import Lattice
 from ...laws import Law, Linear
@@ -65,10 +65,10 @@ def rotating_chain(
     one_of("boundary", boundary, BOUNDARIES)
     laws = laws_of(CHAIN, law, (stiffness,), exponent, precompression)
     motion = motion_of(laws, False, True, tangential, inertia)
-    if isinstance(bending, Law) or not (isinstance(bending, (int, float)) and bending == 0):
+    if not plain_zero(bending):
         rolling = bending if isinstance(bending, Law) else Linear(non_negative("bending", bending))
         motion = motion._replace(rolling=rolling)
-    if not (isinstance(attraction, (int, float)) and attraction == 0):
+    if not plain_zero(attraction):
         motion = motion._replace(pull=_Pull(non_negative("attraction", attraction)))
     return built(CHAIN, (sites,), laws, motion, mass=mass, spacing=spacing, boundary=boundary, outline="cells",
                  on_site=None, units=units)
