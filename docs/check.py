@@ -1,7 +1,7 @@
 """What the built site has to hold: `python docs/check.py docs/_build/html`.
 
-No link within it is dead, no page with its pictures is above 2 MB, every public name is in the reference, every system
-of the review is in the gallery, and the pages ask nothing of another host while they load.
+No link within it is dead, no page with all that it loads is above 2 MB, every public name is in the reference, every
+system of the review is in the gallery, and the pages ask nothing of another host while they load.
 """
 
 import json
@@ -19,7 +19,8 @@ from sphinx.util.inventory import InventoryFile  # noqa: E402
 
 import granjax as gx  # noqa: E402
 
-MOST = 2_000_000
+# of 2 MB the letters of icons, which a style sheet asks for, are the rest
+MOST = 2_000_000 - 115_000
 LOADED = {("img", "src"), ("script", "src"), ("source", "src"), ("link", "href")}
 
 
@@ -62,11 +63,11 @@ def problems(site: Path) -> list[str]:
             parts = urlsplit(link)
             if parts.netloc:
                 wrong.append(f"{where}: loads {link}")
-            elif parts.path and not {"_static"} & set(Path(parts.path).parts):
+            elif parts.path:
                 file = (path.parent / unquote(parts.path)).resolve()
                 own += file.stat().st_size if file.is_file() else 0
         if own > MOST:
-            wrong.append(f"{where}: {own / 1e6:.1f} MB with its pictures")
+            wrong.append(f"{where}: {own / 1e6:.1f} MB with what it loads")
     with (site / "objects.inv").open("rb") as f:
         known = InventoryFile.load(f, "", lambda base, uri: uri)
     listed = {name for kind, names in known.items() if kind.startswith("py:") for name in names}

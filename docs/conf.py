@@ -35,9 +35,12 @@ html_title = "granjax"
 html_favicon = "_static/icon.svg"
 html_context = {"default_mode": "auto"}
 html_static_path = ["_static"]
+templates_path = ["_templates"]
 html_css_files = ["granjax.css"]
 html_show_sourcelink = False
 html_copy_source = False
+# excerpts are cut from the pages that are found, all of which are loaded for it: 5 MB
+html_show_search_summary = False
 html_theme_options = {
     "show_prev_next": False, "navigation_with_keys": False, "show_nav_level": 1, "navigation_depth": 2,
     "header_links_before_dropdown": 6, "secondary_sidebar_items": ["page-toc"], "footer_start": ["copyright"],

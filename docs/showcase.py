@@ -19,7 +19,8 @@ PARTS = (
     "Lattices", "Travelling waves", "Breathers", "Shocks", "Beyond the granular chain", "Disorder and losses",
     "Topology and flat bands", "The plane", "Data", "Devices",
 )
-THUMB = (260, 180)
+# a card is at most 260 wide, and screens have more points than that
+THUMB = (420, 290)
 
 
 def write(docs: Path) -> None:
@@ -41,7 +42,7 @@ def write(docs: Path) -> None:
 def _thumb(picture, thumb):
     if not thumb.exists() or thumb.stat().st_mtime < picture.stat().st_mtime:
         image = Image.open(picture).convert("RGB")
-        image.thumbnail((2 * THUMB[0], 2 * THUMB[1]))
+        image.thumbnail(THUMB)
         image.save(thumb, quality=60, method=6)
 
 

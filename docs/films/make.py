@@ -1,5 +1,6 @@
-"""The films of the front page: `python docs/films/make.py [NAME ...]` writes the GIFs beside this file."""
+"""The films of the front page: `python docs/films/make.py [NAME ...]` writes them beside this file."""
 
+import io
 import sys
 from pathlib import Path
 
@@ -17,8 +18,8 @@ def keep(name, film, width, height, low=None):
     film._fig.set_size_inches(width, height)
     if low is not None:
         film._fig.axes[0].set_ylim(bottom=low)
-    path = gx.plots.save(film, HERE / f"{name}.gif", dpi=90)
-    with Image.open(path) as made:
+    path = HERE / f"{name}.webp"
+    with Image.open(io.BytesIO(gx.plots.drawn(film, ".gif", dpi=90))) as made:
         delay, frames = made.info["duration"], []
         for i in range(made.n_frames):
             made.seek(i)
@@ -29,7 +30,8 @@ def keep(name, film, width, height, low=None):
     entries[entries.sum(1).argmax()] = 255  # the ground
     palette.putpalette(entries.ravel().tolist())
     frames = [x.quantize(palette=palette, dither=Image.Dither.NONE) for x in frames]
-    frames[0].save(path, save_all=True, append_images=frames[1:], duration=delay, loop=0, optimize=True)
+    frames[0].save(path, save_all=True, append_images=frames[1:], duration=delay, loop=0, lossless=True, quality=100,
+                   method=6)
     print(f"{path.name}: {path.stat().st_size / 1000:.0f} kB, {len(frames)} frames of {frames[0].size}")
 
 
