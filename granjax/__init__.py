@@ -123,8 +123,7 @@ Theory and studies
 Pictures and files
     plots               pictures of all of it, with units
     explore             sliders and a map that follows them, in a notebook
-    Result              what every result is: `to_xarray`, `save`, `in_units`; `Result.load` reads a file
-    exchange            any dataset to and from .nc, .npz, .mat and .csv; arrays of files of others
+    Result              what every result is: `to_xarray`, `save`, `in_units`
 This process
     tune                XLA's flags
     clear               let go of compiled programs
@@ -227,7 +226,7 @@ if _collects:
 __version__ = "0.2.0"
 _LAZY = {
     name: f".{name}" for name in (
-        "breathers", "canonical", "continuation", "driven", "exchange", "first_order", "floquet", "forced",
+        "breathers", "canonical", "continuation", "driven", "first_order", "floquet", "forced",
         "fractional", "identify", "kinks", "linear", "materials", "measures", "newton",
         "orbits", "plots", "scenes", "shocks", "states", "studies", "sweeps",
         "theory", "topology", "travelling",

@@ -8,6 +8,7 @@ writes by itself leaves half a file on a full disk, and HDF5 then ends the proce
 import contextlib
 import io
 import os
+import re
 import secrets
 import stat
 import tempfile
@@ -157,14 +158,44 @@ def stop_writing(timeout: float = 0.5) -> None:
                 part.unlink()
 
 
+def save(data: "xarray.Dataset", path: str | Path) -> Path:
+    """Write a dataset to a `.nc` or a `.mat` file, whole or not at all. **Raises** ValueError for another ending."""
+    path = target("path", path)
+    makers = {".nc": netcdf, ".mat": matlab}
+    if path.suffix.lower() not in makers:
+        refuse("path", "a name that ends in .nc or .mat", repr(path.name))
+    return write(path, makers[path.suffix.lower()](data))
+
+
 def netcdf(data: "xarray.Dataset") -> bytes:
-    """A dataset as the bytes of a netCDF file, complex numbers as NAME_real and NAME_imag."""
+    """A dataset as the bytes of a netCDF file, complex numbers as NAME_real and NAME_imag, arrays with checksums."""
     import h5netcdf
     from xarray.backends import H5NetCDFStore
 
-    buffer = io.BytesIO()
+    data, buffer = real_parts(data).drop_encoding(), io.BytesIO()
+    sums = {name: {"fletcher32": True} for name, x in data.variables.items()
+            if x.dtype.kind in "biuf" and x.ndim and x.size}
+    # netCDF has no truth values among its attributes
+    data.attrs = {name: int(x) if isinstance(x, (bool, np.bool_)) else x for name, x in data.attrs.items()}
     with h5netcdf.File(buffer, "w") as file:
-        real_parts(data).dump_to_store(H5NetCDFStore(file))
+        data.dump_to_store(H5NetCDFStore(file), encoding=sums)
+    return buffer.getvalue()
+
+
+def matlab(data: "xarray.Dataset") -> bytes:
+    """A dataset as the bytes of a MATLAB file of version 5: arrays by name, attributes in a struct `attributes`."""
+    from scipy.io import savemat
+
+    def called(name):
+        # MATLAB's names are letters, digits and underscores, at most 63, and begin with a letter
+        name = re.sub(r"\W", "_", str(name), flags=re.ASCII)[:61]
+        return name if name[:1].isalpha() else f"x_{name}"
+
+    data, buffer = real_parts(data), io.BytesIO()
+    arrays = {called(name): x.values.astype(object) if x.dtype.kind == "U" else x.values
+              for name, x in data.variables.items()}
+    arrays["attributes"] = {called(name): x for name, x in data.attrs.items()}
+    savemat(buffer, arrays, long_field_names=True)
     return buffer.getvalue()
 
 

@@ -10,11 +10,9 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from . import exchange
 from .checks import refuse, traced
 from .entry import checked
-from .exchange import formats
-from .files import write
+from .files import save
 from .printing import text
 from .types import Values
 from .units import SCALED, SI, Units
@@ -32,8 +30,7 @@ class Result(eqx.Module):
     """What a computation returns.
 
     `outcome` says in a sentence what became of it. Printing shows numbers as numbers and arrays by shape and range.
-    `to_xarray()` gives the arrays with named axes, units and where they come from; `save` writes them to a file and
-    `load` reads one.
+    `to_xarray()` gives the arrays with named axes, units and where they come from; `save` writes them to a file.
 
     To add one: fields with their types, `outcome` as a field or a property, and for arrays with names of their own
     a line each in the table `held`, with their units in SI. What comes from a lattice has its `_mark`, or it as a field
@@ -230,34 +227,18 @@ class Result(eqx.Module):
         return dataclasses.replace(self, _mark=np.full(np.shape(0.0 if mark is None else mark), by_name.mark_of(kind)))
 
     @checked
-    def save(self, path: str | Path, *, lanes: Lanes = None, version: str | None = None) -> Path:
-        """Write `to_xarray(lanes=lanes)` to a file: netCDF `.nc`, NumPy's `.npz`, MATLAB's `.mat` or a table `.csv`.
+    def save(self, path: str | Path, *, lanes: Lanes = None) -> Path:
+        """Write `to_xarray(lanes=lanes)` to a file: netCDF (`.nc`) or MATLAB (`.mat`, version 5).
 
-        Complex numbers are NAME_real and NAME_imag. `version` of a `.mat` file, "5" or "7.3" (HDF5): by default 5
-        unless an array has 2 GiB or more. `gx.exchange.save` says what stands where. The file is there whole or not at
-        all, and what was there before stays where writing fails; a file that is open elsewhere may be written again.
+        `xarray.load_dataset(path)` reads the netCDF file back as the same dataset, with names, units and versions, and
+        checks the sums that the file holds of its arrays; `gx.states.stored(lattice, data)` is a state of it to go on
+        from. `load` of MATLAB and `scipy.io.loadmat` read the `.mat` file: arrays by name, and attributes in a struct
+        `attributes`. Complex numbers are NAME_real and NAME_imag.
 
-        **Returns:** the path. **Raises** ValueError for another ending, lanes that do not fit, what a table does not
-        hold, or where nothing can be written (no such folder, no right to); OSError where writing fails (a full disk).
+        **Returns:** the path. **Raises** ValueError for another ending, for lanes that do not fit, and where nothing
+        can be written; OSError where writing fails. What was there before stays then.
         """
-        path = formats.place(path, version)
-        return write(path, formats.content(self.to_xarray(lanes=lanes), path.suffix.lower(), version))
-
-    @staticmethod
-    @checked
-    def load(path: str | Path, *, lazy: bool = False, complex: bool = False) -> "xarray.Dataset":
-        """What `save` wrote, in any format: the `xarray.Dataset`, in memory and the file closed.
-
-        The result itself, which may hold a lattice and functions, is not made anew: its arrays are what a file keeps.
-        `lazy=True` reads numbers when they are asked for (`.nc`, `.npz`, MATLAB's 7.3): `data.v[-1].values` of a
-        waveform of several GB costs one frame. `complex=True` joins NAME_real and NAME_imag to NAME.
-        Of a trajectory `gx.plots.space_time(data)` is a picture, `gx.states.stored(lattice, data)` the state of
-        a frame to go on from, and `gx.Traces.from_netcdf(path, ...)` (`from_npz`, `from_mat`, `from_csv`) what a fit
-        takes.
-        It is read in a process of its own: a damaged file costs a sentence, the first one
-        of a session 0.6 s. **Raises** ValueError for a file that is not there, is no such one or is damaged.
-        """
-        return exchange.load(path, lazy=lazy, complex=complex)
+        return save(self.to_xarray(lanes=lanes), path)
 
 
 def _attributes(counted: by_name.Counted, unit: str) -> dict[str, str]:

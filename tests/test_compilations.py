@@ -457,7 +457,7 @@ WITHIN = {
                      "scenes.plane.rotating",
                      "work_precision.measuring", "orbits.symmetry", "laws.power"),
                     "numbers, words and Python: no program of their own"),
-    **dict.fromkeys(("exchange.datasets", "files", "fit.files", "reading.reader", "reading.tables"),
+    **dict.fromkeys(("files",),
                     "files, read and written by NumPy"),
     **dict.fromkeys(("plots.cells", "plots.evolutions", "plots.style", "plots.curves", "plots.fits", "plots.orbits",
                      "plots.films", "plots.plane", "plots.shocks", "plots.travelling"),

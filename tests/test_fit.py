@@ -1,19 +1,16 @@
 """`fit`: parameters from traces that SciPy made, their errors, what is not determined, what is refused."""
 
-from types import SimpleNamespace
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import xarray as xr
 from scipy.integrate import solve_ivp
 
 import granjax as gx
-from granjax.fit.fitted import Fit
 from granjax.fit.problem import prepared
 from granjax.fit.solve import STALLED, least_squares
-from granjax.fit.traces import Origin
 from granjax.fit.windows import cut
 from granjax.parameters import Coordinates
 
@@ -93,7 +90,7 @@ def test_a_fit_of_noisy_traces(velocities, tmp_path):
     assert fit.step_error < 1e-3 and fit.return_error < 1e-10
     assert "Converged" in fit.outcome and fit.lattice.sites == (N,)
     assert np.abs(np.asarray(fit.signals[0]) - velocities).max() < 0.01 * np.abs(velocities).max()
-    kept = fit.load(fit.save(tmp_path / "fit.nc"))
+    kept = xr.load_dataset(fit.save(tmp_path / "fit.nc"))
     assert kept.data_0.attrs == {"units": "scaled", "si_units": "m/s"}
     assert kept.parameter.values.tolist() == list(START) and kept.attrs["outcome"] == fit.outcome
     assert kept.signal_0.dims == kept.data_0.dims == ("time_0", "sensor_0")
@@ -344,10 +341,65 @@ def test_a_record_in_another_unit_of_time_is_refused_at_once(factor):
     for state in (struck, tapped):
         with pytest.raises(ValueError, match="traces: expected times in the lattice's unit of time"):
             gx.fit(scene, START, traces, state=state)
-    # what was read from a file is in SI
-    read = gx.Traces(TIMES, velocity=np.ones((400, 1)), sites=[2], origin=Origin("a.csv"))
-    assert Fit.units.fget(SimpleNamespace(traces=(read,))) == "SI"
     # without a precompression from its energy
     sonic = lambda p: gx.scenes.monomer(N, stiffness=p["stiffness"]).counted_in("SI")
     with pytest.raises(ValueError, match="traces: expected times in seconds"):
         gx.fit(sonic, {"stiffness": 1.0}, traces, state=struck)
+
+
+CSV = """\
+# recorder 7
+Time (us),Bead 3 [mm/s],Bead 7 [V],Load
+0,0,0.1,1
+5,20,0.3,
+15,60,-0.2,3
+"""
+
+
+def read(tmp_path, **keywords):
+    (tmp_path / "a.csv").write_text(CSV)
+    return gx.Traces.from_csv(tmp_path / "a.csv", read={"comment": "#"}, **keywords)
+
+
+def test_columns_of_a_table_are_read_in_si(tmp_path):
+    traces = read(tmp_path, velocity=["Bead 3", "Bead 7"], sites=[3, 7], units={"Bead 7": 0.025}, sigma=1e-3)
+    np.testing.assert_allclose(traces.times, [0, 5e-6, 15e-6], rtol=1e-15)
+    np.testing.assert_allclose(traces.data, [[0, 0.0025], [0.02, 0.0075], [0.06, -0.005]], rtol=1e-15)
+    assert traces.kind == "velocity" and traces.places == ((3,), (7,)) and float(traces.sigma) == 1e-3
+    force = read(tmp_path, time=0, force=3, contacts=0, units={3: "kN"}, offset="delay")
+    np.testing.assert_array_equal(force.data[:, 0], [1e3, np.nan, 3e3])
+    assert force.offset == "delay" and float(force.weights[1, 0]) == 0.0
+    moved = read(tmp_path, displacement="Load", sites=0, units={"Load": "\u00b5m", "Time": 2.0})
+    np.testing.assert_allclose(moved.data[::2, 0], [1e-6, 3e-6], rtol=1e-15)
+    np.testing.assert_array_equal(moved.times, [0, 10, 30])
+
+
+@pytest.mark.parametrize("keywords, said", [
+    ({"velocity": "Bead 7"}, r"the unit of 'Bead 7 \[V\]': m/s, mm/s, um/s, or its size in m/s, got 'V'"),
+    ({"velocity": "Load"}, "got None. Give units={'Load': 'm/s'}"),
+    ({"velocity": "Bead 33"}, r"velocity: expected one of .*Did you mean 'Bead 3 \[mm/s\]'"),
+    ({"velocity": 4}, "velocity: expected a column from 0 to 3, got 4"),
+    ({"velocity": "Bead 3", "units": {"bead 3": "m/s"}}, "units: expected columns that are read"),
+    ({"velocity": "Bead 3", "force": "Load", "units": {"Load": "N"}}, "data: expected one of velocity="),
+])
+def test_a_column_that_is_not_understood_is_refused(keywords, said, tmp_path):
+    with pytest.raises(ValueError, match=said):
+        read(tmp_path, sites=0, **keywords)
+
+
+def test_text_among_numbers_is_refused(tmp_path):
+    (tmp_path / "a.csv").write_text("Time (s),v [m/s]\n0,0\n1,over\n2,1\n")
+    with pytest.raises(ValueError, match="'v .m/s.', which holds text"):
+        gx.Traces.from_csv(tmp_path / "a.csv", velocity="v", sites=0)
+    traces = gx.Traces.from_csv(tmp_path / "a.csv", velocity="v", sites=0, read={"na_values": ["over"]})
+    np.testing.assert_array_equal(traces.data[:, 0], [0, np.nan, 1])
+
+
+def test_dates_and_time_differences_are_seconds(tmp_path):
+    dates = np.datetime64("2026-01-01T12:00") + np.arange(3) * np.timedelta64(250, "us")
+    for times in (dates, dates - dates[0], dates.tolist(), (dates - dates[0]).tolist()):
+        traces = gx.Traces(times, velocity=np.zeros(3), sites=0)
+        np.testing.assert_allclose(traces.times, [0, 2.5e-4, 5e-4], rtol=1e-12)
+    (tmp_path / "a.csv").write_text("when,v [m/s]\n2026-01-01 12:00:00,0\n2026-01-01 12:00:02,1\n")
+    traces = gx.Traces.from_csv(tmp_path / "a.csv", time="when", velocity="v", sites=0, read={"parse_dates": ["when"]})
+    assert traces.times.tolist() == [0.0, 2.0]

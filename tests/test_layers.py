@@ -11,8 +11,8 @@ ROOT = Path(granjax.__file__).parent
 
 FLOORS = (
     {"checks", "files", "interrupts", "outside", "printing", "tuning", "types"},
-    {"entry", "programs", "reading", "variables"},
-    {"exchange", "split_system", "units"},
+    {"entry", "programs", "variables"},
+    {"split_system", "units"},
     {"results"},
     {"laws", "strains", "materials", "solvers", "newton", "parameters", "descent", "plots", "fractional"},
     {"terms", "continuation"},

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import xarray as xr
 from scipy.integrate import solve_ivp
 
 import granjax as gx
@@ -546,7 +547,7 @@ def test_films_of_stored_runs_and_what_is_no_picture(tmp_path):
     crystal = scenes.hexagon(1, exponent=1.5)
     run = gx.simulate(crystal, gx.states.impact(crystal, [0.1, 0.0], site=3), 1.0, step=0.1, save_at=3)
     run.save(tmp_path / "run.nc")
-    film = gx.plots.film(gx.Result.load(tmp_path / "run.nc"), crystal)
+    film = gx.plots.film(xr.load_dataset(tmp_path / "run.nc"), crystal)
     assert gx.plots.save(film, tmp_path / "run.gif").stat().st_size > 1000
     left, right = gx.plots.figure(6.0, 2.0).subplots(1, 2)
     film = gx.plots.film(run, crystal, ax=right)

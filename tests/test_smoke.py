@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+import scipy.io
 import xarray as xr
 
 import granjax as gx
@@ -138,7 +139,8 @@ def test_a_fit_finds_what_made_the_data(tmp_path):
     times, true = np.linspace(0, 4, 21), of_stiffness({"stiffness": 1.2})
     run = gx.simulate(true, struck(None, true), 4.0, save_at=times)
     np.savetxt(tmp_path / "run.csv", np.c_[times, run.vs[:, 1:3]], delimiter=",", header="time,a,b", comments="")
-    traces = gx.Traces.from_csv(tmp_path / "run.csv", velocity=["a", "b"], sites=[1, 2], sigma=1e-3)
+    traces = gx.Traces.from_csv(tmp_path / "run.csv", time="time", velocity=["a", "b"], sites=[1, 2],
+                                 units={"time": "s", "a": "m/s", "b": "m/s"}, sigma=1e-3)
     fit = gx.fit(of_stiffness, {"stiffness": 1.0}, traces, state=struck)
     assert fit.parameters["stiffness"] == pytest.approx(1.2, rel=1e-4)
     law = gx.identify.law(
@@ -189,7 +191,7 @@ def test_the_command_line(tmp_path, capsys):
     assert list(tmp_path.glob("*.nc")) and list(tmp_path.glob("*.png"))
 
 
-def test_a_sweep_is_kept_and_read_in_every_format(tmp_path):
+def test_a_sweep_is_kept_and_read_in_both_formats(tmp_path):
     def struck(ratio, beads):
         chain = gx.scenes.dimer(beads, ratio=ratio)
         run = gx.simulate(chain, gx.states.impact(chain), 5.0, step=0.02)
@@ -202,9 +204,10 @@ def test_a_sweep_is_kept_and_read_in_every_format(tmp_path):
     assert data.identical(again) and float(data.last.sel(ratio=0.7, beads=4)) == pytest.approx(float(one), rel=1e-9)
     assert "expected numbers in (0, 1]" in str(data.reason[2, 0].values) and data.sel(beads=3).last.shape == (3,)
     assert data.scene(ratio=0.4, beads=3).run(save_at=3).us.shape == (3, 3)
-    for ending in (".nc", ".npz", ".mat", ".csv"):
-        back = gx.exchange.load(data.save(tmp_path / f"copy{ending}"))
-        np.testing.assert_array_equal(back.last.values, data.last.values)
+    back = xr.load_dataset(data.save(tmp_path / "copy.nc"))
+    np.testing.assert_array_equal(back.last.values, data.last.values)
+    back = scipy.io.loadmat(data.save(tmp_path / "copy.mat"))
+    np.testing.assert_array_equal(back["last"], data.last.values)
     assert gx.plots.sweep(data, "last").lines or gx.plots.sweep(data, "last").collections
     each = gx.sweep(lambda x, kind: {"kind": kind, "x": float(x)}, {"x": [1.0], "kind": ["a"]}, executor=None)
     assert each.kind_found.item() == "a" and each.x_found.item() == 1.0

@@ -377,7 +377,7 @@ def test_a_file_whose_numbers_were_changed_is_not_trusted(folder, tmp_path):
     held[at + 3] ^= 1
     (tmp_path / "store.nc").write_bytes(held)
     for go in (lambda: sweep(VALUES, store=tmp_path / "store.nc"), lambda: gx.sweeps.read(tmp_path / "store.nc")):
-        with pytest.raises(ValueError, match="which is damaged"):
+        with pytest.raises(ValueError, match="could not be read"):
             go()
     assert (tmp_path / "store.nc").read_bytes() == held
 
@@ -442,10 +442,10 @@ def test_half_a_sweep_can_be_read(folder, tmp_path):
 def test_the_file_says_what_it_is(tmp_path):
     sweep(VALUES, store=tmp_path / "store.nc", units={"a": "m", "p": "N"})
     place = tmp_path / "store.nc"
-    for data in (gx.exchange.load(place), xarray.load_dataset(place, engine="h5netcdf")):
-        assert data["a"].attrs["units"] == "m" and data["p"].attrs["units"] == "N"
-        assert data["p"].dims == ("a", "b") and set(data["row"].dims) == {"a", "b", "row_0"}
-        assert {"granjax", "jax", "numpy", "python", "commit", "cite", "function", "sweep"} <= set(data.attrs)
+    data = xarray.load_dataset(place)
+    assert data["a"].attrs["units"] == "m" and data["p"].attrs["units"] == "N"
+    assert data["p"].dims == ("a", "b") and set(data["row"].dims) == {"a", "b", "row_0"}
+    assert {"granjax", "jax", "numpy", "python", "commit", "cite", "function", "sweep"} <= set(data.attrs)
 
 
 class CodeRun(BaseException):

@@ -11,9 +11,9 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # noqa: E402
 import numpy as np  # noqa: E402
 import pytest  # noqa: E402
+import xarray as xr  # noqa: E402
 
 import granjax as gx  # noqa: E402
-from granjax.results import Result  # noqa: E402
 from granjax.units.names import family, known_unit, readable  # noqa: E402
 
 plots = gx.plots
@@ -153,7 +153,7 @@ def test_files_and_prints_say_what_numbers_are_counted_in(tmp_path):
     pair = steel(), gx.scenes.dimer(8, precompression=1.0)
     waves = [gx.linear.dispersion(x, np.linspace(0, np.pi, 5)) for x in pair]
     for si, scaled in (orbit, waves):
-        data, other = (Result.load(x.save(tmp_path / f"{i}.nc")) for i, x in enumerate((si, scaled)))
+        data, other = (xr.load_dataset(x.save(tmp_path / f"{i}.nc")) for i, x in enumerate((si, scaled)))
         assert (data.units, data.omega.attrs["units"]) == ("SI", "rad/s")
         assert (other.units, other.omega.attrs["units"], other.omega.attrs["si_units"]) == ("scaled", "scaled", "rad/s")
         np.testing.assert_allclose(si.in_units("kHz").omega, np.asarray(si.omega) / 2e3 / np.pi, rtol=1e-15)

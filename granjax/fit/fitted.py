@@ -11,7 +11,6 @@ from ..entry import checked
 from ..lattice import Lattice
 from ..results import Held, Result
 from ..types import AnyArray, Count, Numbers
-from ..units import SI
 from .determined import Direction
 from .problem import Problem
 from .solve import BLIND, CONVERGED, NOT_FINITE, SPENT, STALLED
@@ -63,11 +62,6 @@ class Fit(Result):
     starts: tuple[float, ...] = eqx.field(static=True)
     traces: tuple[Traces, ...]
     problem: Problem
-
-    @property
-    def units(self) -> str | None:
-        """What its numbers are counted in, as the lattice says; traces that were read from a file are in SI."""
-        return SI if any(trace.origin is not None for trace in self.traces) else super().units
 
     @property
     def lattice(self) -> Lattice:

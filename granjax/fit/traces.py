@@ -1,33 +1,32 @@
 """Measured traces: what was recorded, where, how well."""
 
-import dataclasses
+import datetime
+import re
 from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..checks import concrete, described, parameter, positive, real, refuse, show, whole
+from ..checks import concrete, described, one_of, parameter, positive, real, refuse, show, whole
 from ..entry import checked, shape_of
-from ..types import AnyArray, Count, Numbers, Parameter, Scalar, Values
-from .columns import QUANTITIES
+from ..types import AnyArray, Count, Number, Numbers, Parameter, Scalar, Values
 
 KINDS = ("velocity", "displacement", "force")
-
-
-@dataclasses.dataclass(frozen=True)
-class Origin:
-    """Where traces were read: the file, its header's lines, what was passed over or is missing, units of the columns.
-
-    Two are equal whatever they say: what is compiled for one file serves another, and traces that a compiled function
-    returns may name the file that it was compiled for.
-    """
-
-    file: str = dataclasses.field(compare=False)
-    header: tuple[str, ...] = dataclasses.field(default=(), compare=False, repr=False)
-    remark: str = dataclasses.field(default="", compare=False)
-    units: str = dataclasses.field(default="", compare=False)
+QUANTITIES = {"time": "s", "velocity": "m/s", "displacement": "m", "force": "N"}
+# the units that a column's header may end in, by quantity, with their sizes in SI
+SIZES = {
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
+    "velocity": {"m/s": 1.0, "mm/s": 1e-3, "um/s": 1e-6},
+    "displacement": {"m": 1.0, "mm": 1e-3, "um": 1e-6, "nm": 1e-9},
+    "force": {"N": 1.0, "mN": 1e-3, "kN": 1e3},
+}
+# a name and the unit in brackets at its end: "Time (us)", "v [mm/s]"
+HEADER = re.compile(r"(.*?)\s*[\[(]\s*([^\[\]()]*?)\s*[\])]\s*")
 
 
 class Traces(eqx.Module):
@@ -35,7 +34,7 @@ class Traces(eqx.Module):
 
     **Arguments:**
 
-    - `times` (T,): of the recorder, rising [s].
+    - `times` (T,): of the recorder, rising [s]. Dates become seconds from the first one, and time differences seconds.
     - `velocity` [m/s], `displacement` [m] or `force` [N] (total contact force, compression positive), exactly one of
       them: (T, S), one column per sensor, or (T,) for one. NaN marks what is missing.
     - `sites`: where, for velocity and displacement: S indices, negative from the end, tuples on a grid. `contacts`:
@@ -45,7 +44,6 @@ class Traces(eqx.Module):
     - `gain`: a number, one per sensor, or the name of a parameter. `offset`: time of the scene at the recorder's time
       0 [s], a number or the name of a parameter; what was recorded before t0 is compared with the state at t0.
     - `field`: where a cell holds several. `component`: of the displacements, where they are vectors.
-    - `origin`: of traces that were read from a file.
 
     **Raises** ValueError for times that do not rise, data of another shape, no sensor, sigma <= 0.
 
@@ -67,15 +65,14 @@ class Traces(eqx.Module):
     bond: int = eqx.field(static=True)
     field: str | None = eqx.field(static=True)
     component: int | None = eqx.field(static=True)
-    origin: Origin | None = eqx.field(static=True)
 
     @checked
     def __init__(
-        self, times: Parameter, *, velocity: Parameter | None = None, displacement: Parameter | None = None,
+        self, times: Any, *, velocity: Parameter | None = None, displacement: Parameter | None = None,
         force: Parameter | None = None, sites: Count | Values | None = None,
         contacts: Count | Values | None = None, bond: Count = 0, sigma: Parameter | None = None,
         gain: Parameter | str = 1.0, offset: Scalar | str = 0.0, field: str | None = None,
-        component: Count | None = None, origin: Origin | None = None,
+        component: Count | None = None,
     ):
         given = {k: x for k, x in zip(KINDS, (velocity, displacement, force)) if x is not None}
         if len(given) != 1:
@@ -86,7 +83,7 @@ class Traces(eqx.Module):
         if where is None:
             refuse(name, f"where the {self.kind} was measured", "None")
         self.places = _places(name, where)
-        self.times = parameter("times", times)
+        self.times = parameter("times", _seconds(times))
         value = concrete(self.times)
         if self.times.ndim != 1 or value is not None and (value.size < 2 or not (np.diff(value) > 0).all()):
             refuse("times", "at least two rising times", show(self.times) if value is not None else "another shape")
@@ -106,22 +103,82 @@ class Traces(eqx.Module):
         self.offset = offset if isinstance(offset, str) else checked_shape("offset", parameter("offset", offset))
         self.bond, self.field = whole("bond", bond), field
         self.component = None if component is None else whole("component", component)
-        if origin is not None and not isinstance(origin, Origin):
-            refuse("origin", "an Origin, or None", repr(origin)[:60], "`from_csv` and `from_mat` give it.")
-        self.origin = origin
+
+    @classmethod
+    @checked
+    def from_csv(
+        cls, path: str | Path, *, time: str | int = "Time",
+        velocity: str | int | Sequence[str | int] | None = None,
+        displacement: str | int | Sequence[str | int] | None = None,
+        force: str | int | Sequence[str | int] | None = None,
+        units: dict[str | int, str | Number] | None = None,
+        read: dict[str, Any] | None = None, **traces: Any,
+    ) -> "Traces":
+        """Read traces from a table of columns, by `pandas.read_csv`.
+
+        A column is named by its header, with or without the unit in brackets at its end, or by its index from 0. The
+        data are turned into SI: s, m/s, m, N.
+
+        **Arguments:**
+
+        - `time`: the column of times.
+        - `velocity`, `displacement` or `force`, exactly one of them: a column, or a list with one per sensor.
+        - `units`: {column: unit}, for columns whose header does not end in a unit such as "Time (us)" or "v [mm/s]".
+          A unit is one of s, ms, us, ns; m/s, mm/s, um/s; m, mm, um, nm; N, mN, kN; or a number, the size in SI of
+          one unit of the column: {"Bead 3": 0.025} for a vibrometer with 0.025 (m/s)/V.
+        - `read`: keywords of `pandas.read_csv`, such as {"sep": ";", "decimal": ",", "comment": "#"}.
+        - `traces`: what `Traces` takes besides, such as `sites`, `sigma` or `gain`.
+
+        **Raises** ValueError for a column that is not in the table, holds text or has no known unit, and as `Traces`
+        does; OSError and pandas' own errors for a file that cannot be read.
+
+        **Example:**
+
+        >>> np.savetxt("v.csv", [[0, 0], [5, 20]], delimiter=",", header="Time (us),v [mm/s]", comments="")
+        >>> traces = gx.Traces.from_csv("v.csv", velocity="v", sites=3)
+        >>> traces.times.tolist(), traces.data[:, 0].tolist()
+        ([0.0, 5e-06], [0.0, 0.02])
+        """
+        import pandas
+
+        table, left = pandas.read_csv(path, **(read or {})), dict(units or {})
+
+        def column(quantity, key):
+            name = _column(table, quantity, key)
+            header = HEADER.fullmatch(str(name))
+            unit = left.pop(key, header[2] if header else None)
+            values = table[name].to_numpy()
+            if values.dtype.kind in "mM":
+                return values
+            if values.dtype.kind not in "iuf":
+                refuse(quantity, "a column of numbers", f"{name!r}, which holds text",
+                       "Name in read= what the file writes: decimal, na_values, comment.")
+            word = str(unit).replace("\u00b5", "u").replace("\u03bc", "u")
+            size = unit if isinstance(unit, (int, float)) else SIZES[quantity].get(word)
+            if size is None:
+                refuse("units", f"the unit of {name!r}: {', '.join(SIZES[quantity])}, "
+                       f"or its size in {QUANTITIES[quantity]}", repr(unit),
+                       f"Give units={{{key!r}: {QUANTITIES[quantity]!r}}}.")
+            return size * values.astype(float)
+
+        signals = {}
+        for kind, keys in zip(KINDS, (velocity, displacement, force)):
+            if keys is not None:
+                keys = [keys] if isinstance(keys, (str, int)) else keys
+                signals[kind] = np.column_stack([column(kind, key) for key in keys])
+        times = column("time", time)
+        for key in left:
+            refuse("units", "columns that are read, by the names that the call gives them", repr(key))
+        return cls(times, **signals, **traces)
 
     def __repr__(self) -> str:
         if concrete(self.times) is None or concrete(self.data) is None:
             return "Traces(traced)"
         t, known = np.asarray(self.times), int(np.isfinite(np.asarray(self.data)).sum())
         sigma = "unknown" if self.sigma is None else show(self.sigma)
-        second = "" if self.origin is None else " s"
         rows = [("sensors", ", ".join(self.sensors[:6]) + ", ..." * (len(self.sensors) > 6)),
-                ("times", f"{t.size}, {t[0]:.6g} ... {t[-1]:.6g}{second}"), ("samples", f"{known} of {self.data.size}"),
+                ("times", f"{t.size}, {t[0]:.6g} ... {t[-1]:.6g}"), ("samples", f"{known} of {self.data.size}"),
                 ("sigma", sigma), ("gain", show(self.gain)), ("offset", show(self.offset))]
-        if self.origin is not None:
-            said = "; ".join(x for x in (self.origin.units, self.origin.remark) if x)
-            rows += [("file", self.origin.file), ("read", said)]
         return "\n".join(f"{name:<9}{value}" for name, value in rows)
 
     @property
@@ -148,6 +205,32 @@ class Traces(eqx.Module):
         known = jnp.isfinite(self.data)
         square = jnp.sum(jnp.where(known, self.data, 0) ** 2) / jnp.maximum(jnp.sum(known), 1)
         return jnp.where(square > 0, jnp.sqrt(square), 1.0)
+
+
+def _seconds(times):
+    """Times as numbers: dates in seconds from the first one, time differences in seconds."""
+    found = times if isinstance(times, jax.Array) else np.asarray(times)
+    if found.dtype.kind == "O" and found.size and isinstance(found.flat[0], datetime.datetime):
+        found = found.astype("datetime64[us]")
+    if found.dtype.kind == "O" and found.size and isinstance(found.flat[0], datetime.timedelta):
+        found = found.astype("timedelta64[us]")
+    if found.dtype.kind == "M":
+        found = found - found[0]
+    return found / np.timedelta64(1, "s") if found.dtype.kind == "m" else times
+
+
+def _column(table, quantity, key):
+    """The name of a table's column, from its index or its name, with or without a unit in brackets."""
+    names = list(table.columns)
+    if isinstance(key, int):
+        if not -len(names) <= key < len(names):
+            refuse(quantity, f"a column from 0 to {len(names) - 1}", str(key))
+        return names[key]
+    found = [name for name in names if name == key]
+    found = found or [name for name in names if (HEADER.fullmatch(str(name)) or [""] * 2)[1] == key]
+    if len(found) != 1:
+        one_of(quantity, key, names)
+    return found[0]
 
 
 def number(x: Numbers | str, parameters: dict[str, Numbers]) -> Numbers:

@@ -65,7 +65,7 @@ class _Stored:
 
 
 def is_stored(x: Any) -> bool:
-    """Whether it is a dataset of a run, as `gx.Result.load` gives it: `time`, and `u` or `v`."""
+    """Whether it is a dataset of a run, as `run.to_xarray()` gives it: `time`, and `u` or `v`."""
     held = getattr(x, "data_vars", ())
     return "time" in getattr(x, "variables", ()) and ("u" in held or "v" in held)
 

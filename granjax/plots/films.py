@@ -28,7 +28,7 @@ def film(
 
     **Arguments:**
 
-    - `run`: anything with `ts`, `us`, `vs`, of more than one time, or a dataset of a run from `gx.Result.load`.
+    - `run`: anything with `ts`, `us`, `vs`, of more than one time, or the dataset of one.
     - `places`: of the plane, as in `beads`; `None` for a chain.
     - `quantity`: `"v"`, `"u"` (of vectors in the plane their length), or an array over times and sites.
     - `limit` > 0: of the colour or the axis, the largest of all frames by default. `label`: as in `beads`.

@@ -35,7 +35,7 @@ def space_time(
 
     **Arguments:**
 
-    - `run_or_array`: a run (anything with `ts`, `us`, `vs`, or a dataset of one from `gx.Result.load`), or an array
+    - `run_or_array`: a run (anything with `ts`, `us`, `vs`, or the dataset of one), or an array
       (T, N), NumPy or JAX.
     - `quantity`: with a run `"v"`, `"u"` or an array (T, N), such as `gx.measures.along(gx.measures.strain, ...)`.
     - `ts`: times (T,), rising; those of the run by default, frame numbers for an array. `sites`: places (N,), rising,

@@ -17,10 +17,10 @@ from ..types import Count
 def stored(lattice: Lattice, data: Any, frame: Count = -1) -> State:
     """The state of one frame of a run's dataset: where a run that was saved goes on.
 
-    `gx.simulate(lattice, gx.states.stored(lattice, gx.Result.load("run.nc", lazy=True)), t1)` begins with the last.
+    `gx.simulate(lattice, gx.states.stored(lattice, xarray.open_dataset("run.nc")), t1)` begins with the last.
 
     **Arguments:** `data`: an `xarray.Dataset` with `u` and `v` over `time` and the lattice's sites, as
-    `run.to_xarray()` and `gx.Result.load` give it, with fields, components and lanes.
+    `run.to_xarray()` gives it, with fields, components and lanes.
     `frame`: which of its times, negative from the end.
 
     **Raises** ValueError for a dataset without them, a frame that is not there, sites or lanes that are not those of

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import xarray
 
-from .. import exchange
 from ..checks import one_of, refuse
 from ..entry import checked
+from ..files import save
 from ..flow import Run, simulate
 from ..flow.lifted import scene_of
 from ..printing import brief, called, numbers
@@ -119,8 +119,8 @@ class Sweep(xarray.Dataset):
 
     @checked
     def save(self, path: str | Path) -> Path:
-        """Write it to a file, `.nc`, `.npz`, `.mat` or `.csv`, as `gx.exchange.save` does."""
-        return exchange.save(self.to_xarray(), path)
+        """Write it to a file, `.nc` or `.mat`, as `gx.Result.save` does."""
+        return save(self.to_xarray(), path)
 
     def to_xarray(self) -> xarray.Dataset:
         """The same as a plain `xarray.Dataset`."""

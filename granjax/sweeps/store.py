@@ -14,7 +14,6 @@ from pathlib import Path
 
 import xarray
 
-from .. import exchange
 from ..checks import refuse
 from ..files import LONGEST, netcdf, reason, target, write
 from ..files import folder as made
@@ -113,9 +112,9 @@ class Store:
         except OSError as error:
             refuse("store", "a path", f"{str(self.path)[:200]!r} ({reason(error)})")
         try:
-            data = exchange.load(self.file)
-        except ValueError as error:
-            got = f"{str(self.file)!r}, which is none ({error})"
+            data = xarray.load_dataset(self.file, engine="h5netcdf")
+        except (AttributeError, KeyError, OSError, RuntimeError, ValueError) as error:
+            got = f"{str(self.file)!r}, which could not be read ({error})"
             refuse("store", "the file of a sweep, or a free name", got, REMEDY)
         digest = data.attrs.pop(DIGEST, None)
         if digest is not None and digest != content_of(data):
