@@ -33,8 +33,6 @@ INTERRUPTED = 130
 LOOK = 0.05
 # seconds until an interrupt that came in a callback comes again
 AGAIN = 0.01
-# what the line that ends the command says, where that is more than what it has written
-advice: list[str] = []
 
 
 def is_command() -> bool:
@@ -86,7 +84,6 @@ def end_interrupted() -> NoReturn:
         files.stop_writing()
         names = list(map(str, files.written))
     said = f"written until then: {', '.join(names)}" if names else "nothing was written"
-    said = advice[-1] if advice else said
     tell(f"granjax: interrupted; {said}.")
     os._exit(INTERRUPTED)
 

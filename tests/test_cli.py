@@ -7,8 +7,6 @@ import shlex
 import subprocess
 import sys
 from pathlib import Path
-from types import SimpleNamespace
-from typing import NamedTuple
 
 import matplotlib.image
 import numpy as np
@@ -18,7 +16,6 @@ import xarray as xr
 import granjax as gx
 from granjax.cli import main, pages
 from granjax.cli.commands import _parser
-from granjax.work_precision import Ladder, measure
 
 SMALL = ["resonance", "--beads", "11", "--ratios", "12"]
 
@@ -114,9 +111,6 @@ def page_named_in(text):
         (["reproduce"], "FIGURE: expected labels of figures, or --all, got neither."),
         (["reproduce", "fig1.33"], "Did you mean"),
         (["reproduce", "fig1.3", "--set", "sites"], "--set: expected NAME=VALUE"),
-        (["bench", "--repeats", "0"], "--repeats: expected a whole number not below 1, got 0."),
-        (["bench", "--out", "FILE/folder"], "--out: expected a folder that can be made and written"),
-        (["bench", "no such scene"], "SCENE: expected one of"),
     ],
 )
 def test_bad_input_is_one_sentence_and_code_2(arguments, message, tmp_path, capsys):
@@ -161,7 +155,7 @@ def test_version_and_help(capsys):
     assert "resonance" in out and "reproduce" in out
 
 
-COMMANDS = ("resonance", "sweep", "reproduce", "bench")
+COMMANDS = ("resonance", "reproduce")
 
 
 def help_of(monkeypatch, capsys, *command):
@@ -176,7 +170,7 @@ def help_of(monkeypatch, capsys, *command):
 
 def test_help_is_one_screenful_with_an_example_of_every_command(monkeypatch, capsys):
     lines = help_of(monkeypatch, capsys)
-    assert 24 <= len(lines) <= 40
+    assert len(lines) <= 40
     examples = [shlex.split(line) for line in lines if line.startswith(" " * 10 + "        granjax ")]
     assert [example[1] for example in examples] == list(COMMANDS)
     assert all(f"  {name} " in "\n".join(lines) for name in COMMANDS)
@@ -196,23 +190,11 @@ def test_help_of_a_command_ends_with_examples_and_a_page(name, monkeypatch, caps
 
 def test_pages_that_are_named_exist():
     named = {title for name, title in vars(pages).items() if name.isupper()}
-    assert len(named) == 6 and named <= titles()
+    assert len(named) == 2 and named <= titles()
 
 
-def test_an_error_names_the_page_that_explains_it(tmp_path, capsys):
-    file = tmp_path / "a.toml"
-    file.write_text("[scene]\nkind = 'dimer'\nsites = 8\n[vary]\nratio = [0.5, 1.0]\n[run]\nuntil = 2\n"
-                    "[record]\nlast = {kind = 'final', of = 'energy'}\n[start]\nkind = 'impact'\n")
-    begun = tmp_path / "b.nc.chunks"
-    begun.mkdir()
-    stored = tmp_path / "b.toml"
-    stored.write_text(file.read_text() + "[result]\nstore = 'b.nc'\n")
-    cases = {
-        ("sweep", "none.toml"): pages.FILE, ("sweep", str(file), "--nothing"): pages.FILE,
-        ("sweep", str(file), "--resume"): pages.RESUME, ("sweep", str(file), "--workers", "9999"): pages.CLUSTER,
-        ("sweep", str(stored), "--out", str(tmp_path)): pages.RESUME, ("bench", "nowhere"): pages.METHOD,
-        ("resonance", "--beads", "x"): pages.START, ("sing",): pages.START,
-    }
+def test_an_error_names_the_page_that_explains_it(capsys):
+    cases = {("resonance", "--beads", "x"): pages.START, ("sing",): pages.START}
     for arguments, page in cases.items():
         assert main([*arguments]) == 2
         assert page_named_in(capsys.readouterr().err) == page, arguments
@@ -255,147 +237,3 @@ def test_reproduce_passes_its_arguments_on(arguments, asked, outcome, code, monk
     assert main(["reproduce", *arguments, "--set", "sites=9"]) == code
     assert seen == [asked]
     assert str(outcome) in capsys.readouterr().out
-
-
-class Scene(NamedTuple):
-    """Stands for a canonical scene."""
-
-    name: str
-    title: str = "A scene of the tests"
-    lattice: object = "lattice"
-    state: object = "state"
-    t0: float = 1.0
-    t1: float = 2.0
-    reference: object = None
-    uncertainty: float = 1e-13
-    tangents: bool = False
-
-
-def measured(*scene, **keywords):
-    """A small table, in place of `gx.work_precision`; `t1` below `t0` is chaos."""
-    if scene[2] < keywords["t0"]:
-        raise RuntimeError("No reference exists.")
-
-    def call(step):
-        return (np.array([1 + step**2]), np.ones(1)), 1 / step, 1 / step
-
-    ladder = Ladder("method", "step", [0.08, 0.01, 0.001], call)
-    return measure([ladder], (np.ones(1), np.ones(1)), 1e-12, keywords["repeats"])
-
-
-@pytest.fixture
-def bench(monkeypatch, tmp_path, capsys):
-    """`granjax bench` on scenes of one's own: exit code, output, files, and what `work_precision` was asked for."""
-    def run(scenes, *arguments):
-        asked = []
-
-        def work_precision(*scene, **keywords):
-            asked.append((scene, keywords))
-            return measured(*scene, **keywords)
-
-        by_name = {scene.name: scene for scene in scenes}
-        monkeypatch.setattr(gx, "canonical", SimpleNamespace(names=lambda: tuple(by_name), scene=by_name.get), False)
-        monkeypatch.setattr(gx, "work_precision", work_precision)
-        # what it says of flags and cores depends on what this process has computed before
-        monkeypatch.setattr("granjax.cli.commands._prepare", lambda cache: None)
-        code = main(["bench", "--out", str(tmp_path), *arguments])
-        return code, capsys.readouterr(), sorted(path.name for path in tmp_path.iterdir()), asked
-
-    return run
-
-
-def test_bench_writes_a_chart_and_a_table_for_every_scene(bench, tmp_path):
-    scenes = Scene("one"), Scene("two", reference="exact", uncertainty=1e-12, tangents=True)
-    code, printed, files, asked = bench(scenes)
-    own = {"t0": 1.0, "repeats": 5}
-    assert code == 0
-    assert files == ["bench-one.json", "bench-one.png", "bench-two.json", "bench-two.png"]
-    assert asked == [
-        (("lattice", "state", 2.0), {**own, "reference": None, "uncertainty": None, "tangents": False}),
-        (("lattice", "state", 2.0), {**own, "reference": "exact", "uncertainty": 1e-12, "tangents": True}),
-    ]
-    assert "one: A scene of the tests" in printed.out and "method, order 2.00" in printed.out
-    assert "For 0.0001: method, step" in printed.out
-    assert matplotlib.image.imread(tmp_path / "bench-one.png").shape[2] in (3, 4)
-    data = json.loads((tmp_path / "bench-two.json").read_text())
-    assert data["scene"] == "two" and data["t1"] == 2.0 and data["machine"]["jax"]
-    assert gx.WorkPrecision.from_json(data).methods == ("method",)
-
-
-def test_bench_of_some_scenes_as_json(bench):
-    code, printed, files, asked = bench([Scene("one"), Scene("two")], "two", "--json", "--repeats", "2")
-    assert code == 0 and files == ["bench-two.json", "bench-two.png"]
-    assert set(json.loads(printed.out)) == {"two"}
-    assert [keywords["repeats"] for _, keywords in asked] == [2]
-
-
-def test_bench_goes_on_after_a_scene_that_fails(bench):
-    code, printed, files, _ = bench([Scene("chaos", t1=0.5), Scene("fine")])
-    assert code == 1 and files == ["bench-fine.json", "bench-fine.png"]
-    assert "chaos: No reference exists." in printed.err
-
-
-def test_bench_lists_the_scenes(bench):
-    code, printed, files, asked = bench([Scene("one"), Scene("two")], "--list")
-    assert code == 0 and not files and not asked
-    assert [line.split()[0] for line in printed.out.splitlines()] == ["one", "two"]
-
-
-NAMES = ("slow", "quick", "middle")
-
-
-@pytest.fixture
-def timed(monkeypatch, bench):
-    """`granjax bench` on three scenes of known cost, on a clock that stands still unless a scene is measured."""
-    from granjax.cli import bench as module
-
-    def run(*arguments, pace=1.0, limit=120.0):
-        now = [0.0]
-        cost = {"slow": 500.0, "quick": 10.0, "middle": 40.0}
-        monkeypatch.setattr(module, "SECONDS", cost)
-        monkeypatch.setattr(module, "LIMIT", limit)
-        monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: now[0]))
-        took = module._measured
-
-        def measure(scene, repeats):
-            now[0] += pace * cost[scene.name]
-            return took(scene, repeats)
-
-        monkeypatch.setattr(module, "_measured", measure)
-        found = bench([Scene(name) for name in NAMES], *arguments)
-        monkeypatch.setattr(module, "_measured", took)
-        return found
-
-    return run
-
-
-def test_bench_says_what_it_takes_and_runs_the_quick_scenes_first(timed):
-    code, printed, files, asked = timed()
-    assert code == 0 and files[::2] == ["bench-middle.json", "bench-quick.json"] and len(asked) == 2
-    assert printed.err.splitlines() == [
-        "granjax: 2 scenes, about 50 s: quick, middle. More if there is time; all 3 take 9 min: --all.",
-        "granjax: quick (1 of 2), 0 s gone, about 50 s left", "granjax: middle (2 of 2), 10 s gone, about 40 s left",
-        "granjax: 50 s gone, and no time for slow: --all, or names.",
-    ]
-    assert printed.out.index("quick:") < printed.out.index("middle:")
-
-
-@pytest.mark.slow
-def test_bench_ends_within_its_time_on_a_slow_machine_and_does_more_on_a_fast_one(timed):
-    code, printed, files, _ = timed(pace=4.0)
-    assert code == 0 and len(files) == 2 and "quick" in files[0]
-    assert printed.err.splitlines()[-1] == "granjax: 40 s gone, and no time for middle, slow: --all, or names."
-    code, printed, files, _ = timed(pace=0.1)
-    assert code == 0 and len(files) == 6 and "slow (3 of 3), 5 s gone, about 50 s left" in printed.err
-
-
-@pytest.mark.slow
-def test_bench_of_all_scenes_has_no_limit(timed):
-    code, printed, files, _ = timed("--all", pace=4.0)
-    assert code == 0 and len(files) == 6
-    assert printed.err.splitlines()[0] == "granjax: 3 scenes, about 9 min: quick, middle, slow."
-    assert "slow (3 of 3), 3 min gone, about 33 min left" in printed.err
-    assert timed("slow", "quick")[0] == 0
-    assert timed("slow", "--all")[0] == 2
-    listed = timed("--list")[1].out.splitlines()
-    assert [line.split()[:3] for line in listed][0] == ["quick", "10", "s"] and len(listed) == 3

@@ -9,8 +9,6 @@ import numpy as np
 import pytest
 
 import granjax as gx
-from granjax.studies.resonance import lanes
-from granjax.sweeps.file import recipe
 from granjax.sweeps.task import program
 
 # A = m = v = 1, peak contact force far down a struck monomer chain
@@ -304,12 +302,3 @@ print(json.dumps([sweep.transmission.tolist(), few.tolist()]))
     alone = gx.resonance.transmission(np.linspace(0.1, 1, 12), 21)
     np.testing.assert_allclose(transmission, alone.transmission, rtol=1e-12)
     np.testing.assert_allclose(few, gx.resonance.contact_forces([0.3, 0.5], (8,)), rtol=1e-12)
-
-
-def test_the_command_s_file_is_the_transmission():
-    made = recipe(lanes.FILE)
-    made.check()
-    ratios = made.parameters.axes["ratio"]
-    np.testing.assert_allclose(ratios, np.linspace(0.05, 1, 201)[1:], rtol=1e-14)
-    lattice = made.function.lattice({})
-    assert made.function.until(lattice, {}) == 161.5 and lattice.sites == (101,)

@@ -1,4 +1,4 @@
-"""The command line: `granjax resonance`, `granjax sweep`, `granjax reproduce`, `granjax bench`."""
+"""The command line: `granjax resonance`, `granjax reproduce`."""
 
 from .commands import command, main
 from .output import UNREAD

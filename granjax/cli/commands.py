@@ -1,4 +1,4 @@
-"""The command line: `granjax sweep`, `granjax resonance`, `granjax reproduce`, `granjax bench`.
+"""The command line: `granjax resonance`, `granjax reproduce`.
 
 Results go to standard output, everything else to standard error, or to standard output where that is closed. Exit
 codes: 0; 1 where a computation failed, a figure disagrees or a result could not be written to its place; 2 for input
@@ -16,29 +16,23 @@ import granjax as gx
 from ..checks import refuse
 from ..interrupts import INTERRUPTED, prepare_command
 from ..tuning import keep_compiled
-from .bench import bench
 from .output import UNREAD, complain, say
-from .pages import METHOD, OUTCOMES, START, closing, pointed, see
+from .pages import OUTCOMES, START, closing, pointed, see
 from .resonance import add_resonance
-from .sweeps import add_sweep
 
 ABOUT = """
 Simulates nonlinear lattices: granular crystals, FPUT, Toda and magnetic chains,
 crystals in the plane. In Python `import granjax as gx` has all of it; from here
-you compute a known curve, a sweep of your own, a published figure, a benchmark.
+you compute a known curve, a published figure.
 """.strip()
 COMMANDS = f"""
 commands, each with an example:
   resonance   how much of a pulse a struck dimer chain lets through to a wall,
               over its mass ratio, with its resonances
                   granjax resonance --out results
-  sweep       a sweep that stands in a TOML file: table, picture, data
-                  granjax sweep dimer.toml
   reproduce   figures of Chong and Kevrekidis, Dynamics of Nonlinear Lattices,
               each with a number to check
                   granjax reproduce fig1.3
-  bench       error against time of many solvers on the canonical scenes
-                  granjax bench impact --out results
 
 granjax COMMAND --help says more of each. {see(START)}
 """.strip()
@@ -97,7 +91,6 @@ def _parser():
     commands = parser.add_subparsers(prog="granjax", metavar="COMMAND", help=argparse.SUPPRESS)
 
     add_resonance(commands)
-    add_sweep(commands)
 
     text = "Figures of Chong and Kevrekidis, Dynamics of Nonlinear Lattices:\npicture, data, one number to check."
     reproduce = commands.add_parser(
@@ -116,20 +109,6 @@ def _parser():
     )
     reproduce.set_defaults(command=_reproduce, page=START)
 
-    text = "Error against time of many solvers on the canonical scenes:\ncharts, data, advice."
-    scenes = commands.add_parser(
-        "bench", description=text,
-        epilog=closing(METHOD, "granjax bench --list", "granjax bench impact smooth --out results"),
-    )
-    scenes.add_argument(
-        "scenes", nargs="*", metavar="SCENE", help="names of scenes (default: the quick ones, two minutes)",
-    )
-    scenes.add_argument("--all", action="store_true", help="all scenes, the quick ones first")
-    scenes.add_argument("--list", action="store_true", help="list the scenes with the time they take, and stop")
-    scenes.add_argument("--out", default=".", metavar="DIR", help="folder for bench-SCENE.png and bench-SCENE.json")
-    scenes.add_argument("--json", action="store_true", help="print one JSON object instead of tables")
-    scenes.add_argument("--repeats", type=int, default=5, metavar="N", help="timed calls of each point (default: 5)")
-    scenes.set_defaults(command=bench, page=METHOD)
     return parser
 
 

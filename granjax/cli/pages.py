@@ -1,7 +1,6 @@
 """Pages of the documentation by their titles, which hold for an installed package too: what help and errors name."""
 
-START, FILE, METHOD = "Start here", "Sweeps from a file", "Choosing a method"
-CLUSTER, RESUME = "Run on a cluster", "Resume a killed sweep"
+START = "Start here"
 OUTCOMES = "Errors, outcomes and verdicts"
 
 

@@ -6,7 +6,7 @@ chain; between them (resonances) it decays fast. `oscillations` counts how often
 `resonance_map` looks at larger cells over two parameters. Mass, stiffness and striker's velocity only set the units:
 forces scale as A^(2/5) (m v^2)^(3/5).
 
-Transmissions and contact forces are the sweep of `transmission.toml` with other numbers, on every core.
+Transmissions and contact forces are one sweep with other numbers, on every core.
 """
 
 from .decay import anti_resonance, contact_forces, decay_rate

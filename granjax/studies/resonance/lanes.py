@@ -1,23 +1,25 @@
-"""Peak contact forces of many dimer chains: the sweep of `transmission.toml` with other numbers.
+"""Peak contact forces of many dimer chains, a sweep over the mass ratio.
 
 A chunk has eight lanes: one vector of float64, and its step follows its own stiffest lane. All calls share one
 compiled program.
 """
 
-import copy
 from functools import cache
-from pathlib import Path
 
+import diffrax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from ...checks import refuse, show, within
-from ...sweeps import sweep
-from ...sweeps.file import recipe_of, tables
+from ...flow import Peak, simulate
+from ...measures import contact_force
+from ...scenes import dimer
+from ...states import impact
+from ...sweeps import paired, sweep
 from ...types import Count, Parameter, Scalar
 
 LANES = 8
-FILE = Path(__file__).with_name("transmission.toml")
 
 
 def checked_ratios(ratios: Parameter) -> Float[np.ndarray, " n"]:
@@ -36,17 +38,22 @@ def peak_forces(
 
     **Arguments:** `ratios` (n,), checked; `bonds`: a tuple of indices into the chain's bonds.
     """
-    said = copy.deepcopy(_file())
-    said["scene"] |= {"sites": int(beads), "boundary": boundary}
-    said["vary"] = {"ratio": ratios.tolist(), "run.until": [float(t1)] * len(ratios)}
-    said["design"] = {"kind": "paired"}
-    said["record"] = {"force": {"kind": "peak", "of": "contact_force", "bond": list(bonds)}}
-    said["result"] = {"chunk": LANES}
-    asked = recipe_of(said)
-    data = sweep(asked.function, asked.parameters, chunk=asked.chunk, progress=progress)
-    return data["force"].values.T
+    times = np.full(len(ratios), float(t1))
+    struck = _struck(int(beads), boundary, tuple(bonds))
+    points = paired({"ratio": ratios, "t1": times})
+    return sweep(struck, points, chunk=LANES, progress=progress)["force"].values.T
 
 
 @cache
-def _file():
-    return tables(FILE)
+def _struck(beads, boundary, bonds):
+    """The swept function: one object for one chain, so that nothing compiles twice."""
+
+    def forces(t, y, lattice):
+        return contact_force(lattice, y)[jnp.asarray(bonds)]
+
+    def struck(ratio, t1):
+        chain = dimer(beads, ratio, boundary=boundary)
+        run = simulate(chain, impact(chain, 1.0), t1, record={"force": Peak(forces)}, adjoint=diffrax.ForwardMode())
+        return {"force": jnp.where(run.completed, run.recorded["force"], jnp.nan)}
+
+    return struck
