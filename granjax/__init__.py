@@ -129,24 +129,9 @@ This process
     clear               let go of compiled programs
 """
 
-import gc as _gc
-
-from . import interrupts as _interrupts
-
-# little of what is loaded becomes garbage: looking for it takes a seventh of the time
-_collects = _gc.isenabled()
-_gc.disable()
-
-# before what takes seconds to import
-if _interrupts.is_command():
-    _interrupts.prepare_command()
-
-_interrupts.load("numpy", "jax", "equinox", "diffrax")
-
 from . import tuning as _tuning
 
 _tuning.prepare_import()
-_interrupts.prepare_python()
 
 from . import laws, solvers, strains, terms  # noqa: E402
 from .design import Design, design, smooth_peak  # noqa: E402
@@ -217,11 +202,6 @@ from .terms import (  # noqa: E402
 from .tuning import clear, tune  # noqa: E402
 from .units import Units  # noqa: E402
 from .work_precision import WorkPrecision, work_precision  # noqa: E402
-
-# nor need what stays be walked over again, whenever something compiles
-_gc.freeze()
-if _collects:
-    _gc.enable()
 
 __version__ = "0.2.0"
 _LAZY = {

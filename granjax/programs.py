@@ -8,18 +8,15 @@ from collections.abc import Callable
 from functools import partial, wraps
 from typing import Any
 
+import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 
-from . import interrupts
 from .types import Pytree
 
 _ARRAYS = (jax.Array, np.ndarray, np.generic)
 # seconds for which an array is asked again and again; then pauses, of a share of what has passed, and the longest
 EAGER, SHARE, LONGEST = 5e-4, 0.02, 0.02
-# rows of a matrix whose square takes 1 us, and more operations than what XLA runs before a call returns
-WEIGHT = 12
 
 
 def compiled(function: Callable) -> Callable:
@@ -42,29 +39,7 @@ def compiled(function: Callable) -> Callable:
     return call
 
 
-def waited(function: Callable) -> Callable:
-    """`compiled`, for programs that may take long: Ctrl-C reaches one that runs. What it returns need not be arrays.
-
-    XLA runs a program of few operations before the call returns, a loop counted as if it turned once. So there are
-    more of them.
-    """
-
-    def weighty(static, arrays):
-        static, arrays = parted(function(*joined(static, arrays)))
-        # XLA would compute what it knows as it compiles
-        weight = jax.lax.optimization_barrier(jnp.ones((WEIGHT, WEIGHT)))
-        return arrays, _Static(static), (weight @ weight)[0, 0]
-
-    weighty.__name__ = weighty.__qualname__ = function.__name__
-    flat, ordered = jax.jit(weighty, static_argnums=0), _ordered(function)
-
-    @wraps(function)
-    def call(*arguments, **named):
-        arrays, static, last = flat(*parted(ordered(arguments, named)))
-        wait((arrays, last))
-        return joined(static.value, arrays)
-
-    return call
+waited = eqx.filter_jit
 
 
 def _ordered(function):
@@ -79,16 +54,6 @@ def _ordered(function):
         return bound.args
 
     return ordered
-
-
-class _Static:
-    """What is no array of what a program returns: a pytree without leaves."""
-
-    def __init__(self, value: tuple):
-        self.value = value
-
-
-jax.tree_util.register_pytree_node(_Static, lambda x: ((), x.value), lambda value, _: _Static(value))
 
 
 def parted(tree: Pytree) -> tuple:
@@ -162,19 +127,13 @@ def shared_size(n: int) -> int:
 def wait(tree: Any) -> Any:
     """What a compiled program returns, when all of it is there. Nothing happens to what is traced.
 
-    JAX itself waits in a way that no signal reaches. An interrupt leaves the program at work, so that what is computed
-    next waits for it.
+    JAX itself waits in a way that no signal reaches, so that Ctrl-C would be answered only at the program's end.
     """
     arrays = [x for x in jax.tree.leaves(tree) if hasattr(x, "is_ready")]
     begin = time.perf_counter()
-    try:
-        while not all(x.is_ready() for x in arrays):
-            passed = time.perf_counter() - begin
-            time.sleep(0 if passed < EAGER else min(SHARE * passed, LONGEST))
-    except KeyboardInterrupt:
-        interrupts.leave(arrays)
-        raise
-    interrupts.let_go()
+    while not all(x.is_ready() for x in arrays):
+        passed = time.perf_counter() - begin
+        time.sleep(0 if passed < EAGER else min(SHARE * passed, LONGEST))
     return tree
 
 

@@ -1,12 +1,9 @@
-"""XLA's flags, the floating type, threads, memory: what import sets, what it could not, and what is kept.
+"""XLA's flag, the floating type, threads, memory: what import sets, what it could not, and what is kept.
 
-Two flags make loops over lattices faster on the CPU, diffrax's own too; a loop over arrays so large that XLA would use
-all cores gets slower (benchmarks/flags.py). XLA reads them once, before JAX's first computation:
-
-- `xla_cpu_small_while_loop_byte_threshold`, an extra option of the backend: a loop becomes one native function instead
-  of a dispatch per operation. Such a loop runs on one thread; cores are used through devices.
-- `xla_cpu_prefer_vector_width=512` on processors with AVX-512. With it jaxlib 0.10.2 gets the arctan of arrays wrong
-  (jax issue 39352): there it is taken of two arguments, which it gets right.
+A flag makes loops over lattices faster on the CPU, diffrax's own too; a loop over arrays so large that XLA would use
+all cores gets slower (benchmarks/flags.py). XLA reads it once, before JAX's first computation:
+`xla_cpu_small_while_loop_byte_threshold`, an extra option of the backend, makes a loop one native function instead of a
+dispatch per operation. Such a loop runs on one thread; cores are used through devices.
 
 The square root of a contact's force has two forms (`root_by_products`), chosen by the processor.
 """
@@ -24,14 +21,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 LOOPS = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=100000000000"
-WIDTH = "--xla_cpu_prefer_vector_width=512"
 # JAX from this version on has not been tried: XLA ends a process for a flag that it does not know
 UNTRIED = (0, 13)
-WRONG_ARCTAN = "0.10.2"
 
 
 class Tuning(NamedTuple):
-    """What is in force: the value of XLA_FLAGS, whether nothing of granjax's is missing, and a sentence."""
+    """What is in force: the value of XLA_FLAGS, whether granjax's flag is in it, and a sentence."""
 
     flags: str
     complete: bool
@@ -86,45 +81,30 @@ def _is_intel_avx512():
     return jax.default_backend() == "cpu" and "GenuineIntel" in _processor() and _has_avx512()
 
 
-def _missing(flags):
-    """granjax's flags that are not in a value of XLA_FLAGS under any value: what the user has set stays."""
-    wanted = [LOOPS] + ([WIDTH] if _has_avx512() else [])
-    return [flag for flag in wanted if flag.split("=")[0] not in flags]
+def _has_started():
+    """Whether JAX has started, so that XLA has read its flags: only then JAX refuses another number of devices."""
+    import jax
+
+    now = jax.config.jax_num_cpu_devices
+    try:
+        jax.config.update("jax_num_cpu_devices", 2 if now == 1 else 1)
+    except RuntimeError:
+        return True
+    jax.config.update("jax_num_cpu_devices", now)
+    return False
 
 
-def _started():
-    from jax._src import xla_bridge
+def tune(*, cache: bool = False) -> Tuning:
+    """Set the XLA flag that makes loops on the CPU faster, if JAX has not started, and say what is in force.
 
-    return xla_bridge.backends_are_initialized()
+    Import does this already unless the environment holds `GRANJAX_TUNE=0`. A value that the user has set stays.
+    The flag is put in front of the others, because XLA reads nothing after a bare word. A JAX that is newer than those
+    tried gets none: XLA ends a process for a flag that it does not know.
 
+    **Arguments:** `cache`: keep compiled programs on disk too (`keep_compiled`), so that the next process does not
+    compile them again.
 
-def _mend_arctan():
-    """Have the arctan of one argument taken of two, x and 1, where wide vectors get it wrong."""
-    import jaxlib
-
-    if jaxlib.__version__ != WRONG_ARCTAN or "prefer_vector_width" not in os.environ.get("XLA_FLAGS", ""):
-        return
-    import jax.numpy as jnp
-    from jax import lax
-    from jax.interpreters import mlir
-
-    def arctan(x):
-        if jnp.iscomplexobj(x):
-            return -1j * lax.atanh(1j * x)
-        # a 1 that no compiler knows, which would make one argument of it again
-        return lax.atan2(x, jnp.where(x == x, jnp.ones_like(x), x))
-
-    mlir.register_lowering(lax.atan_p, mlir.lower_fun(arctan, multiple_results=False), platform="cpu")
-
-
-def tune() -> Tuning:
-    """Set granjax's XLA flags if JAX has not started computing yet, and say what is in force.
-
-    Import does this already unless the environment holds `GRANJAX_TUNE=0`. A flag that the user has set in XLA_FLAGS
-    stays as it is. granjax's flags are put in front, because XLA reads nothing after a bare word. A JAX that granjax
-    has not been tried with gets none: XLA ends a process for a flag that it does not know.
-
-    **Returns:** `Tuning(flags, complete, outcome)`; `complete` is false where JAX had started without them, or is
+    **Returns:** `Tuning(flags, complete, outcome)`; `complete` is false where JAX had started without the flag, or is
     newer than what was tried.
 
     **Example:**
@@ -134,24 +114,25 @@ def tune() -> Tuning:
     """
     import jax
 
+    if cache:
+        keep_compiled()
     flags = os.environ.get("XLA_FLAGS", "")
-    missing = _missing(flags)
-    if not missing:
+    if LOOPS.split("=")[1] in flags:
         return Tuning(flags, True, "In XLA_FLAGS.")
     if jax.__version_info__ >= UNTRIED:
         return Tuning(
             flags, False,
             f"Not set: JAX {jax.__version__} is newer than those granjax was tried with, and XLA ends a process for a "
-            f"flag that it does not know. Put {' '.join(missing)} into XLA_FLAGS yourself to have them.",
+            f"flag that it does not know. Put {LOOPS} into XLA_FLAGS yourself to have it.",
         )
-    if _started():
+    if _has_started():
         return Tuning(
             flags, False,
-            f"Too late: JAX has started, and XLA reads {' '.join(missing)} only before its first computation. "
+            f"Too late: JAX has started, and XLA reads {LOOPS} only before its first computation. "
             "Import granjax, or call granjax.tune(), before computing with JAX.",
         )
-    os.environ["XLA_FLAGS"] = flags = " ".join([*missing, flags]).strip()
-    return Tuning(flags, True, f"Set {' '.join(missing)}.")
+    os.environ["XLA_FLAGS"] = flags = f"{LOOPS} {flags}".strip()
+    return Tuning(flags, True, f"Set {LOOPS}.")
 
 
 def keep_compiled(folder: str | Path | None = None) -> Path | None:
@@ -231,14 +212,13 @@ def _user_cache():
 
 
 def prepare_import() -> None:
-    """What `import granjax` does first: float64 unless the environment says otherwise, and the XLA flags."""
+    """What `import granjax` does first: float64 unless the environment says otherwise, and the XLA flag."""
     import jax
 
     if "JAX_ENABLE_X64" not in os.environ:
         jax.config.update("jax_enable_x64", True)
     if os.environ.get("GRANJAX_TUNE", "1") != "0":
         tune()
-        _mend_arctan()
 
 
 @cache

@@ -4,8 +4,10 @@ import json
 import os
 import re
 import shlex
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import matplotlib.image
@@ -237,3 +239,40 @@ def test_reproduce_passes_its_arguments_on(arguments, asked, outcome, code, monk
     assert main(["reproduce", *arguments, "--set", "sites=9"]) == code
     assert seen == [asked]
     assert str(outcome) in capsys.readouterr().out
+
+
+COMMAND = """
+import sys
+from granjax.cli import command
+print("ready", flush=True)
+sys.argv = ["granjax", "resonance", "--beads", "301", "--ratios", "2000"]
+command()
+"""
+LONG_RUN = """
+import granjax as gx
+chain = gx.scenes.monomer(200)
+print("ready", flush=True)
+gx.simulate(chain, gx.states.impact(chain), 1e5, step=0.001)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("script, code", [(COMMAND, 130), (LONG_RUN, -signal.SIGINT)], ids=["command", "python"])
+def test_an_interrupt_ends_what_takes_long(script, code, tmp_path):
+    # whatever started the tests may ignore the signal
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        process = subprocess.Popen([sys.executable, "-c", script], cwd=tmp_path, text=True, stdout=subprocess.PIPE,
+                                   stderr=subprocess.PIPE)
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert process.stdout.readline() == "ready\n"
+    time.sleep(10.0)
+    assert process.poll() is None
+    process.send_signal(signal.SIGINT)
+    said = process.communicate(timeout=60)[1].splitlines()
+    assert process.returncode == code and not [*tmp_path.iterdir()]
+    if script is COMMAND:
+        assert said == ["granjax: interrupted"]
+    else:
+        assert said[-1].startswith("KeyboardInterrupt: simulate was interrupted at t = ")

@@ -450,7 +450,7 @@ def _(seed):
 # public functions that no row calls by name, by their modules, and why
 WITHIN = {
     **dict.fromkeys(("checks", "entry.checked", "entry.kinds", "printing", "programs", "variables", "cli.commands",
-                     "interrupts", "outside", "tuning", "materials", "canonical.scenes", "scenes.chains",
+                     "outside", "tuning", "materials", "canonical.scenes", "scenes.chains",
                      "scenes.long_range", "scenes.resonators", "scenes.softening",
                      "scenes.disorder", "scenes.fractional", "scenes.modulated", "scenes.on_site", "scenes.yielding",
                      "scenes.plane.chains", "scenes.plane.lattices", "scenes.plane.networks", "scenes.plane.packing",

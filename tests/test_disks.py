@@ -1,12 +1,7 @@
 """Files are there whole or not at all; a result is told where it cannot be written."""
 
 import contextlib
-import json
-import os
-import re
 import resource
-import stat
-import subprocess
 import sys
 from pathlib import Path
 
@@ -68,31 +63,11 @@ def complaints(captured):
 
 
 def test_a_file_is_replaced_whole(tmp_path):
-    path, link = tmp_path / "a.json", tmp_path / "link.json"
-    files.write(path, "first")
-    path.chmod(0o640)
-    link.symlink_to(path)
+    path = files.write(tmp_path / "a.json", "first")
     with open(path) as held:
-        assert files.write(link, b"second") == link
+        assert files.write(path, b"second") == path
         assert held.read() == "first", "who has it open reads on"
-    assert path.read_text() == link.read_text() == "second" and link.is_symlink()
-    assert stat.S_IMODE(path.stat().st_mode) == 0o640
-    assert names(tmp_path) == ["a.json", "link.json"]
-
-
-def test_files_are_written_in_one_place():
-    root = Path(gx.__file__).parent
-    writes = re.compile(r"write_text|write_bytes|to_netcdf|np\.save|json\.dump\(|open\([^)]*[\"'][wax]b?[\"']")
-    # examples in docstrings are a reader's
-    nowhere = re.compile(r"open\(os\.devnull|np\.savez\(buffer|>>> .*")
-    found = {path.name for path in root.rglob("*.py") if writes.search(nowhere.sub("", path.read_text()))}
-    assert found == {"files.py"}
-
-
-def test_rights_of_a_new_file_are_those_of_any(tmp_path):
-    (tmp_path / "plain").write_text("")
-    files.write(tmp_path / "new", "")
-    assert (tmp_path / "new").stat().st_mode == (tmp_path / "plain").stat().st_mode
+    assert path.read_text() == "second" and names(tmp_path) == ["a.json"]
 
 
 def test_a_full_disk_leaves_what_was_there(tmp_path):
@@ -102,25 +77,11 @@ def test_a_full_disk_leaves_what_was_there(tmp_path):
     before = {path: path.read_bytes() for path in tmp_path.iterdir()}
     with full_disk():
         for name in ("a.nc", "a.mat"):
-            with pytest.raises(OSError, match=rf"{name}' could not be written \(File too large\); what was there"):
+            with pytest.raises(OSError, match="File too large"):
                 LARGE.save(tmp_path / name)
-        with pytest.raises(OSError, match="could not be written"):
+        with pytest.raises(OSError, match="File too large"):
             plots.save(plots.figure(9, 9), tmp_path / "a.png")
     assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
-
-
-@pytest.mark.parametrize("size", [0, 100])
-def test_what_a_full_disk_lost_is_said_to_be_lost(size, tmp_path):
-    with full_disk(size):
-        kept, said = files.rescue(tmp_path / "a.nc", bytes(1000))
-    assert kept is None and "nor into a temporary folder" in said and not names(tmp_path)
-
-
-def test_a_folder_that_is_gone_when_it_is_written(tmp_path, monkeypatch):
-    monkeypatch.setattr(files.tempfile, "tempdir", str(tmp_path))
-    kept, said = files.rescue(tmp_path / "gone" / "a.nc", b"content")
-    assert kept.read_bytes() == b"content" and kept.name == "a.nc"
-    assert "No such file or directory" in said and said.endswith(f"it is at {str(kept)!r} instead.")
 
 
 def test_a_file_that_is_open_elsewhere_is_written_again(tmp_path):
@@ -139,29 +100,14 @@ def test_netcdf_from_memory_is_what_xarray_writes(tmp_path):
     xr.testing.assert_identical(theirs, ours)
 
 
-@pytest.mark.parametrize("path, said", [
-    (".", "It is a folder: add a name"), ("none/a.nc", "There is no folder"), ("pipe.nc", "It is no ordinary file"),
-    ("a" * 300 + ".nc", "File name too long"), ("a\0.nc", "path: expected a file's path"),
-    ("", "expected a file's path"), ("/proc/a.nc", "path: expected a file that can be written"),
-])
+@pytest.mark.parametrize("path, said", [(".", "which is a folder"), ("none/a.nc", "Make the folder 'none' first")])
 def test_what_cannot_be_written_is_refused(path, said, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    os.mkfifo("pipe.nc")
     with pytest.raises(ValueError, match=said):
         SMALL.save(path)
     with pytest.raises(ValueError, match=said):
         plots.save(plots.figure(1, 1), path)
-    assert names(tmp_path) == ["pipe.nc"]
-
-
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
-def test_a_folder_without_the_right_to_write(tmp_path):
-    (tmp_path / "shut").mkdir(mode=0o500)
-    with pytest.raises(ValueError, match="Permission denied"):
-        SMALL.save(tmp_path / "shut" / "a.nc")
-    (tmp_path / "a.nc").touch(mode=0o400)
-    with pytest.raises(ValueError, match="protected"):
-        SMALL.save(tmp_path / "a.nc")
+    assert not names(tmp_path)
 
 
 def test_endings_of_pictures(tmp_path):
@@ -171,7 +117,7 @@ def test_endings_of_pictures(tmp_path):
     assert plots.save(plots.figure(1, 1), tmp_path / "a.SVG").read_bytes().startswith(b"<?xml")
 
 
-@pytest.mark.parametrize("out", ["FILE", "/proc/none", "NONE/x.nc/FOLDER.png", "a\0b"])
+@pytest.mark.parametrize("out", ["FILE/below", "/proc/none", "NONE/x.nc/FOLDER.png"])
 @pytest.mark.parametrize("command", [ARGUMENTS, ["reproduce", "fig1.3"]])
 def test_the_place_is_looked_at_before_anything_is_computed(command, out, tmp_path, capsys, monkeypatch):
     def never(*arguments, **keywords):
@@ -203,39 +149,12 @@ def test_a_full_disk_costs_no_table(tmp_path, capsys, computed):
     assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
-def test_a_folder_that_goes_while_computing(tmp_path, capsys, computed):
-    computed.setattr(files.tempfile, "tempdir", str(tmp_path))
-    out, refine = tmp_path / "out", gx.resonance.refine
-    computed.setattr(gx.resonance, "refine", lambda *x, **k: (out.rmdir(), refine())[1])
-    assert main([*ARGUMENTS, "--out", str(out), "--json"]) == 1
-    captured = capsys.readouterr()
-    assert json.loads(captured.out)["resonances"] == [0.4]
-    places = [line.split(" it is at ")[1].split("'")[1] for line in complaints(captured)]
-    assert [Path(place).name for place in places] == ["resonance.nc", "resonance.png"]
-    assert all(Path(place).stat().st_size > 1000 for place in places)
-
-
 def test_two_commands_write_one_file(tmp_path, capsys, computed):
     assert main([*ARGUMENTS, "--out", str(tmp_path)]) == 0
     with xr.open_dataset(tmp_path / "resonance.nc", engine="h5netcdf"):
         assert main([*ARGUMENTS, "--out", str(tmp_path)]) == 0
     assert names(tmp_path) == ["resonance.nc", "resonance.png"]
     assert not complaints(capsys.readouterr())
-
-
-def test_a_figure_on_a_full_disk(tmp_path, monkeypatch):
-    from granjax.studies.reproduce import figure, making, run
-
-    plain = figure("fig1.3")
-    data = xr.Dataset({"x": ("x", np.random.default_rng(0).normal(size=2000))})
-    made = plain.__class__(**{**vars(plain), "compute": lambda **_: data.copy(), "number": lambda d: plain.expected,
-                              "draw": lambda plots, canvas, d: canvas.subplots().plot(d.x)})
-    monkeypatch.setattr(making, "figure", lambda label: made)
-    with full_disk():
-        (result,) = run("fig1.3", tmp_path, check=True, plots=plots)
-    assert result.passed and result.picture is None and result.data is None
-    assert "agrees" in result.outcome and "File too large" in result.unwritten and result.unwritten in result.outcome
-    assert not names(tmp_path)
 
 
 @pytest.mark.parametrize("error, code, said", [
@@ -267,11 +186,3 @@ def test_standard_streams_that_are_not_there(tmp_path, capsys, computed):
     assert "--beads: expected" in capsys.readouterr().out
 
 
-@pytest.mark.slow
-@pytest.mark.skipif(sys.platform == "win32", reason="a shell's redirections")
-def test_closed_streams_of_a_process(tmp_path):
-    """Without standard error a sentence goes to standard output, and no file takes the place of a stream."""
-    command = f"exec {sys.executable} -m granjax reproduce fig1.33 <&- 2>&-"
-    done = subprocess.run(["sh", "-c", command], capture_output=True, text=True, cwd=tmp_path, check=False)
-    assert done.returncode == 2 and "Did you mean" in done.stdout
-    assert done.stdout.count("\n") == 1 and not names(tmp_path)

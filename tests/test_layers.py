@@ -10,7 +10,7 @@ import granjax
 ROOT = Path(granjax.__file__).parent
 
 FLOORS = (
-    {"checks", "files", "interrupts", "outside", "printing", "tuning", "types"},
+    {"checks", "files", "outside", "printing", "tuning", "types"},
     {"entry", "programs", "variables"},
     {"split_system", "units"},
     {"results"},
@@ -144,8 +144,7 @@ def test_there_is_no_circle_within_a_folder():
 
 
 # a process or a thread of its own, of which every error is told to another
-ALONE = {ROOT / "reading" / "child.py", ROOT / "interrupts.py"} | {
-    ROOT / "sweeps" / name for name in ("executors.py", "plan.py", "task.py", "workers.py")}
+ALONE = {ROOT / "sweeps" / name for name in ("executors.py", "plan.py", "task.py", "workers.py")}
 
 
 @pytest.mark.parametrize("path", FILES, ids=IDS)

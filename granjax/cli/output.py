@@ -5,7 +5,7 @@ import os
 import sys
 from pathlib import Path
 
-from ..files import reason, rescue
+from ..files import reason, write
 
 # as of a process that a closed pipe ends
 UNREAD = 141
@@ -35,6 +35,9 @@ def say(text: str) -> int:
 
 
 def keep(path: Path, content: bytes | str) -> int:
-    """Write a file; a sentence and exit code 1 where it could not be written to its place."""
-    _, said = rescue(path, content)
-    return complain(said, 1) if said else 0
+    """Write a file; a sentence and exit code 1 where it could not be written."""
+    try:
+        write(path, content)
+    except OSError as error:
+        return complain(f"{str(path)!r} could not be written ({reason(error)})", 1)
+    return 0

@@ -259,13 +259,6 @@ def checked(target: T) -> T:
             given = [*zip([name for name, *_ in ordered], args), *kwargs.items()]
             _refuse_unknown(given, error, target.__module__.split(".")[0])
             raise
-        except KeyboardInterrupt as error:
-            if _within_users(error, target.__module__.split(".")[0]):
-                raise
-            said = str(error)
-            if not said.startswith(target.__name__):
-                said = f"{target.__name__} was interrupted; nothing of it is kept"
-            raise KeyboardInterrupt(said) from None
 
     call.is_checked = True
     return call
@@ -291,12 +284,6 @@ def _refuse_unknown(given, error, package):
             raise ValueError(
                 f"{name}: expected a function that JAX can trace, got one that asks for a known value in {place}. "
                 "Take jax.numpy for numpy, jnp.where for if, and no float() of what it is given.") from error
-
-
-def _within_users(error, package):
-    """Whether an interrupt came in a function of the user's that the library calls: its traceback says where."""
-    roots = [frame.f_globals.get("__name__", "").split(".")[0] for frame, _ in traceback.walk_tb(error.__traceback__)]
-    return any(root not in LIBRARIES and root != package for root in roots[1:])
 
 
 def _functions(given):

@@ -11,12 +11,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax._src import core as jax_core
 
 from ..checks import refuse, traced
 from ..lattice import Lattice
 from ..outside import Outside
-from ..programs import compiled, wait, waited
+from ..programs import compiled, wait
 from ..types import Number, Scalar, StateLike, Times
 from .dispatch import facts
 from .integrate import Part, integrate, own_records, part_of, reduced
@@ -97,8 +96,7 @@ def _steps(count, dtype):
 
 def _is_untraced():
     """Whether nothing at all is traced here, whatever the arguments are."""
-    clean = getattr(jax_core, "trace_state_clean", None)  # a private name, 25 times as quick as an operation
-    return not traced(-_number(1.0, np.dtype(float))) if clean is None else clean()
+    return not traced(-_number(1.0, np.dtype(float)))
 
 
 @lru_cache(maxsize=256)
@@ -260,7 +258,7 @@ def _bar(progress, total=100, unit="%"):
 
 
 # what cannot go in pieces and takes long
-_alone = waited(integrate.__wrapped__)
+_alone = eqx.filter_jit(integrate.__wrapped__)
 
 
 @compiled

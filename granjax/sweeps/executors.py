@@ -12,7 +12,6 @@ from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Proces
 from typing import Any
 
 from ..checks import described, is_whole, refuse, whole
-from ..interrupts import LOOK
 from ..tuning import pools
 from . import workers
 from .chunk import Chunk
@@ -22,6 +21,8 @@ DEATHS, SUSPECT = 3, 2
 # chunks that are given to every worker; seconds between two looks at how many workers a cluster has, and until it is
 # said that there is none
 AHEAD, RECOUNT, PATIENCE = 2, 1.0, 10.0
+# seconds between two looks at the chunks that are at work, between which Ctrl-C is answered
+LOOK = 0.05
 # processes per core
 CROWD = 8
 UNGUARDED = (

@@ -17,7 +17,6 @@ from typing import Any
 import jax
 
 from ..checks import refuse
-from ..interrupts import Aside
 from ..tuning import pools
 from .chunk import LOST, Chunk
 
@@ -66,7 +65,7 @@ class Threads(Executor):
             else:
                 future.set_result(found)
 
-        Aside(work, "granjax: sweep").start()
+        threading.Thread(target=work, name="granjax: sweep", daemon=True).start()
         return future
 
 
@@ -84,9 +83,7 @@ def float64() -> bool:
 def _floats(wanted):
     if float64() == wanted:
         return contextlib.nullcontext()
-    from jax._src import config
-
-    return config.enable_x64(wanted)
+    return jax.enable_x64(wanted)
 
 
 def processes(

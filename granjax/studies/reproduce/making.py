@@ -11,7 +11,7 @@ import numpy as np
 
 from ...checks import one_of, refuse
 from ...entry import checked
-from ...files import folder, netcdf, rescue, target
+from ...files import folder, netcdf, target, write
 from ...results import Result
 from .figure import Figure
 from .registry import figure, figures
@@ -25,8 +25,7 @@ class Made(Result):
     - `label`; `number`, `expected`, `tolerance`; `passed`: whether they agree, `None` where the expected value does
       not hold for the parameters that were set. `seconds`: of the computation.
     - `parameters`: dict of the chosen parameters that were used; `picture`, `data`: paths, `None` where not written.
-    - `failure`: a sentence where the simulation failed, and empty otherwise; `unwritten`: the same where a file could
-      not be written to its place (and is in a temporary folder, if that can be). `outcome`: all of it in words.
+    - `failure`: a sentence where the simulation failed, and empty otherwise. `outcome`: all of it in a paragraph.
 
     **Example:**
 
@@ -45,7 +44,6 @@ class Made(Result):
     picture: Path | None = eqx.field(static=True)
     data: Path | None = eqx.field(static=True)
     failure: str = eqx.field(static=True)
-    unwritten: str = eqx.field(static=True)
     outcome: str = eqx.field(static=True)
 
     def __repr__(self) -> str:
@@ -130,19 +128,16 @@ def _make(f, parameters, out, check, plots):
     bound = all(parameters[name] == f.chosen[name].value for name in f.binding)
     passed = bool(abs(value - f.expected) <= f.tolerance) if bound or failure else None
     picture = path = None
-    unwritten = ""
     if out is not None and data is not None:
         _describe(f, parameters, data, value)
-        path, unwritten = rescue(out / f"{f.label}{DATA}", netcdf(data))
+        path = write(out / f"{f.label}{DATA}", netcdf(data))
         with plots.style():
             canvas = plots.figure(*f.size)
             f.draw(plots, canvas, data)
-        picture, said = rescue(out / f"{f.label}{PICTURE}", plots.drawn(canvas, PICTURE))
-        unwritten = f"{unwritten} {said}".strip()
+        picture = write(out / f"{f.label}{PICTURE}", plots.drawn(canvas, PICTURE))
     outcome = _outcome(f, parameters, value, passed if check else None, bound, failure, picture, path)
-    outcome += f"\n  {unwritten}" if unwritten else ""
     known = f.label, value, f.expected, f.tolerance, passed, seconds, parameters
-    return Made(*known, picture, path, failure, unwritten, outcome)
+    return Made(*known, picture, path, failure, outcome)
 
 
 def _describe(f, parameters, data, value):
