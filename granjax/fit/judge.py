@@ -9,7 +9,7 @@ from jaxtyping import Float
 from ..flow import return_error
 from ..solvers import AbstractSplitting
 from ..types import AnyArray, Numbers
-from .determined import covariance, directions, quantities, sentences
+from .determined import LOOSE, covariance, directions, quantities, sentences
 from .fitted import Fit
 from .problem import Problem, misfit
 from .solve import BLIND, CONVERGED, NOT_FINITE, SPENT, STALLED, Found, directions_left, evaluated, linearised
@@ -54,9 +54,8 @@ def judged(
     # in units of the size of the data where no sigma says more
     noise = 1.0 if known else float(np.sqrt(max(squares, EXACT) / max(samples - flat.size, 1)))
     residuals = tuple(r / noise for r in residuals)
-    # signed, so that exponents of a product are those of its factors; near zero what the start was
-    sizes = np.where(flat < 0, -1, 1) * np.maximum(np.abs(flat), np.abs(start))
-    sizes = np.where(sizes != 0, sizes, slopes)
+    # directions are of logarithms, so that their components are the exponents of a product
+    sizes = np.where(flat != 0, flat, np.where(start != 0, start, slopes))
     code, undetermined, found_directions = int(found.code), (), ()
     remarks = _elsewhere(plain, squares, squares / max(samples - flat.size, 1) if known else None)
     if code in (SPENT, STALLED):
@@ -72,6 +71,10 @@ def judged(
             remarks.append(f"At its bound, and beyond it if it could: {', '.join(held)}.")
         seen = np.abs(slopes) > EXACT * np.abs(sizes)
         by_parameter = np.where(seen, jacobian / np.where(seen, slopes, 1), 0.0)
+        # near zero, as far as the data tell, a logarithm says nothing
+        known_to = noise / np.maximum(np.linalg.norm(by_parameter, axis=0), EXACT)
+        vanishing = (np.abs(flat) < LOOSE * np.abs(start)) & (LOOSE * np.abs(flat) < known_to)
+        sizes = np.where(vanishing, start, sizes)
         found_directions = tuple(directions(by_parameter, sizes, noise))
         matrix = covariance(found_directions, sizes)
         names = coordinates.names
