@@ -188,6 +188,24 @@ def test_a_parameter_that_is_zero_is_determined():
     assert abs(fit.parameters["alpha"]) < 4 * fit.deviations["alpha"] < 0.02 and not fit.undetermined
 
 
+@pytest.mark.slow
+def test_a_residue_beyond_noise_is_said():
+    """Traces of contacts, which springs and a parabola do not have, with and without noise, of a known size or not."""
+    times, sites = np.linspace(0.1, 20.0, 150), [1, 4]
+    clean = scipy_motion(times, 0.6, 6, damping=0.0)[1][:, sites]
+    law = lambda p: gx.Polynomial(p["K2"], p["K3"])
+    chain = lambda p: gx.Lattice(1.0, gx.Bond(gx.Shift(1, "fixed"), law(p)), sites=6)
+    contacts = lambda p: gx.Lattice(1.0, gx.Bond(gx.Shift(1, "fixed"), gx.Hertz(p["A"], 1.0)), sites=6)
+    state = gx.states.impact(chain({"K2": 1.5, "K3": 0.3}), 0.6)
+    for size, sigma in ((0.0, None), (1e-4, None), (1e-4, 1e-4)):
+        data = clean + size * np.random.default_rng(2).normal(size=clean.shape)
+        traces = gx.Traces(times, velocity=data, sites=sites, sigma=sigma)
+        wrong = gx.fit(chain, {"K2": 1.4, "K3": 0.2}, traces, state=state, throw=False)
+        assert "A residue beyond noise is left" in wrong.outcome
+        right = gx.fit(contacts, {"A": 0.95}, traces, state=state)
+        assert "residue" not in right.outcome
+
+
 def spring(p):
     law = gx.Hertz(p["stiffness"], 1.0)
     return gx.Lattice(1.0, (gx.Bond(gx.Shift(1, "fixed"), law), gx.Damping(0.05)), sites=6)

@@ -23,6 +23,20 @@ SHOWN = 0.5
 # mean squares of the residuals, in units of sigma^2, above which noise alone does not make them
 NOISY = 2.0
 EXACT = 1e-30
+# deviations of white noise from which on neighbours are said to have something in common
+STRUCTURED = 4.0
+
+
+def structure(one: Float[np.ndarray, " n"], after: Float[np.ndarray, " n"]) -> tuple[float, float]:
+    """What residuals have in common with their neighbours: its rms over theirs, and in how many deviations of noise.
+
+    **Arguments:** pairs of neighbours (n,). Of independent errors, equal or not, the sum of the products has the mean
+    zero and the deviation sqrt(sum of their squares); what varies slowly adds its own square to each product.
+    """
+    products = one * after
+    common, squares = products.sum(), np.sum(one**2 + after**2) / 2
+    deviation = np.sqrt(np.sum(products**2))
+    return float(np.sqrt(max(common, 0.0) / max(squares, EXACT))), float(common / max(deviation, EXACT))
 
 
 def looked_at(problem: Problem | Windows, x: Float[AnyArray, " n"]) -> Fit | None:
@@ -83,6 +97,14 @@ def judged(
         step_error = float(np.max(np.abs(np.asarray(linearised(halved, x)[0]) - value))) / noise
         if step_error > NOTICEABLE:
             remarks.append(f"The time step moves the signals by up to {step_error:.2g} sigma: give a shorter step=.")
+        one, after = (np.concatenate([np.ravel(part) for part in parts])
+                      for parts in zip(*((r[1:], r[:-1]) for r in residuals)))
+        share, surely = structure(one, after)
+        left = share * np.sqrt(squares / samples) / noise
+        if surely > STRUCTURED and left > max(NOTICEABLE, step_error) and not remarks:
+            remarks.append(f"A residue beyond noise is left, {100 * share:.2g} % of the residuals: neighbouring samples "
+                           "share it, as independent errors would not. The scene does not describe what was measured, "
+                           "or the noise is correlated; the deviations are too small.")
         if not known:
             remarks.append(f"Noise, as the residuals have it: {noise * float(plain.traces[0].size):.3g}.")
         if problem is not plain:
