@@ -212,15 +212,31 @@ def tolerance(argument: str, x: Any, most: float = 0.1, typical: float = 1e-8) -
     return float(value)
 
 
+def nearest(name: str, options: Iterable, most: int = 1) -> str:
+    """A question for the options whose names are nearest to a misspelt one; empty where none is near."""
+    lowered = {str(option).lower(): option for option in options}
+    near = [lowered[n] for n in difflib.get_close_matches(name.lower(), lowered, n=most, cutoff=0.6)]
+    return f"Did you mean {' or '.join(map(repr, near))}?" if near else ""
+
+
+def unexpected(function: Callable, name: str, options: Iterable[str]) -> NoReturn:
+    """Raise Python's TypeError for a keyword that a function does not take.
+
+    The sentence names the keyword that is nearest to it, as Python 3.13 does, and all of them where none is near.
+    """
+    options = [option for option in options if option != "self"]
+    every = f"Its keywords are {', '.join(options)}." if options else "It takes no keywords."
+    called = function.__qualname__.removesuffix(".__init__")
+    raise TypeError(f"{called}() got an unexpected keyword argument {name!r}. {nearest(name, options) or every}") from None
+
+
 def one_of(argument: str, name: Any, options: Iterable) -> Any:
     """One of some names; the nearest are suggested."""
     options = tuple(options)
     # what is of another kind may answer a comparison in its own way, as arrays do
     if isinstance(name, tuple(map(type, options))) and name in options:
         return name
-    lowered = {str(option).lower(): option for option in options}
-    near = [lowered[n] for n in difflib.get_close_matches(described(name).strip("'").lower(), lowered, n=3, cutoff=0.4)]
-    remedy = f"Did you mean {' or '.join(map(repr, near))}?" if near else ""
+    remedy = nearest(described(name).strip("'"), options, 3)
     refuse(argument, "one of " + ", ".join(map(repr, options)), described(name), remedy)
 
 
@@ -254,8 +270,7 @@ def given_by_name(argument: str, function: Callable, parameters: dict, *others: 
         name = error.args[0] if error.args else ""
         if not isinstance(name, str) or name in parameters:
             raise
-        near = difflib.get_close_matches(name, parameters, n=1, cutoff=0.4)
-        remedy = f"Did you mean {near[0]!r}?" if near else "Every parameter has its start."
+        remedy = nearest(name, parameters) or "Every parameter has its start."
         names = ", ".join(map(repr, parameters))
         refuse(argument, f"a function of a dict with {names}", f"one that looks for {name!r}", remedy)
 

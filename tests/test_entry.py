@@ -277,6 +277,35 @@ def test_a_checked_function_stays_what_it_was():
     assert module_level(LATTICE, any_other=3) == 3
 
 
+MISSPELT = {
+    "a function": (lambda: gx.simulate(LATTICE, STATE, 1.0, tolerence=1e-9), "simulate", "Did you mean 'tolerance'"),
+    "a class": (lambda: gx.Hertz(stifness=2.0), "Hertz", "Did you mean 'stiffness'"),
+    "a class whose names are far": (lambda: gx.Hertz(A=2.0), "Hertz", "Its keywords are stiffness, precompression"),
+    "a scene": (lambda: gx.scenes.beads("steel", 5, preload=10.0), "beads", "precompression"),
+    "a term": (lambda: gx.Damping(rates=0.1), "Damping", "Did you mean 'rate'"),
+    "a lattice": (lambda: gx.Lattice(1.0, (), size=3), "Lattice", "Did you mean 'sites'"),
+    "a record": (lambda: gx.Peak(quantiy=None), "Peak", "Did you mean 'quantity'"),
+    "a picture": (lambda: gx.plots.branch(None, ax=None), "branch", "Did you mean 'axes'"),
+    "an orbit": (lambda: gx.breathers.breather(LATTICE, 1.0, gues=None), "breather", "Did you mean 'guess'"),
+    "a fit": (lambda: gx.fit(None, {}, (), state=STATE, bound={}), "fit", "Did you mean 'bounds'"),
+    "a sweep": (lambda: gx.sweep(None, {}, stores="x"), "sweep", "Did you mean 'store'"),
+    "a method": (lambda: gx.Fit.whiteness(None, lag=3), "whiteness", "Did you mean 'lags'"),
+}
+
+
+@pytest.mark.parametrize("misspelt", MISSPELT)
+def test_a_misspelt_keyword_meets_the_nearest_one(misspelt):
+    call, name, remedy = MISSPELT[misspelt]
+    with pytest.raises(TypeError, match=f"{name}.* got an unexpected keyword argument .*{remedy}"):
+        call()
+
+
+def test_no_signature_takes_keywords_that_mean_nothing():
+    found = [name for name in gx.__all__ if callable(getattr(gx, name)) and not isinstance(getattr(gx, name), type)
+             and "misspelt" in inspect.signature(getattr(gx, name)).parameters]
+    assert found == []
+
+
 def test_classes_check_what_they_are_made_of_and_nothing_that_jax_rebuilds():
     for kind in (Sized, Plain):
         with pytest.raises(ValueError, match="size: expected one number"):
@@ -360,7 +389,7 @@ def test_named_findings_meet_a_sentence():
         (lambda: fit(state=gx.states.impact(chain), optimiser=3), "optimiser: expected an optimiser of optax"),
         (lambda: fit(state=lambda p: gx.states.rest(chain)), "state: expected State(u, v) or a pair (u, v) or a fun"),
         (lambda: gx.fit(lambda p: gx.scenes.monomer(7, stiffness=p["K"]), {"k": 1.0}, traces, state=gx.states.rest(
-            chain)), "scene: expected a function of a dict with 'k', got one that looks for 'K'. Every parameter has"),
+            chain)), "scene: expected a function of a dict with 'k', got one that looks for 'K'. Did you mean 'k'?"),
         (lambda: gx.design(lambda p: p["kk"], {"k": 1.0}), "objective: expected a function of a dict with 'k', got"),
         (lambda: gx.design(lambda p, q: p["k"], {"k": 1.0}), "objective: expected a function of 1 argument"),
         (lambda: gx.newton.newton(lambda x, args: x, np.ones(1), linearise=lambda x: x), "linearise: expected a fun"),

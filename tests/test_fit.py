@@ -110,6 +110,99 @@ def test_small_strains_determine_the_linear_stiffness_alone():
     assert "A p d0" in fit.outcome
 
 
+def power(p, exponent=1.5):
+    law = gx.PowerLaw(p["A"], exponent, p["F0"])
+    return gx.Lattice(1.0, gx.Bond(gx.Shift(1, "fixed"), law), sites=5)
+
+
+def magnets(p):
+    return power(p, -4.0)
+
+
+def quintic(p):
+    return power(p, 2.5)
+
+
+def quadratic(p):
+    return gx.Lattice(1.0, gx.Bond(gx.Shift(1, "fixed"), gx.Polynomial(1.0, p["alpha"])), sites=5)
+
+
+def linear(p):
+    return gx.Lattice(p["m"], gx.Bond(gx.Shift(1, "fixed"), gx.Linear(p["K"])), sites=5)
+
+
+def kicked(p, chain):
+    return gx.states.impact(chain, p["v"])
+
+
+# u -> lambda u: the start, what is measured there (SciPy), and what no trace of a sensor without a gain tells apart
+SCALINGS = {
+    "Hertz": (power, {"A": 1.3, "F0": 0.8, "v": 0.5, "gain": 1.2}, lambda e: (1 + e) ** 1.5 - 1,
+              ["A^0.50 F0^-1.00 v^-1.00 gain"]),
+    "another power": (quintic, {"A": 0.9, "F0": 1.2, "v": 0.35, "gain": 0.9}, lambda e: (1 + e) ** 2.5 - 1,
+                      ["A F0^-0.67 v^-0.67 gain^0.67"]),
+    "magnets": (magnets, {"A": 1.1, "F0": 0.9, "v": 0.3, "gain": 1.3}, lambda e: (1 - e) ** -4.0 - 1,
+                ["A F0^0.20 v^0.20 gain^-0.20"]),
+    "FPUT": (quadratic, {"alpha": 0.4, "v": 0.6, "gain": 0.7}, lambda e: e + 0.6 * e * e, ["alpha v^-1.00 gain"]),
+    "two at once": (linear, {"K": 1.4, "m": 1.2, "v": 0.2, "gain": 1.5}, lambda e: e, ["K m", "v gain^-1.00"]),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", SCALINGS)
+def test_exponents_of_what_is_not_determined_are_those_of_a_scaling(case):
+    make, start, force, expected = SCALINGS[case]
+    times, sites = np.linspace(0.1, 12.0, 60), 5
+
+    def rate(t, y):
+        u = np.concatenate([[0.0], y[:sites], [0.0]])
+        bonds = force(u[:-1] - u[1:])
+        return np.concatenate([y[sites:], bonds[:-1] - bonds[1:]])
+
+    struck_at = np.zeros(2 * sites)
+    struck_at[sites] = 0.4
+    y = solve_ivp(rate, (0, 12.0), struck_at, "DOP853", times, rtol=1e-10, atol=1e-12).y
+    traces = gx.Traces(times, velocity=y[[sites + 1, sites + 3]].T, sites=[1, 3], sigma=1e-3, gain="gain")
+    fit = gx.fit(make, start, traces, state=kicked)
+    assert fit.reduced_chi_square < 1e-2
+    # the start was not the truth, and the search ends elsewhere on the line
+    assert abs(fit.parameters["gain"] - 1) > 0.03
+    said = " ".join(fit.undetermined)
+    assert all(f"{words} is known not at all" in said for words in expected), said
+    assert said.count("known not at all") == len(expected)
+
+
+@pytest.mark.slow
+def test_a_parameter_that_is_zero_is_determined():
+    """A chain without the quadratic term: its relative error is large, its error is not."""
+    times = np.linspace(0.1, 12.0, 60)
+    omega = 2 * np.sin(np.arange(1, 6) * np.pi / 12)
+    shapes = np.sin(np.pi / 6 * np.outer(np.arange(1, 6), np.arange(1, 6)))
+    clean = 0.4 / 3 * np.einsum("kt,k,ks->ts", np.cos(np.outer(omega, times)), shapes[:, 0], shapes)[:, [1, 3]]
+    data, sigma = noisy(clean, 3)
+    fit = gx.fit(quadratic, {"alpha": 0.3, "v": 0.5}, gx.Traces(times, velocity=data, sites=[1, 3], sigma=sigma),
+                 state=kicked)
+    assert abs(fit.parameters["alpha"]) < 4 * fit.deviations["alpha"] < 0.02 and not fit.undetermined
+
+
+@pytest.mark.slow
+def test_a_residue_beyond_noise_is_said():
+    """Traces of contacts, which springs and a parabola do not have, with and without noise, of a known size or not."""
+    times, sites = np.linspace(0.1, 20.0, 150), [1, 4]
+    clean = scipy_motion(times, 0.6, 6, damping=0.0)[1][:, sites]
+    law = lambda p: gx.Polynomial(p["K2"], p["K3"])
+    chain = lambda p: gx.Lattice(1.0, gx.Bond(gx.Shift(1, "fixed"), law(p)), sites=6)
+    contacts = lambda p: gx.Lattice(1.0, gx.Bond(gx.Shift(1, "fixed"), gx.Hertz(p["A"], 1.0)), sites=6)
+    state = gx.states.impact(chain({"K2": 1.5, "K3": 0.3}), 0.6)
+    for size, sigma in ((0.0, None), (1e-4, None), (1e-4, 1e-4)):
+        data = clean + size * np.random.default_rng(2).normal(size=clean.shape)
+        traces = gx.Traces(times, velocity=data, sites=sites, sigma=sigma)
+        wrong = gx.fit(chain, {"K2": 1.4, "K3": 0.2}, traces, state=state, throw=False)
+        assert "A residue beyond noise is left" in wrong.outcome
+        right = gx.fit(contacts, {"A": 0.95}, traces, state=state)
+        assert "residue" not in right.outcome
+
+
 def spring(p):
     law = gx.Hertz(p["stiffness"], 1.0)
     return gx.Lattice(1.0, (gx.Bond(gx.Shift(1, "fixed"), law), gx.Damping(0.05)), sites=6)

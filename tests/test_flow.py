@@ -280,7 +280,6 @@ BAD = {
     "save_at empty": (dict(save_at=[]), "save_at: expected a list of times"),
     "save_at outside": (dict(save_at=[0.5, 7.0]), "save_at: expected times within"),
     "save_at word": (dict(save_at="step"), "save_at: expected one of 'steps'.*Did you mean 'steps'"),
-    "misspelt keyword": (dict(tolerence=1e-9), "keyword: .*Did you mean 'tolerance'"),
     "record": (dict(record=[PEAK]), "record: expected a dict from names to values .*a record"),
     "record name": (dict(record={1: PEAK}), "a name in record: expected a string"),
     "save_at of strings": (dict(save_at=["late"]), "save_at: expected real numbers, a string or None"),

@@ -1,5 +1,6 @@
 """Sweeps: the same numbers as one scene after another, whatever way they are computed."""
 
+import random
 import warnings
 from collections import namedtuple
 
@@ -336,3 +337,68 @@ def test_many_lanes_are_kept_in_one_file(tmp_path):
     shifts[3] = 7.0
     with pytest.raises(ValueError, match="function: it reads shifts = 5000 values"):
         sweep(shifted, points, store=tmp_path / "many.nc")
+
+
+RNG = np.random.default_rng(1)
+
+
+def _disordered(k, masses):
+    chain = gx.Lattice(masses, gx.Bond(gx.Shift(1, "fixed"), gx.Hertz(k, 1.0)))
+    return {"v": gx.simulate(chain, gx.states.impact(chain), 1.0, step=0.1).final.v[0]}
+
+
+def _seeded(k):
+    np.random.seed(3)
+    return {"v": k * np.random.rand()}
+
+
+DRAWS = {
+    "masses of the global state": lambda k: _disordered(k, 1 + 0.1 * np.random.rand(4)),
+    "a generator of its own": lambda k: {"v": k * np.random.default_rng().normal(size=3)},
+    "a generator from outside": lambda k: {"v": k * RNG.normal()},
+    "Python's": lambda k: {"v": k + random.gauss(0.0, 1.0)},
+    "a place": lambda k: {"v": jnp.arange(1e6).at[random.randrange(10**6)].set(k).sum()},
+    "within a loop": lambda k: {"v": jax.lax.fori_loop(0, 3, lambda i, x: x + np.random.rand() * k, 0.0)},
+    "beside what is traced": lambda k: {"v": k, "noise": np.random.rand()},
+    "a JAX key": lambda k: {"v": k * jax.random.normal(jax.random.key(np.random.randint(2**31)))},
+}
+
+
+@pytest.mark.parametrize("draw", DRAWS)
+def test_random_numbers_that_lanes_would_share_are_refused(draw):
+    for _ in range(2):  # and again, when the function is known
+        with pytest.raises(ValueError, match=r"function: .*jax.random.key\(seed\).* lanes=False"):
+            gx.sweep(DRAWS[draw], {"k": [1.0, 2.0, 3.0]}, progress=False)
+
+
+def test_random_numbers_of_a_lane_s_own():
+    """Drawn anew for each lane that is called by itself, and the same in every process from a parameter `seed`."""
+    data = gx.sweep(DRAWS["Python's"], {"k": [1.0, 1.0, 1.0]}, lanes=False, progress=False)
+    assert len(set(data.v.values.tolist())) == 3
+    data = gx.sweep(lambda k: {"v": float(k) * np.random.rand()}, {"k": [1.0, 1.0]}, progress=False)
+    assert data.v.values[0] != data.v.values[1]
+    seeds = [0, 1, 5]
+    data = gx.sweep(lambda seed: {"v": jax.random.normal(jax.random.key(seed))}, {"seed": seeds}, progress=False)
+    assert data.v.values.tolist() == [float(jax.random.normal(jax.random.key(seed))) for seed in seeds]
+
+
+@pytest.mark.slow
+def test_equal_draws_are_no_draws():
+    fixed = lambda k: _disordered(k, 1 + 0.1 * np.random.default_rng(0).random(4))
+    data = gx.sweep(fixed, {"k": [1.0, 2.0]}, progress=False)
+    np.testing.assert_allclose(data.v.values, [float(fixed(k)["v"]) for k in (1.0, 2.0)], rtol=1e-12)
+    data = gx.sweep(_seeded, {"k": [1.0, 2.0]}, progress=False)
+    np.testing.assert_allclose(data.v.values, np.random.RandomState(3).rand() * np.array([1.0, 2.0]), rtol=1e-12)
+
+
+def test_what_computes_the_same_each_time_is_looked_for_once():
+    calls = []
+
+    def counted(k):
+        calls.append(k)
+        return {"v": 2 * k}
+
+    gx.sweep(counted, {"k": [1.0, 2.0]}, chunk=2, progress=False)
+    first = len(calls)
+    gx.sweep(counted, {"k": [3.0, 4.0]}, chunk=2, progress=False)
+    assert len(calls) - first <= first - 2

@@ -14,7 +14,7 @@ import jax
 import numpy as np
 
 from .. import types as words
-from ..checks import described
+from ..checks import described, unexpected
 from .kinds import KNOWN, PLAIN_KINDS, TREE, WORDS, Kind, array_of
 
 T = TypeVar("T", bound=Callable)
@@ -236,7 +236,8 @@ def checked(target: T) -> T:
             plain = p.kind not in (p.VAR_POSITIONAL, p.VAR_KEYWORD) and p.annotation is not p.empty
             kind = kind_of(hints[p.name]) if plain else None
             named[p.name] = (p.name, kind.fits if kind else None, p.default, kind)
-        return [named[p.name] for p in signature if p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD)], named
+        ordered = [named[p.name] for p in signature if p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD)]
+        return ordered, named, any(p.kind is p.VAR_KEYWORD for p in signature)
 
     tests = None
 
@@ -245,7 +246,9 @@ def checked(target: T) -> T:
         nonlocal tests
         if tests is None:
             tests = prepared()  # at once, whichever thread is first
-        ordered, named = tests
+        ordered, named, others = tests
+        if not others and not kwargs.keys() <= named.keys():
+            unexpected(target, next(key for key in kwargs if key not in named), named)
         for (name, fits, default, kind), x in zip(ordered, args):
             if fits is not None and x is not default and not fits(x):
                 kind.refuse(name, x)

@@ -25,8 +25,8 @@ MANY = 6
 class Direction(NamedTuple):
     """A combination of parameters: product of theta_i^{w_i}, and its relative standard deviation.
 
-    `weights` (P,): a unit vector over the parameters, relative to their sizes. `deviation`: standard deviation along
-    it; infinite where the data do not see it at all.
+    `weights` (P,): a unit vector in d theta_i/size_i, the derivatives of logarithms where a size is the parameter.
+    `deviation`: standard deviation along it; infinite where the data do not see it at all.
     """
 
     weights: np.ndarray
@@ -77,6 +77,8 @@ def sentences(found: Sequence[Direction], names: Sequence[str], quantities: list
     loose = [direction for direction in found if not direction.deviation <= LOOSE]
     if not loose:
         return ()
+    unseen = [direction.weights for direction in loose if np.isinf(direction.deviation)]
+    loose[: len(unseen)] = [Direction(weights, np.inf) for weights in _simplest(unseen)]
     said = []
     for direction in loose:
         taking = [name for name, own in zip(names, _taking(direction)) if own]
@@ -88,7 +90,7 @@ def sentences(found: Sequence[Direction], names: Sequence[str], quantities: list
     for name, gradient in quantities:
         if not np.any(np.abs(gradient[involved]) > 1e-6 * np.abs(gradient).max(initial=0.0)):
             continue
-        deviation = _along(found, gradient)
+        deviation = float(along(found, gradient))
         if deviation < LOOSE / 3:
             said.append(f"They determine {name} to {_percent(deviation)}.")
     if not any(part.startswith("They determine") for part in said):
@@ -126,16 +128,32 @@ def _stiffnesses(problem, flat):
     return every(flat), jax.jacfwd(every)(flat)
 
 
-def _along(found, gradient):
-    total = 0.0
+def along(found: Sequence[Direction], gradients: Float[AnyArray, "... P"]) -> Float[np.ndarray, "..."]:
+    """Standard deviation of quantities with gradients (..., P) in parameters relative to their sizes.
+
+    Summed over directions, and not through the covariance, since directions that the data hardly see cancel in what
+    they do see.
+    """
+    total = np.zeros(gradients.shape[:-1])
     for direction in found:
-        share = float(direction.weights @ gradient)
+        share = gradients @ direction.weights
         if np.isinf(direction.deviation):
-            if abs(share) > 1e-6 * np.linalg.norm(gradient):
-                return np.inf
+            total = np.where(np.abs(share) > 1e-6 * np.linalg.norm(gradients, axis=-1), np.inf, total)
         else:
-            total += (direction.deviation * share) ** 2
+            total = total + (direction.deviation * share) ** 2
     return np.sqrt(total)
+
+
+def _simplest(directions):
+    """A basis of the same space with few parameters in each direction: elimination, the largest component first."""
+    rows = np.array(directions)
+    for k in range(len(rows)):
+        i, j = np.unravel_index(np.argmax(np.abs(rows[k:])), rows[k:].shape)
+        rows[[k, k + i]] = rows[[k + i, k]]
+        rows[k] /= rows[k, j]
+        others = np.arange(len(rows)) != k
+        rows[others] -= np.outer(rows[others, j], rows[k])
+    return rows
 
 
 def _taking(direction):

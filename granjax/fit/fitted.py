@@ -27,7 +27,7 @@ class Fit(Result):
     - `noise`: standard deviation of the residuals where no sigma was given, else 1.
     - `undetermined`: sentences naming what the data do not determine, empty where they determine all. `directions`:
       combinations of parameters with their relative deviations, the least known first; relative to `sizes` (P,), the
-      parameters themselves, or their starts where those are larger.
+      parameters themselves, or their starts where the data say no more than that a parameter is near zero.
     - `iterations`, `code`, `outcome`: of the minimiser. `step_error`: change of the signals, in units of sigma, when
       the time step is halved. `return_error`: what integrating back to the start misses, relative; `adjoint`: what the
       derivatives were taken with. `starts`: chi_square that every start reached.

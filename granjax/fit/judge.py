@@ -9,7 +9,7 @@ from jaxtyping import Float
 from ..flow import return_error
 from ..solvers import AbstractSplitting
 from ..types import AnyArray, Numbers
-from .determined import covariance, directions, quantities, sentences
+from .determined import LOOSE, covariance, directions, quantities, sentences
 from .fitted import Fit
 from .problem import Problem, misfit
 from .solve import BLIND, CONVERGED, NOT_FINITE, SPENT, STALLED, Found, directions_left, evaluated, linearised
@@ -23,6 +23,20 @@ SHOWN = 0.5
 # mean squares of the residuals, in units of sigma^2, above which noise alone does not make them
 NOISY = 2.0
 EXACT = 1e-30
+# deviations of white noise from which on neighbours are said to have something in common
+STRUCTURED = 4.0
+
+
+def structure(one: Float[np.ndarray, " n"], after: Float[np.ndarray, " n"]) -> tuple[float, float]:
+    """What residuals have in common with their neighbours: its rms over theirs, and in how many deviations of noise.
+
+    **Arguments:** pairs of neighbours (n,). Of independent errors, equal or not, the sum of the products has the mean
+    zero and the deviation sqrt(sum of their squares); what varies slowly adds its own square to each product.
+    """
+    products = one * after
+    common, squares = products.sum(), np.sum(one**2 + after**2) / 2
+    deviation = np.sqrt(np.sum(products**2))
+    return float(np.sqrt(max(common, 0.0) / max(squares, EXACT))), float(common / max(deviation, EXACT))
 
 
 def looked_at(problem: Problem | Windows, x: Float[AnyArray, " n"]) -> Fit | None:
@@ -54,9 +68,8 @@ def judged(
     # in units of the size of the data where no sigma says more
     noise = 1.0 if known else float(np.sqrt(max(squares, EXACT) / max(samples - flat.size, 1)))
     residuals = tuple(r / noise for r in residuals)
-    # signed, so that exponents of a product are those of its factors; near zero what the start was
-    sizes = np.where(flat < 0, -1, 1) * np.maximum(np.abs(flat), np.abs(start))
-    sizes = np.where(sizes != 0, sizes, slopes)
+    # directions are of logarithms, so that their components are the exponents of a product
+    sizes = np.where(flat != 0, flat, np.where(start != 0, start, slopes))
     code, undetermined, found_directions = int(found.code), (), ()
     remarks = _elsewhere(plain, squares, squares / max(samples - flat.size, 1) if known else None)
     if code in (SPENT, STALLED):
@@ -72,6 +85,10 @@ def judged(
             remarks.append(f"At its bound, and beyond it if it could: {', '.join(held)}.")
         seen = np.abs(slopes) > EXACT * np.abs(sizes)
         by_parameter = np.where(seen, jacobian / np.where(seen, slopes, 1), 0.0)
+        # near zero, as far as the data tell, a logarithm says nothing
+        known_to = noise / np.maximum(np.linalg.norm(by_parameter, axis=0), EXACT)
+        vanishing = (np.abs(flat) < LOOSE * np.abs(start)) & (LOOSE * np.abs(flat) < known_to)
+        sizes = np.where(vanishing, start, sizes)
         found_directions = tuple(directions(by_parameter, sizes, noise))
         matrix = covariance(found_directions, sizes)
         names = coordinates.names
@@ -80,6 +97,14 @@ def judged(
         step_error = float(np.max(np.abs(np.asarray(linearised(halved, x)[0]) - value))) / noise
         if step_error > NOTICEABLE:
             remarks.append(f"The time step moves the signals by up to {step_error:.2g} sigma: give a shorter step=.")
+        one, after = (np.concatenate([np.ravel(part) for part in parts])
+                      for parts in zip(*((r[1:], r[:-1]) for r in residuals)))
+        share, surely = structure(one, after)
+        left = share * np.sqrt(squares / samples) / noise
+        if surely > STRUCTURED and left > max(NOTICEABLE, step_error) and not remarks:
+            remarks.append(f"A residue beyond noise is left, {100 * share:.2g} % of the residuals: neighbouring samples "
+                           "share it, as independent errors would not. The scene does not describe what was measured, "
+                           "or the noise is correlated; the deviations are too small.")
         if not known:
             remarks.append(f"Noise, as the residuals have it: {noise * float(plain.traces[0].size):.3g}.")
         if problem is not plain:

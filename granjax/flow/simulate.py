@@ -3,7 +3,6 @@
 import dataclasses
 import math
 from functools import partial
-from typing import Any
 
 import diffrax
 import equinox as eqx
@@ -11,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import one_of, refuse, show, traced, whole
+from ..checks import refuse, show, traced, whole
 from ..entry import checked
 from ..lattice import Lattice, State
 from ..outside import Outside
@@ -52,7 +51,7 @@ def simulate(
     lattice: Lattice, state: StateLike, t1: Scalar, *, t0: Scalar = 0.0, solver: diffrax.AbstractSolver | None = None,
     step: Scalar | None = None, tolerance: Scalar | None = None, save_at: Parameter | str | None = None,
     record: dict[str, Record] | None = None, adjoint: diffrax.AbstractAdjoint | Reversible | None = None,
-    progress: bool = False, throw: bool | None = None, max_steps: Count | None = None, **misspelt: Any,
+    progress: bool = False, throw: bool | None = None, max_steps: Count | None = None,
 ) -> Run:
     r"""Integrate m a = F(t, u, v) from t0 to t1.
 
@@ -107,8 +106,6 @@ def simulate(
     >>> round(float(run.final.v[0]), 4)
     -0.0711
     """
-    for name in misspelt:
-        one_of("keyword", name, KEYWORDS)
     above = lift()
     given = t0, solver, step, tolerance, save_at, record, adjoint, progress, throw, max_steps
     if above is not None:

@@ -13,6 +13,7 @@ from jaxtyping import Float
 from ..checks import described, parameter, positive, refuse, whole
 from ..entry import checked, takes
 from ..fit import Fit, Traces, fit, prepared
+from ..fit.determined import along
 from ..fit.problem import Start
 from ..fit.traces import checked_traces
 from ..flow import Lowest, Peak, simulate
@@ -64,7 +65,7 @@ class ForceLaw(Result):
             inside = (e >= self.strain_range[0]) & (e <= self.strain_range[1])
         force, gradients = _with_gradients(
             self.scene, self.fit.problem.coordinates, self.fit.parameters, jnp.asarray(np.where(inside, e, 0.0)))
-        deviation = _along(self.fit, np.asarray(gradients))
+        deviation = along(self.fit.directions, np.asarray(gradients) * np.asarray(self.fit.sizes))
         return np.where(inside, force, np.nan), np.where(inside, deviation, np.nan)
 
     @checked
@@ -227,20 +228,3 @@ def _with_gradients(scene, coordinates, parameters, e):
     """The force at strains e and its derivatives with respect to every parameter (strains, P)."""
     force = lambda flat: scene.law(coordinates.unflat(flat)).force(e)
     return scene.law(parameters).force(e), jax.jacfwd(force)(coordinates.flat(parameters))
-
-
-def _along(fit, gradients):
-    """Standard deviation of quantities with some gradients (..., P), direction by direction.
-
-    Summed so, and not through the covariance, since directions that the data hardly see cancel in what they do see.
-    """
-    relative = gradients * np.asarray(fit.sizes)
-    total = np.zeros(gradients.shape[:-1])
-    for direction in fit.directions:
-        share = relative @ direction.weights
-        if np.isinf(direction.deviation):
-            seen = np.abs(share) > 1e-6 * np.linalg.norm(relative, axis=-1)
-            total = np.where(seen, np.inf, total)
-        else:
-            total = total + (share * direction.deviation) ** 2
-    return np.sqrt(total)

@@ -5,11 +5,13 @@ from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from ..checks import non_negative, parameter, positive, refuse, whole, within
 from ..entry import checked
+from ..fit.judge import STRUCTURED, structure
 from ..lattice import Lattice
 from ..laws import Polynomial, PowerLaw, Scaled
 from ..printing import told
@@ -20,6 +22,10 @@ from ..types import Count, Displacements, Parameter, Scalar, Times
 
 # condition of the scaled columns from which on coefficients are said to stand for each other
 ALIKE = 1e6
+# a residue below so many errors of the differentiation, or of rounding, is not looked at
+MARGIN, ROUNDING = 1.5, 1e6
+# numbers among which neighbours are looked for, so that it takes a fraction of a second
+MOST = 10_000
 
 
 class Coefficient(NamedTuple):
@@ -193,8 +199,9 @@ def regression(
     sites = {name: x.shape[1:] for name, x in us.items()} if isinstance(us, dict) else us.shape[1:]
     if sites != Lattice(mass, known).shape:
         refuse("mass and us", "the same sites", f"{Lattice(mass, known).shape} and {sites}")
+    uncertain = 0.0
     if accelerations is None:
-        accelerations, inner = _differentiated(ts, vs, noise)
+        accelerations, uncertain, inner = _differentiated(ts, vs, noise)
         ts, us, vs = jax.tree.map(lambda x: x[inner], (ts, us, vs))
     a = _flat(jax.tree.map(lambda x: parameter("accelerations", x), accelerations))
 
@@ -214,7 +221,13 @@ def regression(
         if size == 0:
             refuse(f"candidates[{name!r}]", "a force somewhere along the motion", "none", "Leave it out.")
     c, kept = _thresholded(A, target, threshold, ridge, max_steps)
-    return _record(mass, candidates, names, A, target, c, kept, known)
+    residual = target - A @ c
+    size = np.sqrt(np.mean(target**2))
+    least = max(MARGIN * uncertain, ROUNDING * float(jnp.finfo(ts.dtype).eps) * size)
+    rms = np.sqrt(np.mean(residual**2))
+    found = [structure(*pairs) for pairs in (_in_time(residual, accelerations), _alike(residual, A))]
+    shared = max((rms * share for share, surely in found if surely > STRUCTURED and rms * share > least), default=0.0)
+    return _record(mass, candidates, names, A, target, c, kept, known, shared / size)
 
 
 @eqx.filter_jit
@@ -235,13 +248,34 @@ def _differentiated(ts, vs, noise):
     if not np.isfinite(left):
         refuse("noise", "one whose square is finite", f"{noise}")
 
-    def derivative(v):
-        sites = np.asarray(v).reshape(len(t), -1).T
+    def derivative(v, every=1):
+        sites = np.asarray(v).reshape(len(t), -1)[::every].T
         from scipy.interpolate import UnivariateSpline
 
-        return np.stack([UnivariateSpline(t, x, k=5, s=left).derivative()(t) for x in sites], -1).reshape(v.shape)
+        splines = [UnivariateSpline(t[::every], x, k=5, s=left / every) for x in sites]
+        return np.stack([spline.derivative()(t) for spline in splines], -1).reshape(v.shape)[inner]
 
-    return jax.tree.map(lambda v: derivative(v)[inner], vs), inner
+    found, coarse = jax.tree.map(derivative, vs), jax.tree.map(lambda v: derivative(v, 2), vs)
+    # where noise prevails the error itself, else that of twice the interval, which is larger
+    return found, float(np.sqrt(np.mean((_flat(found) - _flat(coarse)) ** 2))), inner
+
+
+def _in_time(residual, accelerations):
+    """Residuals and those that follow them at the same site."""
+    leaves = jax.tree.leaves(accelerations)
+    parts = np.split(residual, np.cumsum([np.size(x) for x in leaves])[:-1])
+    rows = [part.reshape(len(x), -1) for part, x in zip(parts, leaves)]
+    return tuple(np.concatenate([np.ravel(x[where]) for x in rows]) for where in (slice(1, None), slice(-1)))
+
+
+def _alike(residual, A):
+    """Pairs of residuals where all candidates say nearly the same, each pair once."""
+    from scipy.spatial import cKDTree
+
+    some = np.unique(np.linspace(0, len(A) - 1, min(len(A), MOST)).astype(int))
+    places = A[some] / np.sqrt(np.mean(A**2, axis=0))
+    nearest = cKDTree(places).query(places, 2)[1]
+    return tuple(residual[some[np.unique(np.sort(nearest, axis=1), axis=0)]].T)
 
 
 def _thresholded(A, y, threshold, ridge, max_steps):
@@ -272,7 +306,7 @@ def _ridge(X, y, ridge):
     return np.linalg.lstsq(X, y, rcond=None)[0]
 
 
-def _record(mass, candidates, names, A, y, c, kept, known):
+def _record(mass, candidates, names, A, y, c, kept, known, shared):
     sizes = np.linalg.norm(A[:, kept], axis=0)
     _, s, Vh = np.linalg.svd(A[:, kept] / sizes, full_matrices=False)
     residual = y - A @ c
@@ -287,6 +321,10 @@ def _record(mass, candidates, names, A, y, c, kept, known):
     r_squared = float(1 - residual @ residual / ((y - y.mean()) @ (y - y.mean())))
     condition = float(s[0] / s[-1])
     words = [f"{len(found)} of {len(names)} terms kept ({', '.join(found)}); R^2 = {r_squared:.6g}."]
+    if shared:
+        words.append(f"A residue beyond noise is left, {100 * shared:.2g} % of the accelerations: neighbours share it, as "
+                     "independent errors would not. A term is missing among the candidates, or lies below the "
+                     "threshold; errors of the coefficients are too small.")
     if condition > ALIKE:
         words.append(f"They are much alike (condition {condition:.1g}): their coefficients stand for each other.")
     lattice = None

@@ -62,7 +62,7 @@ class _Telling:
             refuse("function", "one that reads numbers that are known", f"{path or 'one'}, which is traced",
                    "A sweep has no derivative and is not compiled: take the derivative within the function.")
         elif isinstance(x, (np.ndarray, jax.Array)):
-            self.reads[path] = _array(x)
+            self.reads[path] = array_digest(x)
         elif isinstance(x, types.ModuleType):
             self.say("module", x.__name__ if is_library(x.__name__) else "")
         elif not depth or id(x) in self.above:
@@ -238,7 +238,8 @@ def _key(x):
     return repr(x) if isinstance(x, PLAIN + (np.generic,)) else getattr(x, "__name__", type(x).__name__)
 
 
-def _array(x):
+def array_digest(x: Any) -> str:
+    """Type, shape and a digest of an array or a number, JAX's keys among them."""
     if isinstance(x, jax.Array) and jax.dtypes.issubdtype(x.dtype, jax.dtypes.prng_key):
         return f"{x.dtype} of shape {x.shape}, {_digest(np.asarray(jax.random.key_data(x)).tobytes())}"
     array = np.asarray(x)

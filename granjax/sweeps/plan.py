@@ -1,18 +1,20 @@
 """How a sweep is gone about: compiled or not, in what order, in which chunks."""
 
 from collections.abc import Callable
-from functools import partial
+from functools import lru_cache, partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..checks import refuse
 from ..flow.lifted import Asked, ErrorsRead, asking, quietly, scene_of
 from ..flow.method import checked_method, fixed_step, useless
 from ..outside import Outside
 from ..programs import wait
 from . import function as called
+from .identity import array_digest
 from .points import Points
 from .task import EACH, LANES, VMAP, How, Task, groups, program
 
@@ -107,7 +109,10 @@ def _shared(points):
 
 
 def _fits(function, points, how, width):
-    """`None` where a program of so many lanes can be made of a function, else why not."""
+    """`None` where a program of so many lanes can be made of a function, else why not.
+
+    **Raises** ValueError where the program would be another one each time.
+    """
     # as wide as a chunk that is asked for: then it is traced once
     task = Task(function, tuple(points.axes), how, width)
     values = points.values(np.zeros(width, int))
@@ -115,14 +120,51 @@ def _fits(function, points, how, width):
               for name, x in values.items() if name not in how.static}
     if not any(x.shape for x in shapes.values()):
         return ValueError
+    known = task.known(values)
     try:
-        program.eval_shape(task.known(values), Outside((function,)), shapes)
+        program.eval_shape(known, Outside((function,)), shapes)
     except ErrorsRead:
         return ErrorsRead
     except Exception as error:
         # whatever it is: the function is called lane by lane then, and says it where it stands
         return type(error)
+    _refuse_draws(known, tuple(shapes.items()))
     return None
+
+
+# of as many functions it is known that they compute the same each time
+@lru_cache(maxsize=64)
+def _refuse_draws(known, shapes):
+    given = Outside((known.function,)), dict(shapes)
+    # as another function, or JAX would not trace it again
+    again = jax.jit(lambda *given: program.__wrapped__(known, *given)).trace(*given)
+    if _numbers(program.trace(known, *given)) != _numbers(again):
+        refuse("function", "one that computes the same each time", "one with other numbers when it is called again",
+               "It is compiled once for many lanes, which would share what NumPy or Python's random draws. Draw from a "
+               "parameter instead: jax.random.normal(jax.random.key(seed), shape), with one seed for each lane. Or give "
+               "lanes=False, which calls it for every lane.")
+
+
+def _numbers(traced):
+    """What is known of numbers in a traced program, and of what it returns that is no array."""
+    return [*_constants(traced.jaxpr), *_constants(jax.tree.leaves(traced.out_info[1].value))]
+
+
+def _constants(x):
+    """What is known of numbers in a traced program and in the programs within it, in order."""
+    if isinstance(x, (tuple, list)):
+        for part in x:
+            yield from _constants(part)
+    elif hasattr(x, "consts"):
+        yield from _constants([*x.consts, x.jaxpr])
+    elif hasattr(x, "eqns"):
+        for equation in x.eqns:
+            yield equation.primitive.name
+            yield from _constants([*equation.invars, *equation.params.values()])
+    elif hasattr(x, "val"):
+        yield from _constants([x.val])
+    elif isinstance(x, (str, int, float, complex, np.generic, np.ndarray, jax.Array)):
+        yield array_digest(x)
 
 
 @partial(jax.jit, static_argnums=0)

@@ -48,10 +48,12 @@ def sweep(
 
     **Arguments:**
 
-    - `function`: of the parameters by their names, or of one dict of them; pure, for a single scene. It returns a
-      number, a word, an array, a dict of such, or a result of granjax. What can be traced is compiled for many lanes at
-      a time, and its runs have their lanes last; parameters that are words stay as they are, and whole numbers where
-      they decide a size. All else (breathers, fits, shocks) is called for one lane after another.
+    - `function`: of the parameters by their names, or of one dict of them; pure, for a single scene: it draws random
+      numbers by `jax.random`, from a parameter `seed`. It returns a number, a word, an array, a dict of such, or a
+      result of granjax. What can be traced is compiled for many lanes at a time, and its runs have their lanes last;
+      parameters that are words stay as they are, and whole numbers where they decide a size. All else (breathers, fits,
+      shocks) is called for one lane after another; NumPy's random numbers are drawn anew for each there, and are others
+      when the sweep is resumed or repeated.
     - `parameters`: {name: values}, all combinations of numbers or words; `gx.sweeps.paired` for lists side by side, or
       a list of dicts; `gx.sweeps.random` for a random design.
     - `store`: a path. NAME.nc is written at the end, and what is done until then kept in the folder NAME.nc.chunks;
@@ -68,8 +70,9 @@ def sweep(
     stand. Costs are predicted from the bound on the stiffness: the longest lanes come first, alike ones together. The
     function has no derivative through a sweep: take it within, or `gx.derivative`.
 
-    **Returns:** `Sweep`, an `xarray.Dataset`. **Raises** ValueError for parameters that the function does not take and
-    for a store that is not this sweep's; RuntimeError where every lane failed.
+    **Returns:** `Sweep`, an `xarray.Dataset`. **Raises** ValueError for parameters that the function does not take,
+    for a compiled function that computes something else when it is traced again, as one that draws random numbers of
+    NumPy does, and for a store that is not this sweep's; RuntimeError where every lane failed.
 
     **Example:**
 
