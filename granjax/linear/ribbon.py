@@ -12,9 +12,9 @@ from ..entry import checked
 from ..lattice import Lattice
 from ..results import Held, Result
 from ..types import ComplexNumbers, Count, Numbers, Parameter
-from .cell import TIGHT, UnitCell, assemble, assembled, features_of, is_ring, reach_of, repeats_after, stand_in
+from .cell import TIGHT, UnitCell, assemble, assembled, features_of, is_ring, reach_of, repeats_after
 from .modes import signed_root
-from .stiffness import at_rest, grid, measure
+from .stiffness import at_rest, grid, measure, stand_in
 
 
 class RibbonBands(Result):
@@ -59,6 +59,8 @@ class RibbonBands(Result):
 def ribbon(lattice: Lattice, k: Parameter | None = None, *, axis: Count | None = None,
            cell: Count | None = None) -> RibbonBands:
     r"""Bands of a strip: waves exp(ikR) along one axis of a lattice of the plane, whose other axis ends as it does.
+
+    Damping is left out, as in `dispersion`.
 
     **Arguments:**
 
