@@ -39,9 +39,9 @@ HALVINGS = 45
 # pieces that are halved at a time; of more than that those with the least gaps alone are looked at
 MOST, NEAREST = 2**14, 64
 # complex numbers of the matrices or vectors that are held at a time, 16 bytes each
-TOGETHER, LARGEST = 2**21, 2**24
-# points of D(k) that one program evaluates, so that two programs do
-FEW, MANY = 2**8, 2**14
+TOGETHER, LARGEST = 2**21, 2**21
+# points of D(k) that are evaluated at a time, so that one program does
+POINTS = 2**12
 # neighbouring Wannier vectors that overlap less have a point put between them
 ALONG = 0.7
 
@@ -56,15 +56,15 @@ class _Waves(eqx.Module):
 
     matrix: Callable
     axes: int = eqx.field(static=True)
-
+    size: int = eqx.field(static=True)
     closed: float = eqx.field(static=True)
 
     def matrices(self, k):
         """D at points (n, axes), (n, P, P), as a NumPy array."""
-        size, found = FEW if len(k) <= FEW else MANY, []
-        for i in range(0, len(k), size):
-            points = np.zeros((size, self.axes))
-            points[: len(k) - i] = k[i : i + size]
+        found = []
+        for i in range(0, len(k), POINTS):
+            points = np.zeros((POINTS, self.axes))
+            points[: len(k) - i] = k[i : i + POINTS]
             found.append(np.asarray(_matrices(self.matrix, points))[: len(k) - i])
         return np.concatenate(found)
 
@@ -72,7 +72,8 @@ class _Waves(eqx.Module):
         """Vectors (..., P, bands) on the mesh of some lines, one array of phases an axis."""
         mesh = np.stack(np.meshgrid(*lines, indexing="ij"), -1)
         points = mesh.reshape(-1, self.axes)
-        q = [np.linalg.eigh(self.matrices(points[i : i + MANY]))[1][..., bands] for i in range(0, len(points), MANY)]
+        parts = [points[i : i + POINTS] for i in range(0, len(points), POINTS)]
+        q = [np.linalg.eigh(self.matrices(part))[1][..., bands] for part in parts]
         return np.concatenate(q).reshape(*mesh.shape[:-1], *q[0].shape[1:])
 
 
@@ -87,11 +88,12 @@ def _waves_of(lattice, cell, axes=None):
         if axes is not None and len(found.cell) != axes:
             kinds = {1: "a chain", 2: "a lattice of the plane"}
             refuse("lattice", kinds[axes], f"one with {len(found.cell)} axes")
-        return _Waves(found.dynamical_matrix, len(found.cell), _closed(found.mass.dtype))
+        return _Waves(found.dynamical_matrix, len(found.cell), found.mass.size, _closed(found.mass.dtype))
     if not callable(lattice):
         refuse("lattice", "a Lattice, or a function from k (axes,) to a Hermitian matrix",
                f"a {type(lattice).__name__}")
-    return _Waves(lattice, axes or 1, _closed(jax.eval_shape(lattice, jnp.zeros(axes or 1)).dtype))
+    shape = jax.eval_shape(lattice, jnp.zeros(axes or 1))
+    return _Waves(lattice, axes or 1, shape.shape[0], _closed(shape.dtype))
 
 
 def _closed(dtype):
@@ -101,7 +103,7 @@ def _closed(dtype):
 
 def _chosen(bands, waves):
     """The bands that are asked for, as a sorted list."""
-    size = len(waves.matrices(np.zeros((1, waves.axes)))[0])
+    size = waves.size
     given = [bands] if np.ndim(bands) == 0 else list(bands)
     numbers = sorted({whole("band", b, -size) % size for b in given if whole("band", b, -size) < size})
     if len(numbers) != len(given):
@@ -130,14 +132,13 @@ def _cut(waves, count, numbers):
     |E_nm| where that is less. A gap that closes is halved until it is below `CLOSED`, at whatever k.
     """
     axes, unit = waves.axes, 2 * np.pi / count
-    size = len(waves.matrices(np.zeros((1, axes)))[0])
-    plain, others = np.arange(count), np.setdiff1d(np.arange(size), numbers)
+    plain, others = np.arange(count), np.setdiff1d(np.arange(waves.size), numbers)
     gap, nearest, lost, cuts, largest = np.inf, np.full(axes, np.nan), False, [], None
     rim, corners = (np.array(list(product(way, repeat=axes))) for way in ((0, -1, 1), (-1, 1)))
     # in units of the mesh, so that halves of halves are exact
     half, middle = 0.5, np.stack(np.meshgrid(*[plain + 0.5] * axes, indexing="ij"), -1).reshape(-1, axes)
     for _ in range(HALVINGS if len(others) else 0):
-        parts = np.array_split(middle, -(-len(middle) * len(rim) * size**2 // TOGETHER))
+        parts = np.array_split(middle, -(-len(middle) * len(rim) * waves.size**2 // TOGETHER))
         found = [_judged(waves, unit * (x[:, None] + half * rim), numbers, others) for x in parts]
         least, place, rough, top = map(np.concatenate, zip(*found))
         largest = max(top.max(), np.finfo(float).tiny) if largest is None else largest
@@ -154,19 +155,19 @@ def _cut(waves, count, numbers):
     else:
         lost = len(others) > 0
     lines = [unit * np.unique(np.concatenate([plain, *(x[:, axis] for x in cuts)])) for axis in range(axes)]
-    lost = lost or np.prod([len(x) for x in lines]) * size * len(numbers) > LARGEST
-    where = f"at k = ({', '.join(f'{x:.6g}' for x in nearest)})"
+    lost = lost or np.prod([len(x) for x in lines]) * waves.size * len(numbers) > LARGEST
+    where = f"at k = {', '.join(f'{x:.6g}' for x in nearest)}"
     fault = ""
     if gap <= waves.closed:
-        fault = f"Bands {_told(numbers)} and others touch {where}."
+        fault = f"{_told(numbers)} touch{'es' * (len(numbers) == 1)} others {where}."
     elif lost:
-        fault = (f"Bands {_told(numbers)} and others are too close over too much of the zone for a mesh to follow: "
+        fault = (f"{_told(numbers)} and others are too close over too much of the zone for a mesh to follow: "
                  f"the least gap that was met, {where}, is {gap:.1e} of the largest omega^2.")
     return _Mesh(lines, gap, nearest, fault)
 
 
 def _told(numbers):
-    return ", ".join(map(str, numbers))
+    return f"Bands {', '.join(map(str, numbers))}" if len(numbers) > 1 else f"Band {numbers[0]}"
 
 
 def _judged(waves, points, numbers, others):
@@ -264,7 +265,8 @@ def zak(
         if axis not in (0, 1):
             refuse("axis", "0 or 1", repr(axis))
         other = np.atleast_1d(np.asarray(parameter("k", k), float))
-        rows = [_Waves(jax.tree_util.Partial(_on_line, waves.matrix, axis, x), 1, waves.closed) for x in other]
+        rows = [_Waves(jax.tree_util.Partial(_on_line, waves.matrix, axis, x), 1, waves.size, waves.closed)
+                for x in other]
     phase, below, error, faults = zip(*(_phases(row, n) for row in rows))
     phase, below = np.stack(phase, -1), np.stack(below, -1)
     if other is None:
@@ -288,7 +290,7 @@ def _turned(angle):
 
 def _phases(waves, count):
     """Phases of each band and of all below each gap, how much half of the mesh changes them, and why some are none."""
-    size = len(waves.matrices(np.zeros((1, 1)))[0])
+    size = waves.size
     cuts = [_cut(waves, count, range(n + 1)) for n in range(size - 1)]
     is_open = np.array([True, *(not x.fault for x in cuts), True])
     lines = [x.lines[0] for x in cuts if not x.fault] or [2 * np.pi * np.arange(count) / count]
@@ -407,7 +409,7 @@ class BerryCurvature(Result):
         """The Chern number and the largest flux, or why there is none."""
         if self.fault:
             return f"No Chern number. {self.fault}"
-        told = f"Chern number {round(self.chern)} of band {_told(self.band)}"
+        told = f"{_told(self.band)}: Chern number {round(self.chern)}"
         most = np.abs(self.flux).max()
         return f"{told}, at most {most:.3g} rad through a plaquette of {len(self.flux)} x {len(self.flux)}."
 
@@ -441,15 +443,21 @@ def berry_curvature(
     waves = _waves_of(lattice, cell, 2)
     n = whole("points", points, 4)
     numbers = _chosen(band, waves)
-    mesh, plain = _cut(waves, n, numbers), 2 * np.pi / n * np.arange(n)
-    flux = np.full((n, n), np.nan)
-    if not mesh.fault:
-        fine = _flux(waves.vectors(mesh.lines, numbers))
-        first, second = (np.searchsorted(x, plain) for x in mesh.lines)
-        flux = np.add.reduceat(np.add.reduceat(fine, first, 0), second, 1)
+    mesh, fine = _fluxes(waves, n, numbers)
+    plain = 2 * np.pi / n * np.arange(n)
+    first, second = (np.searchsorted(x, plain) for x in mesh.lines)
+    flux = np.add.reduceat(np.add.reduceat(fine, first, 0), second, 1)
     k = np.stack(np.meshgrid(plain, plain, indexing="ij"), -1)
     marks = lattice.origin if isinstance(lattice, Lattice) else {}
     return BerryCurvature(k, flux, mesh.gap, mesh.nearest, tuple(numbers), mesh.fault, **marks)
+
+
+def _fluxes(waves, count, numbers):
+    """The mesh of a plane, and the Berry phase around each of its plaquettes; NaN where there is none."""
+    mesh = _cut(waves, count, numbers)
+    if mesh.fault:
+        return mesh, np.full([len(x) for x in mesh.lines], np.nan)
+    return mesh, _flux(waves.vectors(mesh.lines, numbers))
 
 
 def _flux(q):
@@ -509,7 +517,8 @@ def valley_chern(
     >>> round(abs(at), 3), abs(at + other) < 1e-10
     (0.488, True)
     """
-    found = berry_curvature(lattice, band, points=points, cell=cell)
+    waves = _waves_of(lattice, cell, 2)
+    mesh, flux = _fluxes(waves, whole("points", points, 4), _chosen(band, waves))
     if isinstance(valley, str):
         cells = unit_cell(lattice, cell).cell if isinstance(lattice, Lattice) else (1, 1)
         vectors = _vectors(lattice, cells) if isinstance(lattice, Lattice) else np.array([[1.0, 0], [0.5, 0.75**0.5]])
@@ -520,9 +529,9 @@ def valley_chern(
     place = np.asarray(parameter("valley", valley), float)
     if np.allclose(_turned(2 * place), 0):
         refuse("valley", "a point of the zone that is not its own minus", f"{place}")
-    middle = found.k + np.pi / points
+    middle = np.stack(np.meshgrid(*((x + np.append(x[1:], 2 * np.pi)) / 2 for x in mesh.lines), indexing="ij"), -1)
     near, far = (_distance(middle, sign * place) for sign in (1, -1))
-    return float((found.flux * np.where(near < far, 1, np.where(near > far, 0, 0.5))).sum() / (2 * np.pi))
+    return float((flux * np.where(near < far, 1, np.where(near > far, 0, 0.5))).sum() / (2 * np.pi))
 
 
 def _distance(k, place):
@@ -673,8 +682,7 @@ def quadrupole(
     """
     waves = _waves_of(lattice, cell, 2)
     n = whole("points", points, 4)
-    size = len(waves.matrices(np.zeros((1, 2)))[0])
-    numbers = list(range(size // 2)) if bands is None else _chosen(bands, waves)
+    numbers = list(range(waves.size // 2)) if bands is None else _chosen(bands, waves)
     if len(numbers) % 2:
         refuse("bands", "an even number, whose Wannier bands come in pairs", f"{numbers}")
     mesh = _cut(waves, n, numbers)
