@@ -1,12 +1,18 @@
 r"""Topology of bands: Zak phases, winding, Berry curvature, Chern and valley numbers, polarisation, the quadrupole.
 
 All is computed from Bloch vectors on a mesh by products of their overlaps, in which arbitrary phases of the vectors
-cancel: no gauge is chosen. The vectors q are those of D(k) q = omega^2 q with the phases of cells, D(k + 2 pi) = D(k);
-a Zak phase depends on which sites are called one cell, as `gx.linear.unit_cell` has them.
+cancel: no gauge is chosen. Where bands come near to each other the mesh is refined until they turn little from point
+to point. A gap of omega^2 below 1e-9 of its largest value (single precision: 8e-6) counts as closed, wherever in the
+zone it is: there is no number then. A function that returns a record or a real number gives NaN, the record's `outcome`
+says where the bands touch; one that returns a whole number raises ValueError.
+
+The vectors q are those of D(k) q = omega^2 q with the phases of cells, D(k + 2 pi) = D(k); a Zak phase depends on which
+sites are called one cell, as `gx.linear.unit_cell` has them.
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any, ClassVar
+from itertools import product
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -20,10 +26,24 @@ from .linear import unit_cell
 from .linear.zone import lattice_vectors as _vectors
 from .linear.zone import named_points as _named_points
 from .results import Held, Result
-from .types import Cell, Count, Number, Numbers, Parameter
+from .types import AnyArray, Cell, Count, Number, Numbers, Parameter
 
-# a gap that is less, of the largest |D|, is none; what Wannier centres are rounded to
-CLOSED, ROUNDED = 1e-9, 1e-13
+# a gap that is less, of the largest omega^2, is closed
+CLOSED = 1e-9
+# what Wannier centres are rounded to
+ROUNDED = 1e-13
+# by what part of its gap a band may move or turn between the middle of a piece of the mesh and its rim
+TURN = 0.5
+# how often a piece may be halved: 2 pi 2^-45 is 2e-13
+HALVINGS = 45
+# pieces that are halved at a time; of more than that those with the least gaps alone are looked at
+MOST, NEAREST = 2**14, 64
+# complex numbers of the matrices or vectors that are held at a time, 16 bytes each
+TOGETHER, LARGEST = 2**21, 2**21
+# points of D(k) that are evaluated at a time, so that one program does
+POINTS = 2**12
+# neighbouring Wannier vectors that overlap less have a point put between them
+ALONG = 0.7
 
 __all__ = [
     "BerryCurvature", "Polarisation", "Zak", "berry_curvature", "chern", "polarisation", "quadrupole", "valley_chern",
@@ -36,18 +56,30 @@ class _Waves(eqx.Module):
 
     matrix: Callable
     axes: int = eqx.field(static=True)
+    size: int = eqx.field(static=True)
+    closed: float = eqx.field(static=True)
 
-    def solved(self, k):
-        """omega^2 and vectors at points (..., axes), as NumPy arrays."""
-        points = np.asarray(k, float).reshape(-1, self.axes)
-        squared, q = _eigen(self.matrix, jnp.asarray(points))
-        shape = np.shape(k)[:-1]
-        return np.asarray(squared).reshape(*shape, -1), np.asarray(q).reshape(*shape, *q.shape[-2:])
+    def matrices(self, k):
+        """D at points (n, axes), (n, P, P), as a NumPy array."""
+        found = []
+        for i in range(0, len(k), POINTS):
+            points = np.zeros((POINTS, self.axes))
+            points[: len(k) - i] = k[i : i + POINTS]
+            found.append(np.asarray(_matrices(self.matrix, points))[: len(k) - i])
+        return np.concatenate(found)
+
+    def vectors(self, lines, bands=slice(None)):
+        """Vectors (..., P, bands) on the mesh of some lines, one array of phases an axis."""
+        mesh = np.stack(np.meshgrid(*lines, indexing="ij"), -1)
+        points = mesh.reshape(-1, self.axes)
+        parts = [points[i : i + POINTS] for i in range(0, len(points), POINTS)]
+        q = [np.linalg.eigh(self.matrices(part))[1][..., bands] for part in parts]
+        return np.concatenate(q).reshape(*mesh.shape[:-1], *q[0].shape[1:])
 
 
 @eqx.filter_jit
-def _eigen(matrix, points):
-    return jnp.linalg.eigh(jax.vmap(matrix)(points))
+def _matrices(matrix, points):
+    return jax.vmap(matrix)(points)
 
 
 def _waves_of(lattice, cell, axes=None):
@@ -56,15 +88,22 @@ def _waves_of(lattice, cell, axes=None):
         if axes is not None and len(found.cell) != axes:
             kinds = {1: "a chain", 2: "a lattice of the plane"}
             refuse("lattice", kinds[axes], f"one with {len(found.cell)} axes")
-        return _Waves(found.dynamical_matrix, len(found.cell))
+        return _Waves(found.dynamical_matrix, len(found.cell), found.mass.size, _closed(found.mass.dtype))
     if not callable(lattice):
         refuse("lattice", "a Lattice, or a function from k (axes,) to a Hermitian matrix",
                f"a {type(lattice).__name__}")
-    return _Waves(lattice, axes or 1)
+    shape = jax.eval_shape(lattice, jnp.zeros(axes or 1))
+    return _Waves(lattice, axes or 1, shape.shape[0], _closed(shape.dtype))
 
 
-def _chosen(bands, size):
+def _closed(dtype):
+    """The largest gap that rounding cannot tell from none, over the largest omega^2."""
+    return max(CLOSED, 64 * float(jnp.finfo(dtype).eps))
+
+
+def _chosen(bands, waves):
     """The bands that are asked for, as a sorted list."""
+    size = waves.size
     given = [bands] if np.ndim(bands) == 0 else list(bands)
     numbers = sorted({whole("band", b, -size) % size for b in given if whole("band", b, -size) < size})
     if len(numbers) != len(given):
@@ -72,16 +111,86 @@ def _chosen(bands, size):
     return numbers
 
 
-def _check_apart(squared, numbers, what):
-    """Refuse bands that touch others: they have no phases of their own."""
-    others = [n for n in range(squared.shape[-1]) if n not in numbers]
-    flat = squared.reshape(-1, squared.shape[-1])
-    if not others:
-        return
-    gap = np.min(np.abs(flat[:, numbers][:, :, None] - flat[:, others][:, None, :]))
-    if gap <= CLOSED * np.abs(flat).max():
-        refuse("band", f"bands apart from all others, for {what}", f"{numbers}, which touch others",
-               "Take the bands that touch together: band=(0, 1); or open the gap.")
+class _Mesh(NamedTuple):
+    """Lines of a mesh (phases, an array an axis); the least gap that was met, over the largest omega^2; its k.
+
+    `fault`: a sentence that says why there is no number, or an empty one.
+    """
+
+    lines: list
+    gap: float
+    nearest: AnyArray
+    fault: str
+
+
+def _cut(waves, count, numbers):
+    """Lines of a mesh, `count` and more along each axis, between which some bands stay apart from all others.
+
+    A piece of the zone is halved while, between its middle and its rim, a band of the one kind and one of the other
+    may move towards each other or turn into each other by more than `TURN` of their distance. With E the change of D,
+    in the vectors of the middle, a level moves by E_nn and to second order by sum_m |E_nm|^2/(distance of n and m), or
+    |E_nm| where that is less. A gap that closes is halved until it is below `CLOSED`, at whatever k.
+    """
+    axes, unit = waves.axes, 2 * np.pi / count
+    plain, others = np.arange(count), np.setdiff1d(np.arange(waves.size), numbers)
+    gap, nearest, lost, cuts, largest = np.inf, np.full(axes, np.nan), False, [], None
+    rim, corners = (np.array(list(product(way, repeat=axes))) for way in ((0, -1, 1), (-1, 1)))
+    # in units of the mesh, so that halves of halves are exact
+    half, middle = 0.5, np.stack(np.meshgrid(*[plain + 0.5] * axes, indexing="ij"), -1).reshape(-1, axes)
+    for _ in range(HALVINGS if len(others) else 0):
+        parts = np.array_split(middle, -(-len(middle) * len(rim) * waves.size**2 // TOGETHER))
+        found = [_judged(waves, unit * (x[:, None] + half * rim), numbers, others) for x in parts]
+        least, place, rough, top = map(np.concatenate, zip(*found))
+        largest = max(top.max(), np.finfo(float).tiny) if largest is None else largest
+        best = least.argmin()
+        if least[best] < gap * largest:
+            gap, nearest = least[best] / largest, place[best] % (2 * np.pi)
+        if gap <= waves.closed or not rough.any():
+            break
+        lost = lost or rough.sum() > MOST
+        middle = middle[rough][np.argsort(least[rough])[: NEAREST if lost else None]]
+        cuts.append(middle)
+        half /= 2
+        middle = (middle[:, None] + half * corners).reshape(-1, axes)
+    else:
+        lost = len(others) > 0
+    lines = [unit * np.unique(np.concatenate([plain, *(x[:, axis] for x in cuts)])) for axis in range(axes)]
+    lost = lost or np.prod([len(x) for x in lines]) * waves.size * len(numbers) > LARGEST
+    where = f"at k = {', '.join(f'{x:.6g}' for x in nearest)}"
+    fault = ""
+    if gap <= waves.closed:
+        fault = f"{_told(numbers)} touch{'es' * (len(numbers) == 1)} others {where}."
+    elif lost:
+        fault = (f"{_told(numbers)} and others are too close over too much of the zone for a mesh to follow: "
+                 f"the least gap that was met, {where}, is {gap:.1e} of the largest omega^2.")
+    return _Mesh(lines, gap, nearest, fault)
+
+
+def _told(numbers):
+    return f"Bands {', '.join(map(str, numbers))}" if len(numbers) > 1 else f"Band {numbers[0]}"
+
+
+def _judged(waves, points, numbers, others):
+    """Of pieces (n, rim, axes), the middle first: the least gap, its k, whether to halve them, the largest |omega^2|.
+
+    The gap is looked at in the middle and at one corner: the corners of all pieces are those of the mesh.
+    """
+    D = waves.matrices(points.reshape(-1, points.shape[-1]))
+    D = D.reshape(*points.shape[:2], *D.shape[1:])
+    squared, q = np.linalg.eigh(D[:, 0])
+    corner = points.shape[1] // 2
+    gaps = np.stack([np.abs(x[:, numbers][:, :, None] - x[:, others][:, None, :]).min((1, 2))
+                     for x in (squared, np.linalg.eigvalsh(D[:, corner]))])
+    place = np.where((gaps[0] <= gaps[1])[:, None], points[:, 0], points[:, corner])
+    E = q.conj().swapaxes(-1, -2)[:, None] @ (D[:, 1:] - D[:, :1]) @ q[:, None]
+    own = np.einsum("nrpp->nrp", E).real
+    turn = np.abs(E).max(1) * (1 - np.eye(E.shape[-1]))
+    apart = np.abs(squared[:, :, None] - squared[:, None, :])
+    moved = (turn**2 / np.maximum(np.maximum(apart, turn), np.finfo(float).tiny)).sum(-1)
+    need = np.abs(own[:, :, numbers, None] - own[:, :, None, others]).max(1)
+    need += moved[:, numbers, None] + moved[:, None, others]
+    rough = (need > TURN * apart[:, numbers][:, :, others]).any((1, 2))
+    return gaps.min(0), place, rough, np.abs(squared).max(-1)
 
 
 def _overlap(q, after):
@@ -97,7 +206,8 @@ class Zak(Result):
     **Fields:** `phase` (bands,) or (bands, K) in (-pi, pi]: Berry phase of each band over the zone, NaN for one that
     touches others. `below` (bands - 1,) or (bands - 1, K): of all bands below each gap together, NaN where bands touch
     there; it counts, over pi and in a chain with a centre of inversion, the states at an end. `error`: how much a mesh
-    of half as many points differs. `k` (K,): the wave number along the other axis, `None` of a chain.
+    of half as many points differs. `k` (K,): the wave number along the other axis, `None` of a chain. `faults`: a
+    sentence for each gap that leaves no number.
 
     **Example:**
 
@@ -108,20 +218,22 @@ class Zak(Result):
 
     held: ClassVar[dict[str, Held]] = {
         "phase": Held("band ...", "rad"), "below": Held("gap ...", "rad"), "error": Held(unit="rad"),
-        "k": Held("wave", "rad"),
+        "k": Held("wave", "rad"), "faults": Held(None),
     }
     phase: Numbers
     below: Numbers
     error: Number
     k: Numbers | None = None
+    faults: tuple[str, ...] = eqx.field(static=True, default=())
 
     @property
     def outcome(self) -> str:
-        """The phases in units of pi."""
+        """The phases in units of pi, and where bands touch."""
         if np.ndim(self.phase) > 1:
-            return f"Zak phases of {len(self.phase)} bands at {self.phase.shape[1]} wave numbers."
-        told = ", ".join("none" if np.isnan(x) else f"{x / np.pi:+.6g} pi" for x in self.phase)
-        return f"Zak phases {told}."
+            told = f"of {len(self.phase)} bands at {self.phase.shape[1]} wave numbers"
+        else:
+            told = ", ".join("none" if np.isnan(x) else f"{x / np.pi:+.6g} pi" for x in self.phase)
+        return " ".join([f"Zak phases {told}.", *self.faults])
 
 
 @checked
@@ -134,7 +246,7 @@ def zak(
     bonds between cells are the stiffer ones, and a cut between cells leaves a state at the end.
 
     **Arguments:** `lattice`: one `Lattice`, or a function from k (axes,) to a Hermitian matrix D(k) of period 2 pi.
-    `points`: of the mesh, even. Of a plane: `axis`, along which it is taken, and `k`, wave numbers along the other.
+    `points`: of the mesh, at least. Of a plane: `axis`, along which it is taken, and `k`, wave numbers along the other.
     `cell`: as in `unit_cell`. **Returns:** `Zak`. **Raises** ValueError for a lattice with three axes, a plane without
     `k`, and where `unit_cell` does. Source: Zak, Phys. Rev. Lett. 62, 2747 (1989); Resta, Rev. Mod. Phys. 66, 899.
 
@@ -148,51 +260,53 @@ def zak(
     if waves.axes > 2 or (waves.axes == 2) != (k is not None):
         refuse("k", "None of a chain; of a plane the wave numbers along the other axis", f"{k} with {waves.axes} axes")
     n = whole("points", points, 4)
-    n += n % 2
-    if waves.axes == 1:
-        mesh = (2 * np.pi * np.arange(n) / n)[:, None, None]
-        other = None
-    else:
+    other, rows = None, [waves]
+    if waves.axes == 2:
         if axis not in (0, 1):
             refuse("axis", "0 or 1", repr(axis))
         other = np.atleast_1d(np.asarray(parameter("k", k), float))
-        pair = np.meshgrid(2 * np.pi * np.arange(n) / n, other, indexing="ij")
-        mesh = np.stack(pair if axis == 0 else pair[::-1], -1)
-    squared, q = waves.solved(mesh)
-    phase, below = _phases(squared, q)
-    coarse = _phases(squared[::2], q[::2])
-    off = np.concatenate([_turned(phase - coarse[0]).ravel(), _turned(below - coarse[1]).ravel()])
-    error = np.nanmax(np.abs(off), initial=0.0)
+        rows = [_Waves(jax.tree_util.Partial(_on_line, waves.matrix, axis, x), 1, waves.size, waves.closed)
+                for x in other]
+    phase, below, error, faults = zip(*(_phases(row, n) for row in rows))
+    phase, below = np.stack(phase, -1), np.stack(below, -1)
     if other is None:
         phase, below = phase[:, 0], below[:, 0]
+        told = faults[0]
+    else:
+        told = [f"At k = {x:.6g} along the other axis: {said}" for x, some in zip(other, faults) for said in some]
     marks = lattice.origin if isinstance(lattice, Lattice) else {}
-    return Zak(phase, below, error, other, **marks)
+    return Zak(phase, below, max(error), other, tuple(told), **marks)
+
+
+def _on_line(matrix, axis, other, k):
+    """D at k (1,) along one axis of a plane, and a given phase along the other."""
+    pair = (k[0], other) if axis == 0 else (other, k[0])
+    return matrix(jnp.stack(pair))
 
 
 def _turned(angle):
     return np.angle(np.exp(1j * np.asarray(angle)))
 
 
-def _phases(squared, q):
-    """Phases of each band and of all below each gap, from vectors (mesh, K, P, P)."""
-    size = squared.shape[-1]
-    scale = CLOSED * max(np.abs(squared).max(), np.finfo(float).tiny)
-    gaps = np.min(np.diff(squared, axis=-1), axis=0) > scale
-    after = np.roll(q, -1, 0)
+def _phases(waves, count):
+    """Phases of each band and of all below each gap, how much half of the mesh changes them, and why some are none."""
+    size = waves.size
+    cuts = [_cut(waves, count, range(n + 1)) for n in range(size - 1)]
+    is_open = np.array([True, *(not x.fault for x in cuts), True])
+    lines = [x.lines[0] for x in cuts if not x.fault] or [2 * np.pi * np.arange(count) / count]
+    q = waves.vectors([np.unique(np.concatenate(lines))])
 
-    def loop(bands):
-        link = np.linalg.det(np.swapaxes(q[..., bands].conj(), -1, -2) @ after[..., bands])
+    def loop(q, bands):
+        link = np.linalg.det(np.swapaxes(q[..., bands].conj(), -1, -2) @ np.roll(q, -1, 0)[..., bands])
         # one product of numbers of modulus one: no logarithm is summed
-        turn = np.prod(link / np.abs(link), axis=0)
-        angle = -np.angle(turn)
-        return np.where(np.isclose(angle, -np.pi, atol=1e-12), np.pi, angle)
+        angle = -np.angle(np.prod(link / np.abs(link)))
+        return np.pi if np.isclose(angle, -np.pi, atol=1e-12) else angle
 
-    lower = np.concatenate([np.ones((gaps.shape[0], 1), bool), gaps], -1)
-    upper = np.concatenate([gaps, np.ones((gaps.shape[0], 1), bool)], -1)
-    alone = (lower & upper).T
-    phase = np.stack([np.where(alone[n], loop([n]), np.nan) for n in range(size)])
-    below = [np.where(gaps[:, n], loop(list(range(n + 1))), np.nan) for n in range(size - 1)]
-    return phase, np.stack(below) if below else np.zeros((0, squared.shape[1]))
+    wanted = [([n], is_open[n] and is_open[n + 1]) for n in range(size)]
+    wanted += [(list(range(n + 1)), is_open[n + 1]) for n in range(size - 1)]
+    fine, coarse = (np.array([loop(x, bands) if there else np.nan for bands, there in wanted]) for x in (q, q[::2]))
+    error = np.nanmax(np.abs(_turned(fine - coarse)), initial=0.0)
+    return fine[:size], fine[size:], error, [x.fault for x in cuts if x.fault]
 
 
 @checked
@@ -212,8 +326,7 @@ def winding(lattice: Any, *, points: Count = 256, cell: Cell | None = None) -> i
     1
     """
     waves = _waves_of(lattice, cell, 1)
-    k = 2 * np.pi * np.arange(whole("points", points, 8)) / points
-    D = np.stack([np.asarray(waves.matrix(jnp.asarray([x]))) for x in k[:8]])
+    D = waves.matrices(2 * np.pi * np.arange(whole("points", points, 8))[:, None] / points)
     own = np.einsum("kaa->ka", D)
     scale = np.abs(D).max()
     if np.ptp(own.real) > CLOSED * scale:
@@ -224,13 +337,14 @@ def winding(lattice: Any, *, points: Count = 256, cell: Cell | None = None) -> i
     if len(first) != len(second):
         refuse("lattice", "as many sites of one kind as of the other", f"{len(first)} and {len(second)}",
                "Such a cell has flat bands instead: gx.linear.flat_bands.")
-    matrices = np.asarray(jax.vmap(waves.matrix)(jnp.asarray(k)[:, None]))
-    h = np.linalg.det(matrices[:, second][:, :, first])
-    if np.abs(h).min() <= CLOSED * np.abs(h).max():
-        refuse("lattice", "a gap around the middle of the bands", "det h(k) = 0 somewhere", "Bands touch there.")
-    if np.abs(np.angle(np.roll(h, -1) / h)).max() > 0.9 * np.pi:
+    mesh = _cut(waves, points, range(len(first)))
+    if mesh.fault:
+        refuse("lattice", "a gap around the middle of the bands", "det h(k) = 0 somewhere", mesh.fault)
+    h = np.linalg.det(waves.matrices(mesh.lines[0][:, None])[:, second][:, :, first])
+    turns = np.angle(np.roll(h, -1) / h)
+    if np.abs(turns).max() > 0.9 * np.pi:
         refuse("points", "a mesh on which det h(k) turns smoothly", f"{points}", f"Give points={8 * points}.")
-    return int(np.round(np.angle(np.roll(h, -1) / h).sum() / (2 * np.pi)))
+    return int(np.round(turns.sum() / (2 * np.pi)))
 
 
 def _two_kinds(bound):
@@ -255,9 +369,10 @@ def _two_kinds(bound):
 class BerryCurvature(Result):
     """Berry curvature of bands of the plane, by plaquettes of a mesh over the zone.
 
-    **Fields:** `k` (n, n, 2): the corners of plaquettes, phases per cell [rad]. `flux` (n, n): Berry phase around each,
-    in (-pi, pi]; its sum over 2 pi is the Chern number, `chern`, a whole number to rounding. `curvature`: the flux over
-    the plaquette's area in phases. `band`: which.
+    **Fields:** `k` (n, n, 2): the corners of plaquettes, phases per cell [rad]. `flux` (n, n): the flux through each,
+    summed over the finer ones into which it was cut; its sum over 2 pi is the Chern number, `chern`, a whole number to
+    rounding; NaN where bands touch. `curvature`: the flux over the plaquette's area in phases. `band`: which. `gap`:
+    the least that was met, over the largest omega^2; `nearest` (2,): its k. `fault`: why there is no number.
 
     **Example:**
 
@@ -269,11 +384,15 @@ class BerryCurvature(Result):
 
     held: ClassVar[dict[str, Held]] = {
         "k": Held("first second axis", "rad"), "flux": Held("first second", "rad"),
-        "curvature": Held("first second"), "band": Held(None),
+        "curvature": Held("first second"), "band": Held(None), "gap": Held(unit="1"), "nearest": Held("axis", "rad"),
+        "fault": Held(None),
     }
     k: Numbers
     flux: Numbers
+    gap: Number
+    nearest: Numbers
     band: tuple[int, ...] = eqx.field(static=True)
+    fault: str = eqx.field(static=True)
 
     @property
     def curvature(self) -> Numbers:
@@ -287,10 +406,12 @@ class BerryCurvature(Result):
 
     @property
     def outcome(self) -> str:
-        """The Chern number and the largest flux."""
-        least = np.abs(self.flux).max()
-        told = f"Chern number {round(self.chern)} of band {', '.join(map(str, self.band))}"
-        return f"{told}, at most {least:.3g} rad through a plaquette of {len(self.flux)} x {len(self.flux)}."
+        """The Chern number and the largest flux, or why there is none."""
+        if self.fault:
+            return f"No Chern number. {self.fault}"
+        told = f"{_told(self.band)}: Chern number {round(self.chern)}"
+        most = np.abs(self.flux).max()
+        return f"{told}, at most {most:.3g} rad through a plaquette of {len(self.flux)} x {len(self.flux)}."
 
 
 @checked
@@ -299,14 +420,16 @@ def berry_curvature(
 ) -> BerryCurvature:
     r"""Berry curvature of a band, or of several together, of a lattice of the plane.
 
-    The flux through a plaquette is the phase of the product of overlaps around it: no smooth gauge is needed, and the
-    sum is a whole number for any mesh that is fine enough (every flux well below pi).
+    The flux through a plaquette is the phase of the product of overlaps around it: no smooth gauge is needed. Where
+    the gap is small plaquettes are cut into finer ones until the bands turn little around each, so that gaps down to
+    1e-9 of the largest omega^2 have their right whole number.
 
     **Arguments:** `lattice`: one `Lattice`, or a function from k (2,) to a Hermitian matrix of period 2 pi. `band`:
     counted from the lowest. `points`: along each axis of the zone. `cell`: as in `unit_cell`.
     **Returns:** `BerryCurvature`. A lattice of masses and springs, whose D(-k) is the conjugate of D(k), has Chern
-    numbers zero; with a centre of inversion the flux is zero too. **Raises** ValueError for bands that touch others,
-    and where `unit_cell` does. Source: Fukui, Hatsugai, Suzuki, J. Phys. Soc. Jpn. 74, 1674 (2005).
+    numbers zero; with a centre of inversion the flux is zero too. Where bands touch others, on the mesh or between its
+    points, the flux is NaN and `outcome` says where. **Raises** ValueError where `unit_cell` does.
+    Source: Fukui, Hatsugai, Suzuki, J. Phys. Soc. Jpn. 74, 1674 (2005).
 
     **Example:**
 
@@ -319,13 +442,22 @@ def berry_curvature(
     """
     waves = _waves_of(lattice, cell, 2)
     n = whole("points", points, 4)
-    mesh = 2 * np.pi * np.arange(n) / n
-    k = np.stack(np.meshgrid(mesh, mesh, indexing="ij"), -1)
-    squared, q = waves.solved(k)
-    numbers = _chosen(band, squared.shape[-1])
-    _check_apart(squared, numbers, "a curvature")
+    numbers = _chosen(band, waves)
+    mesh, fine = _fluxes(waves, n, numbers)
+    plain = 2 * np.pi / n * np.arange(n)
+    first, second = (np.searchsorted(x, plain) for x in mesh.lines)
+    flux = np.add.reduceat(np.add.reduceat(fine, first, 0), second, 1)
+    k = np.stack(np.meshgrid(plain, plain, indexing="ij"), -1)
     marks = lattice.origin if isinstance(lattice, Lattice) else {}
-    return BerryCurvature(k, _flux(q[..., numbers]), tuple(numbers), **marks)
+    return BerryCurvature(k, flux, mesh.gap, mesh.nearest, tuple(numbers), mesh.fault, **marks)
+
+
+def _fluxes(waves, count, numbers):
+    """The mesh of a plane, and the Berry phase around each of its plaquettes; NaN where there is none."""
+    mesh = _cut(waves, count, numbers)
+    if mesh.fault:
+        return mesh, np.full([len(x) for x in mesh.lines], np.nan)
+    return mesh, _flux(waves.vectors(mesh.lines, numbers))
 
 
 def _flux(q):
@@ -345,7 +477,7 @@ def chern(
     """Chern number of a band, or of several together: the flux of `berry_curvature` over 2 pi.
 
     **Arguments:** as there. **Returns:** a whole number, zero for every lattice of masses and springs alone. **Raises**
-    ValueError as there, and where the mesh is too coarse to tell.
+    ValueError as there, and for bands that touch others.
 
     **Example:**
 
@@ -354,10 +486,14 @@ def chern(
     0
     """
     found = berry_curvature(lattice, band, points=points, cell=cell)
-    if np.abs(found.flux).max() > 0.9 * np.pi:
-        refuse("points", "a mesh that resolves the curvature", f"{points}, with {np.abs(found.flux).max():.3g} rad "
-               "through a plaquette", f"Give points={4 * points}.")
+    if found.fault:
+        _refuse_touching(found.band, found.fault)
     return round(found.chern)
+
+
+def _refuse_touching(numbers, fault):
+    refuse("band", "bands apart from all others", _told(numbers),
+           f"{fault} Take the bands that touch together, as band=(0, 1), or open the gap.")
 
 
 @checked
@@ -371,8 +507,8 @@ def valley_chern(
     depends on the gap. Between two phases of opposite sign one mode for each valley runs along the wall.
 
     **Arguments:** `valley`: a named point, "K" or "K'", or phases per cell (2,); its partner is minus it. The others as
-    of `berry_curvature`. **Returns:** the number. **Raises** ValueError as there, and for a point that is its own
-    minus.
+    of `berry_curvature`. **Returns:** the number; NaN where bands touch, of which `berry_curvature(...).outcome` says
+    where. **Raises** ValueError as there, and for a point that is its own minus.
 
     **Example:**
 
@@ -381,7 +517,8 @@ def valley_chern(
     >>> round(abs(at), 3), abs(at + other) < 1e-10
     (0.488, True)
     """
-    found = berry_curvature(lattice, band, points=points, cell=cell)
+    waves = _waves_of(lattice, cell, 2)
+    mesh, flux = _fluxes(waves, whole("points", points, 4), _chosen(band, waves))
     if isinstance(valley, str):
         cells = unit_cell(lattice, cell).cell if isinstance(lattice, Lattice) else (1, 1)
         vectors = _vectors(lattice, cells) if isinstance(lattice, Lattice) else np.array([[1.0, 0], [0.5, 0.75**0.5]])
@@ -392,9 +529,9 @@ def valley_chern(
     place = np.asarray(parameter("valley", valley), float)
     if np.allclose(_turned(2 * place), 0):
         refuse("valley", "a point of the zone that is not its own minus", f"{place}")
-    middle = found.k + np.pi / points
+    middle = np.stack(np.meshgrid(*((x + np.append(x[1:], 2 * np.pi)) / 2 for x in mesh.lines), indexing="ij"), -1)
     near, far = (_distance(middle, sign * place) for sign in (1, -1))
-    return float((found.flux * np.where(near < far, 1, np.where(near > far, 0, 0.5))).sum() / (2 * np.pi))
+    return float((flux * np.where(near < far, 1, np.where(near > far, 0, 0.5))).sum() / (2 * np.pi))
 
 
 def _distance(k, place):
@@ -467,10 +604,11 @@ def polarisation(
     n = whole("points", points, 6)
     n += n % 2
     mesh = 2 * np.pi * np.arange(n) / n
-    squared, q = waves.solved(np.stack(np.meshgrid(mesh, mesh, indexing="ij"), -1))
-    numbers = _chosen(bands, squared.shape[-1])
-    _check_apart(squared, numbers, "a polarisation")
-    q = q[..., numbers]
+    numbers = _chosen(bands, waves)
+    found = _cut(waves, n, numbers)
+    if found.gap <= waves.closed:
+        _refuse_touching(numbers, found.fault)
+    q = waves.vectors([mesh, mesh], numbers)
     if round(_flux(q).sum() / (2 * np.pi)):
         refuse("bands", "bands whose Chern number is zero", f"{numbers}, whose is {round(_flux(q).sum() / 2 / np.pi)}",
                "Their Wannier centres wind around the cell: gx.topology.chern.")
@@ -532,8 +670,9 @@ def quadrupole(
 
     **Arguments:** `bands`: the occupied ones, `None` for the lower half. The others as of `berry_curvature`.
     **Returns:** (p_x of the Wannier bands along y, p_y of those along x), in [0, 1); with the lattice's two mirrors 0
-    or 1/2. `gx.scenes.quadrupole`: (1/2, 1/2) where bonds between cells are the stiffer ones. **Raises** ValueError for
-    bands that touch others, and for Wannier bands that touch. Source: Benalcazar, Bernevig, Hughes, Science 357, 61
+    or 1/2. `gx.scenes.quadrupole`: (1/2, 1/2) where bonds between cells are the stiffer ones. NaN where the bands touch
+    others, of which `berry_curvature(lattice, bands).outcome` says where. **Raises** ValueError for Wannier bands that
+    touch. Source: Benalcazar, Bernevig, Hughes, Science 357, 61
     (2017).
 
     **Example:**
@@ -543,29 +682,38 @@ def quadrupole(
     """
     waves = _waves_of(lattice, cell, 2)
     n = whole("points", points, 4)
-    mesh = 2 * np.pi * np.arange(n) / n
-    squared, q = waves.solved(np.stack(np.meshgrid(mesh, mesh, indexing="ij"), -1))
-    size = squared.shape[-1]
-    numbers = list(range(size // 2)) if bands is None else _chosen(bands, size)
+    numbers = list(range(waves.size // 2)) if bands is None else _chosen(bands, waves)
     if len(numbers) % 2:
         refuse("bands", "an even number, whose Wannier bands come in pairs", f"{numbers}")
-    _check_apart(squared, numbers, "Wannier bands")
-    q = q[..., numbers]
-    return tuple(_nested(q if axis == 0 else q.swapaxes(0, 1)) for axis in (1, 0))
+    mesh = _cut(waves, n, numbers)
+    if mesh.fault:
+        return np.nan, np.nan
+    return tuple(_nested(waves, mesh.lines, numbers, axis) for axis in (1, 0))
 
 
-def _nested(q):
-    """The Zak phase over 2 pi, along the second axis, of the lower half of Wannier bands along the first."""
-    half = q.shape[-1] // 2
-    angle, vectors = zip(*(_sorted_loop(w) for w in _loops(q)))
-    angle, vectors = np.array(angle), np.array(vectors)
-    if np.min(angle[:, half] - angle[:, half - 1]) < 1e-6:
-        refuse("lattice", "Wannier bands with a gap", "ones that touch", "It has no quadrupole then.")
-    # the loops begin at the first point of the mesh: so do the vectors
-    w = np.einsum("kpb,kbm->kpm", q[0], vectors[..., :half])
-    link = np.linalg.det(np.swapaxes(w.conj(), -1, -2) @ np.roll(w, -1, 0))
-    turn = -np.angle(np.prod(link / np.abs(link))) / (2 * np.pi)
-    return float(np.round(turn % 1.0, 12) % 1.0)
+def _nested(waves, lines, numbers, axis):
+    """The Zak phase over 2 pi, along one axis, of the lower half of Wannier bands along the other.
+
+    Where neighbouring Wannier vectors hardly overlap a line is put between them.
+    """
+    half, lines = len(numbers) // 2, list(lines)
+    for _ in range(HALVINGS):
+        q = waves.vectors(lines, numbers)
+        q = q if axis == 1 else q.swapaxes(0, 1)
+        angle, vectors = map(np.array, zip(*(_sorted_loop(w) for w in _loops(q))))
+        if np.min(angle[:, half] - angle[:, half - 1]) < 1e-6:
+            break
+        # the loops begin at the first point of the mesh: so do the vectors
+        w = np.einsum("kpb,kbm->kpm", q[0], vectors[..., :half])
+        link = np.linalg.det(np.swapaxes(w.conj(), -1, -2) @ np.roll(w, -1, 0))
+        weak = np.abs(link) < ALONG**half
+        if not weak.any():
+            turn = -np.angle(np.prod(link / np.abs(link))) / (2 * np.pi)
+            return float(np.round(turn % 1.0, 12) % 1.0)
+        k = lines[axis]
+        between = (k + np.append(k[1:], 2 * np.pi)) / 2
+        lines[axis] = np.sort(np.concatenate([k, between[weak]]))
+    refuse("lattice", "Wannier bands with a gap", "ones that touch", "It has no quadrupole then.")
 
 
 def _sorted_loop(w):

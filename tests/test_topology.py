@@ -49,15 +49,157 @@ def test_valleys_have_half_a_number_as_their_gap_closes():
     assert numbers(-0.02)[0] * numbers(0.02)[0] < 0
 
 
+def three_ways(bonds, mass=0.0):
+    """A honeycomb of one hopping for each way, on the two kinds +-mass."""
+    def matrix(k):
+        h = bonds[0] + bonds[1] * jnp.exp(-1j * k[0]) + bonds[2] * jnp.exp(-1j * k[1])
+        return jnp.array([[mass, h], [jnp.conj(h), -mass]])
+
+    return matrix
+
+
+def dirac_point(a, b, c):
+    """Where a + b exp(-ik0) + c exp(-ik1) = 0: the angles of a triangle of sides a, b, c."""
+    first = np.pi - np.arccos((a * a + b * b - c * c) / (2 * a * b))
+    return np.array([first, np.pi + np.arccos((a * a + c * c - b * b) / (2 * a * c))])
+
+
+@pytest.mark.parametrize("bonds, points", [
+    ((1, 0.8, 0.9), 24), ((1, 0.8, 0.9), 25), ((1, 0.7, 0.55), 7), ((1.9, 1, 1.05), 31), ((1, 1, 1), 10)])
+def test_bands_that_touch_at_any_k_have_no_number(bonds, points):
+    place = dirac_point(*bonds)
+    found = topology.berry_curvature(three_ways(bonds), points=points)
+    assert np.isnan(found.flux).all() and np.isnan(found.chern) and found.gap < 1e-9
+    off = np.abs(np.exp(1j * found.nearest) - np.exp(1j * np.array([place, -place]))).max(1).min()
+    assert off < 1e-6 and "touches others at k = " in found.outcome
+    assert np.isnan(topology.valley_chern(three_ways(bonds), valley=place, points=points))
+    with pytest.raises(ValueError, match="touches others at k = "):
+        topology.chern(three_ways(bonds), points=points)
+    # along the line through that point, and beside it
+    loops = topology.zak(three_ways(bonds), k=[place[1], place[1] + 0.1], points=points)
+    assert np.isnan(loops.phase[:, 0]).all() and not np.isnan(loops.phase[:, 1]).any()
+    assert f"At k = {place[1]:.6g}" in loops.outcome
+
+
+def sense(bonds):
+    """+-1 of the lower band for mass > 0: half the solid angle of d, H = d . sigma, which turns by d(d_x, d_y)/dk."""
+    k = dirac_point(*bonds)
+    slopes = -1j * bonds[1] * np.exp(-1j * k[0]), -1j * bonds[2] * np.exp(-1j * k[1])
+    return -np.sign((slopes[0].conj() * slopes[1]).imag)
+
+
+@pytest.mark.parametrize("bonds", [(1, 1, 1), (1, 0.8, 0.9), (1, 0.7, 0.55), (1.9, 1, 1.05)])
+def test_a_gap_as_small_as_the_limit_has_its_half_number(bonds):
+    # the gap is 2 mass, and the largest of omega^2 the sum of the bonds
+    for share, points in ((2e-9, 7), (2e-9, 24), (1e-6, 25), (1e-4, 13)):
+        for sign in (1, -1):
+            matrix = three_ways(bonds, sign * share * sum(bonds) / 2)
+            number = topology.valley_chern(matrix, valley=dirac_point(*bonds), points=points)
+            assert abs(number - sign * sense(bonds) * 0.5) < 3e-4
+    closed = topology.berry_curvature(three_ways(bonds, 0.9e-9 * sum(bonds) / 2), points=13)
+    assert closed.fault
+
+
+def fukui(matrices, bands):
+    """Chern number by the sum over a plain mesh of matrices (n, n, P, P)."""
+    q = np.linalg.eigh(matrices)[1][..., bands]
+    one, two = (np.linalg.det(q.conj().swapaxes(-1, -2) @ np.roll(q, -1, axis)) for axis in (0, 1))
+    return -np.angle(one * np.roll(two, -1, 0) * (np.roll(one, -1, 1) * two).conj()).sum() / (2 * np.pi)
+
+
+@pytest.mark.parametrize("points", [7, 24, 25])
+def test_chern_numbers_beside_a_transition(points):
+    # at one valley the two masses cancel for mass = 3 3^{1/2} second: the gap is 2 share there
+    for share in (1e-2, 1e-5, 3e-8):
+        mass = 3 * 3**0.5 * 0.1
+        assert topology.chern(lambda k: haldane(k, mass + share), points=points) == 0
+        assert abs(topology.chern(lambda k: haldane(k, mass - share), points=points)) == 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed, size", [(0, 2), (1, 3), (2, 4), (3, 3), (4, 5), (6, 2)])
+def test_chern_numbers_of_random_bands_on_coarse_meshes(seed, size):
+    random = np.random.default_rng(seed)
+    parts = random.normal(size=(3, 3, size, size)) + 1j * random.normal(size=(3, 3, size, size))
+    way = np.arange(-1, 2)
+
+    def matrix(k, xp=jnp):
+        one, two = (xp.exp(1j * k[..., i, None] * way) for i in (0, 1))
+        half = xp.einsum("...a,...b,abpq->...pq", one, two, parts)
+        return half + half.conj().swapaxes(-1, -2)
+
+    k = 2 * np.pi * np.arange(300) / 300
+    mesh = np.stack(np.meshgrid(k + 0.1, k + 0.2, indexing="ij"), -1)
+    for bands in ([0], list(range(size // 2 + 1))[:size - 1]):
+        whole = fukui(matrix(mesh, np), bands)
+        found = topology.berry_curvature(matrix, bands, points=5 + seed)
+        assert abs(found.chern - whole) < 1e-9, (found.gap, bands)
+
+
+@pytest.mark.slow
+def test_bands_that_cross_or_all_but_touch_along_a_curve_have_no_number():
+    def matrix(k, coupling):
+        one, two = 2 - jnp.cos(k[0]) - jnp.cos(k[1]), 1.3 + 0.2 * jnp.cos(k[0] + 0.3) * jnp.cos(k[1])
+        c = coupling * (0.3 + jnp.exp(1j * k[0]))
+        return jnp.array([[one, c], [jnp.conj(c), two]])
+
+    crossing = topology.berry_curvature(lambda k: matrix(k, 0.0))
+    assert "touches others" in crossing.outcome and np.isnan(crossing.chern)
+    one, two = np.diag(np.asarray(matrix(jnp.asarray(crossing.nearest), 0.0)).real)
+    assert abs(one - two) < 1e-8
+    near = topology.berry_curvature(lambda k: matrix(k, 1e-6))
+    assert "too close over too much of the zone" in near.outcome and np.isnan(near.chern)
+    assert topology.chern(lambda k: matrix(k, 0.1)) == 0
+    # all of the zone at one small distance is no trouble
+    small = lambda k: (2 - jnp.cos(k[0])) * jnp.eye(2) + 1e-5 * haldane(k)
+    assert abs(topology.chern(small)) == 1
+
+
+def test_chains_whose_bands_touch_at_any_k():
+    def chain(a, b, c, mass=0.0):
+        def matrix(k):
+            h = a + b * jnp.exp(1j * k[0]) + c * jnp.exp(2j * k[0])
+            return jnp.array([[mass, h], [jnp.conj(h), -mass]])
+
+        return matrix
+
+    for b in (0.3, 1.1, 1.7):
+        # a + b z + c z^2 has both roots on the unit circle for a = c, |b| < 2
+        found = topology.zak(chain(1, b, 1), points=16)
+        assert np.isnan(found.phase).all() and f"{np.arccos(-b / 2):.6g}" in found.outcome
+        with pytest.raises(ValueError, match="touches others at k = "):
+            topology.winding(chain(1, b, 1))
+        for share in (1e-2, 1e-8):
+            assert topology.winding(chain(1 + share, b, 1), points=9) == 0
+            assert topology.winding(chain(1 - share, b, 1), points=9) == -2
+            inside = topology.zak(chain(1 - share, b, 1, 1e-3), points=16)
+            # by the closed form: half of the angle that the vector encloses, on a dense mesh
+            k = np.linspace(0, 2 * np.pi, 200001)[:-1]
+            h = 1 - share + b * np.exp(1j * k) + np.exp(2j * k)
+            turned = np.angle(np.roll(h, -1) / h)
+            weight = (1 + 1e-3 / np.sqrt(1e-6 + np.abs(h) ** 2)) / 2
+            exact = (turned * (weight + np.roll(weight, -1)) / 2).sum()
+            assert abs(np.exp(1j * inside.phase[0]) - np.exp(1j * exact)) < inside.error < 0.02
+
+
 def quadrupole(k, inner=0.5, outer=1.0):
     x, y = inner + outer * jnp.exp(1j * k[0]), inner + outer * jnp.exp(1j * k[1])
     D = jnp.zeros((4, 4), complex).at[0, 1].set(x).at[2, 3].set(x).at[0, 2].set(y).at[1, 3].set(-y)
     return D + D.conj().T
 
 
+def quadrupole_closed(k):
+    """The gap closes at k = (pi, pi), moved to where no mesh has a point."""
+    return quadrupole(k + jnp.array([0.2, 0.3]), 1.0)
+
+
 def test_the_quadrupole():
     assert topology.quadrupole(quadrupole) == (0.5, 0.5)
     assert topology.quadrupole(lambda k: quadrupole(k, 1.0, 0.5)) == (0.0, 0.0)
+    for points in (6, 7):
+        assert topology.quadrupole(lambda k: quadrupole(k, 1 - 1e-8), points=points) == (0.5, 0.5)
+        assert topology.quadrupole(lambda k: quadrupole(k, 1 + 1e-8), points=points) == (0.0, 0.0)
+        assert np.isnan(topology.quadrupole(quadrupole_closed, points=points)).all()
 
 
 @pytest.mark.parametrize("name, sites", [("sawtooth", 3), ("stub", 3), ("diamond", 2), ("kagome", 6), ("lieb", 4)])
@@ -96,6 +238,107 @@ def test_edge_bands_of_a_strip():
     assert bound.min() < 2.0
     with pytest.raises(ValueError, match="periodic"):
         gx.linear.ribbon(scenes.square(6, 6, boundary="free"), axis=0)
+
+
+def strip_by_hand(width, k):
+    """D of a strip of a honeycomb, K = m = 1, between fixed rows: a is bound to two b of its row and one below."""
+    D = np.zeros((len(k), 2 * width, 2 * width), complex)
+    for n in range(width):
+        D[:, 2 * n, 2 * n + 1] = -1 - np.exp(-1j * k)
+        if n:
+            D[:, 2 * n, 2 * n - 1] = -1
+    return D + D.conj().swapaxes(1, 2) + 3 * np.eye(2 * width)
+
+
+@pytest.mark.parametrize("width", [15, 16])
+def test_the_two_edges_of_a_symmetric_strip_are_told_apart(width):
+    strip = scenes.honeycomb(5, width, out_of_plane=True, boundary=("periodic", "fixed"))
+    k = np.array([3.0, 2.9, 2.6, 0.4])
+    found = gx.linear.ribbon(strip, k)
+    D = strip_by_hand(width, k)
+    assert np.abs(np.linalg.eigvalsh(D) - found.omega_squared).max() < 1e-12
+    edge, spread = np.asarray(found.edge), np.asarray(found.participation)
+    # half way up the spectrum the strip has one state at each edge
+    middle = [width - 1, width]
+    for i in (0, 1, 2):
+        assert sorted(np.sign(edge[i, middle])) == [-1, 1] and np.abs(edge[i, middle]).min() > 0.75
+    assert spread[0, middle].max() < 1.1
+    # they still solve the strip, but for what they were taken to be together by
+    q = np.stack([np.asarray(found.modes[name]) for name in "ab"], -2).reshape(4, 2 * width, -1)
+    left = np.abs(D @ q - q * np.asarray(found.omega_squared)[:, None]).max()
+    assert left < 1e-4 * np.abs(D).max()
+    assert np.abs(q.conj().swapaxes(1, 2) @ q - np.eye(2 * width)).max() < 1e-12
+    # a fifth of the width
+    few = int((spread < 0.2 * width).any(0).sum())
+    assert found.outcome == f"{2 * width} bands at 4 wave numbers; {few} within a fifth of the width at some of them."
+    assert 2 <= few < width
+
+
+def test_the_edges_of_a_free_triangular_strip_are_told_apart():
+    strip = scenes.triangular(5, 24, boundary=("periodic", "free"))
+    found = gx.linear.ribbon(strip, [2.5, -2.5])
+    # Rayleigh waves are the lowest pair: one each side, the same modes in sum as without combining
+    edge, spread = np.asarray(found.edge), np.asarray(found.participation)
+    assert np.abs(np.abs(edge[:, :2]) - 1).max() < 0.15 and np.abs(edge[:, :2].sum(1)).max() < 1e-6
+    assert spread[:, :2].max() < 4 and (spread[:, 5:] > 4).all()
+    ring = gx.linear.normal_modes(scenes.triangular(5, 24, boundary=("periodic", "free")))
+    near = gx.linear.ribbon(strip, [2 * np.pi / 5])
+    assert all(np.abs(np.asarray(ring.omega_squared) - x).min() < 1e-12 for x in near.omega_squared[0])
+
+
+# cells of three fields, by hand: D(k) of masses, with springs (field, field, cell of the second, stiffness) and grounds
+def by_hand(k, masses, springs, ground):
+    D = np.diag(np.asarray(ground, complex)) + 0 * k[0]
+    for i, j, R, K in springs:
+        D[i, i] += K
+        D[j, j] += K
+        D[i, j] -= K * np.exp(1j * np.dot(k, R))
+        D[j, i] -= K * np.exp(-1j * np.dot(k, R))
+    return D / np.sqrt(np.outer(masses, masses))
+
+
+KAGOME = [(0, 1, (0, 0), 1.0), (0, 2, (0, 0), 1.3), (1, 2, (0, 0), 0.7), (1, 0, (1, 0), 0.4), (2, 0, (0, 1), 0.5),
+          (1, 2, (1, -1), 0.6)]
+LIEB = [(0, 1, (0, 0), 1.0), (0, 2, (0, 0), 1.3), (1, 0, (1, 0), 0.4), (2, 0, (0, 1), 0.5)]
+NESTED = [(0, 0, (1,), 1.0), (0, 1, (0,), 0.6), (1, 2, (0,), 0.3)]
+
+
+def built(masses, springs, ground, sites):
+    """The same as a Lattice of fields a, b, c."""
+    bonds = [gx.Bond(gx.Shift(R, "periodic", ("abc"[i], "abc"[j])) if i != j else gx.Shift(1, "periodic", "abc"[i]),
+                     gx.Linear(K)) for i, j, R, K in springs]
+    held = [gx.OnSite(gx.Linear(g), name) for name, g in zip("abc", ground)]
+    return gx.Lattice({name: np.full(sites, m) for name, m in zip("abc", masses)}, (*bonds, *held))
+
+
+@pytest.mark.parametrize("springs", [KAGOME, LIEB])
+def test_three_fields_of_the_plane_against_matrices_by_hand(springs):
+    masses, ground = (1.0, 1.4, 0.8), (0.2, 0.9, 0.5)
+    crystal = built(masses, springs, ground, (5, 5))
+    k = RNG.uniform(-np.pi, np.pi, (7, 2))
+    exact = np.array([by_hand(x, masses, springs, ground) for x in k])
+    assert np.abs(gx.linear.dispersion(crystal, k).omega_squared - np.linalg.eigvalsh(exact)).max() < 1e-12
+    mesh = 2 * np.pi * np.arange(60) / 60
+    dense = np.array([[by_hand((x, y), masses, springs, ground) for y in mesh] for x in mesh])
+    q = np.linalg.eigh(dense)[1]
+    for band in range(3):
+        assert topology.chern(crystal, band, points=9) == 0 == round(fukui(dense, [band]))
+    # the phases along one axis by plain products of overlaps, at a wave number of the mesh along the other
+    loop = topology.zak(crystal, k=mesh[[7, 30]], points=60)
+    for i, j in enumerate((7, 30)):
+        links = (q[:, j].conj() * np.roll(q[:, j], -1, 0)).sum(1)
+        plain = -np.angle(np.prod(links, axis=0))
+        assert np.abs(np.exp(1j * plain) - np.exp(1j * loop.phase[:, i])).max() < 3 * loop.error + 1e-9
+
+
+def test_a_mass_in_a_mass_in_a_mass_against_matrices_by_hand():
+    masses, ground = (1.0, 0.5, 0.3), (0.0, 0.0, 0.1)
+    chain = built(masses, NESTED, ground, 9)
+    k = np.linspace(-3, 3, 11)
+    exact = np.array([by_hand((x,), masses, NESTED, ground) for x in k])
+    assert np.abs(gx.linear.dispersion(chain, k).omega_squared - np.linalg.eigvalsh(exact)).max() < 1e-12
+    # one field alone moves along the chain: D is real, and so no phase is turned
+    assert np.abs(topology.zak(chain).phase).max() < 1e-12
 
 
 def test_a_path_and_the_density_of_states():

@@ -1,8 +1,8 @@
 """Linear theory of any lattice, traced from its terms: modes, dispersion, bands, sound.
 
-The stiffness matrix is K = -d force/du at u = 0, by `jax.jvp` of the lattice's own force. Whatever reads the velocity
-(damping) and whatever drives is left out: these are the undamped, free vibrations about equilibrium. `floquet_bands`
-follows what changes periodically in time, stiffness and damping.
+The stiffness matrix is K = -d force/du at u = 0, by `jax.jvp` of the lattice's own force. Damping and drives are left
+out: these are the undamped, free vibrations about equilibrium. Gyroscopic forces, which turn velocities and shift
+frequencies to first order, are refused. `floquet_bands` follows both, and what changes periodically in time.
 """
 
 from .bands import Bands, bands

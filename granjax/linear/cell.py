@@ -21,6 +21,7 @@ from .stiffness import (
     measure,
     offsets,
     refuse_one_way,
+    stand_in,
     stiffness_product,
     unpack,
 )
@@ -107,8 +108,11 @@ def unit_cell(lattice: Lattice, cell: Cell | None = None) -> UnitCell:
     the smallest period. It must be given where the masses or laws are traced by `jit` or `vmap` (under `jax.grad`
     alone the period is found).
 
-    **Raises** ValueError for a batch, modulated stiffness, a lattice without a period (disorder, a defect, a taper),
-    a `cell` that is no period, a lattice too short to tell, forces without an energy (K not symmetric).
+    Damping is left out: frequencies are the undamped ones.
+
+    **Raises** ValueError for a batch, modulated stiffness, gyroscopic forces, a lattice without a period (disorder, a
+    defect, a taper), a `cell` that is no period, a lattice too short to tell, forces without an energy (K not
+    symmetric).
 
     **Example:**
 
@@ -138,27 +142,6 @@ def given_cell(cell: Cell, sites: tuple) -> tuple[int, ...]:
     if len(numbers) != len(sites):
         refuse("cell", f"{len(sites)} numbers, one per axis", repr(cell))
     return tuple(whole("cell", n, 1, "It is the number of sites per unit cell.") for n in numbers)
-
-
-def stand_in(lattice: Lattice) -> tuple:
-    """The lattice with concrete values, and whether they are its own.
-
-    Where only derivatives are traced the values are there; elsewhere random ones keep the pattern of the stiffness.
-    """
-    random = np.random.default_rng(0)
-    known = True
-
-    def settle(x):
-        nonlocal known
-        if not isinstance(x, jax.core.Tracer) or not eqx.is_inexact_array(x):
-            return x
-        x = jax.lax.stop_gradient(x)
-        if isinstance(x, jax.core.Tracer):
-            known = False
-            x = random.uniform(1, 2, x.shape).astype(x.dtype)
-        return x
-
-    return jax.tree.map(settle, lattice), known
 
 
 def reach_of(lattice: Lattice, measure: Callable) -> tuple:

@@ -74,7 +74,7 @@ class Dispersion(Result):
 def dispersion(
     lattice: Lattice, k: Parameter, cell: Count | tuple[Count, ...] | None = None,
 ) -> Dispersion:
-    r"""Dispersion relation of the infinite lattice that a lattice belongs to: D(k) q = omega^2 q.
+    r"""Dispersion relation of the infinite lattice that a lattice belongs to: D(k) q = omega^2 q, without damping.
 
     **Arguments:**
 

@@ -61,7 +61,8 @@ def complex_bands(
     r"""Wave numbers of given frequencies along one axis: all roots k of det(D(k) - omega^2) = 0, real and complex.
 
     With z = exp(ik) a polynomial eigenvalue problem, sum_R coupling_R z^R q = omega^2 q, of degree twice the reach.
-    A chain of equal beads has one pair, cos k = 1 - m omega^2/(2 K2): above its band k = pi + i kappa.
+    A chain of equal beads has one pair, cos k = 1 - m omega^2/(2 K2): above its band k = pi + i kappa. Damping is left
+    out: what is complex here is so without it.
 
     **Arguments:** `lattice`: one `Lattice`; `omega` (W,) [rad/s]; `axis`: along which; `across`: the phase along the
     other axis of a plane, one number; `cell`: as in `unit_cell`. **Returns:** `ComplexBands`. **Raises** ValueError for

@@ -70,7 +70,7 @@ def normal_modes(lattice: Lattice) -> NormalModes:
     Cost: n^2 numbers and n^3 operations for n degrees of freedom; n up to a few thousand. Frequencies are
     differentiable in every parameter; modes where their frequency is simple.
     **Raises** ValueError for a batch of lattices (use `jax.vmap(normal_modes, in_axes=-1)`), stiffness modulated in
-    time, and forces without an energy (K not symmetric).
+    time, gyroscopic forces, and forces without an energy (K not symmetric).
 
     **Example:**
 

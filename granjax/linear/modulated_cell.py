@@ -13,8 +13,8 @@ from ..lattice import Lattice
 from ..programs import waited
 from ..terms.tracing import reads
 from ..types import AnyArray, Cell, ComplexNumbers, Number, Numbers
-from .cell import assemble, bloch, given_cell, is_ring, periods, reach_of, stand_in
-from .stiffness import blocks, components, grid, masses, pack, products, settled, summed, undriven, unpack
+from .cell import assemble, bloch, given_cell, is_ring, periods, reach_of
+from .stiffness import blocks, components, grid, masses, pack, products, settled, stand_in, summed, undriven, unpack
 
 # where in a period the forces are looked at: at no simple fraction, where waveforms have their zeros and jumps
 PHASES = (0.1 + 0.6180339887498949 * np.arange(32)) % 1

@@ -12,9 +12,16 @@ from ..entry import checked
 from ..lattice import Lattice
 from ..results import Held, Result
 from ..types import ComplexNumbers, Count, Numbers, Parameter
-from .cell import TIGHT, UnitCell, assemble, assembled, features_of, is_ring, reach_of, repeats_after, stand_in
+from .cell import TIGHT, UnitCell, assemble, assembled, features_of, is_ring, reach_of, repeats_after
 from .modes import signed_root
-from .stiffness import at_rest, grid, measure
+from .stiffness import at_rest, grid, measure, stand_in
+
+# of the largest |D|: how near omega^2 of waves are that are taken together, since they beat over 10^4 periods
+TOGETHER = 1e-4
+# by what factor the waves beside them in the spectrum must be further away
+ALONE = 100
+# of the largest |D|: rounding, within which waves are together whatever is beside them
+EQUAL = 1e-10
 
 
 class RibbonBands(Result):
@@ -24,7 +31,12 @@ class RibbonBands(Result):
     Bloch vectors over the width, (K, width, [vector], bands), or a dict of such; normalised with the masses. `edge`
     (K, bands): where across the strip the wave's energy of motion is, from -1 (all at the first site) to 1 (the last).
     `participation` (K, bands): over how many sites of the width it is spread, (sum e)^2/sum e^2. `axis`: along which
-    the strip runs.
+    the strip runs; `width`: sites across it.
+
+    Waves that are nearly degenerate, such as those at the two edges of a symmetric strip, are combined to waves at
+    different places across it, the eigenvectors of the place within their subspace: where their omega^2 differ by less
+    than 1e-4 of the largest |D| and by less than a hundredth of what parts them from the waves beside them. By no more
+    than that difference such `modes` miss (D - omega^2) q = 0; they beat over more than about 10^4 periods.
 
     **Example:**
 
@@ -37,7 +49,7 @@ class RibbonBands(Result):
     held: ClassVar[dict[str, Held]] = {
         "k": Held("wave", "rad"), "omega": Held("wave band", "rad/s"), "omega_squared": Held("wave band", "rad^2/s^2"),
         "modes": Held("wave across ... band"), "edge": Held("wave band"), "participation": Held("wave band"),
-        "axis": Held(None),
+        "axis": Held(None), "width": Held(None),
     }
     k: Numbers
     omega: Numbers
@@ -46,11 +58,12 @@ class RibbonBands(Result):
     edge: Numbers
     participation: Numbers
     axis: int = eqx.field(static=True)
+    width: int = eqx.field(static=True)
 
     @property
     def outcome(self) -> str:
-        """How many bands, and how many of them are bound to an edge somewhere."""
-        bound = int((np.asarray(self.participation) < 0.2 * self.omega.shape[-1]).any(0).sum())
+        """How many bands, and how many of them are bound to a place across the strip somewhere."""
+        bound = int((np.asarray(self.participation) < 0.2 * self.width).any(0).sum())
         return f"{self.omega.shape[-1]} bands at {len(self.k)} wave numbers; {bound} within a fifth of the width " \
                "at some of them."
 
@@ -59,6 +72,8 @@ class RibbonBands(Result):
 def ribbon(lattice: Lattice, k: Parameter | None = None, *, axis: Count | None = None,
            cell: Count | None = None) -> RibbonBands:
     r"""Bands of a strip: waves exp(ikR) along one axis of a lattice of the plane, whose other axis ends as it does.
+
+    Damping is left out, as in `dispersion`.
 
     **Arguments:**
 
@@ -100,11 +115,12 @@ def ribbon(lattice: Lattice, k: Parameter | None = None, *, axis: Count | None =
     given = 2 * np.pi * np.arange(121) / 120 - np.pi if k is None else parameter("k", k)
     if np.ndim(given) != 1 or not np.size(given):
         refuse("k", "phases along the strip, (K,)", f"shape {np.shape(given)}")
-    squared, omega, q = _solved(found, jnp.asarray(given, found.mass.dtype), axis)
+    squared, omega, q, edge, participation = _solved(found, jnp.asarray(given, found.mass.dtype), axis)
     modes = found.displacements(q)
-    edge, participation = _places(q, found, axis)
-    flat = jax.tree.map(lambda x: _one_row(x, axis, found.cell), modes)
-    return RibbonBands(jnp.asarray(given), omega, squared, flat, edge, participation, axis, **lattice.origin)
+    if found.cell[axis] == 1:
+        modes = jax.tree.map(lambda x: jnp.squeeze(x, 1 + axis), modes)
+    return RibbonBands(jnp.asarray(given), omega, squared, modes, edge, participation, axis, found.cell[across],
+                       **lattice.origin)
 
 
 def _strip_cell(lattice, plain, known, measured, axis, cell):
@@ -127,24 +143,34 @@ def _strip_cell(lattice, plain, known, measured, axis, cell):
 
 @eqx.filter_jit
 def _solved(found, k, axis):
+    """omega^2, omega, vectors, the place of their energy of motion, in (-1, 1), and over how many sites it spreads."""
+    width = found.cell[1 - axis]
+    place = np.linspace(-1, 1, width)
+    shape = [1, 1, 1]
+    shape[1 - axis] = width
+    of_each = np.broadcast_to(place.reshape(shape), (*found.cell, found.mass.size // np.prod(found.cell))).ravel()
+
     def one(k):
         D = found.dynamical_matrix(jnp.zeros(2, k.dtype).at[axis].set(k))
         squared, q = jnp.linalg.eigh(D)
-        return squared, signed_root(squared, jnp.abs(D).max(), squared.size), q
+        scale = jnp.abs(D).max()
+        q = _apart(squared / jnp.where(scale > 0, scale, 1), q, of_each)
+        share = (jnp.abs(q) ** 2).reshape(*found.cell, -1, squared.size).sum((axis, 2))
+        spread = share.sum(0) ** 2 / (share**2).sum(0)
+        return squared, signed_root(squared, scale, squared.size), q, place @ share, spread
 
     return jax.lax.map(one, k, batch_size=16)
 
 
-def _places(q, found, axis):
-    """Where across the strip the energy of motion is, in (-1, 1), and over how many sites."""
-    share = jnp.abs(q) ** 2
-    share = share.reshape(share.shape[0], *found.cell, -1, share.shape[-1])
-    share = share.sum((1 + axis, 3))
-    width = share.shape[1]
-    place = jnp.linspace(-1, 1, width)[None, :, None]
-    return (place * share).sum(1), share.sum(1) ** 2 / (share**2).sum(1)
-
-
-def _one_row(x, axis, cell):
-    """Without the axis along the strip where its cell has one site."""
-    return jnp.squeeze(x, 1 + axis) if cell[axis] == 1 else x
+def _apart(squared, q, place):
+    """Vectors (P, bands), of which those that are together are combined to eigenvectors of the place."""
+    step = jnp.diff(squared)
+    beside = jnp.concatenate([jnp.full(1, jnp.inf), step, jnp.full(1, jnp.inf)])
+    alone = ALONE * step <= jnp.minimum(beside[:-2], beside[2:])
+    together = (step <= max(EQUAL, 64 * jnp.finfo(step.dtype).eps)) | (alone & (step <= TOGETHER))
+    group = jnp.concatenate([jnp.zeros(1), jnp.cumsum(~together)])
+    same = group[:, None] == group
+    # places are within (-1, 1): the groups stay apart, and in their order
+    own = jnp.where(same, q.conj().T @ (place[:, None] * q), 0) + 3 * jnp.diag(group)
+    turn = jax.lax.stop_gradient(jnp.where(same, jnp.linalg.eigh(own)[1], 0))
+    return jnp.where(same.sum(0) > 1, q @ turn, q)

@@ -12,7 +12,11 @@ import numpy as np
 from ..checks import refuse, traced
 from ..lattice import Lattice, spread_mass
 from ..lattice.model import refuse_memory
+from ..terms.tracing import reads
 from ..types import AnyArray, Displacements, Number, Numbers
+
+# times at which a force that reads time and velocities is looked at: of every scale, none of them a simple fraction
+GENERIC = (0.618 * 10.0 ** np.arange(-6, 5)).tolist()
 
 
 def undriven(lattice: Any) -> Lattice:
@@ -38,7 +42,8 @@ def _standing(lattice):
 def at_rest(lattice: Any) -> Lattice:
     """The lattice `undriven`, of a stiffness that is constant in time.
 
-    **Raises** ValueError for what is no single lattice, and for stiffness that changes in time.
+    **Raises** ValueError for what is no single lattice, for stiffness that changes in time, and for forces that turn
+    velocities (gyroscopic ones), since their waves are not those of the stiffness.
     """
     undriven(lattice)
     return lanes_at_rest(lattice)
@@ -54,7 +59,59 @@ def lanes_at_rest(lattice: Lattice) -> Lattice:
                 "Modes in time do not exist then: take the lattice with the term that is modulated, or "
                 "granjax.linear.floquet_bands, which follows the modulation over its period.",
             )
+    _refuse_turning(still)
     return still
+
+
+def _refuse_turning(lattice):
+    """Refuse forces -C v whose C is not symmetric: they change frequencies to first order, as damping does not."""
+    plain, _ = stand_in(lattice)
+    for i, term in enumerate(plain.terms):
+        read = reads(term, plain)
+        if not read.velocity:
+            continue
+        alone = eqx.tree_at(lambda x: x.terms, plain, (term,))
+        times = np.asarray(GENERIC if read.time else [0.0], plain.dtype)
+        if max(settled(_turning, alone, t) for t in times) > 1e3 * np.finfo(plain.dtype).eps:
+            refuse(
+                f"terms[{i}] ({type(term).__name__})", "a force that damps or does not read the velocity",
+                "a gyroscopic one, which turns velocities (its matrix -d force/dv is not symmetric)",
+                "Linear theory from the stiffness alone would leave it out. granjax.linear.floquet_bands, with any "
+                "period, follows it.",
+            )
+
+
+@eqx.filter_jit
+def _turning(lattice, t):
+    """How far C = -d force/dv is from symmetric: (a C b - b C a)/(|a C b| + |b C a|) of random velocities a, b."""
+    random = np.random.default_rng(3)
+    a, b = (jax.tree.map(lambda x: random.normal(size=x.shape).astype(x.dtype), lattice.zeros()) for _ in range(2))
+    damp = products(lattice, t)[1]
+    pairs = zip(*map(jax.tree.leaves, (a, damp(b), b, damp(a))))
+    there, size = map(sum, zip(*((jnp.sum(p * q - r * s), jnp.sum(jnp.abs(p * q) + jnp.abs(r * s)))
+                                 for p, q, r, s in pairs)))
+    return jnp.abs(there) / jnp.where(size > 0, size, 1)
+
+
+def stand_in(lattice: Lattice) -> tuple:
+    """The lattice with concrete values, and whether they are its own.
+
+    Where only derivatives are traced the values are there; elsewhere random ones keep the pattern of the stiffness.
+    """
+    random = np.random.default_rng(0)
+    known = True
+
+    def settle(x):
+        nonlocal known
+        if not isinstance(x, jax.core.Tracer) or not eqx.is_inexact_array(x):
+            return x
+        x = jax.lax.stop_gradient(x)
+        if isinstance(x, jax.core.Tracer):
+            known = False
+            x = random.uniform(1, 2, x.shape).astype(x.dtype)
+        return x
+
+    return jax.tree.map(settle, lattice), known
 
 
 def refuse_one_way() -> NoReturn:
