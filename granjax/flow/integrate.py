@@ -19,7 +19,7 @@ from .lanes import by_groups, each_lane
 from .record import CLOSEST, EXTREMES, AtEnds, Recorded, leaf_by_leaf
 from .record.dips import Dips
 from .run import COMPLETED, FAILED, NOT_FINITE, NOTHING, STEP_TOO_SMALL, TOO_MANY_STEPS, Run, finite
-from .stiffness import compressions, frequency_bound, reached_frequency
+from .stiffness import chosen, compressions, frequency_bound, reached_frequency
 
 # how many times the root of the rounding unit a force may miss the slope of its energy
 KEPT = 100
@@ -244,12 +244,14 @@ class _FixedStep(diffrax.ConstantStepSize):
 
 
 def _controller(lattice, state, t0, t1, tolerance, longest, solver, save_ts):
-    omega = jax.lax.stop_gradient(frequency_bound(lattice, state, t0, t1))
+    # a step is a choice, not a function of the scene
+    lattice, state, t0, t1 = jax.tree.map(chosen, (lattice, state, t0, t1))
+    omega = frequency_bound(lattice, state, t0, t1)
     omega = jnp.where(omega > 0, omega, 1 / (t1 - t0))
     fastest = jnp.max(jnp.stack([jnp.max(jnp.abs(v)) for v in jax.tree.leaves(state.v)]))
     furthest = jnp.max(jnp.stack([jnp.max(jnp.abs(u)) for u in jax.tree.leaves(state.u)]))
     velocity = jnp.maximum(fastest, omega * furthest)
-    velocity = jax.lax.stop_gradient(jnp.where(velocity > 0, velocity, 1.0))
+    velocity = jnp.where(velocity > 0, velocity, 1.0)
     controller = StepControl(tolerance, Scales(velocity / omega, velocity), 1 / omega, longest, lattice.breaks)
     if save_ts is not None and not isinstance(solver, AbstractNystrom):
         controller = diffrax.ClipStepSizeController(controller, step_ts=save_ts)

@@ -18,7 +18,7 @@ from .control import least_tolerance
 from .dispatch import facts
 from .inputs import checked_size
 from .run import Run
-from .stiffness import frequency_bound, gathered_frequency, linear_frequency, softens
+from .stiffness import chosen, frequency_bound, gathered_frequency, linear_frequency, softens
 
 # h omega of the default step
 STEP_FRACTION = 0.5
@@ -119,7 +119,7 @@ def fixed_step(
     limit = refused_from(solver)
     if step is None:
         bound, beyond = _bound(lattice, state, t0, t1) if bound is None else (bound, True)
-        bound = _known(bound)
+        bound = chosen(bound)
         if not isinstance(bound, jax.core.Tracer) and not bound > 0:
             refuse(
                 "step", "a time step", "None",
@@ -137,7 +137,7 @@ def fixed_step(
         known["softens"] = softens(lattice)
     if known["softens"]:
         remark = "An exponent below 1: a contact that re-opens is infinitely stiff, and no step bound exists there."
-    span = _known((t1 - t0) / frames)
+    span = chosen((t1 - t0) / frames)
     count = _ceil(span / step)
     steps = None if isinstance(count, jax.core.Tracer) else int(count) * frames
     if "breaks" not in known:
@@ -177,7 +177,7 @@ def _bound(lattice, state, t0, t1):
     """(The bound, a Python number where it is known, and whether a run may pass it, which is then looked at)."""
     span = number(t0, np.dtype(float)), number(t1, np.dtype(float))
     if facts(lattice).traced or traced((state, t0, t1)):
-        return frequency_bound(lattice, state, *span), False
+        return frequency_bound(*jax.tree.map(chosen, (lattice, state, *span))), False
     for neighbourhood in GATHERED:
         found = gathered_frequency(lattice, state, *span, neighbourhood)
         if isinstance(found, jax.core.Tracer):  # plain numbers inside a transformation of something else
@@ -238,11 +238,6 @@ def _lost(lattice, state, t0, t1, step, tolerance, solver, lost):
             )
     way = "a shorter step=" if tolerance is None else "a smaller tolerance="
     return f"Much energy was lost or won, {lost:.2g} of it: the run is not accurate; give {way}."
-
-
-def _known(x):
-    """The value where differentiation alone stands in the way: a step is a choice, not a function of the scene."""
-    return jax.lax.stop_gradient(x) if isinstance(x, jax.Array) else x
 
 
 def _ceil(x):
