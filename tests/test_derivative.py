@@ -62,8 +62,8 @@ def test_what_the_function_reads_counts_as_it_stands(monkeypatch):
     assert gx.derivative(function, 3.0, 0.1).value == pytest.approx(12.0)
 
 
-# ------------------------------------------------------------------------- gradients of runs, scene by scene, both modes
-# a scene: (its lattice from a parameter p and a number of sites, m a = F in plain NumPy); p = 1, and the beads are kicked
+# ------------------------------------------------------------------------------- gradients of runs, scene by scene
+# a scene: (its lattice from a parameter p and a number of sites, m a = F in plain NumPy); p = 1, some sites are kicked
 
 T1, KICK, H = 2.0, 0.2, 1e-4
 SHAKE = 1.7, 0.4
@@ -177,7 +177,8 @@ SCENES = {
                  lambda t, u, v, p: joined(hertz())(u, p) + joined(lambda e, p: 0.1 * p * e)(v, p)),
     "modulated": (lambda p, n: gx.Lattice(1.0, gx.Modulated(
         gx.Bond(gx.Shift(1, "periodic"), gx.Hertz(1.0, 1.0)), gx.Harmonic(0.3 * p, *SHAKE, mean=1.0)), sites=n),
-                  lambda t, u, v, p: (1 + 0.3 * p * np.cos(SHAKE[0] * t + SHAKE[1])) * joined(hertz(), "periodic")(u, p)),
+                  lambda t, u, v, p: (1 + 0.3 * p * np.cos(SHAKE[0] * t + SHAKE[1]))
+                  * joined(hertz(), "periodic")(u, p)),
     "shaken wall": (shaken_wall, shaken_wall_force),
     "three fields": (three_fields, three_fields_force),
     "long range": (ring, ring_force),
