@@ -4,6 +4,7 @@ import signal
 import sys
 import threading
 import time
+import warnings
 
 import diffrax
 import jax
@@ -181,3 +182,30 @@ def test_what_takes_more_than_a_day_is_refused():
         jax.jit(lambda v: gx.simulate(lattice, (state.u, v), 1e9, step=0.1).final)(state.v)
     with pytest.raises(ValueError, match="t1: expected at most 2147483647 steps .*, with an adjoint"):
         gx.simulate(lattice, state, 1e9, step=0.1, adjoint=diffrax.DirectAdjoint())
+
+
+@pytest.mark.parametrize("how", [{"step": 0.1}, {"tolerance": 1e-9}], ids=["equal", "adaptive"])
+def test_what_will_take_long_is_told_early(how, soon, monkeypatch):
+    """The steps that are left and the time that they take, from the second piece of many; not where a bar shows it."""
+    monkeypatch.setattr(march, "TOLD", 0.0)
+    lattice = gx.scenes.fput(4, alpha=0.25)
+    state = gx.states.impact(lattice, velocity=0.3)
+    with pytest.warns(UserWarning, match="The run takes about .* more steps to t = 20, which take about") as told:
+        run = gx.simulate(lattice, state, 20.0, **how)
+    steps = float(str(told[0].message).split("about ")[1].split()[0])
+    assert len(told) == 1 and 0.5 < steps / float(run.stats["steps"]) < 1.5
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        gx.simulate(lattice, state, 20.0, progress=True, **how)
+
+
+def test_a_run_of_one_program_tells_its_steps_and_the_least_time(monkeypatch):
+    monkeypatch.setattr(march, "TOLD", 1e-6)
+    lattice = gx.scenes.fput(4, alpha=0.25)
+    with pytest.warns(UserWarning, match="The run takes 200 steps, which take .* seconds at the least"):
+        gx.simulate(lattice, gx.states.impact(lattice, velocity=0.3), 20.0, step=0.1)
+
+
+def test_times_are_told_in_words():
+    told = {3.0: "3 seconds", 150.0: "2.5 minutes", 7200.0: "2 hours", 4e5: "4.6 days", 1e9: "32 years"}
+    assert {x: march._spoken(x) for x in told} == told

@@ -8,7 +8,9 @@ import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
+from ..checks import refuse, traced
 from ..types import Number, Pytree, Scalar, StateLike
 from .breaks import cut
 
@@ -18,11 +20,28 @@ HALVINGS = 3
 # of an octave, to which a factor is rounded: an error is known to its rounding only, which steps that close in on an
 # opening contact would else make larger from one to the next
 PARTS = 8
+# rounding units of t0 that a step has at least, as what they cost can be avoided
+UNITS_AT_START = 256
+# and of the later of t0 and t1: a long run loses as much in other ways
+UNITS_AT_END = 16
 
 
 def least_tolerance(dtype: Any) -> float:
     """The smallest tolerance that a floating type can hold."""
     return 16 * float(jnp.finfo(dtype).eps)
+
+
+def refuse_unresolved(t0: Scalar, t1: Scalar, step: Scalar, dtype: Any) -> None:
+    """Refuse times, where they are known, that the floating type does not tell apart as well as steps need it."""
+    if traced((t0, t1, step)):
+        return
+    eps, far = float(jnp.finfo(dtype).eps), max(abs(t0), abs(t1))
+    if step < eps * max(UNITS_AT_START * abs(t0), UNITS_AT_END * far):
+        finer = "" if dtype == np.dtype(float) else " Or compute in float64."
+        refuse(
+            "t0, t1, step", f"a step that is long against the gaps between numbers of {dtype} at these times",
+            f"a step of {step:.3g} from t0 = {t0:g} to t1 = {t1:g}, where numbers lie {eps * far:.2g} apart",
+            f"Count time from t0=0 (of what drives the lattice too), or take a longer step.{finer}")
 
 
 def tighter(tolerance: Number, by: Scalar, dtype: Any) -> Number:

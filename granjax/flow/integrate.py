@@ -14,15 +14,17 @@ from ..programs import compiled
 from ..solvers import AbstractNystrom
 from ..types import Displacements, Number, Numbers, Scalar, StateLike, Times
 from .breaks import Landing, one_sided
-from .control import Scales, StepControl
+from .control import UNITS_AT_END, Scales, StepControl
 from .lanes import by_groups, each_lane
 from .record import CLOSEST, EXTREMES, AtEnds, Recorded, leaf_by_leaf
 from .record.dips import Dips
-from .run import COMPLETED, FAILED, NOT_FINITE, NOTHING, STEP_TOO_SMALL, TOO_MANY_STEPS, Run, finite
-from .stiffness import compressions, frequency_bound, reached_frequency
+from .run import COMPLETED, FAILED, NOT_FINITE, NOTHING, STEP_TOO_SMALL, TOO_MANY_STEPS, UNRESOLVED, Run, finite
+from .stiffness import chosen, compressions, frequency_bound, reached_frequency
 
 # how many times the root of the rounding unit a force may miss the slope of its energy
 KEPT = 100
+# omega times the longest adaptive step of a lattice that is driven
+QUIET = 2.0
 
 
 @compiled
@@ -43,7 +45,7 @@ def integrate(
         records = own_records(lattice, state, t0, records, watch, dips)
         begin, rest = (state, t0, t1), (solver, adjoint, max_steps, every, progress)
         part = part_of(lattice, begin, state, t0, t1, dt, tolerance, save_ts, records, None, *rest)
-        return reduced(lattice, begin, dt if tolerance is None else tolerance, records, solver, watch, part)
+        return reduced(lattice, begin, dt, tolerance, records, solver, watch, part)
 
     if tolerance is not None and lattice.lanes:
         return each_lane(run, lattice, state, records, t0)
@@ -120,10 +122,11 @@ def _parted(
 
 
 def reduced(
-    lattice: Lattice, begin: tuple, size: Number, records: dict, solver: diffrax.AbstractSolver, watch: bool,
-    part: Part,
+    lattice: Lattice, begin: tuple, dt: Number | None, tolerance: Number | None, records: dict,
+    solver: diffrax.AbstractSolver, watch: bool, part: Part,
 ) -> Run:
-    """The `Run` of all its parts, `size` the step or the tolerance."""
+    """The `Run` of all its parts."""
+    adaptive, size = tolerance is not None, dt if tolerance is None else tolerance
     (state, t0, t1), (ts, ys, _, final, carried, steps, accepted, rejected, code) = begin, part
     recorded = {name: leaf_by_leaf(records[name].finish, carried[name]) for name in records}
     short = {name: leaf_by_leaf(records[name].short, carried[name]) for name in records}
@@ -139,6 +142,8 @@ def reduced(
         low, less_high = extremes
         stats["omega"] = reached_frequency(lattice, low, jax.tree.map(jnp.negative, less_high), t0, t1, final.u)
     code = jnp.where(_meant(t0, t1, size), code, NOTHING)
+    resolved = size >= UNITS_AT_END * jnp.finfo(lattice.dtype).eps * jnp.maximum(jnp.abs(t0), jnp.abs(t1))
+    code = jnp.where(adaptive | resolved | (code != COMPLETED), code, UNRESOLVED)
     energy_error = _energy_error(lattice, state, t0, ts, ys)
     if lattice.conserves:
         gap = energy_gap(lattice, t1, final.u)
@@ -244,12 +249,17 @@ class _FixedStep(diffrax.ConstantStepSize):
 
 
 def _controller(lattice, state, t0, t1, tolerance, longest, solver, save_ts):
-    omega = jax.lax.stop_gradient(frequency_bound(lattice, state, t0, t1))
+    # a step is a choice, not a function of the scene
+    lattice, state, t0, t1 = jax.tree.map(chosen, (lattice, state, t0, t1))
+    omega = frequency_bound(lattice, state, t0, t1)
     omega = jnp.where(omega > 0, omega, 1 / (t1 - t0))
     fastest = jnp.max(jnp.stack([jnp.max(jnp.abs(v)) for v in jax.tree.leaves(state.v)]))
     furthest = jnp.max(jnp.stack([jnp.max(jnp.abs(u)) for u in jax.tree.leaves(state.u)]))
     velocity = jnp.maximum(fastest, omega * furthest)
-    velocity = jax.lax.stop_gradient(jnp.where(velocity > 0, velocity, 1.0))
+    velocity = jnp.where(velocity > 0, velocity, 1.0)
+    if lattice.reads_time:
+        # what is at rest would step over all that is to come
+        longest = QUIET / omega if longest is None else jnp.minimum(longest, QUIET / omega)
     controller = StepControl(tolerance, Scales(velocity / omega, velocity), 1 / omega, longest, lattice.breaks)
     if save_ts is not None and not isinstance(solver, AbstractNystrom):
         controller = diffrax.ClipStepSizeController(controller, step_ts=save_ts)

@@ -3,6 +3,7 @@
 import itertools
 import math
 import time
+import warnings
 from functools import cache, lru_cache
 from typing import Any
 
@@ -34,6 +35,8 @@ ABREAST, EXPECTED = 16, 4096
 # what one loop counts; and steps that no lattice takes a day for
 COUNTED, FEW = 2**31 - 1, 1e6
 DAY = 86400.0
+# seconds from which on it is said how long a run will take
+TOLD = 10.0
 _FORWARD = diffrax.ForwardMode()
 
 
@@ -74,6 +77,9 @@ def march(
     if (long or budget) and not _is_untraced():
         return integrate(*arguments, max_steps, *rest)
     if not ends:
+        least = steps * seconds_a_step(lattice, solver) if tolerance is None else 0
+        if least > TOLD and not progress:
+            _warn(f"{steps} steps, which take {_spoken(least)} at the least")
         since = time.perf_counter()
         limit = max_steps if budget is None else min(budget, max_steps or budget)
         sizes = [_number(x, x.dtype) if isinstance(x, np.generic) else x for x in (t0, t1, dt, tolerance)]
@@ -140,8 +146,7 @@ def refuse_endless(
                f"{steps:.2g}", f"{remedy}.")
     seconds = min(steps, max_steps or steps) * seconds_a_step(lattice, solver)
     if seconds > DAY and max_steps is None:
-        took = f"{seconds / DAY:.2g} days" if seconds < 1000 * DAY else f"{seconds / DAY / 365:.2g} years"
-        refuse("t1", "a run of a day at most", f"{steps:.2g} steps, which take {took} at the least",
+        refuse("t1", "a run of a day at most", f"{steps:.2g} steps, which take {_spoken(seconds)} at the least",
                f"{remedy}; or max_steps={steps} if you mean it.")
 
 
@@ -202,7 +207,7 @@ def _in_pieces(
     if wanted is not None:
         places = [number(t0 + (t1 - t0) * (k / ends[-1])) for k in ends[1:-1]]
         width = np.diff(np.searchsorted(wanted, [*places, t1], side="right"), prepend=0).max()
-    t, carried, counts, kept, taken = t0, None, np.zeros(3, np.int64), [], 0
+    t, carried, counts, kept, taken, since = t0, None, np.zeros(3, np.int64), [], 0, None
     bar = _bar(progress)
     try:
         for k in itertools.count(1):
@@ -212,10 +217,14 @@ def _in_pieces(
             if wanted is not None:
                 window = wanted[taken : taken + width]
                 window = np.minimum(np.append(window, np.full(width - len(window), t1)), last[-1])
+            # the first piece is compiled, the second one measured
+            since = time.perf_counter() if k == 2 and not progress else None
             if budget and max_steps:
                 limit = int(min(budget, max_steps - counts[0]))
             part = wait(_piece(
                 lattice, begin, *last, size, tolerance, window, records, carried, solver, limit, outside))
+            if since is not None:
+                _tell_long(float(t), float(part.t), float(t1), int(part.steps), time.perf_counter() - since)
             state, t, carried, code = part.final, np.asarray(part.t)[()], part.carried or None, np.asarray(part.code)
             counts += np.array([part.steps, part.accepted, part.rejected], np.int64)
             if wanted is not None:
@@ -237,10 +246,31 @@ def _in_pieces(
     else:
         ts, ys = _filled(wanted, kept, taken, lost)
     part = Part(ts, ys, t, state, carried or {}, *counts, code)
-    run = _reduced(lattice, begin, dt if tolerance is None else tolerance, records, solver, watch, part, outside)
+    run = _reduced(lattice, begin, dt, tolerance, records, solver, watch, part, outside)
     # where it may be looked for what went wrong
     object.__setattr__(run, "_last", last)
     return run
+
+
+def _tell_long(begin, t, t1, steps, seconds):
+    """Warn of what will take long, by what a piece from `begin` to t took."""
+    pieces = (t1 - t) / (t - begin) if t > begin else 0.0
+    if pieces * seconds > TOLD:
+        _warn(f"about {pieces * steps:.2g} more steps to t = {t1:g}, which take about {_spoken(pieces * seconds)} at "
+              f"the pace of the last {steps}")
+
+
+def _warn(steps):
+    warnings.warn(f"The run takes {steps}. An earlier t1, a longer step= or a larger tolerance= makes it shorter; "
+                  "progress=True shows how far it is.", stacklevel=6)
+
+
+def _spoken(seconds):
+    """A time in words, to two digits."""
+    for unit, size in (("years", 365 * DAY), ("days", DAY), ("hours", 3600.0), ("minutes", 60.0)):
+        if seconds >= 2 * size:
+            return f"{seconds / size:.2g} {unit}"
+    return f"{seconds:.2g} seconds"
 
 
 def _filled(wanted, kept, taken, lost):
@@ -268,5 +298,5 @@ def _piece(lattice, begin, state, t0, t1, dt, tolerance, save_ts, records, carri
 
 
 @compiled
-def _reduced(lattice, begin, size, records, solver, watch, part, outside):
-    return reduced(lattice, begin, size, records, solver, watch, part)
+def _reduced(lattice, begin, dt, tolerance, records, solver, watch, part, outside):
+    return reduced(lattice, begin, dt, tolerance, records, solver, watch, part)

@@ -9,16 +9,18 @@ import numpy as np
 
 from ..checks import concrete, refuse, show, traced
 from ..lattice import Lattice, acceleration_only, split_system
+from ..outside import Outside
+from ..programs import compiled
 from ..solvers import RKN86, AbstractNystrom, AbstractSplitting, SRKN11b
 from ..solvers.stability import refused_from
 from ..terms.tracing import reads
-from ..terms.waveforms import count_breaks
+from ..terms.waveforms import count_breaks, functions_of_time
 from ..types import Number, Scalar, StateLike
-from .control import least_tolerance
+from .control import least_tolerance, refuse_unresolved
 from .dispatch import facts
 from .inputs import checked_size
 from .run import Run
-from .stiffness import frequency_bound, gathered_frequency, linear_frequency, softens
+from .stiffness import chosen, frequency_bound, gathered_frequency, linear_frequency, softens
 
 # h omega of the default step
 STEP_FRACTION = 0.5
@@ -33,6 +35,14 @@ LOOSE, SUSPICIOUS = 1e-2, 0.02
 # where an energy is told again, over the displacements at the end, and how much of it may be lost over what is seen
 NEARBY, ROUNDED = 1e-3, 10
 MOST_STEPS = 1e8
+# places at which a function of time is looked at: in all, about, and in each step; steps at a time
+MOST_PLACES = 2**18
+PLACES = 8, 2048
+BLOCK = 64
+# of its range, from which on it leaves what the ends of steps show
+LEAP = 0.25
+# of a run's length, below which the rounding of t0 is none that could be felt
+NEAR = 1e-9
 # built once: making a module takes longer than a short run
 _FIXED, _ADAPTIVE, _GENERAL = SRKN11b(), RKN86(), diffrax.Dopri8()
 
@@ -119,7 +129,7 @@ def fixed_step(
     limit = refused_from(solver)
     if step is None:
         bound, beyond = _bound(lattice, state, t0, t1) if bound is None else (bound, True)
-        bound = _known(bound)
+        bound = chosen(bound)
         if not isinstance(bound, jax.core.Tracer) and not bound > 0:
             refuse(
                 "step", "a time step", "None",
@@ -133,11 +143,12 @@ def fixed_step(
         _refuse_unstable(lattice, state, t0, t1, step, solver, limit)
         if isinstance(step, jax.core.Tracer):
             step = jnp.where(step > 0, step, jnp.nan)  # what the outcome then says
+    refuse_unresolved(t0, t1, step, facts(lattice).dtype)
     if "softens" not in known:
         known["softens"] = softens(lattice)
     if known["softens"]:
         remark = "An exponent below 1: a contact that re-opens is infinitely stiff, and no step bound exists there."
-    span = _known((t1 - t0) / frames)
+    span = chosen((t1 - t0) / frames)
     count = _ceil(span / step)
     steps = None if isinstance(count, jax.core.Tracer) else int(count) * frames
     if "breaks" not in known:
@@ -146,6 +157,17 @@ def fixed_step(
         more = count_breaks(lattice.breaks, t0, t1)
         steps = None if isinstance(more, jax.core.Tracer) else steps + int(more)
     return (t1 - t0) / (count * frames), steps, choice, remark, beyond
+
+
+def refuse_far(lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar) -> None:
+    """The same refusal for adaptive steps, which are about as long as the default one."""
+    eps = float(jnp.finfo(facts(lattice).dtype).eps)
+    # as a rule; the rest takes longer
+    if traced((t0, t1)) or eps * abs(t0) < NEAR * (t1 - t0) or facts(lattice).traced or traced(state):
+        return
+    omega = linear_bound(lattice) or _bound(lattice, state, t0, t1)[0]
+    if omega > 0:
+        refuse_unresolved(t0, t1, STEP_FRACTION / omega, facts(lattice).dtype)
 
 
 def passed(solver: diffrax.AbstractSolver | type, run: Run, step: Number) -> Any:
@@ -177,7 +199,7 @@ def _bound(lattice, state, t0, t1):
     """(The bound, a Python number where it is known, and whether a run may pass it, which is then looked at)."""
     span = number(t0, np.dtype(float)), number(t1, np.dtype(float))
     if facts(lattice).traced or traced((state, t0, t1)):
-        return frequency_bound(lattice, state, *span), False
+        return frequency_bound(*jax.tree.map(chosen, (lattice, state, *span))), False
     for neighbourhood in GATHERED:
         found = gathered_frequency(lattice, state, *span, neighbourhood)
         if isinstance(found, jax.core.Tracer):  # plain numbers inside a transformation of something else
@@ -204,14 +226,65 @@ def doubts(
     if not known["conserves"]:
         return " ".join(said)
     if np.isnan(lost).any() and np.all(run.completed):
+        ends = [lattice.energy(t, *y) for t, y in ((t0, state), (t1, run.final))]
         gaps = {type(term).__name__: np.max(term.energy_gap(lattice, t1, run.final.u)) for term in lattice.terms}
-        said.append(f"The force of {max(gaps, key=gaps.get)} is not the slope of its `energy`, so none is kept.")
+        if not np.isfinite(ends).all() or not np.isfinite(list(gaps.values())).all():
+            dtype = facts(lattice).dtype
+            said.append(f"The energy is larger than any number of {dtype}, or no number at all, so what is lost of it "
+                        "is not known. Count lengths and times in larger units.")
+        else:
+            said.append(f"The force of {max(gaps, key=gaps.get)} is not the slope of its `energy`, so none is kept.")
     if not np.isnan(lost).all() and np.nanmax(lost) > SUSPICIOUS:
         if _resolved(lattice, state, t0, t1, run):
             said.append(_lost(lattice, state, t0, t1, step, tolerance, solver, float(np.nanmax(lost))))
         else:
             said.append("The energy error is the rounding of `energy`, which does not resolve so small a motion.")
     return " ".join(said)
+
+
+def missed(lattice: Lattice, t0: Scalar, t1: Scalar, step: Any, tolerance: Any) -> str:
+    """A remark where a function of time, of which no breaks are told, has a pulse that steps of a run may pass over.
+
+    Between the ends of a step it goes beyond what it is at four ends around by a quarter of its range, or more. An
+    adaptive step is tried at many places, so that a quarter of its mean length counts. Pulses are looked for at 8 to
+    2048 places in each step: shorter ones nobody sees.
+    """
+    known = facts(lattice).known
+    if "signals" not in known:
+        known["signals"] = [(i, f) for i, term in enumerate(lattice.terms) for f in functions_of_time(term)]
+    if not known["signals"]:
+        return ""
+    step = np.max(step) / (1 if tolerance is None else 4)
+    count = max(int(np.ceil((t1 - t0) / step * (1 - 1e-9))), 1)
+    places = int(np.clip(4 ** int(np.log2(MOST_PLACES / count) / 2), *PLACES))
+    t0, t1 = (jnp.asarray(t, facts(lattice).dtype) for t in (t0, t1))
+    for i, function in known["signals"]:
+        if _leap(function, t0, t1, jnp.asarray(count), places, Outside(function)) > LEAP:
+            name = type(lattice.terms[i]).__name__
+            return (f"terms[{i}] ({name}) has a pulse that is shorter than the steps, or swings within one: the run "
+                    f"may have missed it. Give {name} breaks= where the pulse begins and ends, or simulate a shorter "
+                    "step=.")
+    return ""
+
+
+@compiled
+def _leap(function, t0, t1, count, places, outside):
+    """How far a function of time leaves, within one of equal steps, what it is at their ends; over its range."""
+    at, h = jax.vmap(function), (t1 - t0) / count
+    inner = (np.arange(places) + 0.5) / places
+
+    def one(k):
+        ends, inside = at(jnp.clip(t0 + h * (k + np.arange(-1, 3)), t0, t1)), at(t0 + h * (k + inner))
+        low, high = jnp.minimum(ends.min(0), inside.min(0)), jnp.maximum(ends.max(0), inside.max(0))
+        return jnp.maximum(high - ends.max(0), ends.min(0) - low), low, high
+
+    def block(b, found):
+        beyond, low, high = jax.vmap(one)(jnp.minimum(b * BLOCK + np.arange(BLOCK), count - 1))
+        own = beyond.max(0), low.min(0), high.max(0)
+        return tuple(f(*x) for f, *x in zip((jnp.maximum, jnp.minimum, jnp.maximum), found, own))
+
+    beyond, low, high = jax.lax.fori_loop(0, (count - 1) // BLOCK + 1, block, one(0))
+    return jnp.max(beyond / jnp.where(high > low, high - low, 1))
 
 
 def _resolved(lattice, state, t0, t1, run):
@@ -240,11 +313,6 @@ def _lost(lattice, state, t0, t1, step, tolerance, solver, lost):
     return f"Much energy was lost or won, {lost:.2g} of it: the run is not accurate; give {way}."
 
 
-def _known(x):
-    """The value where differentiation alone stands in the way: a step is a choice, not a function of the scene."""
-    return jax.lax.stop_gradient(x) if isinstance(x, jax.Array) else x
-
-
 def _ceil(x):
     # a few ulp of slack, so that 120/0.05 is 2400 and not 2401
     if isinstance(x, jax.core.Tracer):
@@ -261,12 +329,8 @@ def linear_bound(lattice: Lattice) -> Any:
 
 
 def _refuse_unstable(lattice, state, t0, t1, step, solver, limit):
-    found = facts(lattice)
-    dtype = found.dtype
-    if found.traced or traced((state, t0, t1, step)):
+    if facts(lattice).traced or traced((state, t0, t1, step)):
         return
-    if step < 4 * jnp.finfo(dtype).eps * max(abs(t0), abs(t1)):
-        refuse("step", "a step that changes the time", f"{step}", f"At t = {t1} {dtype} does not resolve it.")
     if limit is None:
         return
     omega = linear_bound(lattice)

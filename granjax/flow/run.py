@@ -14,7 +14,7 @@ from ..results import Held, Result
 from ..types import Counts, Displacements, Flags, Number, Numbers, Pytree, Times
 from ..variables import Layout
 
-COMPLETED, NOT_FINITE, TOO_MANY_STEPS, STEP_TOO_SMALL, FAILED, NOTHING, MET = range(7)
+COMPLETED, NOT_FINITE, TOO_MANY_STEPS, STEP_TOO_SMALL, FAILED, NOTHING, MET, UNRESOLVED = range(8)
 # how far beyond touch, over how far it came from rest, a contact is certainly open
 OPENED = 0.05
 # what has become of a run, by its code
@@ -27,6 +27,7 @@ WHY = {
          "any energy: there the step was too long.",
     NOTHING: "Nothing was integrated: t1 is not after t0, the step or the tolerance is not above zero, or one of them "
              "is no finite number.",
+    UNRESOLVED: "The floating type does not resolve the steps at these times: count time from t0=0.",
 }
 
 
@@ -109,14 +110,16 @@ class Run(Result):
         smaller), when it is first asked for, by `to_xarray` too: a run whose errors nobody reads costs nothing more. It
         covers the error of the run and what is lost between its steps. NaN for an `Arrival` that did not happen;
         infinite where only one of the two runs has seen it, or both missed it by no more than they are known to, or
-        one has not completed. Under `jax.jit` it is part of the program where it is
-        read; it has no derivative. A pickled run has lost it where a record holds a lambda and nobody had asked for it.
+        one has not completed, or where a pulse of a drive may lie between the steps of both. Under `jax.jit` it is
+        part of the program where it is read; it has no derivative. A pickled run has lost it where a record holds a
+        lambda and nobody had asked for it.
         """
         known = self.__dict__.get("_known_error")
         if known is None and self._confirmation is None:
             return {}
         if known is None:
-            known = self._confirmation.errors(self.recorded, self._short, self.completed, self._margin < 0)
+            good = self.completed & ("_hidden" not in self.__dict__)
+            known = self._confirmation.errors(self.recorded, self._short, good, self._margin < 0)
             if not traced(known):
                 object.__setattr__(self, "_known_error", known)
         return known

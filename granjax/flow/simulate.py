@@ -25,7 +25,7 @@ from .lifted import lift
 from .march import in_pieces, march, refuse_endless
 from .meeting import meeting
 from .memory import with_memory
-from .method import checked_method, doubts, fixed_step, linear_bound, number, passed
+from .method import checked_method, doubts, fixed_step, linear_bound, missed, number, passed, refuse_far
 from .opening import approach
 from .record import Record
 from .reversible import Reversible, checked_reversible, refuse_forward_mode, reversible
@@ -129,6 +129,7 @@ def simulate(
     if tolerance is None:
         dt, steps, choice, remark, watch = fixed_step(lattice, state, t0, t1, step, solver, frames)
     else:
+        refuse_far(lattice, state, t0, t1)
         dt, steps, choice, remark, watch = step, None, _adaptive(tolerance, step), "", False
     one_loop = unknown or not in_pieces(_FORWARD if adjoint is None else adjoint, every)
     refuse_endless(lattice, solver, steps, max_steps, one_loop)
@@ -174,9 +175,13 @@ def simulate(
         return run
     if every:
         run = _cut(run)
-    remark = "" if unknown else doubts(lattice, state, t0, t1, step, tolerance, solver, run)
-    if remark:
-        run = named(run, run.solver, choice, f"{run.remark} {remark}".strip(), mark=run._mark)
+    if not unknown:
+        hidden = missed(lattice, t0, t1, run.stats["step"], tolerance)
+        remark = f"{hidden} {doubts(lattice, state, t0, t1, step, tolerance, solver, run)}".strip()
+        if remark:
+            run = named(run, run.solver, choice, f"{run.remark} {remark}".strip(), mark=run._mark)
+        if hidden:
+            object.__setattr__(run, "_hidden", True)
     code = np.asarray(run.code)
     if not (code == COMPLETED).all():
         if code.max() in (NOT_FINITE, STEP_TOO_SMALL):

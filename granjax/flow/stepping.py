@@ -20,6 +20,7 @@ from ..programs import compiled, parted
 from ..solvers import AbstractNystrom, AbstractSplitting, SRKN14a
 from ..types import Count, Counts, Numbers, Pytree, Scalar, VectorField
 from .breaks import OneSided, breaks_of, shared_out
+from .control import refuse_unresolved
 
 # numbers that go through a processor at once, at most: rows of tangents that are a multiple of it are up to 1.2x faster
 VECTOR = 8
@@ -119,6 +120,8 @@ def columns(like: Pytree, vectors: Numbers) -> Pytree:
 def _run(solver, field, steps, y, t0, t1, args, tangents=None):
     """`_marched` as a part of the program that is traced; elsewhere as one of its own, which is compiled once."""
     y = _floating(y)
+    if not traced((steps, t0, t1)):
+        refuse_unresolved(t0, t1, float(np.min(abs(t1 - t0) / np.asarray(steps))), _of_times(y))
     arguments = solver, field, steps, y, t0, t1, args, tangents
     fixed = solver, field, args
     if not traced((steps, y, t0, t1, args, tangents)) and all(map(_stays, jax.tree.leaves(fixed))):
@@ -135,6 +138,11 @@ def _run(solver, field, steps, y, t0, t1, args, tangents=None):
 def _floating(y):
     """A state as arrays, whole numbers as floating ones: a step is no whole number."""
     return jax.tree.map(lambda x: jnp.asarray(x, jnp.result_type(x, float)), y)
+
+
+def _of_times(y):
+    """The floating type of times, which are real where a state is complex."""
+    return jnp.finfo(jnp.result_type(*jax.tree.leaves(y))).dtype
 
 
 def _stays(leaf):
@@ -164,8 +172,7 @@ def _march(solver, field, steps, y, t0, t1, args, breaks):
     terms = diffrax.ODETerm(field)
     if getattr(solver, "scan_kind", "own") is None:  # diffrax's loop over stages, in the kind with both modes
         solver = eqx.tree_at(lambda s: s.scan_kind, solver, "bounded", is_leaf=lambda x: x is None)
-    # times are real where a state is complex
-    flat = jnp.finfo(jnp.result_type(*jax.tree.leaves(y))).dtype
+    flat = _of_times(y)
     if breaks:
         return _march_to_breaks(OneSided(solver), terms, steps, y, jnp.asarray(t0, flat), jnp.asarray(t1, flat), args,
                                 breaks)

@@ -237,8 +237,9 @@ def _window(x, axis, width):
     if width >= size:
         return x.sum(axis, keepdims=True)
     x = jnp.concatenate([x, jax.lax.slice_in_dim(x, 0, width - 1, axis=axis)], axis)
-    return jax.lax.reduce_window(x, jnp.zeros((), x.dtype), jax.lax.add,
-                                 tuple(width if i == axis else 1 for i in range(x.ndim)), (1,) * x.ndim, "VALID")
+    shape = tuple(width if i == axis else 1 for i in range(x.ndim))
+    # NumPy's zero: one of JAX's is traced within a program, and the sum is then one without derivatives
+    return jax.lax.reduce_window(x, np.zeros((), x.dtype), jax.lax.add, shape, (1,) * x.ndim, "VALID")
 
 
 def _bound(lattice, reaches, power_steps=POWER_STEPS):
@@ -271,6 +272,11 @@ def _add(total, part):
     if isinstance(total, dict):
         return {name: total[name] + part[name] if name in part else total[name] for name in total}
     return total + part
+
+
+def chosen(x: Any) -> Any:
+    """The value where differentiation alone stands in the way: a step is a choice, not a function of the scene."""
+    return jax.lax.stop_gradient(x) if isinstance(x, jax.Array) else x
 
 
 def softens(lattice: Lattice) -> bool:

@@ -88,6 +88,9 @@ def history(run_or_array: Any, quantity: Any, ts: Any) -> tuple[Any, Float[np.nd
                    "Give the array alone, or a run and quantity='u', 'v' or an array.")
         return ts, numbers("run_or_array", run_or_array, 2, finite=False)
     run = opened(run_or_array)
+    if np.size(run.ts) == 1:
+        refuse("run_or_array", "a run with several frames", "one that saved a single time",
+               "Give simulate the number of frames, such as save_at=401.")
     ts = run.ts if ts is None else ts
     if isinstance(quantity, str):
         if quantity not in ("u", "v"):

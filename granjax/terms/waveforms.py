@@ -11,7 +11,7 @@ from ..checks import parameter, positive, refuse, within
 from ..entry import checked
 from ..printing import told
 from ..types import Number, Numbers, Parameter, Waveform
-from ..units import Dimensional
+from ..units import Dimensional, Signal
 
 # rounding units by which a function may miss the time at which it jumps
 ULPS = 16
@@ -193,6 +193,18 @@ class Between(eqx.Module):
 def held(term: Any, name: str, low: Number, high: Number) -> Any:
     """A term with one of its functions of time taken `Between` two times."""
     return eqx.tree_at(lambda x: getattr(x, name), term, Between(getattr(term, name), low, high))
+
+
+def functions_of_time(term: Any) -> list[Callable]:
+    """The functions of time of a term and of those within it, as `dimensions` tell, of which no breaks are known."""
+    found = []
+    for name, kind in ((type(term).dimensions or {}) if not term.jumps() else {}).items():
+        part = getattr(term, name)
+        if isinstance(kind, Signal) and part is not None:
+            found.append(part)
+        elif hasattr(part, "jumps"):
+            found += functions_of_time(part)
+    return found
 
 
 def jumps_of(function: Callable | None, breaks: Breaks | None) -> Breaks | None:

@@ -11,10 +11,10 @@ from ...checks import concrete, refuse, show, traced, whole
 from ...lattice import Lattice
 from ...terms.tracing import reads
 from ...types import Scalar, StateLike
-from ..control import least_tolerance
+from ..control import least_tolerance, refuse_unresolved
 from ..dispatch import facts
 from ..inputs import checked_save_at, checked_size, checked_state, checked_times, held_frames
-from ..method import number
+from ..method import number, refuse_far
 from ..run import COMPLETED, Run, named
 from ..stiffness import frequency_bound
 from .damped import STEP_FRACTION, march
@@ -50,6 +50,7 @@ def with_memory(lattice: Lattice, state: StateLike, t1: Scalar, keywords: dict[s
     if fractional:
         return _damped(lattice, state, t0, t1, step, tolerance, save_ts, throw)
     dtype, step = facts(lattice).dtype, checked_size("step", step)
+    refuse_far(lattice, state, t0, t1)
     max_steps = None if max_steps is None else whole("max_steps", max_steps, 1)
     tolerance = checked_size("tolerance", tolerance)
     least = least_tolerance(dtype)
@@ -87,6 +88,7 @@ def _damped(lattice, state, t0, t1, step, tolerance, save_ts, throw):
         step = STEP_FRACTION / float(omega)
     elif omega is not None and step * omega >= 2:
         refuse("step", f"below {2 / float(omega):.3g}, where velocity Verlet is stable", show(np.asarray(step)))
+    refuse_unresolved(t0, t1, step, dtype)
     steps = max(math.ceil((t1 - t0) / step * (1 - 1e-9)), 2)
     held_frames("step", steps, state, "steps of history")
     run = march(lattice, state, number(t0, dtype), number(t1, dtype), save_ts, steps)
