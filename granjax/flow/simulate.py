@@ -24,7 +24,7 @@ from .integrate import integrate
 from .lanes import apart
 from .lifted import lift
 from .march import in_pieces, march, refuse_endless
-from .meeting import meeting
+from .meeting import meeting, passing
 from .memory import with_memory
 from .method import checked_method, doubts, fixed_step, linear_bound, number, passed
 from .opening import approach
@@ -177,7 +177,10 @@ def simulate(
         return run
     if every:
         run = _cut(run)
-    remark = "" if unknown else doubts(lattice, state, t0, t1, step, tolerance, solver, run)
+    remark = ""
+    if not unknown:
+        said = doubts(lattice, state, t0, t1, step, tolerance, solver, run)
+        remark = f"{said} {passing(lattice, run.ts, run.us, run.final.u)}".strip()
     if remark:
         run = named(run, run.solver, choice, f"{run.remark} {remark}".strip(), mark=run._mark)
     code = np.asarray(run.code)
