@@ -31,7 +31,7 @@ def square(
     **Arguments:**
 
     - `n`, `m`: cells along the two axes, `None` for as many; n in all is the number of rows of beads.
-    - `mass`: a number, or an array (n, m).
+    - `mass`: a number, which stays one in the lattice's `mass` (`gx.lattice.spread_mass`), or an array (n, m).
     - `stiffness`: K, `precompression`: F0 of each bond, of either sign, numbers or one for each of the cell's bonds
       (of `stiffness` each a number, or an array over all bonds of its kind).
       `exponent`: 1 for springs, which push and pull; another one for contacts A [d0 + e]_+^p, such as 3/2, whose
