@@ -184,6 +184,7 @@ class LatticeCase(NamedTuple):
 _MASSES = np.array([1.0, 0.5, 1.0, 0.7, 1.2, 0.9])
 _CELL = {"bead": _MASSES, "resonator": np.full(6, 0.3)}
 _WAVE = gx.Harmonic(0.3, 1.7, phase=0.4)
+_TURNING = gx.Stretch(gx.Shift(1, "free"), [1.0, 0.0])
 _ALGEBRAIC = np.arange(1.0, 13) ** -3
 _GRID = np.linspace(0.8, 1.3, 20).reshape(4, 5)
 
@@ -204,6 +205,9 @@ ALL_TERMS = (
       for b in BOUNDARIES),
     LatticeCase("bond_disorder", _chain(gx.Bond(gx.Shift(1, "fixed"), gx.Hertz(np.linspace(1, 2, 7), 0.5)))),
     LatticeCase("bond_own_map", _chain(gx.Bond(OwnMap(), gx.Hertz(1.2, 0.8))), True),
+    LatticeCase("grip", _chain(gx.Bond(_TURNING, gx.Hertz(1.0, 0.2)), gx.terms.Grip(
+        gx.strains.Slip(_TURNING.pairs, _TURNING.vector), gx.Linear(0.7), gx.Bond(_TURNING, gx.Hertz(1.0, 0.2))),
+        dimension=3)),
     LatticeCase("bond_magnets", _chain(gx.Bond(gx.Shift(1, "fixed"), gx.PowerLaw(1.0, -3.0, 1.0)))),
     LatticeCase("bond_exponents", _chain(gx.Bond(gx.Shift(1, "free"), gx.PowerLaw(1.0, np.linspace(1.2, 3, 5), 1.0))),
                 True),

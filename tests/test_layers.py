@@ -84,8 +84,7 @@ KINDS = {
                   "Strained", "Yielding", "Indented")),
         ("strains", ("Shift", "Stencil", "Pairs", "Stretch", "LinearMap", "Slip", "Along")),
         ("terms", ("Bond", "Modulated", "OnSite", "Damping", "Dashpot", "ViscousContact", "Drag", "Drive", "LongRange",
-                   "Wall", "PlasticContact", "CaputoDamping",
-                   "BrilliantovContact")),
+                   "Wall", "PlasticContact", "CaputoDamping", "BrilliantovContact", "Grip")),
     ) for name in names
 }
 

@@ -5,10 +5,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import xarray as xr
+from scipy import ndimage
 from scipy.integrate import solve_ivp
 
 import granjax as gx
 from granjax import scenes
+from granjax.flow.meeting import passing
 from granjax.flow.stiffness import frequency_bound
 
 K, M = np.array([2 * np.pi / 3, 4 * np.pi / 3]), np.array([np.pi, 0.0])
@@ -557,3 +559,330 @@ def test_films_of_stored_runs_and_what_is_no_picture(tmp_path):
     for places in (batch, np.zeros((4, 3))):
         with pytest.raises(ValueError, match="places: expected"):
             gx.plots.beads(places)
+
+
+def turned(x, angle):
+    """Displacements of a rigid rotation of places (N, 2) of beads of diameter 1, the beads turning with it."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.concatenate([x @ np.array([[c, s], [-s, c]]) - x, np.full((len(x), 1), 0.5 * angle)], 1)
+
+
+@pytest.mark.parametrize("angle", [0.7, 3.0, 3.3, -8.0, 40.0])
+def test_a_rotation_by_any_angle_slips_nowhere_and_slip_is_signed(angle):
+    crystal = scenes.hexagon(1, rotation=True, tangential=0.3, boundary="free")
+    slip = crystal.terms[1].strain_map
+    u = turned(np.asarray(crystal.positions), angle)
+    assert np.abs(slip.strain(u)).max() < 1e-13
+    assert float(crystal.potential_energy(0.0, u)) < 1e-25
+    # one bead turned by more: each of its contacts slips by as much, either way
+    for more in (0.2, -0.2):
+        one = u.copy()
+        one[3, 2] += more
+        found = np.asarray(slip.strain(one))
+        ends = np.asarray(slip.pairs.tail), np.asarray(slip.pairs.head)
+        assert np.abs(found - more * ((ends[0] == 3) | (ends[1] == 3))).max() < 1e-13
+
+
+@pytest.mark.slow
+def test_slip_of_beads_that_circle_each_other_is_continuous_in_time():
+    """Against the angle unwrapped over time, over three turns: one bead rolls around another that turns slowly."""
+    slip = gx.strains.Slip(gx.Shift(1, "free"), (1.0, 0.0))
+    t = np.linspace(0, 1, 400)
+    angle, own = 6 * np.pi * t, np.stack([2 * np.pi * t, 3.7 * np.pi * t + 0.2 * np.sin(9 * t)])
+    at = np.stack([np.cos(angle), np.sin(angle)])
+    u = np.zeros((2, 3, len(t)))
+    u[1, :2] = at - np.array([[1.0], [0.0]])
+    u[:, 2] = own
+    phi = np.unwrap(np.arctan2(at[1], at[0]))
+    assert np.abs(np.asarray(slip.strain(u))[0] - (own.sum(0) - phi)).max() < 1e-12
+
+
+def gripped(s, overlap, k):
+    """Energy of a tangential spring that lets go, and its slopes by slip and by overlap, by hand."""
+    if overlap <= 0:
+        return 0.0, 0.0, 0.0
+    if abs(s) <= overlap:
+        return k * s * s / 2, k * s, 0.0
+    # (k/2) a^2 z^3 (10 - 15 z + 6 z^2) of z = overlap/a, term by term
+    a = abs(s)
+    energy = k / 2 * (10 * overlap**3 / a - 15 * overlap**4 / a**2 + 6 * overlap**5 / a**3)
+    by_slip = k / 2 * np.sign(s) * (-10 * overlap**3 / a**2 + 30 * overlap**4 / a**3 - 18 * overlap**5 / a**4)
+    by_overlap = k / 2 * (30 * overlap**2 / a - 60 * overlap**3 / a**2 + 30 * overlap**4 / a**3)
+    return energy, by_slip, by_overlap
+
+
+def test_an_open_contact_lets_go_of_its_tangential_spring():
+    kt, kb, F0 = 0.5, 0.2, 0.001
+    chain = scenes.rotating_chain(3, precompression=F0, tangential=kt, bending=kb, boundary="free", inertia=0.5)
+    d0, rest = F0 ** (2 / 3), np.zeros(chain.shape)
+    slipped = rest.copy()
+    slipped[2, 2] = 0.004
+    closed = np.asarray(chain.force(0.0, slipped, rest))
+    # slip and roll of the last contact: both are its turn
+    assert np.abs(closed[:, 2] - [0, -kt * 0.004 + kb * 0.004, -kt * 0.004 - kb * 0.004]).max() < 1e-15
+    for apart in (d0 * 1.0001, 0.3, 20.0):
+        u = slipped.copy()
+        u[2, 0], u[2, 1] = apart, 0.1 * apart
+        force = np.asarray(chain.force(0.0, u, rest))
+        assert np.abs(force[2, 2]) == 0 and np.abs(force[1, 2]) == 0
+        # what is left is the load that is held at the end
+        assert np.abs(force[2, :2] - [-F0, 0]).max() < 1e-15
+        assert float(gx.measures.slip_ratio(chain, gx.State(u, rest))) == 0
+    # twice pressed together, and slipped beyond the overlap
+    for e, s in ((0.005, 0.01), (-0.004, 0.02), (0.003, -0.04)):
+        u = rest.copy()
+        u[2, 0], u[2, 2] = -e, s
+        _, T, N = gripped(s, d0 + e, kt)
+        _, M, more = gripped(s, d0 + e, kb)
+        force = np.asarray(chain.force(0.0, u, rest))
+        # the slip turns with the line of centres, which is shorter by e
+        want = [(d0 + e) ** 1.5 - F0 + N + more, T / (1 - e), -T - M]
+        assert np.abs(force[2] - want).max() < 1e-15
+        T_over_N = float(gx.measures.slip_ratio(chain, gx.State(u, rest)))
+        assert abs(T_over_N - abs(T) / (d0 + e) ** 1.5) < 1e-12
+
+
+@pytest.mark.parametrize("exponent, F0, law", [(1.5, 0.0, None), (2.5, 0.01, None), (1.5, 0.01, "cubic")])
+def test_derivatives_of_a_contact_that_lets_go_are_numbers(exponent, F0, law):
+    class Cubic(gx.Law):
+        k: jax.Array
+
+        def force(self, e):
+            return self.k * e**3
+
+        def energy(self, e):
+            return self.k * e**4 / 4
+
+    tangential = Cubic(jnp.array(2.0)) if law else 0.4
+    make = lambda F: scenes.rotating_chain(3, exponent=exponent, precompression=F, tangential=tangential, bending=0.1)
+    chain, d0 = make(F0), F0 ** (1 / exponent)
+    energy = lambda u: chain.potential_energy(0.0, u)
+    force = jax.jit(lambda u: chain.force(0.0, u, 0 * u))
+    slope = jax.jit(jax.jacfwd(force))
+    for u in (np.zeros(chain.shape), np.pad([[-d0 - 0.1, 0, 0.3]], ((1, 1), (0, 0))), 0.2 * RNG.normal(size=(3, 3)),
+              np.pad([[0.0, 0, d0]], ((1, 1), (0, 0))), np.pad([[-d0, 0, 0.0]], ((1, 1), (0, 0)))):
+        found = np.asarray(slope(u))
+        assert np.isfinite(found).all() and np.isfinite(np.asarray(force(u))).all()
+        step = 1e-6 * RNG.normal(size=u.shape)
+        work = float(energy(u + step) - energy(u - step)) / 2
+        assert abs(work + float((force(u) * step).sum())) < 1e-9 * 1e-2
+
+
+@pytest.mark.slow
+def test_beads_that_part_and_meet_again_keep_their_energy_against_an_independent_integration():
+    A, F0, kt, J, L = 1.0, 0.002, 0.6, 0.4, 1.0
+    chain = scenes.rotating_chain(3, precompression=F0, attraction=F0, tangential=kt, boundary="free")
+    d0 = F0 ** (2 / 3)
+
+    def rhs(t, y):
+        u, force = y[:9].reshape(3, 3), np.zeros((3, 3))
+        for n in (0, 1):
+            D = np.array([L, 0.0]) + u[n + 1, :2] - u[n, :2]
+            length = np.hypot(*D)
+            along, across = D / length, np.array([-D[1], D[0]]) / length
+            slip, overlap = u[n, 2] + u[n + 1, 2] - L * np.arctan2(D[1], D[0]), d0 + L - length
+            _, T, N = gripped(slip, overlap, kt)
+            push = A * max(overlap, 0) ** 1.5 + N - F0
+            on_head = push * along + T * L / length * across
+            force[n + 1, :2] += on_head
+            force[n, :2] -= on_head
+            force[[n, n + 1], 2] -= T
+        return np.concatenate([y[9:], (force / [1, 1, J]).ravel()])
+
+    v = np.array([[0.0, 0.0, 0.02], [0.02, 0.01, 0.0], [0.05, -0.01, 0.03]])
+    far = solve_ivp(rhs, (0, 40.0), np.concatenate([np.zeros(9), v.ravel()]), method="DOP853", rtol=1e-11, atol=1e-13)
+    run = gx.simulate(chain, gx.State(chain.zeros(), v), 40.0, tolerance=1e-11, save_at=81)
+    gaps = np.linalg.norm(np.diff(np.asarray(run.us)[..., :2] + np.asarray(chain.positions), axis=1), axis=-1) - L - d0
+    # the second contact opens and closes again
+    assert gaps[:, 1].max() > 1e-3 and (np.diff(np.sign(gaps[:, 1])) != 0).sum() >= 2
+    assert np.abs(np.asarray(run.final.u).ravel() - far.y[:9, -1]).max() < 1e-6
+    assert float(run.energy_error) < 1e-8 and run.opening == "yes"
+
+
+def rim_bonds(inside, ties):
+    """Bonds of a crystal on one grid, and those to what is outside of it, counted by flood from beyond the rim."""
+    padded = np.pad(inside, 1)
+    structure = np.zeros((3, 3), bool)
+    structure[1, 1] = True
+    for i, j in ties:
+        structure[1 + i, 1 + j] = structure[1 - i, 1 - j] = True
+    label, _ = ndimage.label(~padded, structure)
+    outside = (label == label[0, 0]) & ~padded
+    bonds = walls = 0
+    for i, j in np.argwhere(padded):
+        for a, b in ties:
+            bonds += padded[i + a, j + b]
+            walls += int(outside[i + a, j + b]) + int(outside[i - a, j - b])
+    return bonds, walls
+
+
+@pytest.mark.parametrize("make, ties, away", [
+    (scenes.square, ((1, 0), (0, 1)), lambda x: np.abs(x).max(-1) > 1.2),
+    (scenes.square, ((1, 0), (0, 1)), lambda x: np.abs(x).sum(-1) > 0.1),
+    (scenes.triangular, ((1, 0), (0, 1), (-1, 1)), lambda x: np.hypot(*np.moveaxis(x, -1, 0)) > 1.3),
+    (scenes.triangular, ((1, 0), (0, 1), (-1, 1)), lambda x: (np.hypot(*np.moveaxis(x, -1, 0)) < 2.2)
+     & (np.hypot(*np.moveaxis(x - [1.0, 0], -1, 0)) > 0.1)),
+])
+def test_a_hole_of_an_outline_is_empty(make, ties, away):
+    centre = np.array([4.0, 4.0]) if make is scenes.square else np.array([6.0, 4 * 0.75**0.5])
+    seen = []
+
+    def outline(x):
+        seen.append(away(x - centre))
+        return seen[-1]
+
+    crystal, free = (make(9, exponent=1.5, outline=outline, boundary=b) for b in ("fixed", "free"))
+    bonds, walls = rim_bonds(seen[0], ties)
+    ends = [(np.asarray(t.strain_map.pairs.tail), np.asarray(t.strain_map.pairs.head)) for t in crystal.terms]
+    assert sum(((tail == -1) | (head == -1)).sum() for tail, head in ends) == walls > 0
+    assert sum(((tail != -1) & (head != -1)).sum() for tail, head in ends) == bonds
+    assert sum(len(t.strain_map.pairs.tail) for t in free.terms) == bonds
+    # a bead beside the hole moves into it against nothing
+    x = np.asarray(crystal.positions)
+    near = np.argmin(np.linalg.norm(x - centre, axis=1))
+    u = np.zeros(crystal.shape)
+    u[near] = 1e-3 * (centre - x[near])
+    assert not np.asarray(crystal.force(0.0, u, 0 * u))[near].any() or np.allclose(x[near], centre)
+
+
+def test_a_hole_of_a_honeycomb_with_a_slit_to_the_rim_is_part_of_it():
+    whole = lambda x: np.ones(x.shape[:-1], bool)
+    x0 = np.array([12.990381, 8.0])
+    hole = lambda x: np.hypot(*np.moveaxis(x - x0, -1, 0)) > 1.2
+    slit = lambda x: hole(x) & ~((np.abs(x[..., 0] - x0[0]) < 1.0) & (x[..., 1] < x0[1]))
+    count = lambda outline: sum(sum(np.sum(np.equal(end, -1)) for end in (t.strain_map.tail, t.strain_map.head))
+                                for t in scenes.honeycomb(7, outline=outline, out_of_plane=True).terms)
+    assert count(hole) == count(whole) < count(slit)
+
+
+def said(crystal, *frames):
+    """What is said of beads without a bond in a run that has saved these displacements."""
+    us = np.stack(frames)
+    return passing(crystal, np.arange(float(len(us))), us, us[-1])
+
+
+def overlapping(x, joined, radii, periods=()):
+    """The pairs without a bond whose rims overlap, by all distances, and the nearest."""
+    R = np.add.outer(radii, radii)
+    images = [0 * x[0], *periods, *(-p for p in periods)]
+    apart = np.min([np.linalg.norm(x[:, None] - x - p, axis=-1) for p in images], 0)
+    over = np.triu((apart < (1 - 1e-4) * R) & ~joined, 1)
+    return over.sum(), np.unravel_index(np.argmin(np.where(over, apart / R, np.inf)), over.shape), apart
+
+
+@pytest.mark.parametrize("name", ["square", "strip", "honeycomb"])
+def test_beads_without_a_bond_that_overlap_are_named(name):
+    crystal = {"square": lambda: scenes.square(5, exponent=1.5, boundary="free", spacing=0.02),
+               "strip": lambda: scenes.triangular(5, 4, exponent=2.0, precompression=0.1,
+                                                  boundary=("periodic", "free")),
+               "honeycomb": lambda: scenes.honeycomb(3, exponent=1.5, boundary="free")}[name]()
+    parts = [np.asarray(x).reshape(-1, 2) for x in jax.tree.leaves(crystal.positions)]
+    x, L = np.concatenate(parts), 0.02 if name == "square" else 1.0
+    periods = [np.array([5.0, 0.0])] if name == "strip" else []
+    images = [np.zeros(2), *periods, *(-p for p in periods)]
+    rest = np.min([np.linalg.norm(x[:, None] - x - p, axis=-1) for p in images], 0)
+    joined, hits = rest < 1.1 * L, 0
+    for size in (0.02, 0.15, 0.25, 0.35, 0.5, 0.8) * 2:
+        u = size * L * RNG.normal(size=x.shape)
+        many, (i, j), apart = overlapping(x + u, joined, np.full(len(x), L / 2), periods)
+        if name == "honeycomb":
+            fields = {name: u[9 * n : 9 * n + 9].reshape(3, 3, 2) for n, name in enumerate("ab")}
+            words = passing(crystal, np.zeros(1), jax.tree.map(lambda x: x[None], fields), fields)
+            site = lambda i: f"site {divmod(i % 9, 3)} of {'ab'[i // 9]!r}"
+        else:
+            words = said(crystal, np.zeros(crystal.shape), u.reshape(crystal.shape))
+            site = lambda i: f"site {divmod(i, crystal.shape[1])}"
+            assert "at t = 1:" in words or not words
+        assert bool(words) == bool(many)
+        hits += bool(many)
+        if many:
+            assert {site(int(i)), site(int(j))} == set(words.split(": ")[1].split(", " + f"{apart[i, j]:.3g}")[0]
+                                                       .split(" and "))
+            assert (f"and {many - 1} more" in words) == (many > 1)
+    assert 2 <= hits < 12
+
+
+def test_beads_of_two_sizes_on_a_graph_and_a_chain_on_a_line():
+    # a packing of two sizes: the radii follow from who is in touch with whom
+    R = np.array([1.0, 1.0, 0.5, 0.7, 0.4])
+    x = [np.zeros(2), np.array([2.0, 0.0])]
+    for a, b, r in ((0, 1, R[2]), (1, 2, R[3]), (0, 2, R[4])):
+        # the third bead touches both, above their line
+        p, q, d1, d2 = x[a], x[b], R[a] + r, R[b] + r
+        d = np.linalg.norm(q - p)
+        along = (d1**2 - d2**2 + d**2) / (2 * d)
+        e = (q - p) / d
+        h = np.sqrt(d1**2 - along**2)
+        side = np.array([-e[1], e[0]])
+        x.append(p + along * e + h * (side if (a, b) != (1, 2) else -side) * (1 if (a, b) != (1, 2) else 1))
+    x = np.stack(x)
+    pairs = [(0, 1), (0, 2), (1, 2), (1, 3), (2, 3), (0, 4), (2, 4)]
+    tail, head = np.array(pairs).T
+    assert np.abs(np.linalg.norm(x[tail] - x[head], axis=1) - R[tail] - R[head]).max() < 1e-12
+    bond = gx.Bond(gx.Stretch(gx.Pairs(tail, head), x[head] - x[tail]), gx.Hertz())
+    packing = gx.Lattice(R**3, bond, dimension=2, positions=x)
+    joined = np.zeros((5, 5), bool)
+    joined[tail, head] = joined[head, tail] = True
+    for size in (0.0, 0.1, 0.3, 0.6, 1.0):
+        u = size * RNG.normal(size=x.shape)
+        many, _, _ = overlapping(x + u, joined, R)
+        assert bool(said(packing, u)) == bool(many)
+    # on a line the first and the third bead meet where the one between is pressed through
+    line = gx.Lattice(1.0, gx.Bond(gx.Shift(1, "fixed"), gx.Hertz()), sites=5, positions=2.0 * np.arange(5.0)[:, None])
+    assert said(line, [0, 0.9, 0, 0, 0]) == said(line, [1.0, 0, -0.9, 0, 0]) == ""
+    assert "site 0 and site 2, 1.9 apart where they touch at 2." in said(line, [1.1, 0, -1.0, 0, 0])
+    folded = scenes.rotating_chain(4, boundary="free")
+    u = np.zeros((4, 3))
+    u[2, :2], u[3, :2] = [-1.5, 0.8], [-1.0, 1.5]
+    assert "at t = 1: site 0 and site 2, 0.943 apart" in said(folded, 0 * u, u + [0, 0, 7.0])
+
+
+def test_nothing_is_said_of_scenes_without_beads_and_the_lane_is_named():
+    far = lambda x: 3 * RNG.normal(size=x.shape)
+    springs, alone = scenes.square(4), scenes.monomer(6)
+    own = gx.Lattice(1.0, (*scenes.hexagon(1, exponent=1.5).terms, Everywhere()), sites=7, dimension=2,
+                     positions=scenes.hexagon(1).positions)
+    assert said(springs, far(springs)) == said(alone, far(alone)) == said(own, far(own)) == ""
+    # beads at rest all around, which those that move may meet too
+    wall = scenes.hexagon(1, exponent=1.5)
+    x = np.asarray(wall.positions)
+    grid = [x[3] + [i + j / 2, j * 0.75**0.5] for i in range(-3, 4) for j in range(-3, 4) if abs(i + j) < 3]
+    ring = np.array([p for p in grid if 0.1 < np.linalg.norm(p - x, axis=1).min() < 1.1])
+    assert len(ring) == 12
+    seen = set()
+    for shift in (0.3, 0.6, 0.9, 1.5):
+        through = np.zeros(wall.shape)
+        through[0] = shift * np.array([0.5, -(0.75**0.5)])
+        unbound = ring[np.linalg.norm(ring - x[0], axis=1) > 1.1]
+        met = np.linalg.norm(unbound - x[0] - through[0], axis=1).min() < 1
+        assert ("site 0 and a bead of the wall" in said(wall, through)) == met
+        seen.add(bool(met))
+    assert seen == {True, False}
+    batch = jax.vmap(lambda A: scenes.square(3, stiffness=A, exponent=1.5, boundary="free"), out_axes=-1)(jnp.ones(3))
+    u = np.zeros((3, 3, 2, 3))
+    u[0, 0, :, 1] = 0.6
+    assert "in lane 1: site (0, 0) and site (1, 1)" in said(batch, 0 * u, u)
+    run = jax.jit(lambda v: gx.simulate(wall, gx.State(wall.zeros(), v), 0.1, step=0.1).final.u)
+    assert run(jnp.zeros(wall.shape)).shape == wall.shape
+
+
+class Everywhere(gx.Term):
+    """A force of one's own that may join any sites."""
+
+    def force(self, t, u, v, mass):
+        return -1e-3 * (u - u.mean(0))
+
+
+@pytest.mark.slow
+def test_the_outcome_of_a_run_names_beads_that_pass_through_one_another():
+    crystal = scenes.square(5, exponent=1.5, boundary="free")
+    v = np.zeros(crystal.shape)
+    v[0, 0] = 0.3, 0.3
+    run = gx.simulate(crystal, gx.State(crystal.zeros(), v), 6.0, save_at=25)
+    places = np.asarray(run.us) + np.asarray(crystal.positions)
+    diagonal = np.linalg.norm(places[:, 0, 0] - places[:, 1, 1], axis=-1)
+    first = np.argmax(diagonal < 1 - 1e-4)
+    assert f"overlap at t = {run.ts[first]:g}: site (0, 0) and site (1, 1), {diagonal[first]:.3g} apart" in run.outcome
+    assert run.outcome.startswith("Completed") and "Bonds are fixed" in run.outcome
+    slow = gx.simulate(crystal, gx.State(crystal.zeros(), 0.01 * v), 6.0, save_at=25)
+    assert "bond" not in slow.outcome

@@ -99,6 +99,14 @@ def test_fput_energy_of_the_first_mode():
     np.testing.assert_allclose(lattice.energy(0.0, u, jnp.zeros(31)), 0.0770443732448498, rtol=1e-13)
 
 
+def test_a_mass_that_is_one_number_stays_one_and_is_spread_on_request():
+    for scene, count in ((scenes.monomer(4, 2.0), (4,)), (scenes.fput(4, mass=2.0), (4,)),
+                         (scenes.square(2, mass=2.0), (2, 2, 2))):
+        assert scene.mass.shape[:1] in ((), (1,)) and float(scene.mass.max()) == 2.0
+        np.testing.assert_array_equal(gx.lattice.spread_mass(scene), np.full(count, 2.0))
+    np.testing.assert_array_equal(gx.lattice.spread_mass(scenes.dimer(3, 0.5)), [1, 0.5, 1])
+
+
 def test_masses_of_the_patterns():
     np.testing.assert_array_equal(scenes.dimer(5, 0.25).mass, [1, 0.25, 1, 0.25, 1])
     np.testing.assert_array_equal(scenes.trimer(5, (0.5, 0.25)).mass, [1, 0.5, 0.25, 1, 0.5])

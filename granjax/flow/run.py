@@ -41,7 +41,10 @@ class Run(Result):
       the energy (says so, or its force is not the slope of its energy); shape of the lanes.
     - `contact_opened`: whether any contact was open, one that never closed included; `opening`: the same in a word,
       with "unsure" and "unknown". `unseen`: the terms that may have contacts of which nobody knows whether they opened.
-    - `outcome`: a sentence; `completed`: whether the run reached t1 with finite numbers: each lane where they have
+    - `outcome`: a sentence. It also names beads that have no bond and overlap, at the saved times or at the end,
+      where a scene knows the size of its beads by its positions and contacts: bonds are fixed, and such beads
+      pass through one another.
+    - `completed`: whether the run reached t1 with finite numbers: each lane where they have
       steps of their own (what a lane that stopped would have to show at later times is NaN), else every lane.
     - `met`: where magnets met, (bond, number of its term, time, lane, () where the outcome names it); else `None`.
     - `stats`: dict, per lane where they have steps of their own, of `steps`, `accepted`, `rejected`, `step` (the

@@ -23,7 +23,7 @@ from .integrate import integrate
 from .lanes import apart
 from .lifted import lift
 from .march import in_pieces, march, refuse_endless
-from .meeting import meeting
+from .meeting import meeting, passing
 from .memory import with_memory
 from .method import checked_method, doubts, fixed_step, linear_bound, missed, number, passed, refuse_far
 from .opening import approach
@@ -177,7 +177,8 @@ def simulate(
         run = _cut(run)
     if not unknown:
         hidden = missed(lattice, t0, t1, run.stats["step"], tolerance)
-        remark = f"{hidden} {doubts(lattice, state, t0, t1, step, tolerance, solver, run)}".strip()
+        said = doubts(lattice, state, t0, t1, step, tolerance, solver, run)
+        remark = " ".join(filter(None, (hidden, said, passing(lattice, run.ts, run.us, run.final.u))))
         if remark:
             run = named(run, run.solver, choice, f"{run.remark} {remark}".strip(), mark=run._mark)
         if hidden:

@@ -43,7 +43,9 @@ class Lattice(eqx.Module):
     **Arguments:**
 
     - `mass`: m > 0 [kg], one per site, an array (N,) or (N1, N2) on a grid; or a number together with `sites`; or a
-      dict of those, one per named field of a cell (`{"bead": ..., "resonator": ...}`).
+      dict of those, one per named field of a cell (`{"bead": ..., "resonator": ...}`). `lattice.mass` is what was
+      given: a number stays one number, of shape (), which is quicker, and has no entry [0];
+      `gx.lattice.spread_mass(lattice)` has the mass of every site, as an array of `lattice.shape`.
     - `terms`: a tuple of `Bond`, `OnSite`, `Damping`, `Dashpot`, `ViscousContact`, `Drag`, `Drive`, `Wall`,
       `Modulated`.
     - `sites`: number of sites (a tuple on a grid), where `mass` is a number.
@@ -415,5 +417,12 @@ def _sum(parts, like):
 
 @checked
 def spread_mass(lattice: Lattice) -> Displacements:
-    """Mass of every degree of freedom, of the structure of the displacements."""
+    """Mass of every degree of freedom, of the structure of the displacements, where `lattice.mass` may be one number.
+
+    **Example:**
+
+    >>> chain = gx.scenes.monomer(3, mass=2.0)
+    >>> chain.mass.shape, gx.lattice.spread_mass(chain).tolist()
+    ((), [2.0, 2.0, 2.0])
+    """
     return jax.tree.map(lambda m, u: jnp.broadcast_to(m, u.shape), lattice.mass, lattice.zeros())

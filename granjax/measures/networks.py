@@ -119,7 +119,8 @@ def slip_ratio(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Numbers:
     r"""The largest ratio of tangential to normal force |T|/N of any contact: above the friction coefficient it slides.
 
     Of beads that turn (`rotation=True`): each `gx.strains.Slip` bond over the normal one that comes before it, with the
-    same ends. Infinite where a contact is open and T is not zero. Typical friction coefficients: 0.1 ... 0.8.
+    same ends. Their `gx.terms.Grip` lets go where its contact opens: T is then zero, and so is the ratio. It is
+    infinite where a `Bond` of a slip pulls at an open contact. Typical friction coefficients: 0.1 ... 0.8.
     **Returns:** a number, shape of the lanes. **Raises** ValueError for a lattice without such pairs.
 
     **Example:**

@@ -69,7 +69,8 @@ def monomer(
     **Arguments:**
 
     - `sites`: number of beads N >= 2.
-    - `mass`: m > 0, a number, or one per bead (N,).
+    - `mass`: m > 0, a number, or one per bead (N,). A number stays one number in the lattice's `mass`, without an entry
+      [0]; `gx.lattice.spread_mass(lattice)` has one per bead.
     - `stiffness`: A > 0, a number, or one per contact: (N + 1,), (N - 1,) or (N,) for the boundaries below.
     - `exponent`: p; 3/2 is Hertz; another number is static, an array can be swept and differentiated.
     - `precompression`: static force F0 >= 0; the number 0 is a sonic vacuum.

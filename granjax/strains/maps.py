@@ -200,6 +200,15 @@ class TwoEnds(LinearMap):
     def _return(self, f, end):
         """Transpose of `_select`."""
 
+    @abc.abstractmethod
+    def _joins(self, x, end):
+        """As `_select`, of a NumPy array of whole numbers; -1 at a wall."""
+
+    def joins(self, numbers: Any) -> tuple[np.ndarray, np.ndarray]:
+        """Numbers of the sites, NumPy arrays over them, at the tails and at the heads of all bonds; -1 for a wall."""
+        names = (None, None) if self.fields is None else self.fields
+        return tuple(self._joins(numbers if name is None else numbers[name], end) for end, name in enumerate(names))
+
     def _ends(self, u):
         if self.fields is None:
             return self._select(u, 0), self._select(u, 1)

@@ -73,6 +73,10 @@ class Pairs(TwoEnds):
             chosen = chosen * there
         return chosen if self.weights is None else chosen * _over(self.weights[end], chosen)
 
+    def _joins(self, x, end):
+        index = np.array((self.tail, self.head)[end])
+        return np.where(index == WALL, WALL, x[index])
+
     def _return(self, f, end):
         index = np.array((self.tail, self.head)[end])
         sites = self.sites[end]

@@ -20,9 +20,11 @@ class Slip(Directed):
     the vector L from tail to head at rest, |L| the sum of the radii, and phi the angle by which the line of centres has
     turned:
 
-    e = s_tail + s_head - |L| phi,   phi = angle from L to L - (u_tail - u_head), between -pi and pi.
+    e = s_tail + s_head - |L| phi,   phi = angle from L to L - (u_tail - u_head).
 
-    A rigid motion, also a rotation by a finite angle, slips nowhere, so that its force keeps both momenta. For small
+    Places tell phi up to whole turns. The turn is the one nearest to how far the beads have turned, so that e is signed
+    and lies between -pi |L| and pi |L|: two beads may circle each other as often as they like, and a rigid rotation by
+    any angle slips nowhere, so that the force keeps both momenta. For small
     displacements |L| phi is the part of u_head - u_tail along L turned by 90 degrees. A linear law of it is Mindlin's
     tangential stiffness about the static load.
 
@@ -50,7 +52,9 @@ class Slip(Directed):
     def strain(self, u):
         D, R, rest, along, *_ = self._geometry(u)
         turned = jnp.arctan2(R[1] * D[0] - R[0] * D[1], rest * rest - along)
-        return self.pairs.reach(self._component(u, 2)) - rest * turned
+        e = self.pairs.reach(self._component(u, 2)) - rest * turned
+        # places do not tell whole turns; an e of less than half a turn stays as it is, to the last digit
+        return e - 2 * jnp.pi * rest * jax.lax.round(e / (2 * jnp.pi * rest))
 
     def stiffness_bound(self, lattice, k):
         # a bead's inertia is J in m R^2: with weights J w of its displacements and w of its turning, both rows of

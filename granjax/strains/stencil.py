@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from ..checks import is_whole, one_of, parameter, refuse
 from ..entry import checked
@@ -126,6 +127,18 @@ class Shift(_Grid, TwoEnds):
 
     def _select(self, x, end):
         return self._cut_out(x, self.offset if end else (0,) * len(self.offset))
+
+    def _joins(self, x, end):
+        for axis, (k, boundary) in enumerate(zip(self.offset, self.boundary)):
+            own, least, most = k if end else 0, min(k, 0), max(k, 0)
+            if boundary == "periodic":
+                x = np.roll(x, -own, axis)
+            elif boundary == "fixed":
+                x = np.pad(x, [(most - own, own - least) if i == axis else (0, 0) for i in range(x.ndim)],
+                           constant_values=-1)
+            else:
+                x = np.take(x, np.arange(own - least, x.shape[axis] - most + own), axis)
+        return x
 
     def _return(self, f, end):
         return self._put_back(f, self.offset if end else (0,) * len(self.offset))

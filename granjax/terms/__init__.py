@@ -4,7 +4,7 @@ A term that a scene does not need is not in the tuple, and then costs nothing.
 """
 
 from .base import Compression, Excitation, Term
-from .bonds import Bond, Modulated
+from .bonds import Bond, Grip, Modulated
 from .dissipation import BrilliantovContact, CaputoDamping, Damping, Dashpot, Drag, ViscousContact
 from .long_range import LongRange
 from .plastic import PlasticContact
@@ -16,6 +16,6 @@ from .waveforms import Breaks, Function, Harmonic, Square
 
 __all__ = [
     "Bond", "Breaks", "BrilliantovContact", "CaputoDamping", "Compression", "Damping", "Dashpot", "Dependence", "Drag",
-    "Drive", "Excitation", "Function", "Harmonic", "LongRange", "Modulated", "OnSite", "PlasticContact", "Reach",
-    "Reached", "Square", "Term", "ViscousContact", "Wall",
+    "Drive", "Excitation", "Function", "Grip", "Harmonic", "LongRange", "Modulated", "OnSite", "PlasticContact",
+    "Reach", "Reached", "Square", "Term", "ViscousContact", "Wall",
 ]

@@ -144,6 +144,77 @@ def spring(law: Law, e: Number):
     return eqx.tree_at(lambda spring: spring.stiffness, Linear(), law.derivative(e)[..., None])
 
 
+class Grip(Bond):
+    r"""A tangential spring of a contact, which it lets go of: energy V(x) g(s/|x|), s the contact's overlap.
+
+    g = 1 while |x| <= s: the contact grips, by the law's own force. Where it has moved along by more than it is pressed
+    in, g = z^3 (10 - 15 z + 6 z^2) of z = s/|x|, and g = 0 where it is open. So the force -dE/du, of which a part is
+    along the line of centres, is continuous, keeps the energy and both momenta, and asks for nothing of the past: an
+    open contact has no tangential force, and it grips again where the beads come back to within s of where they touched
+    at rest. With k_t and k_n of a contact s^p it lets go at |T|/N = p k_t/k_n, 1.2 for Mindlin's spheres, which real
+    contacts reach by sliding, with friction: there is none here (`gx.measures.slip_ratio`).
+
+    **Arguments:** `strain_map`: x, a `gx.strains.Slip`, or the `gx.strains.Along` of two turns that roll; `law`: V and
+    its force; `contact`: the `Bond` along the line of centres, with as many bonds, whose law says the overlap. A law
+    that cannot open (a spring, glue) never lets go.
+
+    **Example:**
+
+    >>> pairs = gx.Shift(1, "free")
+    >>> contact = gx.Bond(gx.Stretch(pairs, (1.0, 0.0)), gx.Hertz(precompression=0.001))   # pressed in by 0.01
+    >>> grip = gx.terms.Grip(gx.strains.Slip(pairs, (1.0, 0.0)), gx.Linear(2.0), contact)
+    >>> turned = jnp.array([[0.0, 0.0, 0.004], [0.0, 0.0, 0.0]])
+    >>> apart = turned.at[1, 0].set(0.02)
+    >>> [round(float(grip.force(0.0, u, 0 * u, 1.0)[0, 2]), 6) + 0 for u in (turned, apart)]
+    [-0.008, 0.0]
+    """
+
+    dimensions = {"strain_map": PART, "law": PART, "contact": PART}
+    contact: Bond
+
+    @checked
+    def __init__(self, strain_map: StrainMap, law: Law, contact: Bond):
+        super().__init__(strain_map, law)
+        self.contact = contact
+
+    def _stored(self, x, overlap):
+        """V(x) g(s/|x|), elementwise."""
+        whole = self.law.energy(x) + self.law.preload * x
+        if overlap is None:
+            return whole
+        size = jnp.abs(x)
+        slides = (overlap > 0) & (size > overlap)
+        z = jnp.where(slides, overlap, 0) / jnp.where(slides, size, 1)
+        return whole * jnp.where(size <= overlap, 1, z**3 * (10 - 15 * z + 6 * z**2))
+
+    def _overlap(self, u):
+        return self.contact.law.overlap(self.contact.strain_map.strain(u))
+
+    def force(self, t, u, v, mass):
+        return jax.tree.map(jnp.negative, jax.grad(lambda u: jnp.sum(self.energy(t, u)))(u))
+
+    def energy(self, t, u):
+        x = self.strain_map.strain(u)
+        stored = self._stored(x, self._overlap(u))
+        if isinstance(self.law.preload, (int, float)) and not self.law.preload:
+            return stored
+        _, linear = jax.jvp(self.strain_map.strain, (jax.tree.map(jnp.zeros_like, u),), (u,))
+        return stored - self.law.preload * linear
+
+    def compressions(self, t, u):
+        x, overlap = self.strain_map.strain(u), self._overlap(u)
+        total = jax.grad(lambda x: jnp.sum(self._stored(x, overlap)))(x)
+        own = self.law.preload + self.law.force(x)
+        part = jnp.where(own == 0, 1, total / jnp.where(own == 0, 1, own))
+        return (Compression(Scaled(self.law, part), x),)
+
+    def linearised(self, lattice, t, u, v):
+        return Term.linearised(self, lattice, t, u, v)
+
+    def measured_from(self, lattice, u):
+        return Term.measured_from(self, lattice, u)
+
+
 class Modulated(Term):
     """A term whose force changes in time: F -> g(t) F.
 

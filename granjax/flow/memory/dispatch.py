@@ -14,6 +14,7 @@ from ...types import Scalar, StateLike
 from ..control import least_tolerance, refuse_unresolved
 from ..dispatch import facts
 from ..inputs import checked_save_at, checked_size, checked_state, checked_times, held_frames
+from ..meeting import passing
 from ..method import number, refuse_far
 from ..run import COMPLETED, Run, named
 from ..stiffness import frequency_bound
@@ -65,7 +66,7 @@ def with_memory(lattice: Lattice, state: StateLike, t1: Scalar, keywords: dict[s
     said = "traced" if traced(tolerance) else show(np.asarray(tolerance))
     choice = f"adaptive steps that carry internal variables, tolerance {said}"
     run = named(run, "Dopri8", choice, "", mark=lattice._mark)
-    return _completed(run, throw)
+    return _completed(lattice, run, throw)
 
 
 def _damped(lattice, state, t0, t1, step, tolerance, save_ts, throw):
@@ -93,11 +94,13 @@ def _damped(lattice, state, t0, t1, step, tolerance, save_ts, throw):
     held_frames("step", steps, state, "steps of history")
     run = march(lattice, state, number(t0, dtype), number(t1, dtype), save_ts, steps)
     choice = f"equal steps of {(t1 - t0) / steps:.4g} with the whole history, error ~ h^2"
-    return _completed(named(run, "velocity Verlet", choice, "", mark=lattice._mark), throw)
+    return _completed(lattice, named(run, "velocity Verlet", choice, "", mark=lattice._mark), throw)
 
 
-def _completed(run, throw):
+def _completed(lattice, run, throw):
     known = not traced(run.code)
+    if not traced(run):
+        run = named(run, run.solver, run.choice, passing(lattice, run.ts, run.us, run.final.u), mark=run._mark)
     if known and not (np.asarray(run.code) == COMPLETED).all() and (throw is None or throw):
         raise RuntimeError(run.outcome)
     return run

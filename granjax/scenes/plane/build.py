@@ -11,7 +11,7 @@ from ...checks import held_in_memory, non_negative, one_of, plain_zero, positive
 from ...lattice import Lattice
 from ...laws import Law, Linear, Strained
 from ...strains import BOUNDARIES, Along, Pairs, Shift, Slip, Stretch
-from ...terms import Bond, OnSite
+from ...terms import Bond, Grip, OnSite
 from ..chains import _contact
 from .cells import Cell
 from .outline import cut, positions_of
@@ -119,11 +119,12 @@ def _graph(cell, found, boundary):
 def _bonds(pairs, law, vector, motion):
     if motion.components is None:
         return [Bond(pairs, law)]
-    bonds = [Bond(Stretch(pairs, vector), law)]
+    contact = Bond(Stretch(pairs, vector), law)
+    bonds = [contact]
     if motion.tangential is not None:
-        bonds.append(Bond(Slip(pairs, vector), motion.tangential))
+        bonds.append(Grip(Slip(pairs, vector), motion.tangential, contact))
     if motion.rolling is not None:
-        bonds.append(Bond(Along(pairs, (0.0, 0.0, 1.0)), motion.rolling))
+        bonds.append(Grip(Along(pairs, (0.0, 0.0, 1.0)), motion.rolling, contact))
     if motion.pull is not None:
         bonds.append(Bond(Stretch(pairs, vector), motion.pull))
     return bonds

@@ -31,7 +31,7 @@ def square(
     **Arguments:**
 
     - `n`, `m`: cells along the two axes, `None` for as many; n in all is the number of rows of beads.
-    - `mass`: a number, or an array (n, m).
+    - `mass`: a number, which stays one in the lattice's `mass` (`gx.lattice.spread_mass`), or an array (n, m).
     - `stiffness`: K, `precompression`: F0 of each bond, of either sign, numbers or one for each of the cell's bonds
       (of `stiffness` each a number, or an array over all bonds of its kind).
       `exponent`: 1 for springs, which push and pull; another one for contacts A [d0 + e]_+^p, such as 3/2, whose
@@ -41,13 +41,14 @@ def square(
       the edge), `"periodic"`; or one for each axis: ("periodic", "free") is a strip, ("periodic", "periodic") a ring.
     - `outline`: `"cells"`, a parallelogram of n x m cells, on a grid; or a graph, u of shape (sites, 2): `"rectangle"`
       (m rows of n cells), `"hexagon"` (n rings of cells around one), a function of positions (..., 2) in bond lengths
-      that says which sites of the parallelogram are there. A graph has no bands.
+      that says which sites of the parallelogram are there. A graph has no bands. A hole in it is empty whatever the
+      `boundary`, which is that of the outer rim: what presses the bonds at rest is held on the sites around the hole.
     - `out_of_plane`: one displacement for each site, normal to the plane, u of shape (n, m); bonds then act on
       differences, e = u_i - u_j.
     - `rotation`: u of shape (n, m, 3): (u_x, u_y, R theta) with R = |R|/2, theta anticlockwise. The contacts then have
       a tangential spring `tangential`, k_t or a law of the slip (`gx.strains.Slip`), `None` for Mindlin's 0.82 K2 of
-      nu = 0.3; `inertia`: that of a bead in m R^2, 2/5 for a sphere, 1/2 for a disk. That no contact opens or slides is
-      the user's to see (`gx.measures.slip_ratio`).
+      nu = 0.3; `inertia`: that of a bead in m R^2, 2/5 for a sphere, 1/2 for a disk. A contact that opens lets go of
+      it (`gx.terms.Grip`); that none slides is the user's to see (`gx.measures.slip_ratio`).
     - `ground`: an on-site spring on every component of u of every site, `None` for none; `on_site`: a law more there,
       such as `gx.Polynomial(0, 0, 1.0)`: with both a Klein-Gordon lattice.
 

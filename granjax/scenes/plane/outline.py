@@ -10,10 +10,15 @@ from ...strains import WALL
 from .cells import Cell, Tie
 
 OUTLINES = ("cells", "rectangle", "hexagon")
+# a place without a site within a hole: nothing is there, no wall either
+VACANCY = WALL - 1
 
 
 class Cut(NamedTuple):
-    """The sites that are there: for each name their number or -1, over cells with a margin; and their positions."""
+    """The sites that are there, over cells with a margin, and their positions.
+
+    `number`: for each name the number of a site, `WALL` beyond the rim and `VACANCY` in a hole.
+    """
 
     number: dict
     positions: dict
@@ -23,11 +28,11 @@ class Cut(NamedTuple):
         return len(self.positions[name])
 
     def bonds(self, tie: Tie, fixed: bool) -> tuple:
-        """Indices of the tails and heads of one tie of all cells; -1 is a wall, where ends are fixed."""
+        """Indices of the tails and heads of one tie of all cells; `WALL` for one beyond the rim, where it is fixed."""
         tail = self.number[tie.tail]
         # nothing is there in the margin, so that what comes around is nothing
         head = np.roll(self.number[tie.head], [-k for k in tie.offset], range(tail.ndim))
-        there = (np.maximum(tail, head) if fixed else np.minimum(tail, head)) > WALL
+        there = (np.maximum(tail, head) > WALL) & (np.minimum(tail, head) >= (WALL if fixed else 0))
         return tail[there], head[there]
 
 
@@ -65,12 +70,27 @@ def cut(cell: Cell, counts: tuple, outline: str | Callable) -> Cut:
     number, places = {}, {}
     for name, x in positions_of(cell, counts, corner).items():
         there = kept & _asked(outline, x) if callable(outline) else kept
-        order = np.full(counts, WALL)
+        order = np.full(counts, VACANCY)
         order[there] = np.arange(there.sum())
         number[name], places[name] = np.pad(order, 1, constant_values=WALL), x[there]
     if sum(map(len, places.values())) < 2:
         refuse("outline", "one that holds at least two sites", f"{sum(map(len, places.values()))}")
+    _open_to_the_rim(cell, number)
     return Cut(number, places)
+
+
+def _open_to_the_rim(cell, number):
+    """Mark as `WALL` what the margin reaches from bond to bond over places without a site: the rest are holes."""
+    ends = [(number[tie.tail], number[tie.head], [-k for k in tie.offset]) for tie in cell.ties]
+    grown = True
+    while grown:
+        grown = False
+        for tail, head, offset in ends:
+            there = np.roll(head, offset, range(tail.ndim))
+            reached = (np.maximum(tail, there) == WALL) & (np.minimum(tail, there) == VACANCY)
+            grown |= bool(reached.any())
+            tail[reached] = WALL
+            head[np.roll(reached, [-k for k in offset], range(tail.ndim))] = WALL
 
 
 def _asked(outline, x):

@@ -29,7 +29,7 @@ def packing(
     **Arguments:** `material`: a name of the table or a `Material`; `radius` R [m]; `n`, `m`, `boundary`, `outline`:
     as in `gx.scenes.square`; `precompression`: F0 >= 0 [N]; `arrangement`: `"hexagonal"`, `"square"`, `"honeycomb"`,
     `"kagome"`. `rotation`: whether beads turn, u = (u_x, u_y, R theta): contacts then have Mindlin's tangential
-    stiffness 2 (1 - nu)/(2 - nu) of the normal one at F0, and do not slide.
+    stiffness 2 (1 - nu)/(2 - nu) of the normal one at F0, let go of it where they open, and do not slide.
 
     **Returns:** a `Lattice` in SI with positions. **Raises** ValueError for a radius that is not above zero, F0 < 0,
     rotation without a load. Source: Leonard, Fraternali, Daraio, Exp. Mech. 53, 327 (2013); Tournat, Perez-Arjona,

@@ -48,7 +48,8 @@ def rotating_chain(
     - `boundary`: `"fixed"` (beads at rest that do not turn at both ends), `"free"` (F0 - T held at the ends),
       `"periodic"`.
 
-    Contacts do not slide here: `gx.measures.slip_ratio` says when they would, |T|/N above the friction coefficient.
+    A contact that opens lets go of both springs (`gx.terms.Grip`). None slides: `gx.measures.slip_ratio` says when they
+    would, |T|/N above the friction coefficient.
 
     **Returns:** a `Lattice`, u of shape (sites, 3), with positions (n L, 0). **Raises** ValueError for another
     boundary, contacts without static load and without `tangential`. Source: Merkel, Tournat, Gusev, Phys. Rev. E 82,
