@@ -43,7 +43,9 @@ def is_command() -> bool:
     if first == "-m":  # its name is not known yet
         started = sys.orig_argv
         return any(a[:1] == "-" and a[-1:] == "m" and b == __package__ for a, b in zip(started, started[1:]))
-    module = Path(os.path.abspath(first)) == Path(__file__).with_name("__main__.py")
+    main = Path(__file__).with_name("__main__.py")
+    # asked of the files: the working folder, which a relative path is of, may have been deleted
+    module = os.path.exists(first) and os.path.samefile(first, main)
     return module or Path(first).name.removesuffix(".exe") == __package__
 
 

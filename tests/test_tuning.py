@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -192,3 +193,28 @@ def test_arctan_of_arrays_is_right(dtype, rtol):
 def test_arctan_of_arrays_has_its_slope():
     x = np.linspace(-5, 5, 203)
     np.testing.assert_allclose(jax.jit(jax.vmap(jax.grad(jnp.arctan)))(x), 1 / (1 + x**2), rtol=1e-14)
+
+
+GONE = """
+import os
+os.chdir({folder!r}); os.rmdir({folder!r})
+import granjax as gx
+chain = gx.scenes.monomer(3, precompression=1.0)
+print(gx.__file__); print(gx.simulate(chain, gx.states.impact(chain), 1.0).outcome)
+"""
+
+
+@pytest.mark.parametrize("how", ["text", "file"])
+def test_import_in_a_working_folder_that_is_gone(how, tmp_path):
+    """Of a copy beside no repository, as pip installs it."""
+    site, folder, script = tmp_path / "site", tmp_path / "gone", tmp_path / "script.py"
+    site.mkdir()
+    (site / "granjax").symlink_to(Path(gx.__file__).parent)
+    folder.mkdir()
+    script.write_text(GONE.format(folder=str(folder)))
+    given = ["-c", script.read_text()] if how == "text" else ["script.py"]
+    done = subprocess.run([sys.executable, *given], capture_output=True, text=True, cwd=tmp_path,
+                          env=os.environ | {"PYTHONPATH": str(site)})
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[0] == str(site / "granjax" / "__init__.py")
+    assert done.stdout.splitlines()[1].startswith("Completed")
