@@ -7,6 +7,7 @@ from jax.scipy.special import gammaln
 
 from .checks import whole, within
 from .entry import checked
+from .programs import by_rows
 from .types import Count, Numbers, Parameter
 
 
@@ -106,7 +107,7 @@ def ring_kernel(order: Parameter, sites: Count) -> Numbers:
     """
     sites = whole("sites", sites, 2)
     values = symbol(order, wave_numbers(sites))
-    return -jnp.moveaxis(jnp.fft.fft(jnp.moveaxis(values, 0, -1)).real / sites, -1, 0)[1:]
+    return -by_rows(jnp.fft.fft, values, axis=0).real[1:] / sites
 
 
 # images of a ring that are summed one by one; the rest is a series of Euler and Maclaurin

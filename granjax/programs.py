@@ -11,6 +11,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import numpy as np
+from jax.experimental.layout import Layout, with_layout_constraint
 
 from .types import Pytree
 
@@ -40,6 +41,18 @@ def compiled(function: Callable) -> Callable:
 
 
 waited = eqx.filter_jit
+
+
+def by_rows(transform: Callable, x: Any, *length: int, axis: int = -1) -> jax.Array:
+    """A Fourier transform along one axis of `x`, such as `jnp.fft.rfft`, in any program.
+
+    XLA's transforms on the CPU work row by row in memory. What follows in the same program, such as LAPACK on the
+    Jacobian of a force, may ask for columns, and XLA then fails. So the layout is fixed on both sides.
+    """
+    def kept(x):
+        return with_layout_constraint(x, Layout(tuple(range(x.ndim))))
+
+    return jnp.moveaxis(kept(transform(kept(jnp.moveaxis(x, axis, -1)), *length)), -1, axis)
 
 
 def _ordered(function):

@@ -454,3 +454,83 @@ def test_a_dark_breather_at_fixed_length():
             r = 1 - 4 / 162 / (-force * amplitude**2 / (2 * nu2)) ** 0.5
         errors.append(2 * amplitude / abs(odd[40] - odd[41]) - 1)
     assert np.all(np.abs(errors) < 6 * shifts)
+
+
+class Tanh(gx.Law):
+    """An odd law as a user writes it, of a stiffness K and a length a."""
+
+    stiffness: float
+    length: float
+
+    def force(self, e):
+        return self.stiffness * self.length * jnp.tanh(e / self.length)
+
+    def energy(self, e):
+        return self.stiffness * self.length**2 * jnp.log(jnp.cosh(e / self.length))
+
+
+class Bent(Tanh):
+    """The same, but not odd beyond a third of the length."""
+
+    def force(self, e):
+        return super().force(e) + 1e-3 * self.stiffness * jnp.maximum(e - self.length / 3, 0.0)
+
+    def energy(self, e):
+        return super().energy(e) + 5e-4 * self.stiffness * jnp.maximum(e - self.length / 3, 0.0) ** 2
+
+
+def on_sites(own, bonds=gx.Linear(0.5), sites=12):
+    """A ring with the band 1 ... sqrt(3)."""
+    return gx.Lattice(1.0, (gx.Bond(gx.Shift(1, "periodic"), bonds), gx.OnSite(own)), sites=sites)
+
+
+def two_fields(own):
+    """Bands 1 ... sqrt(3) of each field, whose sites are joined by a spring of a hundredth."""
+    fields = [(gx.Bond(gx.Shift(1, "periodic", fields=name), gx.Linear(0.5)), gx.OnSite(law, field=name))
+              for name, law in (("a", gx.Sine(1.0)), ("b", own))]
+    joined = gx.Bond(gx.Shift(0, "periodic", fields=("a", "b")), gx.Polynomial(0.01, 0.0, 0.1))
+    return gx.Lattice({"a": np.ones(12), "b": np.ones(12)}, (*fields[0], *fields[1], joined))
+
+
+ALPHAS = 0.3 * (-1.0) ** np.arange(12)
+HARMONICS = {
+    "sine-Gordon": (lambda: gx.scenes.sine_gordon(12, 0.5, boundary="periodic"), 0.8, None),
+    "its third harmonic": (lambda: gx.scenes.sine_gordon(12, 0.5, boundary="periodic"), 0.5, 3),
+    "a law in SI": (lambda: on_sites(Tanh(1.0, 3e-7), Tanh(0.5, 2e-9)), 0.8, None),
+    "bent": (lambda: on_sites(Bent(1.0, 3e-7)), 0.8, 2),
+    "asymmetric": (lambda: on_sites(gx.Polynomial(1.0, 1e-3, 1.0)), 0.8, 2),
+    "staggered": (lambda: on_sites(gx.Polynomial(1.0, ALPHAS, 1.0)), 0.8, 2),
+    "asymmetric bonds": (lambda: on_sites(gx.Sine(1.0), gx.Polynomial(0.5, 0.1)), 0.8, 2),
+    "two fields": (lambda: two_fields(Tanh(1.0, 5.0)), 0.8, None),
+    "two fields, one asymmetric": (lambda: two_fields(gx.Polynomial(1.0, 0.2)), 0.8, 2),
+    "all neighbours": (lambda: gx.scenes.fractional_sine_gordon(12, 0.5, 0.5), 0.7, None),
+}
+
+
+@pytest.mark.parametrize("name", [name if name in ("sine-Gordon", "staggered") else
+                                  pytest.param(name, marks=pytest.mark.slow) for name in HARMONICS])
+def test_harmonics_that_the_symmetry_forbids_do_not_count(name):
+    make, omega, expected = HARMONICS[name]
+    found = gx.breathers.resonant_harmonic(make(), omega)
+    assert (None if found is None else found[0]) == expected
+
+
+@pytest.mark.slow
+def test_a_breather_of_an_odd_force_whose_second_harmonic_would_be_a_wave():
+    omega, coupling, n = 0.8, 0.5, np.arange(21) - 10
+    away = np.sqrt(1 - omega**2)
+    guess = 4 * np.arctan(away / omega / np.cosh(away * n / np.sqrt(coupling)))
+    chain = gx.scenes.sine_gordon(21, coupling)
+    found = gx.breathers.breather(chain, omega, gx.State(jnp.asarray(guess), jnp.zeros(21)))
+    assert found.converged
+
+    def field(t, y):
+        u = y[:21]
+        ends = np.concatenate([u[:1], u, u[-1:]])
+        return np.concatenate([y[21:], coupling * (ends[2:] - 2 * u + ends[:-2]) - np.sin(u)])
+
+    start = np.concatenate([found.state.u, np.zeros(21)])
+    half = solve_ivp(field, (0, np.pi / omega), start, "DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
+    np.testing.assert_allclose(half, -start, rtol=0, atol=1e-9)
+    with pytest.raises(ValueError, match="n = 2: 2 omega = 1.6 lies in the band"):
+        gx.breathers.breather(on_sites(gx.Polynomial(1.0, 0.1, -0.1), sites=21), omega)

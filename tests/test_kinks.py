@@ -1,8 +1,10 @@
 """Kinks against the continuum, against SciPy, and against the limit of zero coupling."""
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.optimize import fsolve
+from scipy.special import gamma
 
 import granjax as gx
 
@@ -96,3 +98,64 @@ def test_what_is_no_well_is_refused():
     # no other centre is better than the middle
     with pytest.raises(RuntimeError, match="free ends.$"):
         gx.kinks.kink(gx.scenes.sine_gordon(12, 9.0), 2 * np.pi)
+
+
+def free_couplings(weights):
+    """The stiffness of springs to all neighbours of a free chain, as a matrix."""
+    apart = np.abs(np.subtract.outer(np.arange(len(weights) + 1), np.arange(len(weights) + 1)))
+    K = -np.concatenate([[0.0], weights])[apart]
+    return K - np.diag(K.sum(1))
+
+
+class Pendulum(gx.Law):
+    """A law as a user writes it, of wells at 0 and 2 pi/q, the field's own unit of length."""
+
+    q: float
+
+    def force(self, e):
+        return jnp.sin(self.q * e) + jnp.sin(2 * self.q * e) / 4
+
+    def energy(self, e):
+        return (1 - jnp.cos(self.q * e)) / self.q + (1 - jnp.cos(2 * self.q * e)) / (8 * self.q)
+
+
+def fractional_kernel(s, count):
+    m = np.arange(1, count + 1)
+    size = 4**s * gamma(0.5 + s) / np.sqrt(np.pi) / abs(gamma(-s))
+    return size * gamma(m - s) / gamma(m + 1 + s)
+
+
+@pytest.mark.parametrize("case", [
+    "fractional", pytest.param("two harmonics", marks=pytest.mark.slow),
+    pytest.param("double well", marks=pytest.mark.slow), pytest.param("heavy", marks=pytest.mark.slow)])
+def test_kinks_of_long_range_chains_against_dense_matrices(case):
+    if case == "fractional":  # 12 sites, as named in the literature
+        chain = gx.scenes.fractional_sine_gordon(12, 0.7, 0.1, boundary="free")
+        weights, own, slope, right = 0.1 * fractional_kernel(0.7, 11), np.sin, np.cos, 2 * np.pi
+    elif case == "two harmonics":
+        law = Pendulum(100.0)
+        chain = gx.scenes.fractional(14, 0.4, law=gx.Linear(80.0), on_site=law, boundary="free")
+        weights, right = 80 * fractional_kernel(0.4, 13), 2 * np.pi / 100
+        own = lambda u: np.sin(100 * u) + np.sin(200 * u) / 4
+        slope = lambda u: 100 * np.cos(100 * u) + 50 * np.cos(200 * u)
+    elif case == "double well":
+        kernel = np.arange(1.0, 16) ** -2.5
+        term = gx.LongRange(kernel, gx.Linear(0.3), "free")
+        chain = gx.Lattice(1.0, (term, gx.OnSite(gx.Polynomial(2.0, 3.0, 1.0))), sites=16)
+        weights, right = 0.3 * kernel, -2.0
+        own, slope = lambda u: 2 * u + 3 * u**2 + u**3, lambda u: 2 + 6 * u + 3 * u**2
+    else:
+        kernel = np.exp(-0.5 * np.arange(1.0, 13))
+        term = gx.LongRange(kernel, gx.Linear(0.2), "free")
+        chain = gx.Lattice(np.linspace(1.0, 2.0, 13), (term, gx.OnSite(gx.Sine(1.0))), sites=13)
+        weights, own, slope, right = 0.2 * kernel, np.sin, np.cos, 2 * np.pi
+    K = free_couplings(weights)
+    found = gx.kinks.kink(chain, right)
+    half = np.arange(len(K)) > (len(K) - 1) // 2
+    u = fsolve(lambda u: K @ u + own(u), np.where(half, right, 0.0), fprime=lambda u: K + np.diag(slope(u)), xtol=1e-13)
+    np.testing.assert_allclose(found.state.u, u, rtol=0, atol=1e-11 * abs(right))
+    root = np.sqrt(np.broadcast_to(chain.mass, len(K)))
+    squares = np.linalg.eigvalsh((K + np.diag(slope(u))) / root / root[:, None])
+    np.testing.assert_allclose(found.omega, np.sqrt(np.maximum(squares, 0)), rtol=1e-8)
+    assert float(found.growth) == pytest.approx(np.sqrt(max(-squares[0], 0)), rel=1e-8)
+    assert found.verdict == ("stable" if squares[0] > 0 else "unstable")

@@ -5,8 +5,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.optimize import fsolve
+from scipy.special import gamma
 
 import granjax as gx
+from granjax.first_order.coupling import of_order
 from granjax.lattice import linearised
 
 N, M = 14, 30
@@ -61,6 +64,78 @@ def test_as_the_direct_sum_with_gradient_and_tangents(name, takes, boundary):
     assert np.abs(slope + force).max() < 1e-13 * size
     assert abs(energy - stored) < 1e-13 * stored
     np.testing.assert_allclose(tangents, K @ W, rtol=0, atol=1e-13 * np.abs(K @ W).max())
+
+
+@pytest.mark.parametrize("boundary", ["free", "fixed", "periodic"])
+def test_lapack_in_the_same_program_as_the_transforms(boundary):
+    """XLA lets LAPACK's columns decide the layout of what its transforms then refuse."""
+    lattice, random = lattice_of(LAWS["polynomial"], boundary), np.random.default_rng(5)
+    u, W = jnp.asarray(0.02 * random.normal(size=N)), jnp.asarray(0.02 * random.normal(size=(N, N)))
+    force = lambda u: lattice.force(0.0, u, 0 * u)
+    forces = lambda W: jnp.linalg.eigvals(jax.vmap(force, -1, -1)(W) / 0.02)
+
+    @jax.jit
+    def found(u, W):
+        forward, reverse = jax.jacfwd(force)(u), jax.jacrev(force)(u)
+        hessian = jax.hessian(lambda u: lattice.potential_energy(0.0, u))(u)
+        spectra = [jnp.linalg.eigvalsh((K + K.T) / 2) for K in (-forward, -reverse, hessian)]
+        return forward, spectra, jnp.linalg.solve(reverse - jnp.eye(N), u), forces(W)
+
+    K, spectra, solved, lanes = found(u, W)
+    columns = [direct(LAWS["polynomial"], np.asarray(u) + 1e-6 * e, boundary, "displacement")[0]
+               - direct(LAWS["polynomial"], np.asarray(u) - 1e-6 * e, boundary, "displacement")[0] for e in np.eye(N)]
+    dense = np.stack(columns, -1) / 2e-6
+    np.testing.assert_allclose(K, dense, rtol=0, atol=1e-8 * np.abs(dense).max())
+    for squares in spectra:
+        np.testing.assert_allclose(squares, np.linalg.eigvalsh(-dense), rtol=0, atol=1e-8 * np.abs(dense).max())
+    np.testing.assert_allclose(solved, np.linalg.solve(dense - np.eye(N), u), rtol=0, atol=1e-9)
+    pushed = [direct(LAWS["polynomial"], w, boundary, "displacement")[0] for w in np.asarray(W).T]
+    wanted = np.linalg.eigvals(np.stack(pushed, -1) / 0.02)
+    assert np.abs(np.asarray(lanes)[:, None] - wanted).min(1).max() < 1e-10
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["phases of light", "long waves", "theory", "packet"])
+def test_lapack_beside_other_transforms(name):
+    if name == "phases of light":
+        coupling = of_order(12, jnp.asarray(0.6), "free")
+        function, x = lambda x: coupling(x + 0j).real, jnp.linspace(0, 1, 12)
+    elif name == "long waves":
+        wave = gx.theory.long_wave.regularised_wave(jnp.arange(-12, 12, 0.5)).strain
+        scene = gx.travelling.long_wave(gx.Hertz(), wave, spacing=0.5, speed=1.0)
+        function, x = lambda u: scene.lattice.force(0.0, u, 0 * u), scene.state.u
+    elif name == "theory":
+        function = lambda y: gx.theory.long_wave.residual(y, 0 * y, jnp.square, "strain", spacing=0.5)
+        x = jnp.linspace(0, 1, 12)
+    else:
+        ring = gx.scenes.fput(12, boundary="periodic")
+        function = lambda p: gx.states.wave_packet(ring, k=1.0, width=3.0, amplitude=p[0]).v * p
+        x = jnp.linspace(1, 2, 12)
+    # the same in two programs, of which the second has no transform
+    J = np.asarray(jax.jacfwd(function)(x))
+    squares = jax.jit(lambda x: jnp.linalg.eigvalsh(jax.jacfwd(function)(x) + jax.jacfwd(function)(x).T))(x)
+    np.testing.assert_allclose(squares, np.linalg.eigvalsh(J + J.T), rtol=0, atol=1e-12 * np.abs(J).max())
+
+
+@pytest.mark.slow
+def test_orbits_of_a_fractional_chain_against_dense_matrices():
+    chain = gx.scenes.fractional_sine_gordon(12, 0.7, 0.3, boundary="free")
+    m = np.arange(1, 12)
+    weights = 0.3 * 4**0.7 * gamma(1.2) / np.sqrt(np.pi) / abs(gamma(-0.7)) * gamma(m - 0.7) / gamma(m + 1.7)
+    K = -np.concatenate([[0.0], weights])[np.abs(np.subtract.outer(range(12), range(12)))]
+    K += np.eye(12) - np.diag(K.sum(1))
+    omega = np.sqrt(np.linalg.eigvalsh(K))
+    np.testing.assert_allclose(gx.linear.normal_modes(chain).omega, omega, rtol=1e-12)
+    angles = np.angle(gx.floquet.floquet(chain, gx.states.rest(chain), period=1.0).multipliers)
+    np.testing.assert_allclose(np.sort(np.abs(angles))[::2], omega, rtol=1e-8)
+    loads = 0.1 * np.sin(np.arange(12))
+    u = fsolve(lambda u: K @ u - u + np.sin(u) - loads, np.zeros(12), xtol=1e-13)
+    np.testing.assert_allclose(gx.equilibrium(chain, loads=loads).state.u, u, rtol=0, atol=1e-11)
+    scene = lambda s: gx.scenes.fractional_sine_gordon(12, s, 0.3, boundary="free")
+    lanes = jax.vmap(scene, out_axes=-1)(jnp.array([0.7, 0.9]))
+    x = 0.3 * np.cos(np.arange(12.0))
+    pushed = lanes.force(0.0, jnp.stack([x, x], -1), jnp.zeros((12, 2)))
+    np.testing.assert_allclose(pushed[:, 0], -(K @ x - x + np.sin(x)), rtol=0, atol=1e-13)
 
 
 def test_a_uniform_displacement_costs_no_accuracy():

@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 
 from ..fractional import kernel, symbol, total, wave_numbers
+from ..programs import by_rows
 from ..types import Amplitudes, Numbers
 
 # sites of a finite chain up to which the modes of its coupling are kept
@@ -43,10 +44,8 @@ class Coupling(eqx.Module):
         return self.diagonal is None or self.modes is not None
 
     def _filtered(self, psi, values):
-        # the transform along the last axis: XLA's CPU backend has no other
-        x, values = jnp.moveaxis(psi, 0, -1), jnp.moveaxis(values, 0, -1)
-        made = jnp.fft.ifft(values * jnp.fft.fft(x, values.shape[-1]))[..., : self.sites]
-        return jnp.moveaxis(made, -1, 0)
+        moved = values * by_rows(jnp.fft.fft, psi, len(values), axis=0)
+        return by_rows(jnp.fft.ifft, moved, axis=0)[: self.sites]
 
 
 def _turn(angle):
@@ -86,7 +85,7 @@ def _finite(sites, weights, whole, boundary):
         reach = jnp.concatenate([zero, jnp.cumsum(weights, axis=0)])
         diagonal = reach + reach[::-1]
     row = jnp.concatenate([zero, weights, zero, weights[::-1]])
-    values = -jnp.moveaxis(jnp.fft.fft(jnp.moveaxis(row, 0, -1)).real, -1, 0)
+    values = -by_rows(jnp.fft.fft, row, axis=0).real
     modes = rates = None
     if sites <= MOST_MODES:
         apart = abs(jnp.arange(sites)[:, None] - jnp.arange(sites))

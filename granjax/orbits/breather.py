@@ -13,6 +13,7 @@ from ..entry import checked
 from ..flow import Flow
 from ..lattice import Lattice, State
 from ..linear import bands, normal_modes
+from ..programs import compiled
 from ..solvers import KahanLi8
 from ..tuning import one_thread
 from ..types import Count, Numbers, Scalar, StateLike
@@ -33,6 +34,8 @@ SPACING = 8
 GUESSES = ("bright", "dark")
 # lengths by which parts of a chain are moved apart
 FAR = 10.0 ** np.arange(-9, 7, 3)
+# displacements at which forces are compared with those of the opposite ones, whatever the unit of length
+LENGTHS = 2.0 ** np.arange(-100, 101, 2)
 PUSHES = (
     "Its contacts push and never pull, and nothing else holds its parts together: over a period the mean force of "
     "every contact is the same, so zero where a motion is localised, and none of them ever closes. Give a "
@@ -290,11 +293,36 @@ def bands_of(lattice: Lattice) -> tuple[Float[np.ndarray, "bands 2"], Float[np.n
     return np.array([[run[0], run[-1]] for run in np.split(extended, apart + 1)]), omega
 
 
+@compiled
+def _asymmetry(lattice, shape):
+    """|F(u) + F(-u)| over |F(u)|, largest of all sites, at displacements of one shape and of many sizes."""
+    def force(size):
+        u = jax.tree.map(lambda x: jnp.asarray(size * x, lattice.dtype), shape)
+        return lattice.force(0.0, u, lattice.zeros())
+
+    def one(size):
+        there = force(size)
+        return largest(jax.tree.map(jnp.add, there, force(-size))) / largest(there)
+
+    return jax.lax.map(one, LENGTHS)
+
+
+def _is_odd(lattice):
+    """Whether the forces change their sign with the displacements, as they are at displacements of every size."""
+    rng = np.random.default_rng(0)
+    shape = jax.tree.map(lambda x: rng.uniform(-1, 1, x.shape), lattice.template())
+    found = np.asarray(_asymmetry(lattice, shape))
+    # a size may be beyond a law's range
+    found = found[np.isfinite(found)]
+    return bool(found.size) and bool(found.max() <= np.sqrt(jnp.finfo(lattice.dtype).eps))
+
+
 @checked
 def resonant_harmonic(lattice: Lattice, omega: Scalar, first: Count = 1) -> tuple | None:
     """The least n >= first with n omega in a band, with that band and the nearest frequency of the finite lattice.
 
-    `None` where no harmonic meets a wave.
+    `None` where no harmonic meets a wave. Where all forces are odd, F(-u) = -F(u), as of `scenes.sine_gordon`, a
+    breather is its own negative half a period later: it has no even harmonics, and these do not count.
 
     **Example:**
 
@@ -306,7 +334,10 @@ def resonant_harmonic(lattice: Lattice, omega: Scalar, first: Count = 1) -> tupl
     """
     intervals, discrete = bands_of(lattice)
     top = max(intervals.max(initial=0.0), discrete.max())
-    for n in range(first, int(top / omega) + 1):
+    harmonics = range(first, int(top / omega) + 1)
+    if len(harmonics) > 1 and _is_odd(lattice):
+        harmonics = [n for n in harmonics if n % 2]
+    for n in harmonics:
         nearest = discrete[np.argmin(np.abs(discrete - n * omega))]
         inside = [(low, high) for low, high in intervals if low * (1 + MEETS) < n * omega < high * (1 - MEETS)]
         if inside or abs(nearest - n * omega) < MEETS * nearest:

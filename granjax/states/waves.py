@@ -13,6 +13,7 @@ from ..checks import concrete, described, one_of, parameter, per_lane, positive,
 from ..entry import checked, shape_of
 from ..lattice import Lattice, State
 from ..profiles import medium_of, wave_of
+from ..programs import by_rows
 from ..types import Parameter, Scalar
 from .places import chain_only
 
@@ -70,7 +71,7 @@ def wave_packet(
     else:
         q = _column(2 * jnp.pi * jnp.fft.rfftfreq(size), lattice)
         frequency = _local_frequency(lattice, q, k) if omega is None else _given_frequency(omega, q, u.shape[1:])
-        v = jnp.fft.irfft(-1j * frequency * jnp.fft.rfft(u, axis=0), size, axis=0)
+        v = by_rows(jnp.fft.irfft, -1j * frequency * by_rows(jnp.fft.rfft, u, axis=0), size, axis=0)
     return State((zeros + u).astype(zeros.dtype), (zeros + sign * v).astype(zeros.dtype))
 
 

@@ -4,6 +4,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..programs import by_rows
+
 FACTORS = (2, 3, 5, 7)
 
 
@@ -21,10 +23,10 @@ def spectrum(c, n, parity, boundary, dtype):
     """The transform of the weights `c` (M, lanes...) on n sites: its real and its imaginary part, lanes last."""
     c = jnp.moveaxis(c.astype(dtype), 0, -1)
     if boundary == "periodic":
-        found = jnp.fft.rfft(folded(c, n))
+        found = by_rows(jnp.fft.rfft, folded(c, n))
         real, imag = (2 * found.real, None) if parity == 1 else (None, -2 * found.imag)
     else:
-        found = jnp.fft.fft(_turn(n, dtype) * _laid_out(c, n, parity))
+        found = by_rows(jnp.fft.fft, _turn(n, dtype) * _laid_out(c, n, parity))
         real, imag = found.real, found.imag
     return tuple(None if x is None else jnp.moveaxis(x, -1, 0) for x in (real, imag))
 
@@ -37,19 +39,19 @@ def behind(spectrum, ndim):
 
 
 def forth(x, boundary):
-    """The transform of `x` (N, lanes...), its frequencies last: of a layout that XLA compiles for the CPU."""
+    """The transform of `x` (N, lanes...), its frequencies last."""
     x, n = jnp.moveaxis(x, 0, -1), x.shape[0]
     if boundary == "periodic":
-        return jnp.fft.rfft(x)
+        return by_rows(jnp.fft.rfft, x)
     turn = _turn(n, x.dtype)
-    return jnp.fft.fft(turn * jnp.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, len(turn) - n)]))
+    return by_rows(jnp.fft.fft, turn * jnp.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, len(turn) - n)]))
 
 
 def back(y, n, boundary):
     """Inverse of `forth`, n sites first."""
     if boundary == "periodic":
-        return jnp.moveaxis(jnp.fft.irfft(y, n), -1, 0)
-    y = jnp.fft.ifft(y)
+        return jnp.moveaxis(by_rows(jnp.fft.irfft, y, n), -1, 0)
+    y = by_rows(jnp.fft.ifft, y)
     return jnp.moveaxis((y * _turn(n, y.real.dtype).conj()).real[..., :n], -1, 0)
 
 

@@ -27,6 +27,7 @@ import numpy as np
 
 from ..checks import broadcast, one_of, parameter, positive, refuse, returned
 from ..entry import checked
+from ..programs import by_rows
 from ..types import Numbers, Parameter, Scalar
 from . import compacton
 from .chain_wave import _numbers, _sech
@@ -148,7 +149,8 @@ def residual(
     k = (2 * np.pi * np.fft.rfftfreq(len(y))).reshape(-1, *[1] * (y.ndim - 1)) / spacing
     # the shortest wave has no slope
     odd = jnp.asarray(1j * k).at[-1 if len(y) % 2 == 0 else len(k) :].set(0)
-    derivative = lambda f, symbol: jnp.fft.irfft(symbol * jnp.fft.rfft(f, axis=0), len(y), axis=0)
+    derivative = lambda f, symbol: by_rows(
+        jnp.fft.irfft, symbol * by_rows(jnp.fft.rfft, f, axis=0), len(y), axis=0)
     F = force(y)
     if np.shape(returned("force", F)) != y.shape:
         refuse("force", f"a function that keeps the shape {y.shape}", f"one that gives {np.shape(F)}")

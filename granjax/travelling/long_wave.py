@@ -12,6 +12,7 @@ from ..entry import checked
 from ..lattice import Lattice, State
 from ..laws import Law, Scaled
 from ..printing import told
+from ..programs import by_rows
 from ..strains import StrainMap
 from ..terms import Bond
 from ..theory.long_wave import FORMS
@@ -76,7 +77,8 @@ class SpectralStrain(StrainMap):
     mean: Number
 
     def _derivative(self, w):
-        return jnp.fft.irfft(_symbol(w, self.spacing) * jnp.fft.rfft(w, axis=0), len(w), axis=0).astype(w.dtype)
+        waves = _symbol(w, self.spacing) * by_rows(jnp.fft.rfft, w, axis=0)
+        return by_rows(jnp.fft.irfft, waves, len(w), axis=0).astype(w.dtype)
 
     def strain(self, u: Displacements) -> Numbers:
         return self.mean - self._derivative(u)
