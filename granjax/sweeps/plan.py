@@ -141,8 +141,8 @@ def _refuse_draws(known, shapes):
     if _numbers(program.trace(known, *given)) != _numbers(again):
         refuse("function", "one that computes the same each time", "one with other numbers when it is called again",
                "It is compiled once for many lanes, which would share what NumPy or Python's random draws. Draw "
-               "from a parameter instead: jax.random.normal(jax.random.key(seed), shape), with one seed for each lane. Or give "
-               "lanes=False, which calls it for every lane.")
+               "from a parameter instead: jax.random.normal(jax.random.key(seed), shape), with one seed for each lane. "
+               "Or give lanes=False, which calls it for every lane.")
 
 
 def _numbers(traced):
