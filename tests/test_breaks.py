@@ -155,3 +155,81 @@ def test_what_no_break_can_be():
         gx.Breaks([0.1], period=0.0)
     with pytest.raises(ValueError, match="breaks, at which steps end"):
         gx.simulate(make(), START, 1.0, step=0.1, adjoint=gx.Reversible())
+
+
+WIDTH, WHEN = 1e-2, 2.03
+
+
+def pulse(t):
+    """A push of area one, short against any step."""
+    return jnp.exp(-(((t - WHEN) / WIDTH) ** 2)) / (WIDTH * jnp.sqrt(jnp.pi))
+
+
+def swinging(t):
+    return 0.3 * jnp.cos(1.7 * t)
+
+
+def doubled(t):
+    return 1.0 + 0.02 * pulse(t)
+
+
+RING, FREE = gx.Bond(gx.Shift(1, "periodic"), gx.Linear()), gx.Bond(gx.Shift(1, "free"), gx.Linear())
+# (terms of a chain, the one that has a pulse shorter than a step)
+PULSES = {
+    "drive": (lambda f: (RING, gx.Drive(f, 1)), pulse, "Drive"),
+    "on a swing": (lambda f: (RING, gx.Drive(f, 1)), lambda t: swinging(t) + pulse(t) / 50, "Drive"),
+    "wall": (lambda f: (FREE, gx.Wall(gx.Linear(), "left", motion=f)), pulse, "Wall"),
+    "stiffness": (lambda f: (gx.Modulated(RING, f),), doubled, "Modulated"),
+    "a swing alone": (lambda f: (RING, gx.Drive(f, 1)), swinging, None),
+    "a long pulse": (lambda f: (RING, gx.Drive(f, 1)), lambda t: jnp.exp(-((t - 2.0) ** 2)), None),
+    "a jump": (lambda f: (RING, gx.Drive(f, 1)), push, None),
+}
+
+
+@pytest.mark.parametrize("case", PULSES)
+def test_a_pulse_between_the_ends_of_steps_is_named(case):
+    make, function, name = PULSES[case]
+    run = gx.simulate(gx.Lattice(1.0, make(function), sites=N), START, 4.0, step=0.2)
+    assert (f"({name}) has a pulse that is shorter than the steps" in run.outcome) == (name is not None)
+    assert ("has a pulse" in run.outcome) == (name is not None)
+
+
+@pytest.mark.slow
+def test_records_of_a_run_that_may_have_missed_a_pulse_are_not_known_and_breaks_cure_it():
+    """Against the response to a blow, a matrix exponential: none is seen without breaks, at rest by adaptive steps."""
+    def run(breaks, **how):
+        spring, drive = gx.Bond(gx.Shift(1, "fixed"), gx.Linear()), gx.Drive(pulse, 1, breaks=breaks)
+        chain = gx.Lattice(1.0, (spring, drive), sites=N)
+        record = {"peak": gx.Peak(lambda t, y, lattice: y.u[2])}
+        return gx.simulate(chain, gx.states.rest(chain), 8.0, record=record, **how)
+
+    K = 2 * np.eye(N) - np.eye(N, k=1) - np.eye(N, k=-1)
+    A = np.block([[np.zeros((N, N)), np.eye(N)], [-K, np.zeros((N, N))]])
+    blow = np.zeros(2 * N)
+    blow[N + 1] = 1.0
+    want = expm((8.0 - WHEN) * A) @ blow
+    edges = WHEN + WIDTH * np.linspace(-5, 5, 9)
+    highest = max((expm(s * A) @ blow)[2] for s in np.linspace(0, 8.0 - WHEN, 2001))
+    for how in ({"step": 0.1}, {"tolerance": 1e-9}):
+        told = run(edges, **how)
+        assert "has a pulse" not in told.outcome and np.isfinite(told.record_error["peak"])
+        # the blow has a width: second order in it
+        assert abs(told.recorded["peak"] - highest) <= told.record_error["peak"] + WIDTH**2
+        assert np.abs(np.concatenate(told.final) - want).max() < WIDTH**2
+        missed = run(None, **how)
+        if np.abs(np.concatenate(missed.final) - want).max() > 0.1:
+            assert "has a pulse" in missed.outcome and np.isinf(missed.record_error["peak"])
+
+
+@pytest.mark.slow
+def test_what_is_at_rest_does_not_step_over_what_is_to_come():
+    """An adaptive step is never long against the lattice's own period where something drives it."""
+    late = lambda t: jnp.exp(-((t - 50.1) ** 2))
+    chain = gx.Lattice(1.0, (gx.Bond(gx.Shift(1, "fixed"), gx.Linear()), gx.Drive(late, 1)), sites=N)
+    run = gx.simulate(chain, gx.states.rest(chain), 60.0, tolerance=1e-8)
+    K = 2 * np.eye(N) - np.eye(N, k=1) - np.eye(N, k=-1)
+    squared, modes = np.linalg.eigh(K)
+    # u(t) = sum of modes sin(omega (t - s))/omega over the pulse, whose transform is a Gaussian
+    omega = np.sqrt(squared)
+    swings = np.sqrt(np.pi) * np.exp(-squared / 4) * np.sin(omega * (60.0 - 50.1)) / omega
+    assert np.abs(run.final.u - modes @ (modes[1] * swings)).max() < 1e-7

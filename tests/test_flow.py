@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import granjax as gx
 
@@ -579,3 +580,52 @@ def test_an_energy_of_rounding_is_not_called_lost_and_a_wrapped_law_may_not_know
     run = gx.simulate(lattice, gx.states.impact(lattice, velocity=1e-9), 5.0)
     assert run.energy_error > 0.02 and "does not resolve" in run.outcome and "was lost" not in run.outcome
     assert run.opening == "unknown"
+
+
+def test_an_energy_beyond_the_largest_number_is_said_to_be_one():
+    chain = gx.scenes.fput(6, 0.0)
+    run = gx.simulate(chain, gx.states.impact(chain, velocity=1e155, site=2), 1.0, step=0.1)
+    assert np.isnan(run.energy_error) and "The energy is larger than any number of float64" in run.outcome
+    assert "slope" not in run.outcome
+
+
+def as_type(dtype, *trees):
+    return [jax.tree.map(lambda x: x.astype(dtype), tree) for tree in trees]
+
+
+FAR = {
+    "float32": (np.float32, 1e6, {}), "float32, a step": (np.float32, 1e6, {"step": 0.05}),
+    "float32, a tolerance": (np.float32, -1e6, {"tolerance": 1e-4}), "float64": (np.float64, 1e14, {}),
+    "float64, a tolerance": (np.float64, 1e14, {"tolerance": 1e-8}),
+}
+
+
+@pytest.mark.parametrize("case", FAR)
+def test_times_that_steps_do_not_tell_apart_are_refused(case):
+    dtype, t0, how = FAR[case]
+    chain, state = as_type(dtype, SCENE, MOVING)
+    with pytest.raises(ValueError, match=f"gaps between numbers of {np.dtype(dtype)} .* Count time from t0=0"):
+        gx.simulate(chain, state, t0 + 5.0, t0=t0, **how)
+
+
+@pytest.mark.slow
+def test_far_times_of_a_traced_run_are_an_outcome_and_of_a_flow_refused():
+    chain, state = as_type(np.float32, SCENE, MOVING)
+    found = jax.jit(lambda v: gx.simulate(chain, (state.u, v), 1e6 + 5.0, t0=1e6))(state.v)
+    assert not found.completed and "does not resolve" in found.outcome
+    with pytest.raises(ValueError, match="gaps between numbers of float64"):
+        gx.Flow(20)(MOVING, 1e15, 1e15 + 4.0, SCENE)
+
+
+@pytest.mark.parametrize("t0", [0.0, -3e4, 1e6])
+def test_times_that_are_far_but_told_apart_are_those_of_the_drive(t0):
+    """A driven oscillator pair, whose drive counts from zero, against SciPy with time from t0."""
+    chain = gx.Lattice(1.0, (gx.Bond(gx.Shift(1, "fixed"), gx.Linear()), gx.Drive(gx.Harmonic(0.3, 1.7), 0)), sites=2)
+    run = gx.simulate(chain, gx.states.rest(chain), t0 + 4.0, t0=t0, step=0.05)
+    K, phase = np.array([[2.0, -1.0], [-1.0, 2.0]]), np.mod(1.7 * t0, 2 * np.pi)
+
+    def field(s, y):
+        return np.concatenate([y[2:], -K @ y[:2] + [0.3 * np.cos(1.7 * s + phase), 0.0]])
+
+    want = solve_ivp(field, (0, 4.0), np.zeros(4), method="DOP853", rtol=1e-11, atol=1e-12).y[:, -1]
+    assert np.abs(np.concatenate(run.final) - want).max() < 3e-9

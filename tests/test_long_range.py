@@ -145,6 +145,34 @@ def test_a_uniform_displacement_costs_no_accuracy():
     np.testing.assert_allclose(far, lattice.force(0.0, u, 0 * u), rtol=0, atol=1e-13 * np.abs(far).max())
 
 
+UNIFORM = {
+    "quartic": lambda n: gx.Lattice(1.0, gx.LongRange(KERNEL, gx.Polynomial(1.0, 0.3, 0.2), "periodic"), sites=n),
+    "odd": lambda n: gx.Lattice(0.7, gx.LongRange(KERNEL, gx.Polynomial(1.0, 0.0, 0.5), "periodic"), sites=n),
+    "free": lambda n: gx.scenes.fractional(n, 0.8, boundary="free"),
+    "fractional": lambda n: gx.scenes.fractional_fput(n, 0.6, boundary="periodic"),
+}
+
+
+class Circling(gx.Term):
+    """Springs from each site to the one before it alone, which no energy has, with one all the same."""
+
+    def force(self, t, u, v, mass):
+        return jnp.roll(u, 1, 0) - u
+
+    def energy(self, t, u):
+        return (jnp.roll(u, 1, 0) - u) ** 2 / 2
+
+
+@pytest.mark.parametrize("case", UNIFORM)
+def test_uniform_motion_is_not_taken_for_a_force_without_energy(case):
+    """What is left of a force is its rounding there; a force that has no energy is found all the same, far away too."""
+    lattice = UNIFORM[case](37)
+    gap = jax.jit(lambda u: lattice.terms[0].energy_gap(lattice, 0.0, u))
+    assert max(float(gap(jnp.full(37, x))) for x in np.linspace(0.1, 9.0, 23)) < 1e-9
+    with_waves = 3.0 + 0.1 * jnp.cos(jnp.arange(37.0))
+    assert float(gap(with_waves)) < 1e-9 and float(Circling().energy_gap(lattice, 0.0, with_waves)) > 1e-3
+
+
 def test_the_bands_of_an_algebraic_kernel():
     kernel = np.arange(1.0, 10) ** -3
     lattice = gx.Lattice(1.0, gx.LongRange(kernel, gx.Linear(1.3), "periodic"), sites=20)

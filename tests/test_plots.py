@@ -66,6 +66,14 @@ def test_a_map_of_an_array_counts_frames_unless_told(ax):
     assert colour_bar(ax).get_ylabel() == "force (N)"
 
 
+@pytest.mark.parametrize("draw", [gx.plots.space_time, gx.plots.traces, gx.plots.strain_map])
+def test_the_end_alone_is_no_history(ax, draw):
+    chain = gx.scenes.monomer(6)
+    run = gx.simulate(chain, gx.states.impact(chain), 1.0, step=0.1)
+    with pytest.raises(ValueError, match="a run with several frames, got one .* save_at=401"):
+        draw(run, ax=ax)
+
+
 def test_a_quantity_beside_a_run(ax, record):
     strain = record.us[:, :-1] - record.us[:, 1:]
     plots.space_time(record, ax, quantity=strain, label="strain")

@@ -85,9 +85,9 @@ class Drive(Term):
     **Arguments:** `waveform`: a function of time, `Harmonic(amplitude, omega)` or any callable Module; in the plane
     it returns a vector. `site`: index (a tuple on a grid), negative from the end. `field`: as in `OnSite`. `breaks`:
     times at which it jumps, as in `Modulated`; and the beginning and the end of a pulse that is not long against the
-    time step: steps end there, where otherwise a run may pass over it. Its `outcome` says so, and the errors of its
-    records are infinite, where the pulse shows at 8 to 2048 places in each step; nothing is looked at under a
-    transformation.
+    time step, with some times between where its shape counts: steps end there, where otherwise a run may pass over
+    it. A run looks at 8 to 2048 places in each step; where it finds such a pulse its `outcome` says so, and the errors
+    of its records are infinite. It finds no shorter one, and looks at nothing under a transformation.
     **Raises** ValueError where `waveform` cannot be called.
 
     **Example:**
