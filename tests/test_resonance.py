@@ -112,11 +112,58 @@ def test_refinement_finds_a_known_place():
         patch.setattr(gx.resonance.finite, "peak_forces", lambda x, *_: force(x)[None])
         ratios = np.linspace(0.1, 0.95, 18)
         sweep = gx.resonance.Transmission(ratios, force(ratios), force(ratios) / 2, 2.0, 3, 1.0)
+        # a pulse that loses nothing at 0.7123 and 0.9
+        patch.setattr(gx.resonance.finite, "decay_rate", lambda x, *_, **__: ((x - 0.7123) * (x - 0.9)) ** 2)
         found = gx.resonance.refine(sweep, accuracy=1e-5)
     np.testing.assert_allclose(found.resonances, [0.4321], atol=1e-5)
     np.testing.assert_allclose(found.resonance_transmission, [1.0], atol=1e-9)
     np.testing.assert_allclose(found.anti_resonances, [0.7123], atol=1e-5)
     np.testing.assert_allclose(found.anti_resonance_transmission, [1.1], atol=1e-5)
+
+
+# transmissions over the mass ratio, made of cosines; places of anti-resonances; which extrema are what
+SHAPES = {
+    "a split minimum": (lambda x: np.cos(10 * np.pi * x) + 0.3 * np.cos(40 * np.pi * x), [0.2, 0.4, 0.6, 0.8], None),
+    "ripples": (lambda x: np.cos(10 * np.pi * x) + 0.4 * np.cos(70 * np.pi * x), [0.2, 0.4, 0.6, 0.8], None),
+    "a maximum without a zero": (lambda x: np.cos(10 * np.pi * x), [0.2, 0.6, 0.8], 0.4),
+    "one beside a zero": (lambda x: np.cos(10 * np.pi * (x - 0.004)), [0.2, 0.4, 0.6, 0.8], None),
+}
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_resonances_are_between_anti_resonances(shape):
+    """Where the decay has zeros there are anti-resonances, and between two of them one resonance, the deepest."""
+    force, zeros, none = SHAPES[shape]
+    ratios = np.linspace(0.12, 0.92, 161)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(gx.resonance.finite, "peak_forces", lambda x, *_: (3 + force(x))[None])
+        patch.setattr(gx.resonance.finite, "decay_rate",
+                      lambda x, *_, **__: np.min([(x - zero) ** 2 for zero in zeros], axis=0))
+        found = gx.resonance.refine(gx.resonance.Transmission(ratios, 3 + force(ratios), 3 + force(ratios), 1.0, 3, 1.0),
+                                    accuracy=1e-4)
+    assert len(found.anti_resonances) == len(zeros)
+    assert np.abs(found.anti_resonances - zeros).max() < 0.03
+    fine = np.linspace(0.12, 0.92, 80001)
+    for low, high in zip(zeros, zeros[1:]):
+        here = fine[(fine > low) & (fine < high)]
+        (own,) = found.resonances[(found.resonances > low) & (found.resonances < high)]
+        assert force(own) == pytest.approx(force(here).min(), abs=1e-5)
+    assert none is None or np.abs(found.local_extrema - none).min() < 1e-3
+    # nothing is lost: as many as a fine grid has, between the ends of the coarse one
+    values = force(fine[(fine > 0.125) & (fine < 0.915)])
+    count = np.count_nonzero((values[1:-1] - values[:-2]) * (values[2:] - values[1:-1]) < 0)
+    assert len(found.resonances) + len(found.anti_resonances) + len(found.local_extrema) == count
+
+
+@pytest.mark.slow
+def test_a_split_minimum_is_one_resonance():
+    """0.5608, 0.5811, 0.5944 of 101 beads: the pulse decays at all three, so that none is an anti-resonance."""
+    ratios = np.append(np.linspace(0.24, 0.36, 7), np.linspace(0.5, 0.66, 33))
+    found = gx.resonance.refine(gx.resonance.transmission(np.append(ratios, [0.8, 0.9, 0.95, 1.0])), accuracy=2e-4)
+    np.testing.assert_allclose(found.resonances, [0.5944], atol=4e-4)
+    np.testing.assert_allclose(found.local_extrema, [0.5608, 0.5811], atol=4e-4)
+    np.testing.assert_allclose(found.anti_resonances[0], 0.3156, atol=4e-4)
+    assert "resonances: 1, anti-resonances:" in found.outcome and found.outcome.endswith("other local extrema: 2.")
 
 
 @pytest.mark.slow

@@ -75,8 +75,8 @@ def _places(out):
 
 def _picture(sweep, extrema, ending):
     # the extrema among the points, so that cusps are sharp
-    ratios = [*sweep.mass_ratio, *extrema.resonances, *extrema.anti_resonances]
-    values = [*sweep.transmission, *extrema.resonance_transmission, *extrema.anti_resonance_transmission]
+    places = [(x, T) for x, T, _ in _rows(extrema)]
+    ratios, values = zip(*places, *zip(sweep.mass_ratio, sweep.transmission))
     with gx.plots.style():
         canvas = gx.plots.figure(6.4, 4.0)
         gx.plots.transmission(
@@ -94,12 +94,18 @@ def _data(sweep, extrema):
     return netcdf(data)
 
 
+def _rows(extrema):
+    """(mass ratio, transmission, what it is), sorted."""
+    kinds = (("resonance", extrema.resonances, extrema.resonance_transmission),
+             ("anti-resonance", extrema.anti_resonances, extrema.anti_resonance_transmission),
+             ("local extremum", extrema.local_extrema, extrema.local_transmission))
+    return sorted((x, T, kind) for kind, places, values in kinds for x, T in zip(places, values))
+
+
 def _table(sweep, extrema):
     yield f"Dimer chain of {sweep.beads} beads and a wall, {len(sweep.mass_ratio)} mass ratios."
     yield "mass ratio  transmission"
-    rows = [(x, T, "resonance") for x, T in zip(extrema.resonances, extrema.resonance_transmission)]
-    rows += [(x, T, "anti-resonance") for x, T in zip(extrema.anti_resonances, extrema.anti_resonance_transmission)]
-    for x, T, kind in sorted(rows):
+    for x, T, kind in _rows(extrema):
         yield f"{x:10.4f}  {T:12.4f}  {kind}"
     known = ", ".join(f"{x:g}" for x in gx.resonance.ANTI_RESONANCES)
     yield f"Literature: first resonance {gx.resonance.FIRST_RESONANCE:g}; anti-resonances {known}."

@@ -23,8 +23,10 @@ def compute(beads: Count, ratios: Count) -> xr.Dataset:
             "peak_force": ("mass_ratio", sweep.peak_force),
             "resonance_transmission": ("resonance", extrema.resonance_transmission),
             "anti_resonance_transmission": ("anti_resonance", extrema.anti_resonance_transmission),
+            "local_extremum_transmission": ("local_extremum", extrema.local_transmission),
         },
-        {"mass_ratio": sweep.mass_ratio, "resonance": extrema.resonances, "anti_resonance": extrema.anti_resonances},
+        {"mass_ratio": sweep.mass_ratio, "resonance": extrema.resonances, "anti_resonance": extrema.anti_resonances,
+         "local_extremum": extrema.local_extrema},
         {"beads": sweep.beads, "units": "scaled: A = heavy mass = striker's velocity = 1"},
     )
 
@@ -38,8 +40,9 @@ def deepest(data: xr.Dataset) -> tuple[float, float]:
 def _draw(plots, figure, data):
     ax = figure.subplots()
     # the extrema among the grid's points, so that cusps are sharp
-    ratios = np.concatenate([data[name].values for name in ("mass_ratio", "resonance", "anti_resonance")])
-    values = [data[name].values for name in ("transmission", "resonance_transmission", "anti_resonance_transmission")]
+    found = "resonance", "anti_resonance", "local_extremum"
+    ratios = np.concatenate([data[name].values for name in ("mass_ratio", *found)])
+    values = [data[name].values for name in ("transmission", *(f"{name}_transmission" for name in found))]
     plots.transmission(
         ratios, np.concatenate(values), ax, anti_resonances=[ratio for ratio in ANTI_RESONANCES if ratio >= _LOWEST],
         label=f"wall after {data.attrs['beads']} beads", y_label="peak wall force / monomer's",

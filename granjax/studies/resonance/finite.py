@@ -10,11 +10,18 @@ from ...checks import held_in_memory, positive, refuse, tolerance, whole
 from ...entry import checked
 from ...results import Held, Result
 from ...types import Count, Parameter, Scalar
+from .decay import decay_rate
 from .lanes import LANES, checked_ratios, peak_forces
 
 LEAST_BEADS = 3
 # time a bead that the slowest pulse takes, at any ratio, and the time for its force to rise and fall
 SLOWEST, LEAST_TIME = 1.2, 5.0
+# contacts between which the pulse has found its form, and has not yet been passed by those behind it
+DEPTHS = 40, 100
+# ratios on each side of a maximum at which the decay is looked at; it touches zero there as a parabola
+LOOKED = 8
+# a share of the decay at the minima: at zeros below 0.1, at ripples of 31 to 201 beads above 0.4
+TOUCHES = 0.2
 
 
 class Transmission(Result):
@@ -49,9 +56,11 @@ class Transmission(Result):
 
 
 class Extrema(Result):
-    """What `refine` returns: local minima (`resonances`) and maxima (`anti_resonances`) of the transmission, (k,) each.
+    """What `refine` returns: minima (`resonances`) and maxima (`anti_resonances`) of the transmission, (k,) each.
 
-    `resonance_transmission`, `anti_resonance_transmission`: the transmission there. Ratios ascend.
+    Two resonances have an anti-resonance between them, where the leading pulse does not decay. `local_extrema`: other
+    minima and maxima, ripples of a finite chain. `resonance_transmission`, `anti_resonance_transmission`,
+    `local_transmission`: the transmission there. Ratios ascend.
 
     **Example:**
 
@@ -64,15 +73,19 @@ class Extrema(Result):
     held: ClassVar[dict[str, Held]] = {
         "resonances": Held("resonance", "1"), "resonance_transmission": Held("resonance", "1"),
         "anti_resonances": Held("anti_resonance", "1"), "anti_resonance_transmission": Held("anti_resonance", "1"),
+        "local_extrema": Held("local_extremum", "1"), "local_transmission": Held("local_extremum", "1"),
     }
     resonances: Float[np.ndarray, " k"]
     resonance_transmission: Float[np.ndarray, " k"]
     anti_resonances: Float[np.ndarray, " m"]
     anti_resonance_transmission: Float[np.ndarray, " m"]
+    local_extrema: Float[np.ndarray, " l"]
+    local_transmission: Float[np.ndarray, " l"]
 
     @property
     def outcome(self) -> str:
-        return f"{len(self.resonances)} resonances, {len(self.anti_resonances)} anti-resonances."
+        return (f"Found resonances: {len(self.resonances)}, anti-resonances: {len(self.anti_resonances)}, "
+                f"other local extrema: {len(self.local_extrema)}.")
 
 
 def _run_time(beads):
@@ -134,9 +147,13 @@ def refine(sweep: Transmission, *, accuracy: Scalar = 1e-4, progress: bool = Fal
     """Local extrema of a transmission over the mass ratio, by search between the neighbours of the grid's.
 
     Brackets of all extrema shrink together by 2/9 a round, eight ratios in each, so that a cusp is no harder than a
-    smooth top. A largest ratio 1 that lies above its neighbour counts as an anti-resonance. An extremum narrower than
-    the grid's spacing is not seen. Of a finite chain: its maxima are not yet the zeros of the asymptotic decay rate,
-    for which see `anti_resonance`.
+    smooth top. An extremum narrower than the grid's spacing is not seen.
+
+    A maximum is an anti-resonance where the decay rate of the leading pulse, between contacts 40 and 100 of a long
+    chain, touches zero between the minima beside it: there it is below a fifth of its values at these. A largest ratio
+    1 that lies above its neighbour is one. Of the minima between two anti-resonances the deepest is the resonance, and
+    what else is there are local extrema, ripples of a finite chain. The maxima are not yet the zeros of the asymptotic
+    decay rate, for which see `anti_resonance`.
 
     **Arguments:** `sweep`: what `transmission` returned; `accuracy`: half-width of the final brackets; `progress`: a
     progress bar.
@@ -165,7 +182,30 @@ def refine(sweep: Transmission, *, accuracy: Scalar = 1e-4, progress: bool = Fal
         x, T = _narrowed(sweep, ratios[found - 1], ratios[found + 1], signs, accuracy, progress)
     if ratios[-1] == 1 and values[-1] > values[-2]:
         x, T, signs = np.append(x, 1.0), np.append(T, values[-1]), np.append(signs, 1)
-    return Extrema(x[signs < 0], T[signs < 0], x[signs > 0], T[signs > 0])
+    lowest, highest = _named(x, T, signs, ratios[[0, -1]], progress)
+    others = ~(lowest | highest)
+    return Extrema(x[lowest], T[lowest], x[highest], T[highest], x[others], T[others])
+
+
+def _named(x, T, signs, ends, progress):
+    """Which of the extrema, whose signs alternate, are resonances, and which anti-resonances."""
+    highest, lowest = signs > 0, np.zeros(len(x), bool)
+    # around each maximum but the monomer's own, to the minima beside it or the ends of the grid
+    tops = np.flatnonzero(highest & (x < 1))
+    if not (signs < 0).any():
+        return lowest, highest
+    edges = np.concatenate([[ends[0]], x, [ends[1]]])
+    within = np.linspace(edges[tops], x[tops], LOOKED)[:-1], np.linspace(x[tops], edges[tops + 2], LOOKED)
+    places = np.concatenate(within)
+    rates = decay_rate(places.ravel(), DEPTHS, progress=progress).reshape(places.shape) if len(tops) else places
+    beside = np.stack([np.where(tops > 0, rates[0], np.inf), np.where(tops < len(x) - 1, rates[-1], np.inf)])
+    highest[tops] = rates.min(axis=0) < TOUCHES * beside.min(axis=0)
+    # groups of minima between anti-resonances
+    groups = np.cumsum(highest)
+    for group in np.unique(groups[signs < 0]):
+        members = np.flatnonzero((groups == group) & (signs < 0))
+        lowest[members[np.argmin(T[members])]] = True
+    return lowest, highest
 
 
 def _narrowed(sweep, low, high, signs, accuracy, progress):
