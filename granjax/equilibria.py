@@ -16,7 +16,7 @@ from .lattice.model import check_shape as _check_shape
 from .newton import newton
 from .programs import waited
 from .results import STATE, Held, Result
-from .types import Count, Displacements, Numbers
+from .types import AnyArray, Count, Displacements, Numbers
 
 # unknowns up to which Newton's method has a dense derivative
 DENSE = 4000
@@ -57,7 +57,7 @@ class Equilibrium(Result):
     error: Numbers | None
     lattice: Lattice
     _code: str = eqx.field(static=True)
-    _moved: bool = eqx.field(static=True)
+    _remark: str = eqx.field(static=True)
 
     @property
     def verdict(self) -> str:
@@ -88,22 +88,27 @@ class Equilibrium(Result):
         }[self.verdict]
         if self.stiffness is None:
             kind = f"A state of rest; whether it is stable is not known for more than {DENSE} displacements"
-        moved = " At u = 0 only loads on inner sites hold the lattice as it is: simulate that of `lattice`."
-        return f"{kind}: {left}.{moved * self._moved}"
+        return f"{kind}: {left}.{self._remark}"
+
+
+_MOVED = " At u = 0 only loads on inner sites hold the lattice as it is: simulate that of `lattice`."
+_BORNE = " Held sites do not move: what holds them bears the loads given on them (hold='nothing' lets these act)."
 
 
 class _Problem(eqx.Module):
     """What the residual of Newton's method reads.
 
-    `loads` from outside, who `holds` at the guess, and uniform moves that cost nothing, orthonormal columns `free`.
+    `loads` from outside, of which the `given`, who `holds` at the guess, and uniform moves that cost nothing,
+    orthonormal columns `free`.
     """
 
     lattice: Lattice
-    loads: jax.Array
-    holds: jax.Array
-    guess: jax.Array
-    free: jax.Array
-    scale: jax.Array
+    loads: AnyArray
+    given: AnyArray
+    holds: AnyArray
+    guess: AnyArray
+    free: AnyArray
+    scale: AnyArray
 
     def total(self, x):
         """All forces on the sites, those of preloads and loads among them, as one row."""
@@ -146,7 +151,8 @@ def equilibrium(
 
     - `lattice`: one `Lattice`, with fields, vectors, terms of your own; drives are left out, walls stand still, t = 0.
     - `hold`: what holds a lattice that a uniform displacement costs nothing. `"ends"`: its outermost sites stay where
-      they are, `loads` are found; `"loads"`: the loads that their preloads need at u = 0 stay, where they go is found;
+      they are, `loads` are found, but of scalar displacements where `loads` push these sites and add up to zero: they
+      act, as with `"loads"`; `"loads"`: the loads that their preloads need at u = 0 stay, where they go is found;
       `"nothing"`: neither. Or a list of sites that stay (first axis). A ring is held nowhere and keeps its mean, one
       between walls is held by these.
     - `loads`: further forces on the sites from outside [N], such as weights.
@@ -194,22 +200,32 @@ def _posed(lattice, hold, loads, guess):
     _check_shape(lattice, "guess", start)
     _check_shape(lattice, "loads", loads)
     start, own = (ravel_pytree(jax.tree.map(lambda x: jnp.asarray(x, lattice.dtype), x))[0] for x in (start, loads))
-    none = jnp.zeros(start.size, bool)
-    problem = _Problem(lattice, own, none, start, jnp.zeros((start.size, 0), start.dtype), jnp.ones((), start.dtype))
+    # what is known before tracing stays NumPy's
+    none, nothing = np.zeros(start.size, bool), np.zeros((start.size, 0), start.dtype)
+    problem = _Problem(lattice, own, own, none, start, nothing, jnp.ones((), start.dtype))
     if not traced(problem) and not np.all(np.isfinite(_total_of(problem, start))):
         refuse("guess", "displacements at which every force is finite", "others",
                "Magnets that touch have no force: start where all of them are apart.")
-    moves = _free_moves(problem)
-    edges = _edges(problem)
+    moves, edges, acts = _free_moves(problem), _edges(problem), np.False_
     if isinstance(hold, str):
         one_of("hold", hold, HOLDS)
-        holds = edges if hold == "ends" and moves.shape[1] and bool(np.any(edges)) else none
+        holds = edges if hold == "ends" and moves.shape[1] else none
+        if lattice.dimension is None:
+            acts = _balanced(own, holds, moves)
     else:
         holds = _chosen(lattice, hold)
-    if bool(np.any(holds)):
-        moves = moves[:, :0]
-    dead = jnp.zeros_like(edges) if hold == "nothing" else edges & ~holds
+    if np.any(holds):
+        moves, holds = moves * acts, holds & ~acts
+    dead = none if hold == "nothing" else edges & ~holds
     return eqx.tree_at(lambda p: (p.loads, p.holds, p.free), problem, (_loaded(lattice, own, dead), holds, moves))
+
+
+def _balanced(loads, holds, moves):
+    """Whether loads push sites that would be held, and no uniform displacement of the lattice."""
+    numpy = jnp if traced(loads) else np
+    loads = numpy.asarray(loads)
+    rounding = ROUNDING * np.finfo(loads.dtype).eps * numpy.abs(loads).sum()
+    return numpy.any(loads * holds != 0) & numpy.all(numpy.abs(moves.T @ loads) <= rounding)
 
 
 @eqx.filter_jit
@@ -234,9 +250,11 @@ def _free_moves(problem):
     for term in lattice.terms:
         answers = np.asarray(term.resists(lattice, moves)).reshape(-1, len(moves))
         resisted |= np.any(answers != 0, 0) if len(answers) else False
-    free = [np.asarray(ravel_pytree(move)[0]) for move, held in zip(moves, resisted) if not held]
+    free = [np.concatenate([x.ravel() for x in jax.tree.leaves(move)])
+            for move, held in zip(moves, resisted) if not held]
     columns = [x / np.linalg.norm(x) for x in free]
-    return jnp.asarray(np.stack(columns, -1) if columns else np.zeros((problem.guess.size, 0)), problem.guess.dtype)
+    found = np.stack(columns, -1) if columns else np.zeros((problem.guess.size, 0))
+    return found.astype(problem.guess.dtype)
 
 
 def _ones(s, at):
@@ -255,7 +273,7 @@ def _edges(problem):
         if sides and not _goes_around(problem, axis):
             for end in (0 if name == "left" else -1 for name in sides):
                 edges |= _slab(lattice, axis, end)
-    return jnp.asarray(edges)
+    return edges
 
 
 def _stand_in(x):
@@ -284,7 +302,7 @@ def _slab(lattice, axis, end):
         flags[(slice(None),) * axis + (end,)] = True
         return flags
 
-    return np.asarray(ravel_pytree(jax.tree.map(of, lattice.template()))[0])
+    return np.concatenate([x.ravel() for x in jax.tree.leaves(jax.tree.map(of, lattice.template()))])
 
 
 @eqx.filter_jit
@@ -295,12 +313,12 @@ def _response(problem, push):
 def _chosen(lattice, hold):
     """The flags of some sites, counted along the first axis."""
     sites = min(s.shape[0] for s in jax.tree.leaves(lattice.template()))
-    flags = np.zeros(len(ravel_pytree(lattice.zeros())[0]), bool)
+    flags = np.zeros(sum(s.size for s in jax.tree.leaves(lattice.template())), bool)
     for site in hold:
         if not is_whole(site) or not -sites <= site < sites:
             refuse("hold", f"{', '.join(map(repr, HOLDS))}, or sites from 0 to {sites - 1}", repr(hold))
         flags |= _slab(lattice, 0, int(site))
-    return jnp.asarray(flags)
+    return flags
 
 
 @eqx.filter_jit
@@ -332,25 +350,28 @@ def _least(jacobian, problem):
 
 @waited
 def _finished(problem, x, jacobian):
-    """What is known at the state of rest: (state, loads, residual, largest force, least stiffness, lattice, ends)."""
+    """What is known at the state of rest: see `_result`."""
     lattice, u = problem.lattice, _shaped(problem.lattice, x)
     force = problem.total(x)
     residual = jnp.max(jnp.where(problem.holds, 0, jnp.abs(force)))
     loads = _shaped(lattice, problem.loads - jnp.where(problem.holds, force, 0))
     measured = eqx.tree_at(lambda x: x.terms, lattice, tuple(
         term.measured_from(lattice, u) for term in lattice.terms))
-    inner = jnp.abs(ravel_pytree(_total(lattice, lattice.zeros()))[0] + problem.loads)
+    inner = jnp.abs(ravel_pytree(_total(lattice, lattice.zeros()))[0] + problem.loads - problem.given)
     inner = jnp.max(jnp.where(problem.holds, 0, inner))
+    borne = jnp.any(problem.holds & (problem.given != 0))
     least = None if jacobian is None else _least(jax.lax.stop_gradient(jacobian), problem)
     state = State(u, jax.tree.map(jnp.zeros_like, u))
-    return state, loads, residual, _sizes(problem, x)[0], inner, least, measured, _ends(lattice, u, loads)
+    return state, loads, residual, _sizes(problem, x)[0], inner, borne, least, measured, _ends(lattice, u, loads)
 
 
 def _result(problem, x, jacobian, code, throw):
-    state, loads, residual, largest, inner, least, measured, ends = _finished(problem, x, jacobian)
-    moved = not traced((inner, largest)) and bool(inner > TIGHT * largest)
+    state, loads, residual, largest, inner, borne, least, measured, ends = _finished(problem, x, jacobian)
+    remark = ""
+    if not traced((inner, largest, borne)):
+        remark = _MOVED * bool(inner > TIGHT * largest) + _BORNE * bool(borne)
     least, error = (None, None) if least is None else least
-    found = Equilibrium(state, loads, ends, residual, largest, least, error, measured, code, moved,
+    found = Equilibrium(state, loads, ends, residual, largest, least, error, measured, code, remark,
                         **problem.lattice.origin)
     if not traced(found) and (throw is None or throw) and not found.found:
         raise RuntimeError(found.outcome)

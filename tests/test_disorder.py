@@ -295,3 +295,65 @@ def test_exponents_beside_a_constant_and_their_picture():
     assert "participation" in gx.plots.spreading(found, measure="participation").get_ylabel()
     with pytest.raises(ValueError, match="found: expected what gx.studies.spreading returns"):
         gx.plots.spreading(3)
+
+
+def decay(mass, k, c, s, g, omega):
+    """The slower decay of a wave driven at one end of a finite chain, by a dense complex matrix (NumPy)."""
+    n = len(mass)
+    D = np.zeros((n, n), complex)
+    joint = k - 1j * omega * c
+    for i in range(n):
+        D[i, i] = joint[i] + joint[i + 1] + s[i] - 1j * omega * g[i] - mass[i] * omega**2
+    D += np.diag(-joint[1:-1], 1) + np.diag(-joint[1:-1], -1)
+    u = np.abs(np.linalg.solve(D, np.eye(n)[0]))
+    return np.polyfit(np.arange(n // 8, n // 2), np.log(u[n // 8 : n // 2]), 1)[0] * -1
+
+
+N_LOSSY = 400
+FIXED = gx.Shift(1, "fixed")
+
+
+@pytest.mark.parametrize("terms, omega, parts", [
+    # K_n, c_n, S_n, g_n
+    ((gx.Bond(FIXED, gx.Linear(1.0)), gx.Damping(0.1)), 1.0, (1.0, 0.0, 0.0, 0.1)),
+    ((gx.Bond(FIXED, gx.Linear(1.0)), gx.Dashpot(FIXED, 0.2)), 1.3, (1.0, 0.2, 0.0, 0.0)),
+    ((gx.Bond(FIXED, gx.Hertz(1.0, 1.0)), gx.OnSite(gx.Sine(0.4)), gx.Damping(0.05), gx.Dashpot(FIXED, 0.1)), 1.7,
+     (1.5, 0.1, 0.4, 0.05)),
+])
+def test_damping_decays_as_a_driven_chain_does(terms, omega, parts):
+    chain = gx.Lattice(1.0, terms, sites=N_LOSSY)
+    found = gx.linear.localisation_length(chain, omega)
+    k, c, s, g = (np.full(N_LOSSY + 1, x) for x in parts)
+    expected = decay(np.ones(N_LOSSY), k, c, s, g, omega)
+    assert bool(found.resolved) and abs(float(found.gamma) - expected) < 3 * float(found.error) + 1e-6 * expected
+    # cos(kappa) = 1 - (omega^2 - s)/(2 k), all of them complex
+    kappa = np.arccos(1 - (omega**2 - parts[2] + 1j * omega * parts[3]) / (2 * (parts[0] - 1j * omega * parts[1])))
+    assert expected == pytest.approx(abs(kappa.imag), rel=1e-6)
+    assert float(found.gamma) == pytest.approx(expected, rel=2e-4)
+
+
+def test_the_loss_of_a_wave_is_differentiable_and_runs_in_lanes():
+    def gamma(g):
+        chain = gx.Lattice(1.0, (gx.Bond(FIXED, gx.Linear(1.0)), gx.Damping(g)), sites=2000)
+        return gx.linear.localisation_length(chain, 1.0).gamma
+
+    closed = lambda g: abs(np.arccos(0.5 - 0.5j * g).imag)
+    slope = (closed(0.1 + 1e-5) - closed(0.1 - 1e-5)) / 2e-5
+    assert float(jax.grad(gamma)(0.1)) == pytest.approx(slope, rel=1e-4)
+    assert float(jax.jacfwd(gamma)(0.1)) == pytest.approx(slope, rel=1e-4)
+
+
+class Gyroscopic(gx.Term):
+    """Pushes neighbours by each other's velocity, one of either sign: no work is done, no law of damping."""
+
+    def force(self, t, u, v, mass):
+        return 0.2 * (jnp.pad(v[1:], (0, 1)) - jnp.pad(v[:-1], (1, 0)))
+
+
+@pytest.mark.parametrize("term, sentence", [
+    (Gyroscopic(), "gyroscopic"), (gx.CaputoDamping(0.5, 0.1), "remembers"),
+    (gx.Dashpot(gx.Shift(2, "fixed"), 0.1), "further"),
+])
+def test_other_forces_by_velocity_are_refused(term, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        gx.linear.localisation_length(gx.Lattice(1.0, (gx.Bond(FIXED, gx.Linear()), term), sites=N), 0.5)

@@ -168,3 +168,144 @@ def test_refusals():
         gx.scenes.magnets(N, P, spacing=1.0, diameter=1.2)
     with pytest.raises(ValueError, match="repel less further apart"):
         gx.scenes.magnets(N, 1.5)
+
+
+def chain_at_rest(positions, p, boundary):
+    """Where magnets of force r^p rest between the outermost two, by SciPy."""
+    from scipy.optimize import root
+
+    x = np.array(positions, float)
+
+    def forces(inner):
+        x[1:-1] = inner
+        away = x[:, None] - x
+        np.fill_diagonal(away, np.inf)
+        return np.sum(np.sign(away) * np.abs(away) ** p, 1)[1:-1]
+
+    found = root(forces, x[1:-1], tol=1e-14)
+    x[1:-1] = found.x
+    return x if boundary == "free" else x[1:-1]
+
+
+def rest_of(p, sites, boundary):
+    return gx.scenes.magnets(sites, p, boundary=boundary).terms[0].rest
+
+
+@pytest.mark.parametrize("sites, boundary", [(6, "free"), (5, "fixed")])
+def test_magnets_of_a_traced_exponent_rest_where_they_do(sites, boundary):
+    exponents = jnp.array([-4.5, -4.0, -2.7])
+    ends = np.arange(sites) if boundary == "free" else np.arange(-1, sites + 1)
+
+    def expected(p):
+        return chain_at_rest(ends, p, boundary) - np.arange(sites)
+
+    found = jax.jit(jax.vmap(lambda p: rest_of(p, sites, boundary), out_axes=-1))(exponents)
+    for lane, p in enumerate(exponents):
+        np.testing.assert_allclose(found[:, lane], expected(float(p)), atol=1e-13)
+        np.testing.assert_allclose(rest_of(p, sites, boundary), expected(float(p)), atol=1e-13)
+    slope = (expected(-2.7 + 1e-4) - expected(-2.7 - 1e-4)) / 2e-4
+    for mode in (jax.jacfwd, jax.jacrev):
+        np.testing.assert_allclose(mode(lambda p: rest_of(p, sites, boundary))(-2.7), slope, atol=1e-7)
+    bend = (expected(-2.7 + 1e-3) - 2 * expected(-2.7) + expected(-2.7 - 1e-3)) / 1e-6
+    found = jax.jacfwd(jax.jacrev(lambda p: rest_of(p, sites, boundary)))(-2.7)
+    np.testing.assert_allclose(found, bend, atol=1e-6)
+
+
+def test_magnets_that_are_felt_far_away_rest_or_are_refused():
+    """Plain steps of Newton's method pass one magnet through the next where p is about -1 and above."""
+    for p, sites in ((-1.0, 10), (-0.5, 6)):
+        x = np.concatenate([[-1.0], np.arange(sites) + np.asarray(rest_of(p, sites, "fixed")), [sites]])
+        away = x[:, None] - x
+        np.fill_diagonal(away, np.inf)
+        assert (np.diff(x) > 0).all()
+        assert np.abs(np.sum(np.sign(away) * np.abs(away) ** p, 1)[1:-1]).max() < 1e-12
+    with pytest.raises(ValueError, match="Take fewer magnets"):
+        gx.scenes.magnets(200, -0.1)
+
+
+@pytest.mark.slow
+def test_eight_magnets_of_swept_exponents_run_as_alone_and_are_differentiated():
+    def final(p, **keywords):
+        chain = gx.scenes.magnets(4, p)
+        return gx.simulate(chain, gx.states.impact(chain, velocity=0.1), 2.0, step=0.05, **keywords).final.u
+
+    exponents = jnp.linspace(-4.5, -2.7, 8)
+    chains = jax.vmap(lambda p: gx.scenes.magnets(4, p), out_axes=-1)(exponents)
+    together = gx.simulate(chains, gx.states.impact(chains, velocity=0.1), 2.0, step=0.05).final.u
+    np.testing.assert_allclose(together[:, 3], final(float(exponents[3])), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(together[:, 3], jax.jit(final)(exponents[3]), rtol=0, atol=1e-12)
+    slope = (final(-4.0 + 1e-4) - final(-4.0 - 1e-4)) / 2e-4
+    np.testing.assert_allclose(jax.jacfwd(final)(-4.0), slope, rtol=1e-5)
+    np.testing.assert_allclose(jax.grad(lambda p: final(p)[2])(-4.0), slope[2], rtol=1e-5)
+
+
+@pytest.mark.slow
+def test_the_exponent_of_magnets_is_fitted():
+    chain = gx.scenes.magnets(4, -3.3)
+    state, ts = gx.states.impact(chain, velocity=0.2), np.linspace(0.2, 3.0, 15)
+    data = gx.simulate(chain, state, 3.0, step=0.05, save_at=ts).vs
+    found = gx.fit(lambda q: gx.scenes.magnets(4, q["exponent"]), {"exponent": -4.0},
+                   gx.Traces(times=ts, velocity=data, sites=[0, 1, 2, 3], sigma=1e-4), state=state)
+    assert float(found.parameters["exponent"]) == pytest.approx(-3.3, abs=1e-4)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("make, loads", [
+    # u by hand: a chain between walls, springs in a row
+    (lambda k: gx.Lattice(1.0, gx.Bond(gx.Shift(1, "fixed"), gx.Polynomial(k, 0.3 * k, 0.2 * k)), sites=4), None),
+    (lambda k: gx.Lattice(1.0, (gx.Bond(gx.Shift(1, "free"), gx.Toda(k, 1.0)), gx.OnSite(gx.Linear(1.0))), sites=4),
+     None),
+    (lambda k: gx.Lattice(1.0, gx.Bond(gx.Shift(1, "free"), gx.Polynomial(k, 0.0, k)), sites=4),
+     jnp.array([0.4, 0.1, -0.3, -0.2])),
+])
+def test_rest_under_transformations(make, loads):
+    """jit, vmap, both modes and curvature, against SciPy on the forces written out."""
+    from scipy.optimize import fsolve
+
+    push = jnp.array([0.3, 0.0, -0.1, 0.2]) if loads is None else loads
+
+    def rest(k):
+        return gx.equilibrium(make(k), loads=push).state.u
+
+    def alone(k):
+        lattice = make(k)
+        force = jax.jit(lambda u: lattice.force(0.0, u, jnp.zeros(4)))
+        if loads is None:
+            return fsolve(lambda u: np.asarray(force(u) + push), np.zeros(4), xtol=1e-13)
+        # e (k + k e^2) of each spring is what pushes from the left; the mean stays
+        squeezed = [np.roots([k, 0, k, -f])[-1].real for f in np.cumsum(push)[:-1]]
+        u = -np.concatenate([[0], np.cumsum(squeezed)])
+        return u - u.mean()
+
+    ks = jnp.array([0.8, 1.0, 1.7])
+    found = jax.jit(jax.vmap(rest))(ks)
+    np.testing.assert_allclose(found, [alone(float(k)) for k in ks], atol=1e-9)
+    np.testing.assert_allclose(jax.jit(rest)(1.0), rest(1.0), atol=1e-14)
+    slope = (alone(1.0 + 1e-4) - alone(1.0 - 1e-4)) / 2e-4
+    for mode in (jax.jacfwd, jax.jacrev):
+        np.testing.assert_allclose(jax.jit(mode(rest))(1.0), slope, atol=1e-6)
+
+
+def test_loads_on_the_ends_of_a_free_chain_act_where_they_balance():
+    chain = gx.scenes.fput(5, alpha=0.25, boundary="free")
+    found = gx.equilibrium(chain, loads=jnp.array([1.0, 0, 0, 0, -1.0]))
+    e = (np.sqrt(2) - 1) * 2  # e + e^2/4 = 1
+    np.testing.assert_allclose(-np.diff(found.state.u), e, rtol=1e-13)
+    np.testing.assert_allclose(found.loads, [1.0, 0, 0, 0, -1.0])
+    np.testing.assert_allclose(found.ends, 1.0)
+    assert found.verdict == "stable" and abs(float(np.mean(found.state.u))) < 1e-15
+    traced = jax.jit(lambda f: gx.equilibrium(chain, loads=f * jnp.array([1.0, 0, 0, 0, -1.0])).state.u)
+    np.testing.assert_allclose(traced(1.0), found.state.u, atol=1e-14)
+
+
+def test_loads_that_do_not_balance_are_borne_and_the_outcome_says_so():
+    chain = gx.scenes.fput(5, alpha=0.0, boundary="free")
+    found = gx.equilibrium(chain, loads=jnp.array([1.0, 0.2, 0, 0, 0]))
+    # a straight line from the load to either end, both of which stay
+    np.testing.assert_allclose(found.state.u, [0, 0.15, 0.1, 0.05, 0], atol=1e-14)
+    assert "bears the loads given on them" in found.outcome
+    assert "bears" not in gx.equilibrium(chain, loads=jnp.array([0, 0.2, 0, 0, 0])).outcome
+    # what is under a preload takes more of it, on top of what holds it
+    pressed = gx.equilibrium(gx.scenes.monomer(4, precompression=1.0, boundary="free"), loads=jnp.array([0.5, 0, 0, -0.5]))
+    np.testing.assert_allclose(-np.diff(pressed.state.u), 1.5 ** (2 / 3) - 1, rtol=1e-12)
+    np.testing.assert_allclose(pressed.ends, 1.5, rtol=1e-13)

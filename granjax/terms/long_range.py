@@ -19,7 +19,7 @@ from .reach import Reached, steepest
 from .toeplitz import back, behind, forth, neighbour_sums, spectrum
 from .tracing import Dependence
 
-# offsets up to which a sum over neighbours costs less than two transforms; up to which a loop is written out
+# offsets up to which a sum over neighbours costs less than two transforms; up to which all of them are one array
 FEW = 8
 TAKES = ("displacement", "strain")
 
@@ -269,36 +269,39 @@ class _Bonds(NamedTuple):
         return self._sum(lambda e, own, c, m: c * m * law.energy(e / m), lambda left, right: left + right, halves=True)
 
     def _sum(self, bond, joined, w=None, halves=False):
+        """Each bond is looked at once, at column k + count for a left end at k, and is added to both of its sites."""
         n, count = self.x.shape[0], self.c.shape[0]
         mode = "wrap" if self.boundary == "periodic" else "constant"
         arrays = (self.x,) if w is None else (self.x, w)
         wide = [jnp.pad(x, [(count, count)] + [(0, 0)] * (x.ndim - 1), mode=mode) for x in arrays]
-        place = jnp.arange(n).reshape((-1,) + (1,) * (self.x.ndim - 1))
+        size = n + count
+        k = np.arange(-count, n).reshape((-1,) + (1,) * (self.x.ndim - 1))
         ends = self.boundary == "free" or self.boundary == "fixed" and self.beyond is not None
         more = self.beyond if ends and self.boundary == "fixed" else 0
 
-        def side(offset, c, m, sign, away):
-            inside, there = away < n, away < n + more
-            es = [sign * (x - jax.lax.dynamic_slice_in_dim(far, count + sign * offset, n))
-                  for x, far in zip(arrays, wide)]
+        def values(others, offset, c, m):
+            es = [far[:size] - other for far, other in zip(wide, others)]
+            there = (k >= -more) & (k + offset < n + more)
             es = [jnp.where(there, e, 0) for e in es] if ends else es
             value = bond(es[0], es[-1], c, m)
             value = jnp.where(there, value, 0) if ends else value
-            whole = (self.boundary == "fixed") & ~inside
-            return jnp.where(whole, value, value / 2) if halves else value
+            shared = (self.boundary != "fixed") | (k >= 0) & (k + offset < n)
+            return jnp.where(shared, value / 2, value) if halves else value
 
-        def both(total, offset, c, m):
-            right = side(offset, c, m, 1, place + offset)
-            left = side(offset, c, m, -1, n - 1 - place + offset)
-            return total + joined(left, right)
-
-        total = jnp.zeros_like(arrays[-1])
+        offsets = np.arange(1, count + 1)
         if count <= FEW:
-            for i in range(count):
-                total = both(total, i + 1, self.c[i], self.m[i])
-            return total
-        parts = jnp.arange(1, count + 1), self.c, self.m
-        return jax.lax.scan(lambda total, part: (both(total, *part), None), total, parts)[0]
+            others = [jnp.stack([far[i : i + size] for i in offsets]) for far in wide]
+            value = values(others, offsets.reshape((-1,) + (1,) * k.ndim), self.c[:, None], self.m[:, None])
+            left = sum(row[count - i :][:n] for i, row in zip(offsets, value))
+            return joined(left, value[:, count:].sum(0))
+
+        def add(total, part):
+            offset, c, m = part
+            others = [jax.lax.dynamic_slice_in_dim(far, offset, size) for far in wide]
+            value = values(others, offset, c, m)
+            return total + joined(jax.lax.dynamic_slice_in_dim(value, count - offset, n), value[count:]), None
+
+        return jax.lax.scan(add, jnp.zeros_like(arrays[-1]), (offsets, self.c, self.m))[0]
 
 
 class _Kept(NamedTuple):

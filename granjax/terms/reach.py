@@ -14,6 +14,8 @@ from ..strains.maps import spectral_radius
 from ..types import Flags, Numbers
 
 SAMPLES = 33
+# of the least length, 2^-60, up to 2^40; then of the interval, to 2^-40 of it
+DOUBLED, HALVED = 100, 40
 # a contact of exponent below 1 is infinitely stiff where it opens; the bound keeps this far from there
 CLOSED_FRACTION = 0.05
 
@@ -55,21 +57,20 @@ class Reach(eqx.Module):
 
     def _ends(self, law):
         like = jax.eval_shape(lambda e: law.force(e) + 0 * self.energy[0], jnp.zeros_like(self.energy[0]))
-        zero = jnp.zeros(like.shape, like.dtype)
+        sign = jnp.asarray([-1.0, 1.0], like.dtype).reshape((2,) + (1,) * len(like.shape))
+        energy = self.energy.reshape(sign.shape[: sign.ndim + 1 - self.energy.ndim] + self.energy.shape[1:])
+        shared = None
+        if self.displacement is not None:
+            share = self.displacement.reshape(sign.shape)
+            shared = jnp.where(share > 0, self.width * law.energy(sign * share), -1)
 
-        def end(side, sign):
-            energy, share = self.energy[side], None if self.displacement is None else self.displacement[side]
-            shared = None if share is None else jnp.where(share > 0, self.width * law.energy(sign * share), -1)
+        def reachable(x):
+            stored = law.energy(x)
+            within = (stored <= energy) & (energy > 0)
+            within = within if shared is None else within | (stored <= shared)
+            return within | (jnp.abs(law.force(x)) <= self.force) & (self.force > 0)
 
-            def reachable(x):
-                stored = law.energy(x)
-                within = (stored <= energy) & (energy > 0)
-                within = within if shared is None else within | (stored <= shared)
-                return within | (jnp.abs(law.force(x)) <= self.force) & (self.force > 0)
-
-            return furthest(reachable, zero, sign)
-
-        return end(0, -1.0), end(1, 1.0)
+        return furthest(reachable, jnp.zeros((2, *like.shape), like.dtype), sign)
 
 
 class Reached(eqx.Module):
@@ -100,34 +101,28 @@ def steepest(law: Any, low: Numbers, high: Numbers):
     """Largest |F'(x)| for low <= 0 <= high, elementwise; for a law that softens, where it is well closed."""
     fractions = jnp.linspace(0.0, 1.0, SAMPLES, dtype=low.dtype)
 
-    def largest(end):
-        x = fractions.reshape((-1,) + (1,) * end.ndim) * end
-        k = jnp.abs(law.derivative(x))
-        if law.softens:
-            k = jnp.where(law.overlap(x) > CLOSED_FRACTION * law.overlap(jnp.zeros_like(end)), k, 0)
-        return jnp.max(jnp.where(jnp.isfinite(k), k, 0), axis=0)
-
-    return jnp.maximum(largest(low), largest(high))
+    ends = jnp.stack([low, high])
+    x = fractions.reshape((-1,) + (1,) * ends.ndim) * ends
+    k = jnp.abs(law.derivative(x))
+    if law.softens:
+        k = jnp.where(law.overlap(x) > CLOSED_FRACTION * law.overlap(jnp.zeros_like(ends)), k, 0)
+    return jnp.max(jnp.where(jnp.isfinite(k), k, 0), axis=(0, 1))
 
 
-def furthest(reachable: Callable, zero: Numbers, sign: float):
-    """Largest |x| of one sign within reach: doubling, then bisection."""
-    def double(_, state):
-        x, going = state
-        going = going & reachable(sign * 2 * x)
-        return jnp.where(going, 2 * x, x), going
-
+def furthest(reachable: Callable, zero: Numbers, sign: Numbers | float):
+    """Largest |x| of one sign within reach: doubling, then bisection, in one loop, which is compiled once."""
     start = zero + jnp.asarray(2.0**-60, zero.dtype)
-    x, _ = jax.lax.fori_loop(0, 100, double, (start, reachable(sign * start)))
 
-    def bisect(_, interval):
-        low, high = interval
-        middle = (low + high) / 2
-        inside = reachable(sign * middle)
-        return jnp.where(inside, middle, low), jnp.where(inside, high, middle)
+    def closer(i, state):
+        low, high, going = state
+        doubling = i <= DOUBLED
+        x = jnp.where(doubling, high, (low + high) / 2)
+        inside = reachable(sign * x) & (going | ~doubling)
+        high = jnp.where(inside == doubling, jnp.where(doubling, 2 * x, x), high)
+        return jnp.where(inside, x, low), high, inside
 
-    low, _ = jax.lax.fori_loop(0, 40, bisect, (x, 2 * x))
-    return sign * jnp.where(reachable(sign * start), low, 0)
+    low, *_ = jax.lax.fori_loop(0, DOUBLED + 1 + HALVED, closer, (zero, start, jnp.ones(zero.shape, bool)))
+    return sign * jnp.where(low >= start, low, 0)
 
 
 def largest_eigenvalue(term: Any, lattice: Any, reach: Reach | Reached) -> Any:
