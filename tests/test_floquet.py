@@ -6,7 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from known_orbits import reference
-from scipy.optimize import linear_sum_assignment
+from scipy.integrate import solve_ivp
+from scipy.optimize import fsolve, linear_sum_assignment
 
 import granjax as gx
 from granjax.floquet import decide, floquet, leading, multipliers, product_multipliers, reversible_multipliers
@@ -476,3 +477,88 @@ def test_rest_between_loaded_contacts_needs_no_exact_balance():
     for size in (0.0, 1e-18):
         state = gx.State(jnp.full(9, size), jnp.zeros(9))
         assert floquet(lattice, state, 2 * np.pi / omega, steps=24).expected == 2
+
+
+RATE, DRIVEN = 0.1, 0.9
+OPENED = 0.5512  # the amplitude at which the contact opens by a hundredth of its compression
+
+
+def oscillator(amplitude, x, exponent):
+    """(orbit, trace of M) of u'' + 0.1 u' + [1 + u]_+^p - 1 = F cos 0.9 t, by SciPy and its variational equations."""
+    def field(t, y):
+        s = max(1 + y[0], 0.0)
+        a = 1 - s**exponent - RATE * y[1] + amplitude * np.cos(DRIVEN * t)
+        M = y[2:].reshape(2, 2)
+        return np.concatenate([[y[1], a], M[1], -exponent * s ** (exponent - 1) * M[0] - RATE * M[1]])
+
+    period = 2 * np.pi / DRIVEN
+    for _ in range(12):
+        y = solve_ivp(field, (0, period), np.append(x, np.eye(2)), "DOP853", rtol=1e-12, atol=1e-13, max_step=0.03).y
+        M = y[2:, -1].reshape(2, 2)
+        change = np.linalg.solve(np.eye(2) - M, y[:2, -1] - x)
+        x = x + change
+        if np.abs(change).max() < 1e-12:
+            return x, np.trace(M), y[0].min()
+    raise AssertionError("no orbit")
+
+
+@pytest.mark.slow
+def test_the_error_of_a_multipliers_derivative_covers_the_truth_where_a_contact_opens():
+    period, h = 2 * np.pi / DRIVEN, 1e-5
+    x, _, least = oscillator(OPENED, np.array([0.928, 0.196]), 1.5)
+    assert -1.011 < least < -1.009
+    low, high = (oscillator(OPENED + sign * h, x, 1.5)[1] for sign in (-1, 1))
+    truth = (high - low) / (2 * h)
+
+    def trace(amplitude, step):
+        steps = 2 * jnp.round(period / step / 2).astype(int)
+        drives = [gx.Drive(gx.Harmonic(amplitude, DRIVEN), site) for site in (0, 1)]
+        scene = gx.Lattice(1.0, (gx.OnSite(gx.Hertz(1.0, 1.0)), gx.Damping(RATE), *drives), sites=2)
+        guess = gx.State(jnp.full(2, x[0]), jnp.full(2, x[1]))
+        found = gx.forced.forced_orbit(scene, period, guess, steps=steps, solver=gx.KahanLi8(), throw=False)
+        return jnp.sum(gx.floquet.multipliers(gx.Flow(steps), found.state, 0.0, period, scene)).real / 2
+
+    errors = []
+    for steps in (24, 48, 96, 192):
+        found = gx.derivative(trace, OPENED, period / steps)
+        assert abs(found.value - truth) < found.error
+        errors.append(float(found.error))
+    assert min(errors) < 0.5 * truth
+    # where contacts stay closed the same is known to many digits
+    x = oscillator(0.3, np.array([0.436, 0.060]), 1.5)[0]
+    low, high = (oscillator(0.3 + sign * 1e-4, x, 1.5)[1] for sign in (-1, 1))
+    found = gx.derivative(trace, 0.3, period / 96)
+    assert found.relative < 1e-6 and found.value == pytest.approx((high - low) / 2e-4, rel=1e-5)
+
+
+@pytest.mark.slow
+def test_a_breather_s_multiplier_has_a_derivative_with_an_error():
+    omega = 1.4
+    period = 2 * np.pi / omega
+    seed = gx.breathers.guesses.single_site(gx.scenes.klein_gordon(5, 0.02), omega, 2)
+
+    def trace(coupling, step):
+        steps = 2 * jnp.round(period / step / 2).astype(int)
+        chain = gx.scenes.klein_gordon(5, coupling)
+        found = gx.breathers.breather(chain, omega, seed, steps=steps, throw=False)
+        return jnp.sum(gx.floquet.multipliers(gx.Flow(steps), found.state, 0.0, period, chain)).real
+
+    def by_scipy(coupling):
+        K = coupling * (np.diag([1.0, 2.0, 2.0, 2.0, 1.0]) - np.eye(5, k=1) - np.eye(5, k=-1))
+
+        def field(t, y):
+            u, M = y[:5], y[10:].reshape(10, -1)
+            a = -K @ u - u - u**3
+            return np.concatenate([y[5:10], a, M[5:].ravel(), (-(K + np.diag(1 + 3 * u**2)) @ M[:5]).ravel()])
+
+        def end(x, time, tangents):
+            start = np.concatenate([x, np.zeros(5), tangents.ravel()])
+            return solve_ivp(field, (0, time), start, "DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
+
+        x = fsolve(lambda x: end(x, period / 2, np.zeros((10, 0)))[5:10], np.asarray(seed.u), xtol=1e-12)
+        return np.trace(end(x, period, np.eye(10))[10:].reshape(10, 10))
+
+    found = gx.derivative(trace, 0.02, period / 64)
+    assert found.relative < 1e-6
+    truth = (by_scipy(0.0203) - by_scipy(0.0197)) / 6e-4
+    assert float(found.value) == pytest.approx(truth, rel=1e-4)

@@ -16,7 +16,7 @@ from ..linear import bands, normal_modes
 from ..programs import compiled
 from ..solvers import KahanLi8
 from ..tuning import one_thread
-from ..types import Count, Numbers, Scalar, StateLike
+from ..types import Count, Counts, Numbers, Scalar, StateLike
 from .confirm import TOLERANCE, confirmed, error_of
 from .families import checked_lattice, even_steps, family, half_steps
 from .guesses import bright_guess, cell_of, dark_guess, edge_of, edges_beside, refuse_bright, supports_bright
@@ -48,7 +48,7 @@ NEARER = (0.5, 0.2, 0.1)
 @one_thread
 def breather(
     lattice: Lattice, omega: Scalar, guess: StateLike | Orbit | str | None = None, *, energy: Scalar | None = None,
-    centre: Scalar | None = None, steps: Count | None = None, solver: AbstractSolver | None = None,
+    centre: Scalar | None = None, steps: Count | Counts | None = None, solver: AbstractSolver | None = None,
     tolerance: Scalar = TOLERANCE, max_steps: Count = 30, check: bool = True, throw: bool | None = None,
 ) -> Orbit:
     r"""A time-reversible breather of frequency omega: v(0) = 0, v(T/2) = 0, T = 2 pi/omega.
@@ -63,7 +63,8 @@ def breather(
       `"dark"`: the envelope's soliton of a periodic chain, centred on `centre` (a site, or 3.5 for a bond; `None` the
       middle); dark with the ends that the chain has (free: constant force; walls or a ring: fixed length). Another
       breather, or a `State`, such as that of `guesses.single_site` or a simulated one, whose velocities are dropped.
-    - `steps`: time steps in a period, an even number; `None` doubles them until a second step size confirms the orbit.
+    - `steps`: time steps in a period, an even number, which may be traced; `None` doubles them until a second step size
+      confirms the orbit.
     - `tolerance`: of that, relative to the guess's largest displacement; Newton's method goes on to a thousandth of it.
     - `check`: refuse a frequency of which a harmonic meets a band, or whose gap has no bright breathers, and an orbit
       that is no breather: one that more than 0.6 of the cells share, 0.4 in the plane (participation number of their

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from diffrax import AbstractSolver
 
-from ..checks import positive, refuse, whole
+from ..checks import positive, refuse, traced, whole
 from ..checks import tolerance as checked_tolerance
 from ..continuation import Curve, continuation
 from ..entry import checked
@@ -19,7 +19,7 @@ from ..linear import normal_modes
 from ..programs import waited
 from ..solvers import KahanLi8
 from ..tuning import one_thread
-from ..types import Count, Numbers, Scalar, StateLike
+from ..types import Count, Counts, Numbers, Scalar, StateLike
 from .branch import Branch, special_of, verdicts_of
 from .confirm import BRANCH, LEFT_ON_BRANCH, error_of, neighbours, newtons
 from .half_period import spectra_of
@@ -254,9 +254,11 @@ def even_steps(orbit: Orbit) -> int:
 
 
 def half_steps(
-    lattice: Lattice, period: Scalar, steps: Count | None = None, guess: StateLike | None = None,
+    lattice: Lattice, period: Scalar, steps: Count | Counts | None = None, guess: StateLike | None = None,
 ) -> Count:
     """Steps of half a period, from those of a whole one or by default; `guess`: as in `default_steps`."""
+    if traced(steps):
+        return steps // 2
     steps = default_steps(lattice, period, 2, doubled=True, guess=guess) if steps is None else whole("steps", steps, 2)
     if steps % 2:
         refuse("steps", "an even number, of which half a period takes half", repr(steps))

@@ -373,6 +373,11 @@ def multipliers(flow: Flow, state: Pytree, t0: Scalar, period: Scalar, args: Any
     **Arguments:** `flow`: a `Flow` over one period; `state`: the orbit at `t0`; `args`: of its field, such as the
     lattice. In the order that LAPACK gives. Differentiate a simple one, `multipliers(...)[i]`.
 
+    The derivative is that of the flow's own steps. Where a contact opens it converges slowly and erratically (11 % off
+    at 96 steps a period, 5 % at 384, of one that opens by 1 % of its compression), so take it by `gx.derivative`,
+    whose error covers the truth: `gx.derivative(lambda p, step: ..., p, period / 48)` with `steps = 2 *
+    jnp.round(period / step / 2).astype(int)` for the `Flow` and for the orbit.
+
     **Example:**
 
     >>> pair = gx.Lattice(1.0, (gx.Modulated(gx.OnSite(gx.Linear(1.0)), gx.Harmonic(0.1, 2.0, mean=1.0)),), sites=2)

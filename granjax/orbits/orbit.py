@@ -210,7 +210,7 @@ class Orbit(Result):
 @one_thread
 def orbit(
     lattice: Lattice, guess: StateLike, period: Scalar, *, symmetry: Symmetry = Symmetry(), t0: Scalar = 0.0,
-    steps: Count | None = None, segments: Count = 1, transient: Count = 0, solver: AbstractSolver | None = None,
+    steps: Count | Counts | None = None, segments: Count = 1, transient: Count = 0, solver: AbstractSolver | None = None,
     tolerance: Scalar = TOLERANCE, max_steps: Count = 20, throw: bool | None = None,
 ) -> Orbit:
     r"""An orbit of a lattice that returns after a time, up to a symmetry: y(t0 + T) = S y(t0), by Newton's method.
@@ -231,7 +231,7 @@ def orbit(
     - `symmetry`: S, made of `Translation(cells)`, `Mirror()` and `Sign()`; by default the identity.
     - `t0`: phase of the drive at which the state is taken.
     - `steps` per period; `None` begins at h omega_max <= 0.3, with omega_max the highest linear frequency, and doubles
-      them until a second step size confirms the orbit (under a transformation it stays there).
+      them until a second step size confirms the orbit (under a transformation it stays there). It may be traced.
     - `segments`: of multiple shooting, for long or strongly unstable orbits. `solver`: at a fixed step; `None` takes
       SRKN14a, or diffrax's Dopri8 where a force reads velocities other than by `Damping`.
     - `tolerance`: of the orbit, relative to the amplitude (of the guess, or what a period makes of it); Newton's method

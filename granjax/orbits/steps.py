@@ -8,14 +8,14 @@ import jax.numpy as jnp
 import numpy as np
 from diffrax import AbstractSolver, Dopri8
 
-from ..checks import concrete, described, refuse, whole
+from ..checks import concrete, described, refuse, traced, whole
 from ..entry import checked, shape_of
 from ..flow import Flow, frequency_bound, linear_frequency
 from ..flow.dispatch import facts
 from ..flow.inputs import held_frames
 from ..flow.stepping import check_moved
 from ..lattice import Lattice, State
-from ..types import Count, Numbers, Scalar, StateLike, Times
+from ..types import Count, Counts, Numbers, Scalar, StateLike, Times
 
 # h omega of a step, with omega the highest linear frequency, and the fewest steps of a period
 FINE, LEAST_STEPS = 0.3, 16
@@ -66,7 +66,7 @@ def default_steps(
 
 
 def flow_over(
-    lattice: Lattice, period: Scalar, steps: Count | None, solver: AbstractSolver, multiple: Count = 1,
+    lattice: Lattice, period: Scalar, steps: Count | Counts | None, solver: AbstractSolver, multiple: Count = 1,
     guess: StateLike | None = None,
 ) -> Flow:
     """The flow over a period; a given number of steps is static, the default one an array.
@@ -75,6 +75,8 @@ def flow_over(
     """
     if steps is None:
         return Flow(jnp.asarray(default_steps(lattice, period, multiple, guess=guess)), solver)
+    if traced(steps):
+        return Flow(steps, solver)
     if whole("steps", steps, multiple) % multiple:
         refuse("steps", f"a multiple of the {multiple} segments", repr(steps))
     if steps > MOST:
