@@ -8,16 +8,13 @@ from ..checks import refuse
 from ..laws import Law
 from .medium import values
 
-# binary orders of magnitude of the strain that are looked through, strains in each; nodes of a mean, rounding of
-# 2 W/e^2; strains around a largest one, and how often it is looked at closer
-ORDERS, EACH, MEAN, ROUNDING = 200, 4, 24, 1e-10
+# binary orders of magnitude of the strain that are looked through, strains in each; rounding of 2 W/e^2; strains
+# around a largest one, and how often it is looked at closer
+ORDERS, EACH, ROUNDING = 200, 4, 1e-10
 AROUND, CLOSER = 33, 5
-# of a preload's work, from which on an energy is told by itself
-RESOLVED = 1e-6
 HALVINGS = 60
 # tops that are looked at: rounding makes many of a law that is linear somewhere
 MOST = 4
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(MEAN)
 SIDES = {"compression": 1, "tension": -1}
 
 
@@ -68,12 +65,9 @@ def _with_tops(law, strains, secant):
 
 
 def twice_energy(law: Law, e: np.ndarray) -> np.ndarray:
-    """2 W(e)/e^2; infinite where the law ends. Where W is a small part of the preload's work, the force's mean."""
+    """2 W(e)/e^2; infinite where the law ends."""
     with np.errstate(all="ignore"):
-        force = values(law, e[:, None] * (1 + _NODES) / 2)[0]
-        W = values(law, e)[2]
-        told = np.abs(W) > RESOLVED * np.abs(float(law.preload) * e)
-        secant = np.where(told & (W / e != 0), 2 * W / e / e, force @ _WEIGHTS / e)
+        secant = 2 * values(law, e)[2] / e / e
     first = np.argmax(~np.isfinite(secant)) if not np.isfinite(secant).all() else len(secant)
     return np.where(np.arange(len(secant)) < first, secant, np.inf)
 

@@ -15,10 +15,32 @@ from ..outside import Outside
 from ..printing import told
 from ..types import Number, Numbers, Scalar
 
-# arguments that a law is evaluated at in one program, nodes of the mean of a stiffness, units of rounding
-CHUNK, MEAN, ROUNDING = 8192, 8, 16
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(MEAN)
+# arguments that a law is evaluated at in one program
+CHUNK = 8192
 UNIFORM = 1e-12
+# relative difference of a rule and its half at which the stiffness between 0 and e is smooth: the rule itself then
+# errs by rounding alone, as its error is the square of the half's
+SMOOTH = 1e-12
+# units of rounding of the preload, which laws that know theirs have subtracted
+UNITS = 16
+
+
+def _rules():
+    """Radau's nine nodes on (0, 1], and the weights of 1 and of 1 - s by all of them and by every second one."""
+    legendre = np.polynomial.legendre
+    nodes = np.append(np.sort(legendre.legroots(np.eye(10)[8] - np.eye(10)[9]).real)[:-1], 1.0)
+    # int P_k/2 and int (1 - s) P_k with s = (1 + x)/2
+    moments = np.array([np.eye(9)[0], np.eye(9)[0] / 2 - np.eye(9)[1] / 6])
+    rules = []
+    for step in (1, 2):
+        own = nodes[::step]
+        weights = np.zeros((2, 9))
+        weights[:, ::step] = np.linalg.solve(legendre.legvander(own, len(own) - 1).T, moments[:, : len(own)].T).T
+        rules.append(weights)
+    return (1 + nodes) / 2, *zip(*rules)
+
+
+_NODES, _FORCE, _ENERGY = _rules()
 
 
 class Medium(NamedTuple):
@@ -93,20 +115,30 @@ def single(argument: str, what: str, x: Any) -> Number:
     return jnp.asarray(x.reshape(-1)[0], float)
 
 
-def fine_force(law: Law, e: Numbers) -> Numbers:
-    """F(e), to its last digit also where it is a small part of the preload.
+def fine(law: Law, e: Numbers) -> tuple[Numbers, Numbers, Numbers]:
+    """F(e), F'(e) and W(e), to their last digits also where F and W are small differences, as a user writes them.
 
-    There it is e times the mean of the stiffness between 0 and e.
+    F = e int_0^1 F'(e s) ds and W = e^2 int_0^1 (1 - s) F'(e s) ds, wherever half of the nodes give the same.
     """
-    plain = law.force(e)
-    mean = sum(w / 2 * law.derivative((1 + t) / 2 * e) for t, w in zip(_NODES, _WEIGHTS))
-    close = jnp.abs(e * mean - plain) <= ROUNDING * jnp.finfo(plain.dtype).eps * (jnp.abs(plain) + jnp.abs(law.preload))
-    return jnp.where(close & (law.preload != 0), e * mean, plain)
+    slopes = [law.derivative(s * e) for s in _NODES]
+    rounding = UNITS * jnp.finfo(jnp.result_type(float)).eps * jnp.abs(law.preload * e)
+
+    def chosen(rules, power, plain):
+        mean, half = (e**power * sum(w * slope for w, slope in zip(rule, slopes)) for rule in rules)
+        preload = rounding if power == 2 else rounding / jnp.where(e == 0, 1.0, jnp.abs(e))
+        return jnp.where(jnp.abs(mean - half) <= SMOOTH * jnp.abs(mean) + preload, mean, plain)
+
+    return chosen(_FORCE, 1, law.force(e)), slopes[-1], chosen(_ENERGY, 2, law.energy(e))
+
+
+def fine_force(law: Law, e: Numbers) -> Numbers:
+    """F(e), to its last digit also where it is a small difference of larger numbers."""
+    return fine(law, e)[0]
 
 
 @eqx.filter_jit
 def _values(law, e, outside):
-    return fine_force(law, e), law.derivative(e), law.energy(e)
+    return fine(law, e)
 
 
 def values(law: Law, e: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -14,18 +14,24 @@ from ..entry import checked
 from ..outside import Outside
 from ..printing import told
 from .existence import Bounds, reached, side_of, twice_energy
-from .medium import Medium, fine_force, one_number, values
+from .medium import Medium, fine, fine_force, one_number, values
 from .shape import TentShape
 from .start import ASTRAY, DECAYS, by_peak, decay_rate, normalised, petviashvili
-from .tent import Found, Places, Tent, solve, swept
+from .tent import PIECES, Found, Places, Tent, left_between, solve, swept
 
-# numbers of places; what two of them may differ by, relative to the peak; what a residual may be
-PLACES, AGREE, CONVERGED = (160, 320, 640, 1280), 1e-13, 1e-9
+# numbers of places; error relative to the peak at which they are enough; what the residual of Newton's method may be
+PLACES, ENOUGH, CONVERGED = (160, 320, 640, 1280), 1e-13, 1e-9
+# what the equation may leave of ln(strain), so that the tail has its digits too
+TAIL = 1e-12
 # ln of the strain over its peak where places end: of an exponential tail, and of one that falls faster
 DEEP, DEEPEST = -42.0, -560.0
 SECANTS = 8
+# slope of ln F per contact times the length of a piece, at first
+STEEP = 2.0
 # units of rounding that an equation is known to
 LAST = 2.0
+# stiffness at rest over m c^2 from which on a wave is weak
+WEAK = 0.95
 # a strain over its unit at which a force grows as it does from zero
 SMALL = 1e-6
 
@@ -179,13 +185,11 @@ def _shape(problem):
     else:
         over = np.sqrt(max(problem.exponent(SMALL) - 1, 1e-6))
         half, guess = 3 + 5 / over, _guess(1 / max(1.0, 0.45 / over))[1]
-    if problem.held is None:
-        found = petviashvili(problem.force, problem.linear, half, guess)
-        return *(found if found[2] < ASTRAY else by_peak(problem.force, half, guess)), 1.0
-    if problem.linear > 0.95:
-        x = np.linspace(-half, half, 1024, endpoint=False)
-        return x, guess(x), 0.0, 1.0
-    return normalised(problem.force, half, guess)
+    if problem.held is not None and not problem.linear > WEAK:
+        return normalised(problem.force, half, guess)
+    # the peak of a weak wave is nearly that of its level, and scaling to it would take ever more iterations
+    found = petviashvili(problem.force, problem.linear, half, guess)
+    return *(found if found[2] < ASTRAY else by_peak(problem.force, half, guess)), 1.0
 
 
 def _first(problem):
@@ -231,16 +235,18 @@ def _brought_down(problem, first, level, end):
 
 
 def _finished(problem, first, level, rate, end, exponent) -> tuple[Tent, Found, float]:
-    """Newton's method on the tent integral, with more places until two agree."""
-    before, apart = None, np.inf
+    """Newton's method on the tent integral, with more places and pieces until the equation holds between them too."""
     steep = max(rate, problem.exponent(1.0)) if problem.linear > 0 else None
     for count in PLACES:
-        tent = Tent.of(Places(count, end / (count - 1), rate), steep)
+        pieces = PIECES
+        if steep is not None:
+            pieces = np.linspace(0, 1, 1 + count // PLACES[0] * int(np.ceil(max(steep / STEEP, 1))))
+        tent = Tent.of(Places(count, end / (count - 1), rate), pieces)
         found = solve(tent, problem.force, first(tent.places.nodes), level, problem.condition(tent))
         if not found.residual < CONVERGED:
             if count == PLACES[-1]:
                 refuse("law", "one whose wave is found", f"a residual of {found.residual:.1e} after Newton's method",
-                       "Near the fastest wave, or where contacts open within it, there may be none.")
+                       "The search failed, which does not say that there is none. Try another speed or amplitude.")
             continue
         places, level = tent.places, found.level
         if problem.held and problem.linear > 0:
@@ -250,17 +256,15 @@ def _finished(problem, first, level, rate, end, exponent) -> tuple[Tent, Found, 
             matrix, shift = places.interpolation(y)
             return matrix @ q + shift
 
-        if before is not None:
-            coarse, q = before
-            apart = np.abs(np.exp(first(coarse.nodes)) - np.exp(q)).max() * abs(problem.unit)
-        peak = abs(problem.unit) * np.exp(found.q.max())
-        if apart <= AGREE * peak:
+        strain, moves = np.exp(found.q), np.abs(np.linalg.inv(found.jacobian))[: count, : count]
+        # what the rounding of each equation's logarithms, and of the level's own digits, does to the strain
+        rounding = np.finfo(float).eps * (LAST + problem.exponent(strain[0]) + np.abs(found.q))
+        left = left_between(tent, pieces, problem.force, found)
+        least, more = (float((strain * (moves @ gap)).max()) for gap in (rounding, left))
+        if more <= max(ENOUGH * strain[0], least) and left.max() <= TAIL:
             break
-        before = places, found.q
-    # what the rounding of each equation's logarithms, and of the level's own digits, does to the strain
-    gaps = np.finfo(float).eps * (LAST + problem.exponent(np.exp(found.q[0])) + np.abs(found.q))
-    moved = np.abs(np.linalg.inv(found.jacobian))[: len(found.q), : len(found.q)] @ gaps
-    return tent, found, float(max(apart, (np.exp(found.q) * moved).max() * abs(problem.unit)))
+    # pieces half as long see at least half of what pieces miss
+    return tent, found._replace(residual=float(left.max())), (2 * more + least) * abs(problem.unit)
 
 
 def _assembled(medium, problem, tent, found, error, numbers):
@@ -304,7 +308,8 @@ def _whole(law, mass, speed, unit, q, apart, steep, outside):
     places = Places(len(q), apart, 0.0)
     shape = TentShape.of(law, mass, speed, unit, places.coefficients(q), apart, steep)
     e, weights = unit * jnp.exp(q), jnp.full(len(q), apart).at[0].divide(2)
-    return shape, 2 * weights @ (e * fine_force(law, e) / 2 + law.energy(e)), 2 * weights @ e
+    F, _, W = fine(law, e)
+    return shape, 2 * weights @ (e * F / 2 + W), 2 * weights @ e
 
 
 def _implicit(medium, problem, tent, found, numbers):
@@ -320,7 +325,8 @@ def _implicit(medium, problem, tent, found, numbers):
         gap = jnp.append(gap, jnp.log(problem.unit / jnp.asarray(numbers["amplitude"], float)))
     elif problem.held == "energy":
         e = problem.unit * jnp.exp(jnp.asarray(found.q))
-        whole = 2 * jnp.asarray(tent.places.weights) @ (e * fine_force(medium.law, e) / 2 + medium.law.energy(e))
+        F, _, W = fine(medium.law, e)
+        whole = 2 * jnp.asarray(tent.places.weights) @ (e * F / 2 + W)
         gap = jnp.append(gap, jnp.log(whole / jnp.asarray(numbers["energy"], float)))
     # what is left of the equations stays as it was found
     change = jnp.asarray(np.linalg.inv(found.jacobian)) @ (gap - jax.lax.stop_gradient(gap))

@@ -19,8 +19,6 @@ PIECES = (0.0, 1 / 32, 1 / 16, 1 / 8, 1 / 4, 3 / 8, 1 / 2, 5 / 8, 3 / 4, 7 / 8, 
 TAIL = -12.0
 # and the least that numbers hold
 LEAST = -690.0
-# slope of ln F times the length of a piece
-STEEP = 2.0
 STEPS, HALVINGS, SETTLED = 40, 6, 1e-15
 _BARY = np.array([1 / np.prod(np.delete(k - np.arange(STENCIL), k), dtype=float) for k in range(STENCIL)])
 
@@ -106,10 +104,10 @@ class Tent(NamedTuple):
     top: sparse.csr_matrix
 
     @classmethod
-    def of(cls, places: Places, steep: float | None = None) -> "Tent":
-        """That of some places, by even pieces where it is known how steep (per contact) the force may be at most."""
-        s, w = RULE if steep is None else rule(np.linspace(0, 1, 1 + int(np.ceil(max(steep / STEEP, 1)))))
-        x = places.nodes[:, None]
+    def of(cls, places: Places, pieces: Any = PIECES, at: np.ndarray | None = None) -> "Tent":
+        """That of some places by pieces between some ends, at the places themselves or `at` others."""
+        s, w = rule(pieces)
+        x = (places.nodes if at is None else at)[:, None]
         y = np.concatenate([x - 1 + s, x + s], 1)
         matrix, shift = places.interpolation(np.abs(y).ravel())
         weights = np.broadcast_to(np.concatenate([w * s, w * (1 - s)]), y.shape)
@@ -148,6 +146,21 @@ def swept(tent: Tent, force: Callable, q: np.ndarray, level: float) -> np.ndarra
             new = np.log(tent.integral(force(tent.strain(q))[0])) - level
         q = np.where(far, np.maximum(np.minimum(new, q), q[0] + LEAST), q)
     return q
+
+
+def left_between(tent: Tent, pieces: Any, force: Callable, found: Found) -> np.ndarray:
+    """What the equation leaves of ln(strain) midway between the places, by pieces half as long: at each place the more.
+
+    It sees what the solution itself does not: an integral or a polynomial across a place where the force is not smooth.
+    """
+    places, ends = tent.places, np.asarray(pieces)
+    middle = places.nodes[:-1] + places.apart / 2
+    finer = Tent.of(places, np.sort(np.append(ends, (ends[1:] + ends[:-1]) / 2)), middle)
+    matrix, shift = places.interpolation(middle)
+    with np.errstate(all="ignore"):
+        integral = finer.integral(force(finer.strain(found.q))[0])
+        left = np.abs(np.log(integral) - found.level - (matrix @ found.q + shift))
+    return np.maximum(np.append(left, 0.0), np.append(0.0, left))
 
 
 def solve(tent: Tent, force: Callable, q: np.ndarray, level: float = 0.0, held: Callable | None = None) -> Found:

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .system import Box, Chain
+from .system import Box, Chain, heaviness
 from .tail import decay, stiffness
 
 # compressions that are tried for the peak, over any unit of length
@@ -31,15 +31,17 @@ def peak(chain: Chain) -> Peak | None:
 
 
 def _peak(chain, sign):
-    P, K = len(chain.masses), stiffness(chain)
+    # all masses that go with a slow pulse
+    total = heaviness(chain, np.zeros(1)).mean()
+    P, K = len(chain.masses), stiffness(chain) / total
     with np.errstate(all="ignore"):
-        forces = sign * chain.force(sign * np.tile(LENGTHS, (P, 1)))
+        forces = sign * chain.force(sign * np.tile(LENGTHS, (P, 1))) / total
         usable = np.all(np.isfinite(forces) & (forces > 0), axis=0)
         usable[1:] &= np.all(np.diff(forces, axis=1) > 0, axis=0)
         begin = usable
         if K > 0:
             # below some length a force that a preload is taken from has no digits
-            linear = np.all(np.abs(forces / LENGTHS / chain.K2[:, None] - 1) < 1e-3, axis=0)
+            linear = np.all(np.abs(forces / LENGTHS * total / chain.K2[:, None] - 1) < 1e-3, axis=0)
             begin = np.convolve(linear & usable, np.ones(20), "full")[19:][: len(usable)] > 19.5
     first = int(np.argmax(begin))
     last = first + int(np.argmin(np.append(usable[first:], False)))

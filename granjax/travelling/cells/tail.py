@@ -33,14 +33,19 @@ def ripples(chain: Chain) -> list[Ripple]:
     k = np.arange(1, int(HIGHEST / STEP)) * STEP
     if chain.resonator is not None:
         nu, kappa = chain.resonator
+        # a bead and its resonator that swing alone: a ripple is the nearer to that, the less the contacts feel of it
+        swing = np.sqrt(kappa / nu + kappa / chain.masses)[:, None]
+        k = np.unique(np.append(k, swing * (1 + np.outer([-1, 1], np.geomspace(1e-13, 1e-2, 56)).ravel())))
         k = k[np.abs(kappa - nu * k**2) > 1e-9 * kappa]
     found = []
     excess = _excess(chain, k)[0]
-    for band, i in zip(*np.nonzero(excess[:, :-1] * excess[:, 1:] < 0)):
+    # across that swing itself the sign changes through infinity
+    apart = np.diff(k) > 1e-12 * k[1:]
+    for band, i in zip(*np.nonzero((excess[:, :-1] * excess[:, 1:] < 0) & apart)):
         at = lambda q, band=band: _excess(chain, np.array([q]))[0][band, 0]
         root = brentq(at, k[i], k[i + 1], xtol=1e-15, rtol=1e-14)
         # where the resonators' mass passes through infinity or a band through another the sign changes without a root
-        if abs(at(root)) < 1e-6 * root**2:
+        if abs(at(root)) < np.abs(excess[band, i : i + 2]).min():
             shape = _excess(chain, np.array([root]))[1][:, band, 0]
             found.append(Ripple(root, _normal(chain, shape)))
     return sorted(found, key=lambda ripple: ripple.wavenumber)

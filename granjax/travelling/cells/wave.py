@@ -10,6 +10,7 @@ import numpy as np
 from ...checks import positive, refuse, show, traced
 from ...laws import Law
 from ...outside import Outside
+from ...profiles.start import ASTRAY, petviashvili
 from .guess import from_struck, peak, pulse, struck
 from .system import MOST, Box, Chain, Solved, fourier, heaviness, newton, newton_with, response
 from .tail import Fit, Ripple, decay, drift_row, fit, margin, ripple_row, ripples
@@ -25,6 +26,8 @@ DEEPER = 35.0
 SLOW = 1.06
 # and beyond which one is not looked for
 FASTEST = 8.0
+# of the peak: the most that a wave without ripple leaves at the ends of a first box
+FLAT = 0.05
 # of the peak: what counts as no ripple
 SILENT = 1e-11
 
@@ -137,7 +140,7 @@ def on_a_box(chain: Chain) -> Found | str:
                 "the wave is beyond this method's reach; leave out the precompression")
     started = _started(chain, half)
     if isinstance(started, str) and margin(chain) > 1.05 * SLOW:
-        started = _sped_up(chain, half) or started
+        started = _iterated(chain, half) or _sped_up(chain, half) or started
     if isinstance(started, str):
         return started
     box, solved = started
@@ -155,6 +158,11 @@ def on_a_box(chain: Chain) -> Found | str:
     if len(waves) != 1:
         return Found(box, solved, None, None, core, len(waves))
     return _smallest(chain, box, solved, waves[0], core)
+
+
+def _rest(solved):
+    """The strain at the ends of the box over the largest."""
+    return np.abs(solved.phi[:, 0]).max() / np.abs(solved.phi).max()
 
 
 def _density(box):
@@ -193,22 +201,47 @@ def _started(chain, half):
     box = _box(blended(0.0), half, POINTS)
     solved = newton(box, pulse(blended(0.0), box, top))
     height = np.abs(solved.phi).max()
-    if not (solved.converged and 0.2 < height / np.abs(top.strain).max() < 5):
+    # a chain that is compressed alike everywhere is a solution as well
+    if not (solved.converged and 0.2 < height / np.abs(top.strain).max() < 5 and _rest(solved) < FLAT):
         return f"Newton's method did not reach a wave of the chain of equal masses (residual {solved.residual:.1e})"
     part, step = 0.0, 1.0 if np.ptp(chain.masses) < 0.5 and chain.resonator is None else 0.25
     while part < 1:
         step = min(step, 1 - part)
         other, trial = _again(blended(part + step), box, solved.phi, half, POINTS)
         moved = np.abs(trial.phi).max() / np.abs(solved.phi).max()
-        if trial.converged and 0.6 < moved < 1.6:
+        if trial.converged and 0.6 < moved < 1.6 and _rest(trial) < 1:
             part, box, solved, step = part + step, other, trial, 1.5 * step
         elif step > 0.05:
             # a box that the ripple fits has no wave: another length does not fit it
             step, half = step / 2, half + 0.13
         else:
-            return (f"the wave of equal masses was lost when {part:.0%} of the masses' difference was turned on: "
-                    "its ripple is as strong as the wave itself")
+            return (f"the wave of equal masses was lost when {part:.0%} of what differs from them was turned on. The "
+                    "search failed, which does not say that there is none; the ripple may be as strong as the wave")
     return box, solved
+
+
+def _iterated(chain, half):
+    """A wave on some box from Petviashvili's iteration for resonators that are left at rest; `None` where it is lost.
+
+    Of one site with resonators, whose stiffness is brought to the nearest with which they are.
+    """
+    top = peak(chain)
+    if chain.resonator is None or len(chain.masses) > 1 or top is None:
+        return None
+    nu, kappa = chain.resonator
+    swings = max(np.round(np.sqrt(kappa * (1 + nu) / nu) / (2 * np.pi)), 1)
+    quiet = chain._replace(resonator=(nu, (2 * np.pi * swings) ** 2 * nu / (1 + nu)))
+    box, sign = _box(chain, half, POINTS), np.sign(top.strain[0])
+    guess = sign * pulse(quiet, box, top)[0]
+
+    def force(psi):
+        e = sign * psi[None]
+        return sign * chain.force(e)[0], chain.slope(e)[0]
+
+    _, psi, change = petviashvili(
+        force, float(chain.K2[0]), half, lambda x: guess, box.points, lambda k: heaviness(quiet, k)[0])
+    solved = newton(box, sign * psi[None])
+    return (box, solved) if change < ASTRAY and solved.converged and _rest(solved) < 1 else None
 
 
 def faster(chain, factor):
