@@ -139,7 +139,8 @@ def test_resonances_are_between_anti_resonances(shape):
         patch.setattr(gx.resonance.finite, "peak_forces", lambda x, *_: (3 + force(x))[None])
         patch.setattr(gx.resonance.finite, "decay_rate",
                       lambda x, *_, **__: np.min([(x - zero) ** 2 for zero in zeros], axis=0))
-        found = gx.resonance.refine(gx.resonance.Transmission(ratios, 3 + force(ratios), 3 + force(ratios), 1.0, 3, 1.0),
+        values = 3 + force(ratios)
+        found = gx.resonance.refine(gx.resonance.Transmission(ratios, values, values, 1.0, 3, 1.0),
                                     accuracy=1e-4)
     assert len(found.anti_resonances) == len(zeros)
     assert np.abs(found.anti_resonances - zeros).max() < 0.03

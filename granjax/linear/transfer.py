@@ -136,7 +136,7 @@ _MODES = "gx.measures.participation of normal modes tells how far such waves rea
 
 @waited
 def _growth(lattice, omega, damped):
-    """gamma and its standard error (W,); what three diagonals miss, how far they are from symmetric; the least |k_n|."""
+    """gamma and its standard error (W,); what three diagonals miss; how far from symmetric; the least |k_n|."""
     pull, drag = products(lattice, jnp.zeros((), lattice.dtype))
     (tied, k), further, uneven, scale = _springs(lattice, pull)
     mass = spread_mass(lattice)[1:-1].reshape(tied.shape)
@@ -182,8 +182,11 @@ def _squared(x):
 
 
 def _springs(lattice, product_with):
-    """Of a linear map that joins next neighbours, for each site but those at the ends, (N - 2, lanes): what ties it to
-    its place and what joins it to the right; what is missed, how far the map is from symmetric, over the largest."""
+    """What a linear map between next neighbours is made of, for each site but the two at the ends, (N - 2, lanes).
+
+    That is what ties a site to its place and what joins it to the right; and, over the largest of these, what is missed
+    and how far the map is from symmetric.
+    """
     zeros = lattice.zeros()
     sites = zeros.shape[0]
     n = np.arange(sites).reshape((-1,) + (1,) * (zeros.ndim - 1))

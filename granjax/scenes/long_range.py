@@ -112,8 +112,10 @@ def _known_rest(sites, p, reach, boundary):
 
 @partial(jax.jit, static_argnums=(0, 2, 3))
 def _found_rest(sites, p, reach, boundary):
-    """Under a transformation: two steps more from where the last step was small, through which derivatives to the
-    third order are those of the rest."""
+    """The same under a transformation.
+
+    From where the last step was small two more are made, through which derivatives to the third order are right.
+    """
     u, step, kept = _towards_rest(jnp, sites, reach, boundary)
     p = p.astype(u.dtype)
     there = jax.lax.stop_gradient(p)
