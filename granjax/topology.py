@@ -389,10 +389,10 @@ class BerryCurvature(Result):
     }
     k: Numbers
     flux: Numbers
-    gap: Number
-    nearest: Numbers
     band: tuple[int, ...] = eqx.field(static=True)
-    fault: str = eqx.field(static=True)
+    gap: Number = np.inf
+    nearest: Numbers | None = None
+    fault: str = eqx.field(static=True, default="")
 
     @property
     def curvature(self) -> Numbers:
@@ -449,7 +449,7 @@ def berry_curvature(
     flux = np.add.reduceat(np.add.reduceat(fine, first, 0), second, 1)
     k = np.stack(np.meshgrid(plain, plain, indexing="ij"), -1)
     marks = lattice.origin if isinstance(lattice, Lattice) else {}
-    return BerryCurvature(k, flux, mesh.gap, mesh.nearest, tuple(numbers), mesh.fault, **marks)
+    return BerryCurvature(k, flux, tuple(numbers), mesh.gap, mesh.nearest, mesh.fault, **marks)
 
 
 def _fluxes(waves, count, numbers):

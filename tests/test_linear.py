@@ -1,16 +1,17 @@
 """Linear theory: frequencies, bands and speeds against closed forms."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from granjax import linear
+from granjax import linear, topology
 from granjax.lattice import Lattice
 from granjax.laws import Hertz, Linear, PowerLaw
 from granjax.scenes import dimer, monomer
 from granjax.strains import Pairs, Shift, Stretch
-from granjax.terms import Bond, Damping, Drive, Function, Harmonic, Modulated, OnSite, Term, Wall
+from granjax.terms import Bond, Damping, Dashpot, Drive, Function, Harmonic, Modulated, OnSite, Term, Wall
 
 K_POINT, M_POINT = (2 * np.pi / 3, 4 * np.pi / 3), (np.pi, 0.0)
 WAVES = np.linspace(-3.1, 3.1, 11)
@@ -434,6 +435,106 @@ class OneWay(Term):
 
     def force(self, t, u, v, mass):
         return 0.1 * jnp.roll(u, 1)
+
+
+class Turning(Term):
+    """A gyroscopic force, rate (v_y, -v_x)."""
+
+    rate: jax.Array
+
+    def force(self, t, u, v, mass):
+        return self.rate * jnp.stack([v[..., 1], -v[..., 0]], -1)
+
+
+class Hall(Term):
+    """A force on scalar sites that is odd between neighbours and turns on and off, rate (v_{n+1} - v_{n-1}) sin t."""
+
+    rate: jax.Array
+
+    def force(self, t, u, v, mass):
+        return self.rate * jnp.sin(t) * (jnp.roll(v, -1, 0) - jnp.roll(v, 1, 0))
+
+
+class Matrix(Term):
+    """Damping -C v of neighbours, by a symmetric matrix."""
+
+    C: jax.Array
+
+    def force(self, t, u, v, mass):
+        return -jnp.einsum("ab,...b->...a", self.C, v)
+
+
+def with_term(lattice, term):
+    return eqx.tree_at(lambda x: x.terms, lattice, (*lattice.terms, term))
+
+
+def gyroscopic(rate=0.7):
+    return with_term(triangular(), Turning(jnp.asarray(rate)))
+
+
+GYROSCOPIC = {
+    "modes": linear.normal_modes, "bands": linear.bands, "sound": linear.sound_speed, "cell": linear.unit_cell,
+    "waves": lambda x: linear.dispersion(x, K_POINT), "path": lambda x: linear.path(x, "GG", named={"G": K_POINT}),
+    "density": linear.density_of_states, "zone": linear.zone_map, "flat": linear.flat_bands,
+    "complex": lambda x: linear.complex_bands(x, [1.0]), "strip": linear.ribbon, "chern": topology.chern,
+    "valley": topology.valley_chern, "quadrupole": topology.quadrupole, "polarisation": topology.polarisation,
+    "zak": lambda x: topology.zak(x, k=[0.1]), "curvature": topology.berry_curvature,
+}
+
+
+@pytest.mark.parametrize("name", GYROSCOPIC)
+def test_gyroscopic_forces_are_refused_in_a_sentence(name):
+    with pytest.raises(ValueError, match=r"terms\[3\] \(Turning\).*gyroscopic.*floquet_bands"):
+        GYROSCOPIC[name](gyroscopic())
+
+
+def test_other_gyroscopic_forces_and_those_that_are_traced():
+    chain = springs(np.ones(12), 1.0, "periodic")
+    rates = jnp.array([0.1, 0.2])
+    for match, call in (
+        ("Hall", lambda: linear.dispersion(with_term(chain, Hall(jnp.asarray(1e-3))), 1.0)),
+        ("Hall", lambda: topology.zak(with_term(chain, Hall(jnp.asarray(1e3))))),
+        ("Turning", lambda: jax.jit(lambda r: linear.normal_modes(gyroscopic(r)).omega)(0.7)),
+        ("Turning", lambda: jax.vmap(lambda r: linear.dispersion(gyroscopic(r), K_POINT, cell=(1, 1)).omega)(rates)),
+        ("Turning", lambda: jax.grad(lambda r: linear.dispersion(gyroscopic(r), K_POINT).omega[0])(0.7)),
+    ):
+        with pytest.raises(ValueError, match=match):
+            call()
+
+
+@pytest.mark.slow
+def test_the_waves_of_a_gyroscopic_lattice_by_the_quadratic_eigenproblem():
+    """(K(k) - omega^2 - i omega G) q = 0, G = 0.7 (0, 1; -1, 0): the way that the refusal names gives its roots."""
+    k = np.array([[np.pi / 3, 2 * np.pi / 3], [1.0, -0.4], [2.0, 0.3]])
+    ways = {(1, 0): (1.0, 0.0), (0, 1): (0.5, 3**0.5 / 2), (-1, 1): (-0.5, 3**0.5 / 2)}
+    found = linear.floquet_bands(gyroscopic(), k, period=0.5)
+    for x, omega in zip(k, np.asarray(found.omega)):
+        K = sum(2 * (1 - np.cos(np.dot(x, R))) * np.outer(n, n) for R, n in ways.items())
+        G = 0.7 * np.array([[0, 1], [-1, 0]])
+        exact = np.linalg.eigvals(np.block([[np.zeros((2, 2)), np.eye(2)], [-K, G]])).imag
+        assert np.abs(np.sort(exact) - np.sort(omega)).max() < 1e-10
+    assert np.abs(np.sort(found.omega[0])[2:] - [1.1106, 2.0632]).max() < 5e-5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["damping", "dashpot", "matrix", "drag"])
+def test_damping_leaves_the_undamped_frequencies(name):
+    class Drag(Term):
+        def force(self, t, u, v, mass):
+            return -0.3 * v * jnp.abs(v)
+
+    term = {"damping": Damping(0.3), "drag": Drag(), "matrix": Matrix(jnp.array([[0.3, 0.1], [0.1, 0.2]])),
+            "dashpot": Dashpot(Stretch(Shift((1, 0), "periodic"), np.array([1.0, 0.0])), 0.3)}[name]
+    plain, damped = triangular(), with_term(triangular(), term)
+    assert np.array_equal(linear.dispersion(plain, WAVES[:2]).omega, linear.dispersion(damped, WAVES[:2]).omega)
+    assert np.array_equal(linear.normal_modes(plain).omega, linear.normal_modes(damped).omega)
+    # in jit too, where a matrix that may be any is not taken for a damping
+    traced = jax.jit(lambda x: linear.normal_modes(x).omega)
+    if name == "matrix":
+        with pytest.raises(ValueError, match="keep a symmetric damping matrix outside of jit"):
+            traced(damped)
+    else:
+        assert np.abs(traced(damped) - linear.normal_modes(plain).omega).max() < 1e-12
 
 
 DISORDER = springs(np.random.default_rng(2).uniform(1, 2, 20))

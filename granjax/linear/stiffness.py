@@ -65,7 +65,9 @@ def lanes_at_rest(lattice: Lattice) -> Lattice:
 
 def _refuse_turning(lattice):
     """Refuse forces -C v whose C is not symmetric: they change frequencies to first order, as damping does not."""
-    plain, _ = stand_in(lattice)
+    plain, known = stand_in(lattice)
+    unknown = "" if known else (
+        " Random numbers stood in for its traced ones: keep a symmetric damping matrix outside of jit and vmap.")
     for i, term in enumerate(plain.terms):
         read = reads(term, plain)
         if not read.velocity:
@@ -77,7 +79,7 @@ def _refuse_turning(lattice):
                 f"terms[{i}] ({type(term).__name__})", "a force that damps or does not read the velocity",
                 "a gyroscopic one, which turns velocities (its matrix -d force/dv is not symmetric)",
                 "Linear theory from the stiffness alone would leave it out. granjax.linear.floquet_bands, with any "
-                "period, follows it.",
+                f"period, follows it.{unknown}",
             )
 
 
