@@ -41,7 +41,8 @@ def beads(
       a pair (left, right); by default the material of the bead that touches.
     - `damping_time`: tau [s] of a damping of each bead, rate 1/tau; `None` for none. Typical: 0.2 ... 5 ms.
 
-    **Returns:** a `Lattice` in SI, u in m, v in m/s, t in s; its `mass` is one number where all beads are alike. `scaled(...)` gives it numbers of order one.
+    **Returns:** a `Lattice` in SI, u in m, v in m/s, t in s; its `mass` is one number where all beads are
+    alike. `scaled(...)` gives it numbers of order one.
     **Raises** ValueError for fewer than two beads, sequences of different length, an unknown material or boundary, a
     radius or tau that is not above zero, F0 < 0, or a wall where there is none.
     Source: Nesterenko, Dynamics of Heterogeneous Materials (2001); Boechler et al., Phys. Rev. Lett. 104, 244302
