@@ -270,6 +270,60 @@ def test_with_precompression_the_same_stiffness_leaves_no_tail():
     assert moved(off, with_resonators(law, off.resonator)) < 1e-4
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("mass, values", [
+    (0.7, (4.287040968548, 2.020209812845)), (1.0, (5.925655714858, 2.968118897523))])
+def test_resonators_as_heavy_as_the_beads(mass, values):
+    resonator = gx.Resonator(mass, travelling.tail_free_stiffness(1.0, mass))
+    wave = travelling.solitary_wave(gx.Hertz(), speed=1.0, resonator=resonator)
+    np.testing.assert_allclose(wave.strain([0.0, 1.0]), values, atol=2e-12)
+    assert wave.ripple == 0 and wave.error < 1e-11
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("law, speed, mass", [
+    (gx.Toda(), 1.5, 2.0), (gx.Toda(), 3.0, 2.0), (gx.Hertz(1.0, 1.0), 2.2, 4.0), (gx.PowerLaw(1.0, 3.0), 2.0, 4.0)])
+def test_heavy_resonators_under_the_real_kernel(law, speed, mass):
+    """phi = Lambda * F(phi) with the kernel of `tail_free_stiffness` in real space, by Gauss' rule."""
+    resonator = gx.Resonator(mass, travelling.tail_free_stiffness(speed, mass))
+    wave = travelling.solitary_wave(law, speed=speed, resonator=resonator)
+    z, w = np.polynomial.legendre.leggauss(120)
+    z, w = (1 + z) / 2, w / 2
+    kernel = (1 - z - mass * np.sin(2 * np.pi * z) / (2 * np.pi)) / ((1 + mass) * speed**2)
+    for x in (0.0, 0.4, 1.3):
+        force = sum(np.asarray(law.force(wave.strain(x + side * z))) for side in (1, -1))
+        assert (kernel * force) @ w == pytest.approx(float(wave.strain(x)), abs=1e-7 * wave.amplitude)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mass, factor", [(0.1, 0.9), (0.7, 1.02)])
+def test_a_ripple_close_to_the_swing_of_bead_and_resonator_is_seen(mass, factor):
+    speed, kappa = 1.5, factor * float(travelling.tail_free_stiffness(1.5, mass))
+    wave = travelling.cell_wave(gx.Toda(), [1.0], speed=speed, resonator=gx.Resonator(mass, kappa))
+
+    def left(k):
+        rest = kappa - mass * (k * speed) ** 2
+        return 4 * np.sin(k / 2) ** 2 * rest - (k * speed) ** 2 * (rest + mass * kappa)
+
+    swing = np.sqrt(kappa * (1 + 1 / mass)) / speed
+    assert wave.linear_wavenumber == pytest.approx(brentq(left, 0.98 * swing, 1.02 * swing, xtol=1e-14), abs=1e-9)
+    assert 1e-7 < wave.ripple / wave.amplitude < 1e-2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("law, masses, speed", [
+    (TODA, [1.0, 0.5], 1.2 / np.sqrt(0.75)), (gx.Hertz(1.0, 1.0), [1.0, 0.7], 1.15 * np.sqrt(1.5 / 0.85))])
+def test_beyond_its_box_the_ripple_is_its_own(law, masses, speed):
+    wave = travelling.cell_wave(law, masses, speed=speed)
+    assert moved(wave, chain(law, wave.masses, 360), 10.0, 360, reach=20) < 1e-9
+    # two sites on, where the box's end is
+    start = 150.0
+    run = gx.simulate(chain(law, wave.masses, 360), wave.state(360, start), 2 / speed, tolerance=1e-13)
+    strain, known = -np.diff(run.final.u), -np.diff(wave.state(360, start + 2).u)
+    near = np.abs(np.arange(359) - start) < 100
+    assert np.abs(strain - known)[near].max() < 1e-10 * wave.amplitude and wave.error < 1e-10 * wave.amplitude
+
+
 # ------------------------------------------------------------------------------------------------------------ refusals
 
 

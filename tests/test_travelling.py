@@ -266,6 +266,88 @@ def test_where_the_factor_goes_astray_or_the_law_nearly_ends(law, speed):
     assert sum(parts) == pytest.approx(speed**2 * float(wave.amplitude), rel=1e-7)
 
 
+class Tanh(gx.Law):
+    def force(self, e):
+        return e * (1 + jnp.tanh(e) ** 2)
+
+    def energy(self, e):
+        return e**2 - e * jnp.tanh(e) + jnp.log(jnp.cosh(e))
+
+
+class LennardJones(gx.Law):
+    def force(self, e):
+        return ((1 - e) ** -13 - (1 - e) ** -7) / 6
+
+    def energy(self, e):
+        return (((1 - e) ** -12 - 1) / 12 - ((1 - e) ** -6 - 1) / 6) / 6
+
+
+class Exponential(gx.Law):
+    def force(self, e):
+        return jnp.exp(e) - 1 + 0.1 * e**2
+
+    def energy(self, e):
+        return jnp.exp(e) - 1 - e + 0.1 * e**3 / 3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("law", "speed", "peak"), [
+    (Tanh(), 1.05, 0.465468743865), (Tanh(), 1.2, 1.16419279186), (Tanh(), 1.35, 2.67361194064),
+    (LennardJones(), 1.1, 0.0259590494), (LennardJones(), 1.5, 0.0987909641), (LennardJones(), 3.0, 0.2282256949),
+])
+def test_laws_as_a_user_writes_them(law, speed, peak):
+    wave = solitary_wave(law, speed=speed)
+    assert float(wave.amplitude) == pytest.approx(peak, abs=6e-11) and float(wave.error) < 1e-12
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("energy", [0.1, 1.0, 10.0])
+def test_a_wave_of_fput_beta_by_its_energy(energy):
+    wave = solitary_wave(gx.Polynomial(1.0, 0.0, 0.1), energy=energy)
+    x = np.linspace(-1, 1, 40001) * 36 / float(wave.decay)
+    e = np.asarray(wave.strain(x))
+    density = e * (e + 0.1 * e**3) / 2 + e**2 / 2 + 0.1 * e**4 / 4
+    assert np.sum(density) * (x[1] - x[0]) == pytest.approx(energy, rel=1e-9)
+
+
+@pytest.mark.slow
+def test_the_front_of_a_shock_of_a_law_of_ones_own():
+    edges = gx.theory.shock_edges(Exponential(), 0.2, wave=True)
+    wave = solitary_wave(Exponential(), speed=edges.wave_speed)
+    assert float(wave.velocity(0.5)) == pytest.approx(0.8, rel=1e-9)
+    assert abs(float(edges.wave_speed / edges.leading_speed) - 1) < 1e-3
+
+
+def by_newton(force, slope, speed, guess, half=24.0, n=600):
+    """(x, phi) of c^2 phi = tent * F(phi), an even Fourier series in a box, unit mass."""
+    x, k = np.linspace(0, half, n + 1), np.pi / half * np.arange(n + 1)
+    ends = np.where(np.isin(np.arange(n + 1), [0, n]), 0.5, 1.0)
+    waves = np.cos(np.outer(k, x))
+    tent = (waves * (np.sinc(k / 2 / np.pi) ** 2 * ends)[:, None]).T @ (waves * ends * 2 / n) / speed**2
+    phi = guess(x)
+    for _ in range(12):
+        phi = phi - np.linalg.solve(np.eye(n + 1) - tent * slope(phi), phi - tent @ force(phi))
+    return x, phi
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("speed", [0.8, 0.82, 0.825])
+def test_the_error_covers_the_truth_where_a_contact_all_but_opens(speed):
+    wave = solitary_wave(gx.PowerLaw(1.0, 0.5, 1.0), speed=speed)
+    guess = lambda x: np.asarray(wave.strain(x))
+    x, phi = by_newton(lambda y: np.sqrt(1 + y) - 1, lambda y: 0.5 / np.sqrt(1 + y), speed, guess)
+    assert np.abs(phi - guess(x)).max() < float(wave.error) + 1e-10
+    assert float(wave.error) < 1e-10
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("speed", "peak"), [(0.84, -1.0109305), (0.85, -1.0370327), (0.86, -1.0847036)])
+def test_and_where_it_opens(speed, peak):
+    """Peaks by Newton's method on a Fourier series of 2^15 terms, good to 1e-5."""
+    wave = solitary_wave(gx.PowerLaw(1.0, 0.5, 1.0), speed=speed)
+    assert abs(float(wave.amplitude) - peak) < float(wave.error) < 2e-3 and float(wave.residual) > 1e-6
+
+
 BOND = gx.Bond(gx.Shift(1, "free"), gx.Toda())
 REFUSED = [
     (lambda: solitary_wave(gx.Hertz(1.0, 1.0), speed=1.2), "above that of sound, 1.22474"),

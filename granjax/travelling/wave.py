@@ -32,8 +32,8 @@ class Wave(Result):
     - `energy`: int (phi F/2 + W) [J]; kinetic energy is int phi F/2. `momentum`: m c int phi [N s].
     - `decay`: kappa of the tail exp(-kappa |xi|); NaN for a tail that falls faster than that (no sound at rest), ln
       phi(xi + 1) = `exponent` ln phi(xi) in the main, so ln |ln phi| grows as xi ln(exponent); NaN where `decay` is.
-    - `residual`: what the equation leaves, relative to the strain, at the worst place. `error`: estimated distance of
-      the strain from the truth [m], by two resolutions.
+    - `residual`: what the equation leaves between the places of the solution, by finer integrals, relative to the
+      strain. `error`: estimated distance of the strain from the truth [m], from that and from rounding.
     - `xi`, `strains`, `velocities`: a table, for pictures and files; `strain(xi)` gives any place.
     - `law`, `mass`: what it runs through.
 

@@ -17,7 +17,7 @@ from ...types import Count, Parameter, Scalar
 from .from_lattice import repeated_in
 from .resonator import Resonator
 from .system import fourier
-from .tail import margin
+from .tail import margin, periodic
 from .wave import SILENT, Found, Given, chain_of, error_of, of_one_site, on_a_box, velocities, without_tail
 
 # the speed over the sound speed from which on a box holds the wave
@@ -46,7 +46,7 @@ class CellWave(Result):
     - `residual`: what the equations leave, over the amplitude; `error`: estimated distance of the strains from the
       truth [m].
     - `xi` (X,), `strains`, `velocities` (P, X): a table, on the box where it was solved; `strain` and `velocity` give
-      any place, beyond the box that of the linear ripple.
+      any place, beyond the box its own ripple continued, whose misfit `error` includes.
 
     **Example:**
 
@@ -96,7 +96,7 @@ class CellWave(Result):
         """Displacements and velocities of a chain of so many sites, the wave's xi = 0 at contact `centre`.
 
         Site 0 is the first of the cell. `None` is the middle of the chain, (sites - 2)/2. The last bead is at its
-        place. Meant for free ends: those behind have moved. Contacts beyond the box see the linear ripple. With
+        place. Meant for free ends: those behind have moved. Contacts beyond the box see its own ripple go on. With
         resonators dicts of `"bead"` and `"resonator"`.
         """
         sites = whole("sites", sites, 2)
@@ -125,17 +125,11 @@ class CellWave(Result):
         own = fourier(table[j : j + 1], half, np.where(inside, x, 0.0).ravel()).reshape(x.shape)
         if self.wavenumber is None or inside.all():
             return np.where(inside, own, 0.0)
-        wave = self._ripple_of(table[j]) * np.exp(1j * self.wavenumber * (x - np.sign(x) * half))
-        return np.where(inside, own, wave.real)
-
-    def _ripple_of(self, row):
-        """Complex amplitude of the ripple in a row of a table, about the box's end."""
-        half = -self.xi[0]
         y = np.where(self.xi > 0, self.xi - half, self.xi + half)
         near = np.abs(y) <= half - self._core
-        wave = np.exp(1j * self.wavenumber * y[near])
-        found = np.linalg.lstsq(np.stack([wave.real, -wave.imag, np.ones(near.sum())], 1), row[near], rcond=None)[0]
-        return found[0] + 1j * found[1]
+        ripple = np.linalg.lstsq(periodic(y[near], self.wavenumber), table[j][near], rcond=None)[0]
+        beyond = periodic((x - np.sign(x) * half).ravel(), self.wavenumber) @ ripple
+        return np.where(inside, own, beyond.reshape(x.shape))
 
 
 def swinging(velocities, xi, speed, resonator):
@@ -334,7 +328,7 @@ def _result(found: Found | str, given: Given, speed, resonator, p, throw, off=0.
     ripple = 0.0 if silent else abs(found.tail.amplitude) if found.tail is not None else np.nan
     carried = None if found.tail is None or silent else found.tail
     v = speed * velocities(found)
-    error = (error_of(found) + off) * top
+    error = (error_of(found) + off) * top + (0.0 if carried is None else carried.rest)
     outcome = _outcome(found, ripple, top, p, given) + remark
     if not found.solved.converged and throw:
         raise RuntimeError(outcome)

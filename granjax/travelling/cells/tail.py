@@ -9,6 +9,8 @@ from .system import Box, Chain, response
 
 # no ripple is sought beyond this wave number [rad/site], nor nearer to zero than the first
 HIGHEST, STEP = 60.0, 0.01
+# harmonics of a ripple that is not linear; steps for its wave number
+HARMONICS, GAUSS_NEWTON = 8, 8
 
 
 class Ripple(NamedTuple):
@@ -86,7 +88,10 @@ def _inertia(chain, q):
 
 
 class Fit(NamedTuple):
-    """A ripple in the tail of a wave: complex amplitude a, measured from x = half; `wavenumber` as measured; `rest`."""
+    """A ripple in the tail of a wave: complex amplitude a, measured from x = half; `wavenumber` as measured.
+
+    `rest` is what a periodic function of that wave number leaves of the tail.
+    """
 
     amplitude: complex
     wavenumber: float
@@ -106,41 +111,29 @@ def _columns(y, shape, k):
     return np.stack([wave.real.ravel(), -wave.imag.ravel()], axis=1)
 
 
-def fit(box: Box, phi, ripple: Ripple, core: float, harmonics=3) -> Fit:
-    """The ripple beyond |x| = core, with its harmonics and a constant fitted beside it, which it makes itself."""
+def periodic(y, k: float):
+    """Columns (Y, 1 + 2 HARMONICS) of a periodic function at places y: the constant, then cosines and sines."""
+    turns = k * np.outer(y, np.arange(1, HARMONICS + 1))
+    return np.concatenate([np.ones((len(y), 1)), np.cos(turns), np.sin(turns)], axis=1)
+
+
+def fit(box: Box, phi, ripple: Ripple, core: float) -> Fit:
+    """The ripple beyond |x| = core, by a periodic function of one wave number for the bonds of the cell."""
     y, strain = tail(box, phi, core)
-    P = len(strain)
-
-    def columns(k):
-        beside = [np.kron(np.eye(P), np.ones((len(y), 1)))]
-        for m in range(2, harmonics + 1):
-            beside += [np.kron(np.eye(P), f(m * k * y)[:, None]) for f in (np.cos, np.sin)]
-        return np.concatenate([_columns(y, ripple.shape, k), *beside], axis=1)
-
-    def left(k):
-        made = columns(k)
-        found = np.linalg.lstsq(made, strain.ravel(), rcond=None)[0]
-        return found, strain.ravel() - made @ found
-
-    found, rest = left(ripple.wavenumber)
-    amplitude, k = found[0] + 1j * found[1], ripple.wavenumber
-    if np.abs(amplitude) > 1e-9 * np.abs(phi).max():
-        k = _best(lambda q: np.sum(left(q)[1] ** 2), k, 0.25 / (box.half - core))
-        found, rest = left(k)
-        amplitude = found[0] + 1j * found[1]
-    return Fit(complex(amplitude), float(k), float(np.abs(rest).max()))
-
-
-def _best(f, centre, width):
-    """The minimum of what is nearly a parabola about a place, by parabolas of falling width."""
-    for _ in range(6):
-        low, middle, high = f(centre - width), f(centre), f(centre + width)
-        bend = low - 2 * middle + high
-        if not bend > 0:
+    k, order = ripple.wavenumber, np.arange(1, HARMONICS + 1)
+    for _ in range(GAUSS_NEWTON):
+        columns = periodic(y, k)
+        found = np.linalg.lstsq(columns, strain.T, rcond=None)[0]
+        left = strain.T - columns @ found
+        amplitude = np.vdot(ripple.shape, found[1] - 1j * found[1 + HARMONICS]) / np.vdot(ripple.shape, ripple.shape)
+        if np.abs(amplitude) <= 1e-9 * np.abs(phi).max():
             break
-        centre += np.clip(width * (low - high) / (2 * bend), -width, width)
-        width /= 4
-    return centre
+        # what the columns themselves cannot take up of the change with k
+        turned = np.concatenate([order * found[1 + HARMONICS :].T, -order * found[1 : 1 + HARMONICS].T], 1).T
+        along = y[:, None] * (columns[:, 1:] @ turned)
+        along -= columns @ np.linalg.lstsq(columns, along, rcond=None)[0]
+        k += np.sum(along * left) / np.sum(along**2)
+    return Fit(complex(amplitude), float(k), float(np.abs(left).max()))
 
 
 def ripple_row(ripple: Ripple, core: float):
