@@ -210,8 +210,8 @@ class Orbit(Result):
 @one_thread
 def orbit(
     lattice: Lattice, guess: StateLike, period: Scalar, *, symmetry: Symmetry = Symmetry(), t0: Scalar = 0.0,
-    steps: Count | Counts | None = None, segments: Count = 1, transient: Count = 0, solver: AbstractSolver | None = None,
-    tolerance: Scalar = TOLERANCE, max_steps: Count = 20, throw: bool | None = None,
+    steps: Count | Counts | None = None, segments: Count = 1, transient: Count = 0,
+    solver: AbstractSolver | None = None, tolerance: Scalar = TOLERANCE, max_steps: Count = 20, throw: bool | None = None,
 ) -> Orbit:
     r"""An orbit of a lattice that returns after a time, up to a symmetry: y(t0 + T) = S y(t0), by Newton's method.
 
