@@ -6,6 +6,7 @@ polymers by a factor of two with rate and temperature.
 
 import difflib
 import math
+import warnings
 from collections.abc import Sequence
 
 import equinox as eqx
@@ -18,6 +19,8 @@ from .entry import checked
 from .printing import called
 from .types import Number, Parameter
 
+# m, of beads of laboratories: what is larger is taken for millimetres
+LARGEST = 0.5
 _BOECHLER = "as used by Boechler et al., Phys. Rev. Lett. 104, 244302 (2010)"
 _CALLISTER = "Callister, Materials Science and Engineering, appendix B"
 
@@ -237,7 +240,8 @@ def bead_mass(material: str | Material, radius: Parameter) -> Number:
     """Mass of a solid sphere, m = (4/3) pi R^3 rho [kg].
 
     **Arguments:** a `Material` or a name of the table; `radius` R > 0 [m], a number or an array.
-    **Raises** ValueError for a radius that is not above zero, or a rigid body, which has no density.
+    **Warns** of a bead of more than a metre. **Raises** ValueError for a radius that is not above zero, or a rigid
+    body, which has no density.
 
     **Example:**
 
@@ -250,6 +254,10 @@ def bead_mass(material: str | Material, radius: Parameter) -> Number:
         refuse("material", "a material with a density", "'rigid'", "A rigid body stands for a wall, not for a bead.")
     R = _radius("radius", radius)
     broadcast(radius=R, density=body.density)
+    known = concrete(R)
+    if known is not None and np.any(known > LARGEST):
+        warnings.warn(f"A bead has a radius of {known.max():g} m, more than a metre across. Radii are in metres: "
+                      "9.5 mm is 9.5e-3.", stacklevel=2)
     return 4 / 3 * math.pi * R**3 * body.density
 
 

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import granjax as gx
 from granjax import linear, topology
 from granjax.lattice import Lattice
 from granjax.laws import Hertz, Linear, PowerLaw
@@ -579,3 +580,12 @@ def test_refusals(name):
 def test_gaps_inside_a_transformation_are_refused():
     with pytest.raises(ValueError, match="gaps: expected edges that are known"):
         jax.jit(lambda K: linear.bands(springs(np.ones(8), K), cell=1).gaps)(1.0)
+
+
+@pytest.mark.parametrize("make", [lambda: gx.scenes.monomer(8), lambda: gx.scenes.beads("PTFE", 5e-3, cells=8),
+                                  lambda: gx.scenes.monomer(8, exponent=2.5, boundary="periodic")])
+def test_bands_of_a_sonic_vacuum_say_so(make):
+    found = gx.linear.bands(make())
+    assert not np.any(found.upper) and "sonic vacuum" in found.outcome
+    with pytest.raises(ValueError, match="sonic vacuum"):
+        gx.linear.sound_speed(make())

@@ -6,7 +6,7 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 from scipy.special import ellipe, ellipk
 
-import granjax  # noqa: F401
+import granjax as gx
 from granjax import materials
 from granjax.materials import Material, bead_mass, crossed_cylinders, hertz_coefficient, material
 
@@ -185,3 +185,17 @@ def test_stack_places_materials_along_a_chain():
 def test_bad_input_gets_a_sentence(call, words):
     with pytest.raises(ValueError, match=words):
         call()
+
+
+@pytest.mark.parametrize("make", [
+    lambda: gx.scenes.beads("steel 316", 9.5, cells=3), lambda: gx.scenes.beads("PTFE", [9.5e-3, 2.0]),
+    lambda: gx.materials.bead_mass("brass", 0.51)])
+def test_a_bead_of_more_than_a_metre_is_questioned(make):
+    with pytest.warns(UserWarning, match="Radii are in metres"):
+        make()
+
+
+def test_beads_of_laboratories_are_not_questioned(recwarn):
+    gx.scenes.beads("steel 316", [9.5e-3, 0.4])
+    jax.jit(lambda radius: gx.materials.bead_mass("steel 316", radius))(9.5)
+    assert not [w for w in recwarn if "metres" in str(w.message)]

@@ -489,3 +489,30 @@ def test_a_time_is_one_or_one_a_lane_and_what_is_not_read_is_looked_at():
         measures.front_speed(ts, q, fraction=2.0)
     with pytest.raises(ValueError, match="sampling: expected at most"):
         measures.velocity_trace(ts, q, 0, sampling=1e300)
+
+
+@pytest.mark.parametrize("boundary", ["fixed", "free", "periodic"])
+def test_what_a_sensor_in_a_bead_reads(boundary):
+    A, F0, n = np.linspace(1.0, 2.0, 6), 0.5, {"fixed": 6, "free": 4, "periodic": 5}[boundary]
+    chain = gx.Lattice(np.ones(5), gx.Bond(gx.Shift(1, boundary), gx.Hertz(A[:n], F0)))
+    u = 0.9 * np.random.default_rng(2).normal(size=(5, 2))
+    state = gx.State(jnp.asarray(u[:, 0]), jnp.zeros(5))
+    wide = {"fixed": np.pad(u[:, 0], 1), "free": u[:, 0], "periodic": np.append(u[:, 0], u[0, 0])}[boundary]
+    force = A[:n] * np.maximum((F0 / A[:n]) ** (2 / 3) - np.diff(wide), 0) ** 1.5
+    left = {"fixed": force[:-1], "free": np.append(0, force), "periodic": np.roll(force, 1)}[boundary]
+    right = {"fixed": force[1:], "free": np.append(force, 0), "periodic": force}[boundary]
+    np.testing.assert_allclose(gx.measures.sensor_force(chain, state), (left + right) / 2, rtol=1e-13, atol=1e-13)
+
+
+def test_a_sensor_needs_neighbours():
+    with pytest.raises(ValueError, match="bonds between next neighbours"):
+        gx.measures.sensor_force(gx.scenes.square(3), gx.states.rest(gx.scenes.square(3)))
+    chain = gx.scenes.mass_in_mass(6, 0.5, 1.0)
+    rest = gx.states.rest(chain)
+    assert gx.measures.sensor_force(chain, rest, field="bead").shape == (6,)
+
+
+def test_sensors_in_a_batch():
+    chains = jax.vmap(lambda F0: gx.scenes.monomer(5, precompression=F0), out_axes=-1)(jnp.array([0.5, 2.0]))
+    found = gx.measures.sensor_force(chains, gx.states.rest(chains))
+    np.testing.assert_allclose(found, np.broadcast_to([0.5, 2.0], (5, 2)), rtol=1e-14)

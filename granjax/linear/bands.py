@@ -19,6 +19,8 @@ from .modes import signed_root
 
 SHRINK, ROUNDS = 0.6, 48
 TOUCHING = 1e-8
+VACUUM = ("Nothing is stiff at rest (a sonic vacuum): there are no linear waves, and every frequency is zero. Give "
+          "precompression > 0.")
 
 
 class Bands(Result):
@@ -62,6 +64,9 @@ class Bands(Result):
     @property
     def outcome(self) -> str:
         """How many bands and gaps."""
+        upper = concrete(self.upper)
+        if upper is not None and not np.any(upper):
+            return VACUUM
         sites, count = " x ".join(map(str, self.cell)), self.lower.shape[-1]
         gaps = f", {len(self.gaps)} gap{'s' * (len(self.gaps) != 1)}" if self.lower.ndim == 1 else ""
         return f"{count} band{'s' * (count > 1)}{gaps}, cell of {sites} site{'s' * (prod(self.cell) > 1)}."

@@ -1,5 +1,7 @@
 """Contacts: compression, overlap and total force of bonds and walls."""
 
+import jax.numpy as jnp
+
 from ..checks import refuse, whole
 from ..entry import checked
 from ..lattice import Lattice
@@ -69,6 +71,36 @@ def contact_force(lattice: Lattice, y: StateLike, t: Number = 0.0, *, bond: Coun
     [0.419066, 1.728, 1.0]
     """
     return _contact(lattice, y, t, bond).force
+
+
+@checked
+def sensor_force(lattice: Lattice, y: StateLike, t: Number = 0.0, *, field: str | None = None) -> Numbers:
+    """Mean of the two contact forces of every bead, (F_{n-1,n} + F_{n,n+1})/2 [N]: what a sensor inside it reads.
+
+    A bead at a free end has one contact, and reads half of it. Walls that are terms of their own do not count.
+    **Arguments:** as in `strain`; `field`: that of the beads where a cell holds several. **Shapes:** (N,), then lanes.
+    **Raises** ValueError for a lattice without bonds between next neighbours of a chain.
+    Source: Daraio, Nesterenko, Herbold, Jin, Phys. Rev. E 73, 026610 (2006).
+
+    **Example:**
+
+    >>> chain = gx.scenes.monomer(20, precompression=1.0)
+    >>> state = gx.State(jnp.zeros(20).at[0].set(0.44), jnp.zeros(20))
+    >>> np.array(gx.measures.sensor_force(chain, state)[:3]).round(6).tolist()
+    [1.073533, 1.364, 1.0]
+    """
+    u, _ = parts(lattice, y, t)
+    for term in lattice.terms:
+        found = term.next_neighbours(field)
+        if found is not None:
+            force = term.compressions(t, u)[0].force
+            if found[1] == "periodic":
+                return (jnp.roll(force, 1, 0) + force) / 2
+            if found[1] == "free":
+                force = jnp.pad(force, [(1, 1)] + [(0, 0)] * (force.ndim - 1))
+            return (force[:-1] + force[1:]) / 2
+    refuse("lattice", "a chain with bonds between next neighbours", "none of that field",
+           "Of other lattices take the mean of gx.measures.contact_force yourself.")
 
 
 @checked
