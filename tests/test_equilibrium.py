@@ -306,6 +306,7 @@ def test_loads_that_do_not_balance_are_borne_and_the_outcome_says_so():
     assert "bears the loads given on them" in found.outcome
     assert "bears" not in gx.equilibrium(chain, loads=jnp.array([0, 0.2, 0, 0, 0])).outcome
     # what is under a preload takes more of it, on top of what holds it
-    pressed = gx.equilibrium(gx.scenes.monomer(4, precompression=1.0, boundary="free"), loads=jnp.array([0.5, 0, 0, -0.5]))
+    chain = gx.scenes.monomer(4, precompression=1.0, boundary="free")
+    pressed = gx.equilibrium(chain, loads=jnp.array([0.5, 0, 0, -0.5]))
     np.testing.assert_allclose(-np.diff(pressed.state.u), 1.5 ** (2 / 3) - 1, rtol=1e-12)
     np.testing.assert_allclose(pressed.ends, 1.5, rtol=1e-13)
