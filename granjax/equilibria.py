@@ -91,8 +91,13 @@ class Equilibrium(Result):
         return f"{kind}: {left}.{self._remark}"
 
 
-_MOVED = " At u = 0 only loads on inner sites hold the lattice as it is: simulate that of `lattice`."
-_BORNE = " Held sites do not move: what holds them bears the loads given on them (hold='nothing' lets these act)."
+_MOVED = (
+    " At u = 0 only loads on inner sites hold the lattice as it is: simulate that of `lattice`."
+)
+_BORNE = (
+    " Held sites do not move: what holds them bears the loads given on them"
+    " (hold='nothing' lets these act)."
+)
 
 
 class _Problem(eqx.Module):
@@ -250,8 +255,7 @@ def _free_moves(problem):
     for term in lattice.terms:
         answers = np.asarray(term.resists(lattice, moves)).reshape(-1, len(moves))
         resisted |= np.any(answers != 0, 0) if len(answers) else False
-    free = [np.concatenate([x.ravel() for x in jax.tree.leaves(move)])
-            for move, held in zip(moves, resisted) if not held]
+    free = [_row(move) for move, held in zip(moves, resisted) if not held]
     columns = [x / np.linalg.norm(x) for x in free]
     found = np.stack(columns, -1) if columns else np.zeros((problem.guess.size, 0))
     return found.astype(problem.guess.dtype)
@@ -302,7 +306,12 @@ def _slab(lattice, axis, end):
         flags[(slice(None),) * axis + (end,)] = True
         return flags
 
-    return np.concatenate([x.ravel() for x in jax.tree.leaves(jax.tree.map(of, lattice.template()))])
+    return _row(jax.tree.map(of, lattice.template()))
+
+
+def _row(tree):
+    """NumPy's arrays over the sites as one row."""
+    return np.concatenate([x.ravel() for x in jax.tree.leaves(tree)])
 
 
 @eqx.filter_jit
@@ -357,16 +366,19 @@ def _finished(problem, x, jacobian):
     loads = _shaped(lattice, problem.loads - jnp.where(problem.holds, force, 0))
     measured = eqx.tree_at(lambda x: x.terms, lattice, tuple(
         term.measured_from(lattice, u) for term in lattice.terms))
-    inner = jnp.abs(ravel_pytree(_total(lattice, lattice.zeros()))[0] + problem.loads - problem.given)
+    preloads = ravel_pytree(_total(lattice, lattice.zeros()))[0]
+    inner = jnp.abs(preloads + problem.loads - problem.given)
     inner = jnp.max(jnp.where(problem.holds, 0, inner))
     borne = jnp.any(problem.holds & (problem.given != 0))
     least = None if jacobian is None else _least(jax.lax.stop_gradient(jacobian), problem)
     state = State(u, jax.tree.map(jnp.zeros_like, u))
-    return state, loads, residual, _sizes(problem, x)[0], inner, borne, least, measured, _ends(lattice, u, loads)
+    largest, ends = _sizes(problem, x)[0], _ends(lattice, u, loads)
+    return state, loads, residual, largest, inner, borne, least, measured, ends
 
 
 def _result(problem, x, jacobian, code, throw):
-    state, loads, residual, largest, inner, borne, least, measured, ends = _finished(problem, x, jacobian)
+    found = _finished(problem, x, jacobian)
+    state, loads, residual, largest, inner, borne, least, measured, ends = found
     remark = ""
     if not traced((inner, largest, borne)):
         remark = _MOVED * bool(inner > TIGHT * largest) + _BORNE * bool(borne)

@@ -107,7 +107,7 @@ def page_named_in(text):
         (["resonance", "--beads", "2"], "--beads: expected a whole number not below 3, got 2."),
         (["resonance", "--ratios", "2"], "--ratios: expected a whole number not below 3, got 2."),
         (["resonance", "--beads", "many"], "invalid int value: 'many'"),
-        (["resonance", "--out", "FILE/folder"], "--out: expected a folder that can be made and written"),
+        (["resonance", "--out", "FILE/folder"], "--out: expected a folder that can be made"),
         (["resonance", "--bead-count", "2"], "unrecognized arguments"),
         (["sing"], "invalid choice: 'sing'"),
         (["reproduce"], "FIGURE: expected labels of figures, or --all, got neither."),

@@ -52,7 +52,7 @@ def computed(monkeypatch):
 
     ratios = np.linspace(0.05, 1, 13)[1:]
     sweep = Transmission(ratios, ratios, ratios, 1.0, 11, 20.0)
-    extrema = Extrema(*(np.array([x]) for x in (0.4, 0.7, 0.9, 1.0)))
+    extrema = Extrema(*(np.array([x]) for x in (0.4, 0.7, 0.9, 1.0, 0.6, 0.8)))
     monkeypatch.setattr(gx.resonance, "transmission", lambda *arguments, **keywords: sweep)
     monkeypatch.setattr(gx.resonance, "refine", lambda *arguments, **keywords: extrema)
     return monkeypatch

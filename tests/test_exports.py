@@ -201,7 +201,7 @@ MAKERS = {
         *np.ones(5), np.ones(2), *np.ones(8), *np.ones((6, 3)), "toda", *np.ones((5, 3)), gx.Hertz(), 1.0, "A shock.",
         **OTHER),
     "Transmission": lambda: Transmission(np.ones(3), np.ones(3), np.ones(3), 1.0, 9, 20.0),
-    "Extrema": lambda: Extrema(np.ones(2), np.ones(2), np.ones(0), np.ones(0)),
+    "Extrema": lambda: Extrema(*[np.ones(2)] * 4, *[np.ones(0)] * 2),
     "Averages": lambda: made("PeriodicWave").averages(),
     "FittedEdges": lambda: gx.theory.shock_edges(gx.Toda(), 0.5),
     "PeriodicWave": lambda: gx.travelling.periodic_wave(gx.Toda(), 8.0, amplitude=0.1),
@@ -211,7 +211,7 @@ MAKERS = {
     "SpaceTime": lambda: gx.shocks.SpaceTime(
         np.arange(2.0), np.arange(3), np.ones((2, 3)), 1.5, 0.1, state(), 0.1, np.ones(()), "It ran.", "velocity",
         **OTHER),
-    "Made": lambda: gx.reproduce.Made("fig", 1.0, 1.0, 0.1, None, 2.0, {"eps": 0.5}, None, None, "", "", "Agrees."),
+    "Made": lambda: gx.reproduce.Made("fig", 1.0, 1.0, 0.1, None, 2.0, {"eps": 0.5}, None, None, "", "Agrees."),
 }
 made = functools.cache(lambda name: MAKERS[name]())
 

@@ -119,10 +119,12 @@ def localisation_length(lattice: Lattice, omega: Parameter) -> LocalisationLengt
     gamma, error, *checks = _growth(lattice, omega.reshape(-1), lattice.reads_velocity)
     further, uneven, least = (concrete(jax.lax.stop_gradient(x)) for x in checks)
     if further is not None and further > LOOSE * np.finfo(further.dtype).eps:
-        refuse("lattice", "bonds and dashpots between next neighbours", "some that reach further", _MODES)
+        wanted = "bonds and dashpots between next neighbours"
+        refuse("lattice", wanted, "some that reach further", _MODES)
     if uneven is not None and uneven > LOOSE * np.finfo(uneven.dtype).eps:
-        refuse("lattice", "forces that are alike at both sites of a bond", "gyroscopic or one-way forces",
-               "A wave that runs to the left decays at another rate there: simulate the chain, driven at one end.")
+        wanted = "forces that are alike at both sites of a bond"
+        refuse("lattice", wanted, "gyroscopic or one-way forces",
+               "Waves to the left and to the right differ: simulate the chain, driven at one end.")
     if least is not None and not least > 0:
         refuse("lattice", "bonds with a stiffness at rest", f"one of stiffness {show(least)}",
                "A sonic vacuum has no linear waves: give precompression > 0, or see gx.studies.spreading.")
@@ -136,14 +138,19 @@ _MODES = "gx.measures.participation of normal modes tells how far such waves rea
 
 @waited
 def _growth(lattice, omega, damped):
-    """gamma and its standard error (W,); what three diagonals miss; how far from symmetric; the least |k_n|."""
+    """gamma and its standard error (W,); what the checks of the caller read.
+
+    What three diagonals miss, how far they are from symmetric, both over the largest entry; the least |k_n|.
+    """
     pull, drag = products(lattice, jnp.zeros((), lattice.dtype))
     (tied, k), further, uneven, scale = _springs(lattice, pull)
     mass = spread_mass(lattice)[1:-1].reshape(tied.shape)
     rows = [mass, tied, k]
     if damped:
         damping, more, odd, _ = _springs(lattice, drag)
-        rows, further, uneven = rows + list(damping), jnp.maximum(further, more), jnp.maximum(uneven, odd)
+        rows += damping
+        further = jnp.maximum(further, more)
+        uneven = jnp.maximum(uneven, odd)
     count, lanes = mass.shape
     pieces = min(PIECES, count)
     forgotten, length = pieces * FORGOTTEN // PIECES, count // pieces
@@ -182,10 +189,10 @@ def _squared(x):
 
 
 def _springs(lattice, product_with):
-    """What a linear map between next neighbours is made of, for each site but the two at the ends, (N - 2, lanes).
+    """The springs of a linear map that joins next neighbours.
 
-    That is what ties a site to its place and what joins it to the right; and, over the largest of these, what is missed
-    and how far the map is from symmetric.
+    ((what ties a site to its place, what joins it to the right), each (N - 2, lanes), without the ends; what the
+    three diagonals miss and how far they are from symmetric, over the largest entry; that entry).
     """
     zeros = lattice.zeros()
     sites = zeros.shape[0]

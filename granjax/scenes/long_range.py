@@ -18,8 +18,9 @@ from .chains import _number, _sites
 
 # sites up to which the rest of a finite chain of magnets is looked for
 MANY = 2000
-# of Newton's method, which takes four to nine; of its last step, which is squared by the next, in spacings
+# steps of Newton's method, which takes four to nine
 ITERATIONS = 50
+# length of its last step in spacings: the next one squares it
 SETTLED = 1e-9
 # units in the last place that a step is left with in a long chain
 ROUNDING = 1000
@@ -107,14 +108,14 @@ def _known_rest(sites, p, reach, boundary):
             return u[kept]
     refuse("exponent", f"magnets that Newton's method brings to rest in {ITERATIONS} steps",
            f"{sites} magnets of exponent {p:g}, which are not at rest by then",
-           "Take fewer magnets, or a shorter reach: forces that fall off this slowly act on the whole chain.")
+           "Take fewer magnets, or a shorter reach: such forces act on the whole chain.")
 
 
 @partial(jax.jit, static_argnums=(0, 2, 3))
 def _found_rest(sites, p, reach, boundary):
     """The same under a transformation.
 
-    From where the last step was small two more are made, through which derivatives to the third order are right.
+    Derivatives to the third order are those of two steps more, from where the last step was small.
     """
     u, step, kept = _towards_rest(jnp, sites, reach, boundary)
     p = p.astype(u.dtype)

@@ -291,7 +291,8 @@ class _Bonds(NamedTuple):
         offsets = np.arange(1, count + 1)
         if count <= FEW:
             others = [jnp.stack([far[i : i + size] for i in offsets]) for far in wide]
-            value = values(others, offsets.reshape((-1,) + (1,) * k.ndim), self.c[:, None], self.m[:, None])
+            rows = offsets.reshape((-1,) + (1,) * k.ndim)
+            value = values(others, rows, self.c[:, None], self.m[:, None])
             left = sum(row[count - i :][:n] for i, row in zip(offsets, value))
             return joined(left, value[:, count:].sum(0))
 
@@ -299,7 +300,8 @@ class _Bonds(NamedTuple):
             offset, c, m = part
             others = [jax.lax.dynamic_slice_in_dim(far, offset, size) for far in wide]
             value = values(others, offset, c, m)
-            return total + joined(jax.lax.dynamic_slice_in_dim(value, count - offset, n), value[count:]), None
+            left = jax.lax.dynamic_slice_in_dim(value, count - offset, n)
+            return total + joined(left, value[count:]), None
 
         return jax.lax.scan(add, jnp.zeros_like(arrays[-1]), (offsets, self.c, self.m))[0]
 
