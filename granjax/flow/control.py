@@ -22,8 +22,8 @@ HALVINGS = 3
 PARTS = 8
 # rounding units of t0 that a step has at least, as what they cost can be avoided
 UNITS_AT_START = 256
-# and of the later of t0 and t1: a long run loses as much in other ways
-UNITS_AT_END = 16
+# and of the later of t0 and t1, as a long run loses much in other ways: steps that change the time at all
+UNITS_AT_END = 4
 
 
 def least_tolerance(dtype: Any) -> float:
@@ -31,16 +31,22 @@ def least_tolerance(dtype: Any) -> float:
     return 16 * float(jnp.finfo(dtype).eps)
 
 
+def least_step(t0: Scalar, t1: Scalar, dtype: Any, larger: Callable = max) -> Scalar:
+    """The shortest step whose ends the floating type tells apart well enough; `larger` takes two numbers."""
+    start = UNITS_AT_START * abs(t0)
+    return float(jnp.finfo(dtype).eps) * larger(start, UNITS_AT_END * larger(abs(t0), abs(t1)))
+
+
 def refuse_unresolved(t0: Scalar, t1: Scalar, step: Scalar, dtype: Any) -> None:
     """Refuse times, where they are known, that the floating type does not tell apart as well as steps need it."""
     if traced((t0, t1, step)):
         return
-    eps, far = float(jnp.finfo(dtype).eps), max(abs(t0), abs(t1))
-    if step < eps * max(UNITS_AT_START * abs(t0), UNITS_AT_END * far):
+    if step < least_step(t0, t1, dtype):
+        gap = float(jnp.finfo(dtype).eps) * max(abs(t0), abs(t1))
         finer = "" if dtype == np.dtype(float) else " Or compute in float64."
         refuse(
             "t0, t1, step", f"a step that is long against the gaps between numbers of {dtype} at these times",
-            f"a step of {step:.3g} from t0 = {t0:g} to t1 = {t1:g}, where numbers lie {eps * far:.2g} apart",
+            f"a step of {step:.3g} from t0 = {t0:g} to t1 = {t1:g}, where numbers lie {gap:.2g} apart",
             f"Count time from t0=0 (of what drives the lattice too), or take a longer step.{finer}")
 
 

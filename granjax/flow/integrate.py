@@ -14,7 +14,7 @@ from ..programs import compiled
 from ..solvers import AbstractNystrom
 from ..types import Displacements, Number, Numbers, Scalar, StateLike, Times
 from .breaks import Landing, one_sided
-from .control import UNITS_AT_END, Scales, StepControl
+from .control import Scales, StepControl, least_step
 from .lanes import by_groups, each_lane
 from .record import CLOSEST, EXTREMES, AtEnds, Recorded, leaf_by_leaf
 from .record.dips import Dips
@@ -126,7 +126,7 @@ def reduced(
     solver: diffrax.AbstractSolver, watch: bool, part: Part,
 ) -> Run:
     """The `Run` of all its parts."""
-    adaptive, size = tolerance is not None, dt if tolerance is None else tolerance
+    size = dt if tolerance is None else tolerance
     (state, t0, t1), (ts, ys, _, final, carried, steps, accepted, rejected, code) = begin, part
     recorded = {name: leaf_by_leaf(records[name].finish, carried[name]) for name in records}
     short = {name: leaf_by_leaf(records[name].short, carried[name]) for name in records}
@@ -142,8 +142,9 @@ def reduced(
         low, less_high = extremes
         stats["omega"] = reached_frequency(lattice, low, jax.tree.map(jnp.negative, less_high), t0, t1, final.u)
     code = jnp.where(_meant(t0, t1, size), code, NOTHING)
-    resolved = size >= UNITS_AT_END * jnp.finfo(lattice.dtype).eps * jnp.maximum(jnp.abs(t0), jnp.abs(t1))
-    code = jnp.where(adaptive | resolved | (code != COMPLETED), code, UNRESOLVED)
+    if tolerance is None:
+        resolved = dt >= least_step(t0, t1, lattice.dtype, jnp.maximum)
+        code = jnp.where(resolved | (code != COMPLETED), code, UNRESOLVED)
     energy_error = _energy_error(lattice, state, t0, ts, ys)
     if lattice.conserves:
         gap = energy_gap(lattice, t1, final.u)
