@@ -8,6 +8,7 @@ matplotlib.use("Agg")
 
 import numpy as np  # noqa: E402
 import pytest  # noqa: E402
+from scipy.integrate import solve_ivp  # noqa: E402
 
 import granjax as gx  # noqa: E402
 from granjax import plots  # noqa: E402
@@ -45,6 +46,80 @@ def test_two_solitons_of_toda_are_shifted_as_the_closed_form_says(fast, way, shi
     else:
         assert np.isnan(found.kdv_shifts).all() and "KdV knows waves of one way alone" in found.outcome
     assert plots.space_time(found.run) is not None
+
+
+def met(force, waves, places, end, sites):
+    """(times, strains) of two waves that start at `places`, by DOP853."""
+    parts = [wave.state(sites, place) for wave, place in zip(waves, places)]
+    y = np.concatenate([np.asarray(sum(part[i] for part in parts)) for i in (0, 1)])
+
+    def field(t, y):
+        u, v = np.split(y, 2)
+        push = np.pad(force(u[:-1] - u[1:]), 1)
+        return np.concatenate([v, push[:-1] - push[1:]])
+
+    ts = np.linspace(end - 4, end, 41)
+    u = solve_ivp(field, (0, end), y, "DOP853", ts, rtol=1e-11, atol=1e-12).y[:sites]
+    return ts, u[:-1] - u[1:]
+
+
+class Sinh(gx.Law):
+    """F(e) = sinh(e) + e^2/2, as a user writes it: it pulls without end in tension."""
+
+    def force(self, e):
+        return jnp.sinh(e) + e**2 / 2
+
+    def energy(self, e):
+        return jnp.cosh(e) - 1 + e**3 / 6
+
+
+MET = [
+    pytest.param(gx.Polynomial(1.0, 0.25, 0.0), lambda e: e + 0.25 * e**2, (1.2, -1.3), 0.3, id="fput-alpha"),
+    *(pytest.param(*case, marks=pytest.mark.study) for case in (
+        (gx.Hertz(), lambda e: np.maximum(e, 0) ** 1.5, (1.0, -1.1), 0.0),
+        (gx.Hertz(), lambda e: np.maximum(e, 0) ** 1.5, (1.0, -1.1), 0.5),
+        (Sinh(), lambda e: np.sinh(e) + e**2 / 2, (1.3, -1.2), 0.75),
+        (gx.Polynomial(1.0, 0.0, 1.0), lambda e: e + e**3, (1.3, -1.2), 1.25),
+    )),
+]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("law", "force", "speeds", "phase"), MET)
+def test_waves_meet_at_the_phase_that_is_asked_for(law, force, speeds, phase):
+    """Where they leave, by the crests of DOP853's strains, of waves that begin farther apart than those of `collide`."""
+    waves = [solitary_wave(law, speed=c) for c in speeds]
+    found = collide(*waves, phase=phase, tolerance=2e-2)
+    assert found.phase == phase % 1 and found.meeting_place % 1 == pytest.approx(phase % 1, abs=1e-12)
+    before, after, sites = 14.0, 26.0, 90
+    places = [45 + phase % 1 - c * before for c in speeds]
+    ts, strains = met(force, waves, places, before + after, sites)
+    for k, wave in enumerate(waves):
+        line = 45 + phase % 1 + found.shifts[k] + found.speeds_after[k] * (ts - before)
+        middle = np.rint(line).astype(int)
+        window = middle + np.arange(-3, 4)[:, None]
+        around = strains[window, np.arange(len(ts))]
+        own = solitary_wave(law, speed=float(found.speeds_after[k]))
+        off = np.array([np.abs(around - np.asarray(own.strain(window - line - d))).max() for d in (0, -0.1, 0.1)])
+        assert off[0] < 0.03 * float(wave.amplitude) and off[0] < off[1:].min() / 2
+
+
+@pytest.mark.slow
+def test_calls_with_other_numerical_options_agree_within_their_errors():
+    one, two = (solitary_wave(gx.Polynomial(1.0, 0.25, 0.0), speed=c) for c in (1.4, -1.5))
+    calls = [{"tolerance": 1e-2}, {"tolerance": 1e-3}, {"tolerance": 1e-2, "step": 0.03}]
+    first, *others = (collide(one, two, **keywords) for keywords in calls)
+    for other in others:
+        assert other.phase == first.phase == 0.0
+        assert (np.abs(other.shifts - first.shifts) <= first.shift_errors + other.shift_errors).all()
+    # the range over phases, as lanes, and one of them by itself
+    several = collide(one, two, phase=np.array([0.0, 0.5]), tolerance=1e-2)
+    assert several.shifts.shape == (2, 2) and several.run.us.shape[2:] == (2,) and "At 2 of 2 phases" in several.outcome
+    np.testing.assert_allclose(several.shifts[:, 0], first.shifts, atol=1e-9)
+    np.testing.assert_allclose(several.radiated[0], first.radiated, atol=1e-9)
+    data = several.to_xarray()
+    assert data.shifts.dims == ("wave", "lane") and data.places.dims == ("wave", "found", "lane")
+    assert data.times.dims == ("found",) and data.phase.values.tolist() == [0.0, 0.5]
 
 
 @pytest.mark.study
@@ -136,6 +211,7 @@ def test_refused_with_the_reason(fast):
         (lambda: collide(fast, solitary_wave(gx.Toda(2.0), speed=2.0)), "second: expected a wave of the same law"),
         (lambda: collide(fast, toda(0.5), tolerance=0.5), "tolerance"),
         (lambda: collide(fast, toda(0.5), step=-1.0), "step"),
+        (lambda: collide(fast, toda(0.5), phase=[[0.0]]), r"phase: expected a number, or numbers of shape \(P,\)"),
         (lambda: reflect(toda(1.0, -1)), "wave: expected one to the right"),
         (lambda: reflect(fast, gx.Hertz(jnp.ones((2, 2)))), "one row of lanes"),
         (lambda: reflect(fast, distance=0), "distance"),

@@ -3,6 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from cases import MASS_IN_MASS
+from scipy.integrate import solve_ivp
 
 import granjax as gx
 from granjax import driven
@@ -126,6 +127,57 @@ def test_period_doubling_is_told(force, multiple, word):
     found = driven.settle(lattice, WELL, 2 * np.pi / 1.2, steps=48, periods=1500)
     assert (found.multiple, found.settled) == (multiple, multiple > 0) and word in found.outcome
     assert len(found.ts) == 48 * (multiple or 16)
+
+
+def multiplier(x, v, force, omega, K2, K4, damping):
+    """The most negative multiplier of the T-periodic orbit of site 0, by SciPy: Newton's method, tangents by DOP853."""
+
+    def field(t, y):
+        x, v, *tangents = y
+        pull = force * np.cos(omega * t) - damping * v - K2 * x - K4 * x**3
+        a, b, c, d = tangents
+        return [v, pull, c, d, *(-damping * w - (K2 + 3 * K4 * x**2) * q for q, w in ((a, c), (b, d)))]
+
+    y = np.array([x, v])
+    for _ in range(8):
+        end = solve_ivp(field, (0, 2 * np.pi / omega), [*y, 1, 0, 0, 1], "DOP853", rtol=1e-12, atol=1e-12).y[:, -1]
+        M = end[2:].reshape(2, 2)
+        y = y - np.linalg.solve(M - np.eye(2), end[:2] - y)
+    return np.linalg.eigvals(M).real.min(), y
+
+
+# forces at which the orbit of one period is all but doubled
+SLOW = [
+    pytest.param(0.265575837, DOUBLE_WELL, id="-0.99985"),
+    pytest.param(0.2655768, DOUBLE_WELL, id="-0.99986", marks=pytest.mark.study),
+    pytest.param(0.26556, DOUBLE_WELL, id="-0.9995", marks=pytest.mark.study),
+]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("force", "well"), SLOW)
+def test_what_settles_slowly_is_not_called_chaotic_nor_doubled(force, well):
+    rho, orbit = multiplier(0.7, 0.2, force, **well)
+    assert -1 < rho < -0.9985
+    lattice, T = duffing(jnp.asarray(force), **well), 2 * np.pi / well["omega"]
+    # half-way between what one and what two periods change by falls below their bounds
+    near = gx.State(jnp.array([orbit[0] + 6e-6, 1.0]), jnp.array([orbit[1], 0.0]))
+    for start, periods in ((WELL, 400), (near, 300)):
+        found = driven.settle(lattice, start, T, steps=48, periods=periods)
+        assert found.multiple == 0 and "Undecided" in found.outcome and f"{rho:.5g}"[:7] in found.outcome
+    assert driven.lyapunov(lattice, WELL, T, steps=48, periods=200).verdict in ("periodic", "undecided")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("damping", [1e-4, 0.0])
+def test_a_linear_chain_of_little_damping_settles_slowly_if_at_all(damping):
+    N, T = 3, 2 * np.pi / 1.1
+    lattice = driven.driven_chain(gx.Lattice(np.ones(N), gx.Bond(gx.Shift(1, "fixed"), gx.Linear(1.0))), 0.1, 1.1,
+                                  damping=damping)
+    found = driven.settle(lattice, state(lattice), T, periods=200, steps=32)
+    # of every multiplier, whatever the springs
+    said = f"a disturbance takes {2 / (damping * T):.2g} periods" if damping else "quasi-periodic or chaotic"
+    assert found.multiple == 0 and said in found.outcome and ("Undecided" in found.outcome) == (damping > 0)
 
 
 def test_a_budget_that_is_too_small_is_told():

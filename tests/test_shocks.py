@@ -1,9 +1,11 @@
 """What is measured of dispersive shocks, against Whitham's theory and in other units."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from cases import few
+from scipy.integrate import solve_ivp
 
 import granjax as gx
 
@@ -151,3 +153,44 @@ def test_a_shock_into_a_sonic_vacuum():
     assert shock.leading_speed == pytest.approx(float(edges.leading_speed), rel=2e-3)
     assert shock.mean == pytest.approx(float(edges.mean), rel=0.02) and np.isnan(shock.c)
     assert "no sound" in shock.outcome and 0.2 < shock.trailing_speed < 0.45
+
+
+class Steepening(gx.Law):
+    """F(e) = exp(e) - 1 + K e^2/2, as a user writes it: its energy falls without bound in tension."""
+
+    curvature: float
+
+    def force(self, e):
+        return jnp.expm1(e) + self.curvature * e**2 / 2
+
+    def energy(self, e):
+        return jnp.expm1(e) - e + self.curvature * e**3 / 6
+
+
+FALLING = [
+    pytest.param(gx.Polynomial(1.0, 0.25, 0.0), lambda e: e + 0.25 * e**2, {}, id="fput-alpha"),
+    pytest.param(Steepening(0.2), lambda e: np.expm1(e) + 0.1 * e**2, {}, id="steepening", marks=pytest.mark.study),
+    pytest.param(Steepening(0.5), lambda e: np.expm1(e) + 0.25 * e**2, {"tolerance": 1e-8}, id="adaptive",
+                 marks=pytest.mark.study),
+    pytest.param(gx.Polynomial(1.0, 1.0, 0.1), lambda e: e + e**2 + 0.1 * e**3, {"step": 0.05}, id="stiff"),
+]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("law", "force", "keywords"), FALLING)
+def test_the_windows_take_steps_like_those_of_the_run(law, force, keywords):
+    """By DOP853: when contacts near the leading crest peak after the run has ended."""
+    problem = piston(law, 0.5, 141)
+    shock = gx.shocks.measure(problem.run(60.0, **keywords), points=3)
+
+    def field(t, y):
+        u, v = np.split(y, 2)
+        push = force(np.append(t - u[0], u[:-1] - u[1:]))
+        return np.concatenate([v, push - np.append(push[1:], 0.0)])
+
+    ts = np.linspace(60.0, 60.0 + 9 / shock.leading_speed, 1201)
+    u = solve_ivp(field, (0, ts[-1]), np.zeros(282), "DOP853", ts, rtol=1e-11, atol=1e-11).y[:141]
+    strains = (u[:-1] - u[1:])[np.rint(shock.leading_place + problem.centre).astype(int) + np.arange(1, 7)]
+    crests = ts[np.argmax(strains, 1)]
+    assert shock.leading_speed == pytest.approx(5 / (crests[-1] - crests[0]), rel=4e-3)
+    assert shock.amplitude == pytest.approx(strains.max(1).mean(), rel=5e-3)

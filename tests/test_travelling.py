@@ -179,6 +179,65 @@ def test_a_wave_whose_energy_falls_with_its_speed_is_unstable(speed):
     assert found.verdict == ("unstable" if slope < 0 else "stable") == ("unstable" if speed < 1.03 else "stable")
 
 
+def energy_of_wave(force, speed, power, length=64, points=4096):
+    """int (phi F/2 + W) of m c^2 phi = tent * F(phi), m = 1, by Petviashvili's iteration in Fourier space."""
+    x = length * (np.arange(points) / points - 0.5)
+    kernel = np.sinc(np.fft.rfftfreq(points, length / points)) ** 2
+    phi = 0.5 / np.cosh(x) ** 2
+    for _ in range(4000):
+        rest = lambda f: np.fft.irfft(kernel * np.fft.rfft(f), points)
+        linear, bent = speed**2 * phi - rest(phi), rest(force(phi) - phi)
+        after = (phi @ linear / (phi @ bent)) ** (power / (power - 1)) * np.fft.irfft(
+            kernel * np.fft.rfft(force(phi) - phi) / (speed**2 - kernel), points)
+        phi, moved = after, np.abs(after - phi).max()
+        if moved < 1e-13:
+            break
+    nodes, weights = np.polynomial.legendre.leggauss(40)
+    stored = phi * sum(w / 2 * force((1 + z) / 2 * phi) for z, w in zip(nodes, weights))
+    return float(np.sum(phi * force(phi) / 2 + stored) * length / points)
+
+
+class Stiffens(gx.Law):
+    """F(e) = e + e^3/2 + e^9, as a user writes it."""
+
+    def force(self, e):
+        return e + 0.5 * e**3 + e**9
+
+    def energy(self, e):
+        return e**2 / 2 + e**4 / 8 + e**10 / 10
+
+
+# law, force, the leading power, speed
+JUDGED = [
+    pytest.param(STEEP, lambda e: e + e**7, 7, 1.1, id="7-1.1"),
+    pytest.param(STEEP, lambda e: e + e**7, 7, 1.02, id="7-1.02"),
+    *(pytest.param(*case, id=f"{case[2]}-{case[3]}", marks=pytest.mark.study) for case in (
+        (STEEP, lambda e: e + e**7, 7, -1.05), (gx.Linear() + gx.PowerLaw(1.0, 5.0), lambda e: e + e**5, 5, 1.1),
+        (gx.Linear() + gx.PowerLaw(2.0, 9.0), lambda e: e + 2 * e**9, 9, 1.03),
+        (gx.Linear() + gx.PowerLaw(2.0, 9.0), lambda e: e + 2 * e**9, 9, 1.15),
+        (Stiffens(), lambda e: e + 0.5 * e**3 + e**9, 3, 1.12), (gx.Toda(), np.expm1, 2, 1.1),
+    )),
+]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("law", "force", "power", "speed"), JUDGED)
+def test_a_wave_is_unstable_where_its_energy_falls_with_its_speed_whatever_the_ring(law, force, power, speed):
+    """Friesecke and Pego: a pair of multipliers leaves +1 where dE/dc = 0; nothing else does here."""
+    wave, c = solitary_wave(law, speed=speed), abs(speed)
+    slope = np.diff([energy_of_wave(force, x, power) for x in (c - 1e-3, c, c + 1e-3)])
+    assert float(wave.energy) == pytest.approx(energy_of_wave(force, c, power), rel=1e-6)
+    assert slope[0] * slope[1] > 0
+    found = wave.floquet()
+    sites = len(found.state.u)
+    assert found.verdict == ("unstable" if slope[0] < 0 else "stable") and f"ring of {sites} sites" in found.outcome
+    assert len(found.unstable) == (slope[0] < 0)
+    if np.abs(found.multipliers).max() - 1 > 1e-4:
+        # what lets small waves round, and what does not
+        assert f"chain of {sites} sites with held ends" in found.outcome
+        assert "run round the ring" in found.outcome or slope[0] < 0
+
+
 @pytest.mark.slow
 def test_ring_and_held_ends_agree():
     wave = solitary_wave(STEEP, speed=1.02)

@@ -21,6 +21,7 @@ from ..programs import waited
 from ..results import STATE, Held, Result
 from ..solvers import SRKN11b
 from ..types import Count, Counts, Displacements, Numbers, Pytree, Scalar, StateLike, Times
+from .orbit import forced_orbit
 from .repeats import checked_period, checked_state, one_lattice
 from .steps import default_steps, fixed_step_solver
 
@@ -38,6 +39,8 @@ KEPT = 16
 STRETCH = 8
 # steps of a settled motion that one call of its program makes
 AT_ONCE = 64
+# numbers of a state, up to which its orbit is looked for by Newton's method: a matrix of as many rows
+POLISHED = 512
 # of what half the steps change: where contacts open that may be small by accident
 SAFETY = 4
 
@@ -151,7 +154,11 @@ def settle(
         errors = _apart(found, (other, *_watch(solver, lattice, other, T, multiple, steps)[1]), left, sampling)
     changes = np.asarray(changes)[:used]
     change = float(changes[-1, MULTIPLES.index(multiple)] if multiple else changes[-1, 0])
-    outcome = _sentence(used, multiple, change, changes[:, 0], tolerance)
+    outcome = _sentence(used, multiple, change, changes[:, 0])
+    if outcome is None:
+        slow, changing = slowly(flow, lattice, end, period), f"it changes by {change:.1e} a period."
+        outcome = (f"Undecided after {used} periods: {changing} {slow}" if slow else
+                   f"Not periodic within {used} periods: quasi-periodic or chaotic, {changing}")
     return Attractor(end, period, used, multiple, change, changes[:, 0], ts, us, vs, *seen, *errors, outcome,
                      **lattice.origin)
 
@@ -178,11 +185,20 @@ def follow(
     weight = jnp.concatenate([jnp.full(half, 2 * jnp.pi / period), jnp.ones(half)])
     noise = np.concatenate([np.zeros(half), np.random.default_rng(0).uniform(-1, 1, half)])
 
-    def repeats(change):
+    def repeats(change, changes, now):
         found = 0
         for i, m in reversed(list(enumerate(MULTIPLES))):
+            own = change[i] <= tolerance
             divisors = jnp.array([change[j] for j, d in enumerate(MULTIPLES[:i]) if m % d == 0])
-            found = jnp.where((change[i] <= tolerance) & jnp.all(divisors > APART * tolerance), m, found)
+            if divisors.size:
+                # what comes slowly to an orbit of fewer periods changes by little in several: what is left of its way
+                # is the sum of a geometric series
+                lag = min(STRETCH * m, periods - 1)
+                early = changes[(now - lag) % periods, i]
+                rate = jnp.where(early > 0, change[i] / jnp.where(early > 0, early, 1), 0) ** (m / lag)
+                left = jnp.where(rate < 1, change[i] / jnp.where(rate < 1, 1 - rate, 1), jnp.inf)
+                own &= (now >= lag) & jnp.all(divisors > jnp.maximum(APART * tolerance, SAFETY * left))
+            found = jnp.where(own, m, found)
         return found
 
     def going(carry):
@@ -196,7 +212,7 @@ def follow(
             x = weight * ravel_pytree(y)[0]
             size = jnp.max(jnp.abs(x))
             change = jnp.max(jnp.abs(x - last), 1) / jnp.where(size > 0, size, 1)
-            multiple = jnp.where(i >= begin + max(MULTIPLES), repeats(change), 0)
+            multiple = jnp.where(i >= begin + max(MULTIPLES), repeats(change, changes, i), 0)
             return i + 1, y, jnp.concatenate([x[None], last[:-1]]), multiple, changes.at[i % periods].set(change)
 
         x = weight * ravel_pytree(y)[0]
@@ -321,7 +337,33 @@ def _watch(solver, lattice, state, period, count, steps):
     return (ts, ys.u, ys.v), (*tops, np.asarray(np.mean(energy))), sampling
 
 
-def _sentence(used, multiple, change, changes, tolerance):
+def slowly(flow: Flow, lattice: Lattice, state: StateLike, period: Scalar) -> str:
+    """A sentence on a stable orbit of one or two periods near a state, to which it may settle slowly; empty without."""
+    size = ravel_pytree(state)[0].size
+    for multiple in (1, 2) if size <= POLISHED else ():
+        after = state
+        for _ in range(multiple):
+            after = flow(after, 0.0, period, lattice)
+        steps = 2 * multiple * int(flow.steps)
+        # between two states on either side of the orbit
+        guess = State(*jax.tree.map(lambda a, b: (a + b) / 2, state, after))
+        try:
+            found = forced_orbit(lattice, multiple * period, guess, steps=steps, solver=flow.solver, throw=False)
+            known = found.floquet(steps=steps, solver=flow.solver) if found.converged else None
+        except ValueError:
+            continue
+        if known is None or not (np.abs(known.multipliers) + known.error < 1).all():
+            continue
+        rho = known.multipliers[0]
+        size = f"{rho if rho.imag else rho.real:.6g} +- {known.error[0]:.1e}"
+        name, forgets = "one period" if multiple == 1 else "two periods", -multiple / np.log(np.abs(rho))
+        return (f"An orbit of {name} near it is stable. Its largest multiplier is {size}: a disturbance takes "
+                f"{forgets:.2g} periods to fall to 1/e, and the motion may settle to it slowly. Give more periods, or "
+                "begin at the orbit that gx.forced.forced_orbit finds.")
+    return ""
+
+
+def _sentence(used, multiple, change, changes):
     if not np.isfinite(change):
         return f"The state ceased to be finite after {used} periods: take more steps per period."
     if multiple == 1:
@@ -333,4 +375,4 @@ def _sentence(used, multiple, change, changes, tolerance):
     early, late = np.median(changes[used // 2 - part : used // 2]), np.median(changes[-part:])
     if late < early / 2:
         return f"Still settling after {used} periods: the change a period is {change:.1e} and falls; give more periods."
-    return f"Not periodic within {used} periods: quasi-periodic or chaotic, it changes by {change:.1e} a period."
+    return None

@@ -19,7 +19,7 @@ from ..programs import waited
 from ..results import STATE, Held, Result
 from ..solvers import SRKN11b
 from ..types import Count, Scalar, StateLike
-from .attractors import steps_per_period
+from .attractors import slowly, steps_per_period
 from .repeats import checked_period, checked_state, one_lattice
 from .steps import fixed_step_solver
 
@@ -30,7 +30,8 @@ class Lyapunov(Result):
     - `exponents` (k,): from the largest down [1/time]. `uncertainty` (k,): the standard error of the mean over the
       windows plus the difference between the first and the second half of the run.
     - `rates` (P, k): growth rate over each interval. `state`: at the end.
-    - `verdict`: "chaotic", "periodic", "quasi-periodic", "regular", "at rest" or "not finite"; `outcome` says why.
+    - `verdict`: "chaotic", "periodic", "quasi-periodic", "regular", "at rest", "not finite", or "undecided", where
+      the exponent is zero within its uncertainty and a stable orbit is near; `outcome` says why.
 
     **Example:**
 
@@ -116,8 +117,10 @@ def lyapunov(
     order = np.argsort(-rates.mean(0), kind="stable")
     rates = rates[:, order]
     exponents, uncertainty = rates.mean(0), _uncertainty(rates, windows)
-    return Lyapunov(exponents, uncertainty, rates, end, *_verdict(lattice, exponents, uncertainty),
-                    **lattice.origin)
+    verdict, outcome = _verdict(lattice, exponents, uncertainty)
+    if verdict == "quasi-periodic" and (slow := slowly(flow, lattice, end, period)):
+        verdict, outcome = "undecided", f"Undecided: {_value(exponents, uncertainty)}, zero within that. {slow}"
+    return Lyapunov(exponents, uncertainty, rates, end, verdict, outcome, **lattice.origin)
 
 
 @waited
@@ -143,12 +146,16 @@ def _uncertainty(rates, windows):
     return means.std(0, ddof=1) / np.sqrt(windows) + np.abs(rates[:half].mean(0) - rates[half:].mean(0))
 
 
+def _value(exponents, uncertainty):
+    return f"the largest exponent is {exponents[0]:.3g} +- {uncertainty[0]:.1g}"
+
+
 def _verdict(lattice, exponents, uncertainty):
     """(word, sentence)."""
     if not np.isfinite(exponents).all():
         return "not finite", "The state ceased to be finite: take more steps per period."
     largest, doubt = exponents[0], uncertainty[0]
-    value = f"the largest exponent is {largest:.3g} +- {doubt:.1g}"
+    value = _value(exponents, uncertainty)
     forced = lattice.reads_time
     if largest > doubt:
         return "chaotic", f"Chaotic: {value}."

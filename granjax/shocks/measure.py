@@ -29,6 +29,8 @@ MISSES = 0.3
 EVEN, NEAR, WANDER, ROUNDS = 8, 0.05, 0.1, 3
 # places of the windows between the edges; their periods of the waves at the trailing edge, and at the leading one
 FROM, TO, PERIODS, APART = 0.15, 0.92, 2.6, 2.1
+# the longest step of a window over the time that sound takes for a bond, so that h omega_max = 1/2
+STEP = 0.25
 # shares of the amplitude at the leading edge between which waves tell the trailing one: below, the plateau rings
 RINGS, SMALL = 0.08, 0.8
 
@@ -88,14 +90,14 @@ def measure(
     points = whole("points", points, 3, "The trailing edge follows from the waves before it.")
     problem = problem_of(run, problem)
     medium = medium_before(problem)
-    found = _measured(_profile(run, problem, side), problem, medium, theory, points)
+    found = _measured(_profile(run, problem, side), problem, medium, theory, points, float(run.stats["step"]))
     for name in ("window", "leading_speed", "leading_place", "trailing_speed", "s", "speeds_of_m"):
         found[name] = found[name] if side == "right" else -found[name]
     return Shock(**found, theory=theory, law=medium.law, mass=medium.mass, **medium.origin)
 
 
-def _measured(profile, problem, medium, theory, points):
-    """The fields of a shock that runs to the right."""
+def _measured(profile, problem, medium, theory, points, step):
+    """The fields of a shock that runs to the right, whose run took steps of that length, in the mean."""
     crest = _leading(profile)
     time, lead = profile.time, float(profile.places[crest])
     plateau = _plateau(problem, profile, medium, lead / time)
@@ -106,7 +108,9 @@ def _measured(profile, problem, medium, theory, points):
     s = trailing + (lead / time - trailing) * np.linspace(FROM, TO, points)
     index = np.unique(np.rint(np.interp(s * middle, profile.places, np.arange(len(profile.places)))).astype(int))
     index, points = np.append(index, crest), len(index)
-    cut = windows(medium, profile.strain, profile.velocity, index, span, max(fastest, lead / time))
+    # adaptive steps may have been longer than those of another solver may be
+    step = min(step, STEP / max(sound, behind, fastest))
+    cut = windows(medium, profile.strain, profile.velocity, index, span, max(fastest, lead / time), step)
     speed, speed_error, height, height_error = _crest_in_time(cut, profile, lead / time)
     xi, tau, strains = cut.near()
     waves = [local_wave(xi, tau, profile.sign * strains[..., j]) for j in range(points)]

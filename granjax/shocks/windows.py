@@ -42,8 +42,9 @@ class Windows(NamedTuple):
 
 def windows(
     medium: Medium, strain: np.ndarray, velocity: np.ndarray, places: np.ndarray, span: float, fastest: float,
+    step: float,
 ) -> Windows:
-    """Each window of the strains (N - 1,) and velocities (N,), run on for a time with free ends.
+    """Each window of the strains (N - 1,) and velocities (N,), run on for a time with free ends, by steps of a length.
 
     What the ends send inwards at the `fastest` speed comes as far as some bonds from the middle, not nearer.
     """
@@ -54,7 +55,8 @@ def windows(
     u = np.concatenate([np.zeros((1, len(places))), -np.cumsum(strain[index], 0)])
     chain = jax.vmap(lambda m: Lattice(m, (Bond(Shift(1, "free"), medium.law),), sites=2 * half + 2), out_axes=-1)
     lattice = chain(jnp.broadcast_to(medium.mass, (len(places),)))
-    run = simulate(lattice, State(u - u.mean(0), velocity[sites] - velocity[sites].mean(0)), span, save_at=FRAMES)
+    state = State(u - u.mean(0), velocity[sites] - velocity[sites].mean(0))
+    run = simulate(lattice, state, span, step=step, save_at=FRAMES)
     us = np.asarray(run.us)
     return Windows(places, np.asarray(run.ts), us[:, :-1] - us[:, 1:])
 

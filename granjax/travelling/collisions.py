@@ -3,27 +3,33 @@
 from typing import ClassVar, NamedTuple
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..checks import held_in_memory, positive, refuse, within
+from ..checks import described, held_in_memory, positive, refuse, within
 from ..entry import checked
-from ..flow import Run, frequency_bound, simulate
+from ..flow import Run, simulate
 from ..lattice import Lattice, State
 from ..laws import taylor
+from ..profiles.medium import values
 from ..programs import shared_size
 from ..results import Held, Result
 from ..strains import Shift
 from ..terms import Bond
 from ..theory import toda
-from ..types import Scalar
+from ..types import Number, Parameter, Scalar
 from .tracking import MISFIT, known, number_of, of_own_speed, reach_of, tracked
 from .wave import Wave
 
-# frames of the time before and as long after, how much longer it is than the least, contacts beyond, and h omega
-FRAMES, MORE, BEYOND, STEP = 64, 0.25, 8, 0.2
+# frames of the time before and as long after, how much longer it is than the least, contacts beyond, h omega, and how
+# many strains are looked at for that
+FRAMES, MORE, BEYOND, STEP, STRAINS = 64, 0.25, 8, 0.2, 65
 # how many times as long as before two waves are followed after they met, until they are free of what they shed
 LONGER = 1, 4, 16
+# errors over what half of the frames change: what is shed and falls like 1/t may be as far again from the end
+LEFT = 2
 # share of its peak at which a wave ends, over the tolerance, and not below; speeds and laws that are the same
 TAIL, ROUNDING, SAME = 1e-6, 1e-15, 1e-12
 
@@ -31,7 +37,8 @@ TAIL, ROUNDING, SAME = 1e-6, 1e-15, 1e-12
 class Collision(Result):
     """What `collide` returns; the first of two numbers is of the first wave.
 
-    - `kind`: "overtaking" or "head-on". `meeting`: when and where the waves would have met as points [s], contacts.
+    - `kind`: "overtaking" or "head-on". `meeting`: when the waves would have met as points [s], and `meeting_place`:
+      where [contacts]. `phase`: the part of that place beyond a contact, as it was given.
     - `shifts` (2,): how far each is along n beyond where it would be alone, at `meeting`, by straight lines through
       its places before and after [contacts]; NaN where they have not parted. `shift_errors`: distance from the truth,
       by either half of the frames and by twice the time step.
@@ -42,6 +49,8 @@ class Collision(Result):
     - `separation`: least distance between the two in the frames after they met, and `least_separation`: from which on
       they have parted [contacts]. `misfits` (2,): what the waves leave of the strains about them, over their peaks.
     - `times`, `places` (2, T): where each was found. `run`: the run, for pictures.
+
+    Of several phases all arrays, and the numbers but those of both waves before, have these as their last axis.
 
     **Example:**
 
@@ -55,41 +64,45 @@ class Collision(Result):
     """
 
     held: ClassVar[dict[str, Held]] = {
-        "meeting": Held("", "s"), "meeting_place": Held("", "1"), "shifts": Held("wave", "1"),
+        "meeting": Held(None, "s"), "phase": Held("", "1"), "meeting_place": Held("", "1"), "shifts": Held("wave", "1"),
         "shift_errors": Held("wave", "1"), "kdv_shifts": Held("wave", "1"), "toda_shifts": Held("wave", "1"),
         "speeds": Held("wave", "1/s"), "speeds_after": Held("wave", "1/s"), "speed_errors": Held("wave", "1/s"),
         "amplitudes": Held("wave", "m"), "amplitudes_after": Held("wave", "m"), "amplitude_errors": Held("wave", "m"),
-        "energy": Held("", "J"), "radiated": Held("", "J"), "radiated_error": Held("", "J"),
-        "separation": Held("", "1"), "least_separation": Held("", "1"), "misfits": Held("wave", "1"),
+        "energy": Held(None, "J"), "radiated": Held("", "J"), "radiated_error": Held("", "J"),
+        "separation": Held("", "1"), "least_separation": Held(None, "1"), "misfits": Held("wave", "1"),
         "times": Held("found", "s"), "places": Held("wave found", "1"), "run": Held(None),
     }
     kind: str
     meeting: float
-    meeting_place: float
-    shifts: Float[np.ndarray, "2"]
-    shift_errors: Float[np.ndarray, "2"]
-    kdv_shifts: Float[np.ndarray, "2"]
-    toda_shifts: Float[np.ndarray, "2"]
-    speeds: Float[np.ndarray, "2"]
-    speeds_after: Float[np.ndarray, "2"]
-    speed_errors: Float[np.ndarray, "2"]
-    amplitudes: Float[np.ndarray, "2"]
-    amplitudes_after: Float[np.ndarray, "2"]
-    amplitude_errors: Float[np.ndarray, "2"]
+    phase: Number
+    meeting_place: Number
+    shifts: Float[np.ndarray, "2 ..."]
+    shift_errors: Float[np.ndarray, "2 ..."]
+    kdv_shifts: Float[np.ndarray, "2 ..."]
+    toda_shifts: Float[np.ndarray, "2 ..."]
+    speeds: Float[np.ndarray, "2 ..."]
+    speeds_after: Float[np.ndarray, "2 ..."]
+    speed_errors: Float[np.ndarray, "2 ..."]
+    amplitudes: Float[np.ndarray, "2 ..."]
+    amplitudes_after: Float[np.ndarray, "2 ..."]
+    amplitude_errors: Float[np.ndarray, "2 ..."]
     energy: float
-    radiated: float
-    radiated_error: float
-    separation: float
+    radiated: Number
+    radiated_error: Number
+    separation: Number
     least_separation: float
-    misfits: Float[np.ndarray, "2"]
+    misfits: Float[np.ndarray, "2 ..."]
     times: Float[np.ndarray, " found"]
-    places: Float[np.ndarray, "2 found"]
+    places: Float[np.ndarray, "2 found ..."]
     run: Run
     outcome: str
 
 
 class Course(NamedTuple):
-    """Where two waves would be at times 0 ... `time`, had they never met: x + c t; as points they do at `meeting`."""
+    """Where two waves would be at times 0 ... `time`, had they never met: x + c t; as points they do at `meeting`.
+
+    `sound`: the largest speed of it at strains of both waves together.
+    """
 
     starts: np.ndarray
     speeds: np.ndarray
@@ -97,6 +110,8 @@ class Course(NamedTuple):
     time: float
     sites: int
     longer: int
+    phase: float
+    sound: float
 
     @property
     def frames(self) -> int:
@@ -110,7 +125,8 @@ class Course(NamedTuple):
 
 @checked
 def collide(
-    first: Wave, second: Wave, *, tolerance: Scalar = 1e-7, step: Scalar | None = None, progress: bool = False,
+    first: Wave, second: Wave, *, phase: Parameter = 0.0, tolerance: Scalar = 1e-7, step: Scalar | None = None,
+    progress: bool = False,
 ) -> Collision:
     r"""Two solitary waves of one chain meet: where each is afterwards, beside where it would be alone.
 
@@ -118,16 +134,20 @@ def collide(
     are as far apart again, and longer where they are not yet free of what they shed. Each is found by least squares of
     the exact wave of its speed, before and after they met: a shift is the distance of two lines of places, at the time
     when they would meet as points. Where the chain is not integrable, the waves leave with other speeds, so the shift
-    depends on that time, by speeds_after - speeds.
+    depends on that time, by speeds_after - speeds; and it depends on where between two contacts they meet, the `phase`.
 
     **Arguments:**
 
     - `first`, `second`: of `solitary_wave`, of one law and mass. They overtake where both run one way, and meet
       head-on where one of them has a speed below zero. Their speeds must differ.
+    - `phase`: how far beyond a contact is the place where their peaks would meet as points, x_1 + c_1 t = x_2 + c_2 t,
+      in contacts, modulo 1: 0 on a contact, 1/2 on a bead. Several, (P,), are lanes of one run:
+      np.linspace(0, 1, 8, endpoint=False) tells the range.
     - `tolerance` in (0, 0.1): of the shifts [contacts]. The tail of a wave ends at `tolerance`/10^6 of its peak; where
       an error is larger, they are followed four, then sixteen times as long, by half the step each time. Time and
       sites grow with the length of the tail over the difference in speed.
-    - `step`: time step; `None` a fifth of one over the bound on the chain's frequencies, to begin with.
+    - `step`: time step; `None` a fifth of one over the highest frequency of the chain at strains of both waves
+      together, to begin with.
     - `progress`: a progress bar.
 
     **Returns:** `Collision`. **Raises** ValueError for two of different chains, equal speeds, traced numbers.
@@ -150,23 +170,46 @@ def collide(
     tolerance = float(within("tolerance", tolerance, 0, 0.1, open_low=True, open_high=True))
     given = None if step is None else float(positive("step", step))
     _of_one_chain(*waves)
+    phases = np.asarray(phase, float)
+    if phases.ndim > 1 or not phases.size or not np.isfinite(phases).all():
+        refuse("phase", "a number, or numbers of shape (P,)", described(phase))
     parted = max(reach_of(wave, max(TAIL * tolerance, ROUNDING)) for wave in waves)
     for longer in LONGER:
-        course = _course(waves, parted, longer)
-        found = _measured(waves, course, parted, _runs(waves, course, given, progress))
-        if found.shift_errors.max() <= tolerance:
+        courses = [_course(waves, parted, longer, x) for x in np.ravel(phases)]
+        runs = _runs(waves, courses, phases.shape, given, progress)
+        both = [-np.diff(np.reshape(run.us, (*run.us.shape[:2], -1)), axis=1) for run in runs]
+        found = [_measured(waves, course, parted, runs[0], [x[..., k] for x in both])
+                 for k, course in enumerate(courses)]
+        if all(one.shift_errors.max() <= tolerance for one in found):
             break
-    return found
+    return _together(found) if phases.ndim else found[0]
 
 
-def _runs(waves, course, step, progress):
-    """With a step, and with twice as much."""
-    lattice = Lattice(waves[0].mass, Bond(Shift(1, "free"), waves[0].law), sites=course.sites)
+def _together(each):
+    """The collisions at several phases as one, the phases last."""
+    common = {name for name, held in Collision.held.items() if held.axes is None} | {"kind", "times"}
+    fields = {name: getattr(each[0], name) if name in common else np.stack([getattr(one, name) for one in each], -1)
+              for name in ("kind", *Collision.held)}
+    shifts, errors = fields["shifts"], fields["shift_errors"]
+    parted = ~np.isnan(shifts[0])
+    said = f"At {parted.sum()} of {len(each)} phases they have parted"
+    if parted.any():
+        ranges = (f"{x.min():.6g} to {x.max():.6g}" for x in shifts[:, parted])
+        said += f"; shifts from {' and from '.join(ranges)}, to {errors[:, parted].max():.1e} contacts"
+    why = [each[np.argmin(parted)].outcome] if not parted.all() else []
+    return Collision(**fields, outcome=" ".join([f"{said}.", *why]), _mark=each[0].run._mark)
+
+
+def _runs(waves, courses, lanes, step, progress):
+    """With a step, and with twice as much; a lane for each course, or one course alone."""
+    course, shape = courses[0], (-1, *lanes)
+    made = lambda m: Lattice(m, Bond(Shift(1, "free"), waves[0].law), sites=course.sites)
+    lattice = jax.vmap(made, out_axes=-1)(np.full(lanes, waves[0].mass)) if lanes else made(waves[0].mass)
     lattice = lattice.counted_in(waves[0].units or lattice.units)
-    parts = [wave.state(course.sites, start) for wave, start in zip(waves, course.starts)]
-    state = State(*(a + b for a, b in zip(*parts)))
+    parts = [[wave.state(course.sites, start) for wave, start in zip(waves, one.starts)] for one in courses]
+    state = State(*(jnp.stack([sum(y[i] for y in pair) for pair in parts], -1).reshape(shape) for i in (0, 1)))
     if step is None:
-        step = STEP / course.longer**0.5 / float(frequency_bound(lattice, state, 0.0, course.time))
+        step = STEP / course.longer**0.5 / (2 * course.sound)
     # twice the step is to fit between two frames
     step = min(step, course.time / (2 * (course.frames - 1)))
     known = {"save_at": course.frames, "progress": progress}
@@ -184,29 +227,34 @@ def _of_one_chain(first, second):
                "Two waves of one speed never meet; for one to the left take speed=-c.")
 
 
-def _course(waves, parted, longer):
+def _course(waves, parted, longer, phase):
     speeds = np.array([float(wave.speed) for wave in waves])
     meeting = (1 + MORE) * parted / abs(speeds[0] - speeds[1])
+    # of the strains between those of both waves together, of either sign
+    peaks = np.array([float(wave.amplitude) for wave in waves])
+    strains = np.linspace(np.minimum(peaks, 0).sum(), np.maximum(peaks, 0).sum(), STRAINS)
+    sound = float(np.sqrt(np.max(values(waves[0].law, strains)[1]) / float(waves[0].mass)))
     ends = np.concatenate([-speeds, longer * speeds]) * meeting
     margin = parted + BEYOND
-    sites = shared_size(int(np.ceil(np.ptp(ends) + 2 * margin)) + 2)
-    course = Course(margin - ends.min() - speeds * meeting, speeds, meeting, (1 + longer) * meeting, sites, longer)
+    sites = shared_size(int(np.ceil(np.ptp(ends) + 2 * margin)) + 4)
+    place = np.ceil(margin - ends.min()) + phase % 1
+    course = Course(place - speeds * meeting, speeds, meeting, (1 + longer) * meeting, sites, longer, phase, sound)
     held_in_memory("first and second", sites, 32 * course.frames, "sites, at speeds so close")
     return course
 
 
-def _measured(waves, course, parted, runs):
-    ts, meeting = np.asarray(runs[0].ts, float), course.meeting
+def _measured(waves, course, parted, run, both):
+    """What became of the waves, by the strains of both runs."""
+    ts, meeting = np.asarray(run.ts, float), course.meeting
     share = MORE / (1 + MORE)
     early, late = ts <= share * meeting * (1 + SAME), ts >= course.time - share * (course.time - meeting) * (1 + SAME)
-    both = [-np.diff(np.asarray(one.us, float), axis=1) for one in runs]
     sooner, later = [x[early] for x in both], [x[late] for x in both]
     free = course.places(ts)
     before = [tracked(w, ts[early], *sooner, x[early]) for w, x in zip(waves, free)]
     after = [tracked(w, ts[late], *later, _highest(w, later[0], x[late], parted)) for w, x in zip(waves, free)]
     after, besides, lost = zip(*(_own(track, later) for track in after))
     lines = np.array([[track.at(meeting) for track in tracks] for tracks in (before, after)])
-    shifts, errors = lines[1, :, 0] - lines[0, :, 0], lines[..., 1].sum(0)
+    shifts, errors = lines[1, :, 0] - lines[0, :, 0], LEFT * lines[..., 1].sum(0)
     amplitudes, energies = (np.array([number_of(*pair, name) for pair in zip(after, besides)])
                             for name in ("amplitude", "energy"))
     misfits = np.array([track.misfit for track in after])
@@ -220,14 +268,15 @@ def _measured(waves, course, parted, runs):
     speeds = np.array([[track.speed, track.speed_error] for track in after])
     told = told or f"They have parted, by {separation:.4g} contacts; shifts to {errors.max():.1e} contacts."
     return Collision(
-        kind=_kind(waves), meeting=meeting, meeting_place=float(course.places(np.array([meeting]))[0, 0]),
+        kind=_kind(waves), meeting=meeting, phase=float(course.phase % 1),
+        meeting_place=float(course.places(np.array([meeting]))[0, 0]),
         shifts=shifts, shift_errors=errors, kdv_shifts=kdv, toda_shifts=toda_shifts, speeds=of("speed"),
         speeds_after=speeds[:, 0], speed_errors=speeds[:, 1], amplitudes=of("amplitude"),
         amplitudes_after=amplitudes[:, 0], amplitude_errors=amplitudes[:, 1], energy=energy,
         radiated=float(energy - energies[:, 0].sum()), radiated_error=float(energies[:, 1].sum()),
         separation=separation, least_separation=float(parted), misfits=misfits,
         times=np.concatenate([ts[early], ts[late]]),
-        places=np.stack([np.concatenate([b.places, a.places]) for b, a in zip(before, after)]), run=runs[0],
+        places=np.stack([np.concatenate([b.places, a.places]) for b, a in zip(before, after)]), run=run,
         outcome=" ".join([told, *reasons]), _mark=waves[0]._mark,
     )
 

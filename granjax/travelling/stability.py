@@ -1,10 +1,11 @@
 """Waves as fixed points of "run for 1/c, then shift by one site", and their stability, by the code of orbits."""
 
+from dataclasses import replace
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from scipy.linalg import schur
+from scipy.linalg import schur, solve_discrete_lyapunov
 
 from ..checks import described, one_of, refuse, whole
 from ..entry import checked
@@ -12,7 +13,7 @@ from ..flow import Flow
 from ..lattice import Lattice, State
 from ..laws import Strained
 from ..orbits import Orbit, Translation, orbit
-from ..orbits.floquet import STABLE, Floquet, decide
+from ..orbits.floquet import STABLE, UNDECIDED, Floquet, decide
 from ..orbits.spectrum import known_spectrum
 from ..solvers import KahanLi8
 from ..strains import Shift
@@ -22,8 +23,8 @@ from ..types import Count, Scalar, StateLike
 # strain over the peak where a ring closes, by default; sites of the shortest and the longest
 CLOSED, SHORTEST, LONGEST = 1e-10, 12, 200
 # where far states are held: growth of the norm per contact without sound; steps at first and at most, to which the
-# matrix is known; powers of it that are looked at
-RATE, STEPS, MOST, KNOWN, POWERS = 1.0, 64, 2048, 1e-7, 24
+# matrix is known
+RATE, STEPS, MOST, KNOWN = 1.0, 64, 2048, 1e-7
 
 
 @checked
@@ -104,17 +105,19 @@ def stability(wave: Any, sites: Count | None = None, ends: str | None = None, **
 
     `ends="ring"`: the wave is set on a `ring`, refined there by Newton's method and judged as any orbit is, with Krein
     signatures and four multipliers at +1 (phase and energy, displacement and momentum); the continuous spectrum is a
-    set of points on the unit circle. `ends="held"`: a chain whose far states are held: at every shift a bead at rest
-    comes in ahead and one is left behind. Two multipliers are at +1 (place and speed), those of what the wave leaves
-    behind lie within the circle, in a norm that grows ahead of the wave (Pego and Weinstein), and there is no
-    signature. Where nothing carries sound, perturbations behind the wave stay or drift on, and come again on a ring.
+    set of points on or near the unit circle. Small waves run round the ring and meet the wave again, which makes some
+    of them grow, by less the longer the ring is. So where a multiplier lies outside the circle, held ends decide; what
+    is the ring's own is then part of the `error`. `ends="held"`: a chain whose far states are held: at every shift a
+    bead at rest comes in ahead and one is left behind. Two multipliers are at +1 (place and speed), those of what the
+    wave leaves behind lie within the circle, in a norm that grows ahead of the wave (Pego and Weinstein), and there is
+    no signature. Where nothing carries sound, perturbations behind the wave stay or drift on, and come again on a ring.
 
     Where dE/dc passes zero along a family one pair leaves +1 (Friesecke and Pego, Nonlinearity 17, 207 (2004);
     Cuevas-Maraver and others, Phys. Rev. E 96, 032214 (2017)).
 
     **Arguments:** `sites`: of the ring or the chain, `None` by the tail. `ends`: `None` is "ring" where there is sound,
     "held" elsewhere. `keywords`: of `gx.floquet.floquet` on a ring.
-    **Returns:** `Floquet`. **Raises** as `ring` and `wave_orbit` do.
+    **Returns:** `Floquet`, whose outcome names the ring or the chain. **Raises** as `ring` and `wave_orbit` do.
 
     **Example:**
 
@@ -126,10 +129,28 @@ def stability(wave: Any, sites: Count | None = None, ends: str | None = None, **
     ends = ("ring" if np.isfinite(float(wave.decay)) else "held") if ends is None else ends
     if one_of("ends", ends, ("ring", "held")) == "ring":
         lattice, state = ring(wave, sites)
-        return wave_orbit(lattice, state, float(wave.speed)).floquet(**keywords)
+        found = wave_orbit(lattice, state, float(wave.speed)).floquet(**keywords)
+        return _judged(found, wave, lattice.shape[0])
     if keywords:
         refuse("keywords", "none where the far states are held", ", ".join(keywords), 'They belong to ends="ring".')
     return _held(wave, _sites_of(wave) if sites is None else whole("sites", sites, SHORTEST))
+
+
+def _judged(found, wave, sites):
+    """What was found on a ring, judged by held ends where the ring itself may be why a multiplier leaves the circle."""
+    outcome = f"On a ring of {sites} sites: {found.outcome}"
+    if found.verdict == STABLE:
+        return replace(found, outcome=outcome)
+    held, rho = _held(wave, sites), found.multipliers
+    # those of the wave, with their inverses; what else is off the circle is the ring's own
+    growing = held.multipliers[held.unstable]
+    waves = np.abs(rho[:, None] - np.concatenate([growing, 1 / growing])).argmin(0)
+    own = np.setdiff1d(np.arange(len(rho)) if held.verdict != UNDECIDED else [], waves).astype(int)
+    error = found.error.copy()
+    error[own] = np.maximum(error[own], np.abs(np.abs(rho[own]) - 1))
+    if np.isin(found.unstable, own).any():
+        outcome += " Small waves that run round the ring and meet the wave again make some grow."
+    return replace(found, error=error, verdict=held.verdict, outcome=f"{outcome} {held.outcome}")
 
 
 def _held(wave, sites):
@@ -155,29 +176,36 @@ def _held(wave, sites):
     pair = np.argsort(np.abs(multipliers - 1))[:2]
     inside = np.setdiff1d(np.arange(len(multipliers)), pair)
     verdict, outcome = decide(multipliers, error, 2, False)
+    outcome = f"On a chain of {sites} sites with held ends: {outcome}"
     if radius < 1:
         error[inside] = np.minimum(error[inside], np.abs(multipliers[inside]) + radius)
         verdict = STABLE
-        outcome = ("What is no change of place or speed falls behind the wave: all other multipliers are below "
-                   f"{radius:.4g}. 2 multipliers at +1 are those of symmetry.")
+        outcome = (f"On a chain of {sites} sites with held ends: every perturbation that does not change the place or "
+                   f"the speed falls behind the wave, since all other multipliers are below {radius:.4g} in modulus. "
+                   "2 multipliers at +1 are those of symmetry.")
     unsigned = np.full(len(multipliers), np.nan)
     return Floquet(fine / weights[:, None] * weights, multipliers, vectors / weights[:, None], error, unsigned, np.nan,
                    about, 2, verdict, outcome, period, int(steps), None, state, **lattice.origin)
 
 
 def _radius(matrix, about):
-    """A bound on all multipliers but the two nearest +1, from the norms of powers of what is left without them."""
+    """A bound on all multipliers but the two nearest +1, of every matrix as near to this one; infinite where not found.
+
+    In the norm x* P x, with R* P R + r^2 = r^2 P, what R is on the rest shrinks by the factor r (1 - 1/|P|)^{1/2}.
+    """
     rho = np.linalg.eigvals(matrix)
     apart = np.sort(np.abs(rho - 1))[1:3].mean()
     triangle, _, count = schur(matrix, output="complex", sort=lambda x: abs(x - 1) < apart)
-    rest, bound = triangle[count:, count:], np.inf
-    if count != 2:
-        return bound
+    rest = triangle[count:, count:]
+    r = (1 + np.abs(np.diag(rest)).max(initial=0)) / 2
+    if count != 2 or not r < 1:
+        return np.inf
+    norm = solve_discrete_lyapunov(rest.conj().T / r, np.eye(len(rest)))
+    low, high = np.linalg.eigvalsh(norm)[[0, -1]]
+    # what the solution leaves of its equation is taken off
+    shrinks = np.linalg.eigvalsh(norm - rest.conj().T @ norm @ rest / r**2)[0] / high
+    if not (low > 0 and shrinks > 0):
+        return np.inf
     # of the two subspaces the angle, as what couples them over what sets them apart
     tilt = 1 + np.linalg.norm(triangle[:count, count:]) / apart
-    power = np.eye(len(rest))
-    for k in range(1, POWERS + 1):
-        power = rest @ power
-        size = np.linalg.norm(power, 2)
-        bound = min(bound, (size + k * tilt * about * max(np.linalg.norm(rest, 2), 1) ** (k - 1)) ** (1 / k))
-    return float(bound)
+    return float(r * np.sqrt(1 - shrinks) + np.sqrt(high / low) * tilt * about)

@@ -80,9 +80,11 @@ def tracked(wave: Wave, times: np.ndarray, strains: np.ndarray, coarse: np.ndarr
 def of_own_speed(track: Track, strains: np.ndarray, coarse: np.ndarray) -> tuple[Track, Wave]:
     """The same, by the exact wave of the speed that it has; and another wave near by, for derivatives in the speed.
 
-    **Raises** ValueError where the law has no wave of that speed.
+    **Raises** ValueError where the law has no wave of that speed, or the track is of no wave.
     """
-    for _ in range(ROUNDS if track.misfit < 1 else 0):
+    if not track.misfit < 1:
+        refuse("wave", "one that is nearest to the strains", f"a misfit of {track.misfit:.1%} of its peak")
+    for _ in range(ROUNDS):
         wave, speed = track.wave, track.speed
         own = float(wave.speed)
         side = "compression" if float(wave.amplitude) > 0 else "tension"
@@ -97,7 +99,9 @@ def of_own_speed(track: Track, strains: np.ndarray, coarse: np.ndarray) -> tuple
 
 
 def number_of(track: Track, beside: Wave, name: str) -> tuple[float, float]:
-    """Amplitude or energy of the wave of the track's speed, and its error."""
+    """Amplitude or energy of the wave of the track's speed, and its error; NaN where no other wave is beside it."""
+    if beside is track.wave:
+        return np.nan, np.nan
     at, speed = float(getattr(track.wave, name)), float(track.wave.speed)
     slope = (float(getattr(beside, name)) - at) / (float(beside.speed) - speed)
     rounding = np.finfo(float).eps * abs(at) * 8
