@@ -16,7 +16,6 @@ from .descent import CONVERGED, NO_GRADIENT, NO_START, NOT_FINITE, SPENT, STALLE
 from .entry import checked, shape_of
 from .outside import Outside
 from .parameters import Bounds, Coordinates
-from .programs import waited
 from .results import Held, Result
 from .types import AnyArray, Count, Numbers, Parameter, Scalar
 
@@ -223,13 +222,13 @@ def _with_gradient(objective, coordinates, maximise, mode):
     return cost, forward if mode == "forward" else jax.value_and_grad(cost)
 
 
-@waited
+@eqx.filter_jit
 def _first(objective, coordinates, mode, outside):
     """The objective and its gradient in the free coordinates, at the start."""
     return _with_gradient(objective, coordinates, False, mode)[1](jnp.zeros(coordinates.size))
 
 
-@waited
+@eqx.filter_jit
 def _solve(objective, coordinates, optimiser, max_steps, tolerance, maximise, mode, outside):
     cost, both = _with_gradient(objective, coordinates, maximise, mode)
     found = descend(cost, both, coordinates.size, optimiser, max_steps, tolerance)

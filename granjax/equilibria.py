@@ -14,7 +14,6 @@ from .entry import checked
 from .lattice import Lattice, State
 from .lattice.model import check_shape as _check_shape
 from .newton import newton
-from .programs import waited
 from .results import STATE, Held, Result
 from .types import AnyArray, Count, Displacements, Numbers
 
@@ -357,7 +356,7 @@ def _least(jacobian, problem):
     return values[0], ROUNDING * n * jnp.finfo(values.dtype).eps * scale
 
 
-@waited
+@eqx.filter_jit
 def _finished(problem, x, jacobian):
     """What is known at the state of rest: see `_result`."""
     lattice, u = problem.lattice, _shaped(problem.lattice, x)

@@ -11,7 +11,6 @@ from .checks import parameter, refuse, traced
 from .entry import checked
 from .lattice import Lattice, State, spread_mass
 from .newton import newton
-from .programs import waited
 from .results import STATE, Held, Result
 from .types import Number, Numbers, Scalar
 
@@ -277,7 +276,7 @@ def _long_waves(lattice, level):
     return float(np.sqrt(max(coupling, 0) / np.asarray(spread_mass(lattice))[place]))
 
 
-@waited
+@eqx.filter_jit
 def _known(problem, lattice, x, left):
     """(u, energy above the left well, error of u, of the energy, squares of the frequencies)."""
     u = problem.size * x

@@ -11,7 +11,6 @@ import numpy as np
 from .checks import broadcast, described, passable, refuse, traced, whole
 from .entry import checked, takes
 from .outside import Outside
-from .programs import waited
 from .results import Held, Result
 from .types import Count, Counts, Flags, Numbers, Parameter, Scalar
 
@@ -117,7 +116,7 @@ def newton(residual: Callable[[Any, Any], Any], guess: Parameter, args: Any = No
     return root
 
 
-@waited
+@eqx.filter_jit
 def _plain(residual, linearise, x0, args, tolerance, max_steps, finish, outside):
     both = _by_forward_mode(residual) if linearise is None else _given(linearise)
     x, (jacobian, size, first, steps, code) = _iterate(both, x0, args, tolerance, max_steps, finish)

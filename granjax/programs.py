@@ -8,7 +8,6 @@ from collections.abc import Callable
 from functools import partial, wraps
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -39,9 +38,6 @@ def compiled(function: Callable) -> Callable:
 
     call.lower = lambda *arguments: flat.lower(*parted(arguments))
     return call
-
-
-waited = eqx.filter_jit
 
 
 def by_rows(transform: Callable, x: Any, *length: int, axis: int = -1) -> jax.Array:

@@ -87,7 +87,7 @@ MET = [
 @pytest.mark.slow
 @pytest.mark.parametrize(("law", "force", "speeds", "phase"), MET)
 def test_waves_meet_at_the_phase_that_is_asked_for(law, force, speeds, phase):
-    """Where they leave, by the crests of DOP853's strains, of waves that begin farther apart than those of `collide`."""
+    """By the crests of the strains of DOP853, of waves that begin farther apart than those of `collide`."""
     waves = [solitary_wave(law, speed=c) for c in speeds]
     found = collide(*waves, phase=phase, tolerance=2e-2)
     assert found.phase == phase % 1 and found.meeting_place % 1 == pytest.approx(phase % 1, abs=1e-12)

@@ -5,6 +5,7 @@ import math
 from typing import ClassVar
 
 import diffrax
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,7 +15,7 @@ from ..checks import tolerance as checked_tolerance
 from ..entry import checked
 from ..flow import Flow
 from ..outside import Outside
-from ..programs import bar, compiled, waited
+from ..programs import bar, compiled
 from ..results import Held, Result
 from ..types import Amplitudes, Count, Flags, Number, Numbers, Parameter, Scalar, Times
 from ..variables import Layout
@@ -202,7 +203,7 @@ def _step(equation, psi, solver, known, longest):
     return BEGIN[isinstance(solver, SplitStep)] / rate if rate > 0 else longest
 
 
-@waited
+@eqx.filter_jit
 def _rate(equation, psi, outside):
     """The fastest rate of the linearisation at psi, by power iteration: the largest of all lanes."""
     along = jnp.exp(1j * _angles(psi))
@@ -249,12 +250,12 @@ def _run(solver, equation, psi, times, counts, shown):
     return jnp.asarray(np.stack(frames))
 
 
-@waited
+@eqx.filter_jit
 def _piece(solver, equation, psi, begin, end, count, outside):
     return Flow(count, solver, field)(psi, begin, end, equation)
 
 
-@waited
+@eqx.filter_jit
 def _marched(solver, equation, psi, ends, counts, outside):
     def span(psi, x):
         a, b, count = x
@@ -272,7 +273,7 @@ def _apart(before, now):
     return float(found) if np.isfinite(found) else np.finfo(float).max
 
 
-@waited
+@eqx.filter_jit
 def _measured(equation, psis, outside):
     """Norm and energy of each frame, and the scale of the latter's error."""
     norms, energies = jax.lax.map(lambda psi: (equation.norm(psi), equation.energy(psi)), psis)

@@ -12,7 +12,6 @@ from .. import descent
 from ..checks import described, refuse
 from ..entry import checked
 from ..flow.march import seconds_a_step
-from ..programs import waited
 from ..types import AnyArray, Scalar
 from .problem import Problem, Signals, misfit
 
@@ -37,7 +36,7 @@ class Found(NamedTuple):
 
 
 @checked
-@waited
+@eqx.filter_jit
 def linearised(
     problem: Problem | eqx.Module, x: Float[AnyArray, " n"],
 ) -> tuple[Float[AnyArray, " m"], Float[AnyArray, "m n"], Signals, Signals]:
@@ -125,7 +124,7 @@ def patience(problem: Problem) -> float:
     return 0.0 if each > PATIENCE else PATIENCE
 
 
-@waited
+@eqx.filter_jit
 def gradient_descent(
     problem: Problem, x: Float[AnyArray, " n"], optimiser: object, tolerance: Scalar, max_steps: int,
     adjoint: eqx.Module, most: int | None,

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator
 from typing import Any, ClassVar
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,7 +11,6 @@ import numpy as np
 from ..checks import positive, refuse, returned
 from ..entry import checked
 from ..outside import Outside
-from ..programs import waited
 from ..results import Held, Result
 from ..types import Numbers, Pytree, Scalar
 
@@ -105,7 +105,7 @@ def derivative(function: Callable[[Any, Any], Any], x: Pytree, step: Scalar) -> 
     return Derivative(value, jax.tree.map(error, slopes), slopes, ladder)
 
 
-@waited
+@eqx.filter_jit
 def _slopes(function, x, ladder, outside):
     def looked_at(x, step):
         return returned("function", function(x, step))

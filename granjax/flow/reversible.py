@@ -10,7 +10,6 @@ from ..checks import positive, refuse
 from ..entry import checked
 from ..lattice import Lattice, split_system, vector_field
 from ..printing import told
-from ..programs import waited
 from ..solvers import AbstractSplitting
 from ..types import Count, Counts, Number, Scalar, StateLike, Times
 from .integrate import integrate
@@ -98,7 +97,7 @@ def return_error(
     return _return_error(lattice, state, t0, t1, jnp.asarray(steps), solver)
 
 
-@waited
+@eqx.filter_jit
 def _return_error(lattice, state, t0, t1, steps, solver):
     flow = Flow(steps, solver)
     check_moved("state", state, flow, lattice, "the lattice")

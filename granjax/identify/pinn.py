@@ -24,7 +24,7 @@ from ..flow.stiffness import linear_frequency
 from ..outside import Outside
 from ..parameters import Bounds, Coordinates
 from ..printing import told
-from ..programs import shared_size, waited
+from ..programs import shared_size
 from ..results import Held, Result
 from ..types import AnyArray, Count, Numbers, Parameter, Scalar, Scene, Times
 
@@ -220,7 +220,7 @@ class _Training(eqx.Module):
         return model, np.concatenate([first, then])
 
 
-_parts = waited(_Training.parts)
+_parts = eqx.filter_jit(_Training.parts)
 
 
 def _moving(training, model):
@@ -231,7 +231,7 @@ def _moving(training, model):
     return lambda free: training.loss(eqx.combine(free, fixed)), free, lambda free: eqx.combine(free, fixed)
 
 
-@waited
+@eqx.filter_jit
 def _by_adam(training, model, max_steps, rate):
     cost, free, whole = _moving(training, model)
     optimiser = optax.adam(optax.cosine_decay_schedule(rate, max_steps))
@@ -246,7 +246,7 @@ def _by_adam(training, model, max_steps, rate):
     return whole(free), history
 
 
-@waited
+@eqx.filter_jit
 def _by_search(training, model, max_steps):
     cost, free, whole = _moving(training, model)
     optimiser = optax.lbfgs()

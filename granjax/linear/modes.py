@@ -2,6 +2,7 @@
 
 from typing import ClassVar
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,7 +11,6 @@ from jaxtyping import Float
 
 from ..entry import checked
 from ..lattice import Lattice, spread_mass
-from ..programs import waited
 from ..results import Held, Result
 from ..types import AnyArray, Displacements, Number, Numbers
 from .stiffness import at_rest, refuse_one_way, stiffness_product
@@ -86,7 +86,7 @@ def normal_modes(lattice: Lattice) -> NormalModes:
     return result
 
 
-@waited
+@eqx.filter_jit
 def _solve(lattice):
     """The modes, and the largest difference between K and its transpose, relative to K."""
     flat, unravel = ravel_pytree(lattice.zeros())

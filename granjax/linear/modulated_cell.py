@@ -10,7 +10,6 @@ import numpy as np
 from ..checks import refuse
 from ..flow.breaks import shared_out
 from ..lattice import Lattice
-from ..programs import waited
 from ..terms.tracing import reads
 from ..types import AnyArray, Cell, ComplexNumbers, Number, Numbers
 from .cell import assemble, bloch, given_cell, is_ring, periods, reach_of
@@ -164,7 +163,7 @@ def _late(lattice, period, eps):
     return late
 
 
-@waited
+@eqx.filter_jit
 def monodromies(
     cell: ModulatedCell, k: Numbers, t0: Number, period: Number, omega: Number, steps: Any,
 ) -> ComplexNumbers:

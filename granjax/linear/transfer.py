@@ -2,6 +2,7 @@
 
 from typing import ClassVar
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,7 +10,6 @@ import numpy as np
 from ..checks import concrete, described, positive, refuse, show
 from ..entry import checked
 from ..lattice import Lattice, spread_mass
-from ..programs import waited
 from ..results import Held, Result
 from ..types import Flags, Number, Parameter
 from .stiffness import lanes_at_rest, products
@@ -136,7 +136,7 @@ def localisation_length(lattice: Lattice, omega: Parameter) -> LocalisationLengt
 _MODES = "gx.measures.participation of normal modes tells how far such waves reach."
 
 
-@waited
+@eqx.filter_jit
 def _growth(lattice, omega, damped):
     """gamma and its standard error (W,); what the checks of the caller read.
 

@@ -17,7 +17,6 @@ from ..flow import Flow
 from ..flow.inputs import held_frames
 from ..lattice import Lattice, State
 from ..measures import contacts
-from ..programs import waited
 from ..results import STATE, Held, Result
 from ..solvers import SRKN11b
 from ..types import Count, Counts, Displacements, Numbers, Pytree, Scalar, StateLike, Times
@@ -258,7 +257,7 @@ def largest(x: Numbers) -> Numbers:
     return b + (a - c) ** 2 / (8 * xp.where(curve > 0, curve, 1))
 
 
-_follow = waited(follow)
+_follow = eqx.filter_jit(follow)
 
 
 def otherwise(
@@ -294,7 +293,7 @@ def otherwise(
     return y, jnp.where(last <= tolerance, left, jnp.nan)
 
 
-_otherwise = waited(otherwise)
+_otherwise = eqx.filter_jit(otherwise)
 
 
 def errors_of(found: Pytree, other: Pytree, left: Scalar) -> Pytree:
@@ -308,7 +307,7 @@ def _apart(found, other, left, sampling):
     return state, *jax.tree.map(jnp.add, tuple(tops), sampling), energy
 
 
-@waited
+@eqx.filter_jit
 def _stretch(solver, lattice, state, period, steps, first):
     """Some steps from the one of number `first` on: (the state after them, times, states, forces, energies)."""
     one, h = Flow(1, solver), period / steps

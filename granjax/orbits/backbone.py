@@ -2,6 +2,7 @@
 
 from typing import Any, ClassVar
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,7 +13,6 @@ from ..entry import checked
 from ..lattice import Lattice, State, spread_mass
 from ..linear import normal_modes
 from ..linear.stiffness import at_rest
-from ..programs import waited
 from ..results import Held, Result
 from ..types import Count, Displacements, Number, Scalar, StateLike
 from .repeats import checked_state
@@ -147,7 +147,7 @@ def _given(lattice, mode, phi, mass, squared):
     return jnp.where(u == 0, 0, shape), own
 
 
-@waited
+@eqx.filter_jit
 def _expanded(lattice, shape, own, phi, mass, squared):
     """The curve's numbers, its displacements, and what would be divided by zero or drive another mode."""
     flat, unravel = ravel_pytree(lattice.zeros())

@@ -15,7 +15,6 @@ from ..entry import checked
 from ..flow import Flow
 from ..lattice import Lattice, State
 from ..newton import Root
-from ..programs import waited
 from ..results import STATE, Held, Result
 from ..types import Count, Displacements
 from .confirm import OrbitError
@@ -180,7 +179,7 @@ class Branch(Result):
                      self._family.shooting.symmetry, OrbitError(*apart, exact, exact, **lattice.origin))
 
 
-@waited
+@eqx.filter_jit
 def _residual(family, x, q):
     return jnp.max(jnp.abs(family.residual(x, q)))
 

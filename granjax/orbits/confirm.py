@@ -12,7 +12,6 @@ from ..checks import refuse
 from ..checks import tolerance as checked_tolerance
 from ..lattice import Lattice, State
 from ..newton import CONVERGED, SPENT, STALLED, Root, newton
-from ..programs import waited
 from ..results import STATE, Held, Result
 from ..types import Count, Number, Numbers, Pytree, Scalar
 from .repeats import largest
@@ -80,7 +79,7 @@ def rounding(inverse: Numbers, size: Scalar = 1.0) -> Numbers:
     return ROUNDING * jnp.finfo(inverse.dtype).eps * size * jnp.max(jnp.sum(jnp.abs(inverse), 1))
 
 
-@waited
+@eqx.filter_jit
 def _corrected(problem, x, jacobian, scene):
     problem, x, jacobian, scene = jax.lax.stop_gradient((problem, x, jacobian, scene))
     inverse = jnp.linalg.inv(jacobian)
@@ -142,7 +141,7 @@ def confirmed(
     return problem, root, jnp.asarray(np.maximum(change, SHARED * change.max()))
 
 
-@waited
+@eqx.filter_jit
 def error_of(lattice: Lattice, t0: Scalar, state: State, apart: State, omega: Scalar, in_omega: Scalar) -> OrbitError:
     """The `OrbitError` of a state that is known up to `apart`, at a frequency that is known up to `in_omega`."""
     apart = jax.tree.map(jnp.abs, apart)

@@ -16,7 +16,6 @@ from ..entry import checked
 from ..flow import Flow
 from ..lattice import Lattice, State
 from ..linear import normal_modes
-from ..programs import waited
 from ..solvers import KahanLi8
 from ..tuning import one_thread
 from ..types import Count, Counts, Numbers, Scalar, StateLike
@@ -296,7 +295,7 @@ def _members(problem, curve, aparts):
     return jax.tree.map(lambda *x: np.concatenate(x)[: len(xs) - idle], *parts)
 
 
-@waited
+@eqx.filter_jit
 def _some(problem, xs, qs, aparts):
     def one(three):
         x, q, apart = three

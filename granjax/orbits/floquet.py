@@ -16,7 +16,7 @@ from ..entry import checked
 from ..flow import Flow, linear_frequency
 from ..flow.stepping import check_moved
 from ..lattice import Lattice, vector_field
-from ..programs import compiled, waited
+from ..programs import compiled
 from ..results import Held, Result
 from ..solvers import KahanLi8
 from ..tuning import one_thread
@@ -153,7 +153,7 @@ def decide(
     return STABLE, f"Every multiplier is inside the unit circle, by {-(excess + error).max():.1e} at least.{left_out}"
 
 
-@waited
+@eqx.filter_jit
 def _derivative(flow, like, x, t0, t1, args):
     """(phi(x), D phi(x)) over the raveled state."""
     end, factor = flow.derivative(ravel_pytree(like)[1](x), t0, t1, args)

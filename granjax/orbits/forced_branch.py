@@ -20,7 +20,6 @@ from ..lattice import State
 from ..measures import rms_velocity
 from ..newton import nearby
 from ..outside import Outside
-from ..programs import waited
 from ..solvers import SRKN14a
 from ..tuning import one_thread
 from ..types import Count, Numbers, Scalar, StateLike
@@ -181,7 +180,7 @@ class Examined(NamedTuple):
     changes: Numbers
 
 
-@waited
+@eqx.filter_jit
 def _examined(family, flow, z, response):
     """What there is to say of an orbit; its error is the most that the other steps change."""
     (lattice, period), state = family.scene(z[-1]), family.shooting.state(z[:-1])

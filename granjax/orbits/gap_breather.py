@@ -14,7 +14,7 @@ from ..entry import checked
 from ..flow import Flow
 from ..lattice import Lattice, State
 from ..linear import FloquetBands, floquet_bands
-from ..programs import bar, waited
+from ..programs import bar
 from ..results import Held, Result
 from ..solvers import KahanLi8
 from ..tuning import one_thread
@@ -324,7 +324,7 @@ class _Ring:
         return float(np.linalg.norm(rest) / np.linalg.norm(y))
 
 
-@waited
+@eqx.filter_jit
 def _strobed(flow, lattice, state, t0, period):
     """The state `PIECE` periods later, states and energies before each; every period begins at the same phase."""
     def one(y, _):
@@ -333,7 +333,7 @@ def _strobed(flow, lattice, state, t0, period):
     return jax.lax.scan(one, state, length=PIECE)
 
 
-@waited
+@eqx.filter_jit
 def _departure(lattice, u, t, sizes):
     """By how much the force at some multiples of u departs from its linear part, of that."""
     zeros = lattice.zeros()

@@ -12,13 +12,12 @@ from jaxtyping import Complex, Float, Inexact
 from ..flow import Flow
 from ..lattice import spread_mass
 from ..newton import nearby
-from ..programs import waited
 from .confirm import covering, rounding
 from .problems import Family
 from .spectrum import reversible_multipliers
 
 
-@waited
+@eqx.filter_jit
 def _half_maps(problem, x, q):
     """Tangent maps over half a period by the problem's flow and by twice its steps, and how far x moves between them.
 

@@ -17,7 +17,6 @@ from ..entry import checked
 from ..flow import Flow
 from ..lattice import Lattice
 from ..printing import told
-from ..programs import waited
 from ..solvers import KahanLi8
 from ..types import Count, Scalar, StateLike
 from .floquet import one_period, refuse_open
@@ -40,12 +39,12 @@ class Leading(NamedTuple):
     __repr__ = told
 
 
-@waited
+@eqx.filter_jit
 def _end(flow, y, t0, period, args):
     return ravel_pytree(flow(y, t0, t0 + period, args))[0]
 
 
-@waited
+@eqx.filter_jit
 def _push(flow, y, t0, period, args, direction):
     _, unravel = ravel_pytree(y)
     tangent = jax.tree.map(lambda x: x[..., None], unravel(direction))

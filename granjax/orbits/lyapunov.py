@@ -15,7 +15,6 @@ from ..entry import checked
 from ..flow import Flow
 from ..flow.stepping import columns, matrix
 from ..lattice import Lattice, State
-from ..programs import waited
 from ..results import STATE, Held, Result
 from ..solvers import SRKN11b
 from ..types import Count, Scalar, StateLike
@@ -123,7 +122,7 @@ def lyapunov(
     return Lyapunov(exponents, uncertainty, rates, end, verdict, outcome, **lattice.origin)
 
 
-@waited
+@eqx.filter_jit
 def _grow(flow, lattice, state, start, period, periods):
     weight = jnp.concatenate([
         ravel_pytree(jax.tree.map(lambda x: jnp.full(x.shape, flow.steps / period), state.u))[0],

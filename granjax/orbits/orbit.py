@@ -18,7 +18,6 @@ from ..flow import Flow
 from ..flow.inputs import held_frames
 from ..lattice import Lattice, State, vector_field
 from ..newton import CONVERGED, Root
-from ..programs import waited
 from ..results import STATE, Held, Result
 from ..solvers import SRKN14a
 from ..tuning import one_thread
@@ -337,7 +336,7 @@ def checked_orbit(orbit: Orbit, guess: State, throw: bool | None) -> Orbit:
     return orbit
 
 
-@waited
+@eqx.filter_jit
 def prepared(
     lattice: Lattice, period: Scalar, guess: State, flow: Flow, t0: Scalar, segments: int, transient: Counts,
     symmetry: Symmetry = Symmetry(), free: bool = False,
@@ -359,5 +358,5 @@ def prepared(
     return shooting, shooting.guess(guess, (lattice, period))
 
 
-_history = waited(history)
+_history = eqx.filter_jit(history)
 _energy = eqx.filter_jit(lambda lattice, t, state: lattice.energy(t, state.u, state.v))

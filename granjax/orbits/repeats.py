@@ -1,5 +1,6 @@
 """What an orbit is asked for with: one lattice, a state of it, a period and a symmetry with which its forces repeat."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,7 +8,6 @@ from jaxtyping import Float
 
 from ..checks import refuse, traced
 from ..lattice import Lattice, State
-from ..programs import waited
 from ..terms.tracing import reads
 from ..types import Numbers, Pytree, Scalar, StateLike
 from .symmetry import Symmetry
@@ -109,7 +109,7 @@ def checked_period(lattice: Lattice, state: StateLike, t0: Scalar, period: Scala
         refuse("period", "one after which the forces repeat", repr(float(period)), "Give the drive's, or a multiple.")
 
 
-@waited
+@eqx.filter_jit
 def _repeated(lattice, shape, sizes, t0, period):
     """By how much the forces that read time differ a period later, by how much they change, how large they are.
 

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from typing import Any, ClassVar, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -18,7 +19,7 @@ from ..lattice import State
 from ..measures import rms_velocity
 from ..outside import Outside
 from ..printing import told
-from ..programs import shared_size, waited
+from ..programs import shared_size
 from ..results import STATE, Held, Result
 from ..solvers import SRKN11b
 from ..types import Count, Displacements, Parameter, Scalar, StateLike
@@ -231,7 +232,7 @@ def sweep(
     return Sweep(values, up, back, _hysteresis(values, up, back, jump), **first.origin)
 
 
-@waited
+@eqx.filter_jit
 def _run(make, period, response, flow, periods, watch, value, y, tolerance, most, outside):
     """What is found at a value, and whether it settles still."""
     lattice, T = make(value), period_at(period, value)
@@ -242,7 +243,7 @@ def _run(make, period, response, flow, periods, watch, value, y, tolerance, most
     return found | {"rate": rate}, once | (late < early / 2)
 
 
-@waited
+@eqx.filter_jit
 def _errors(make, period, response, flow, watch, value, found, periods, tolerance, outside):
     """The errors of what is found at a value."""
     lattice, T, multiple = make(value), jnp.asarray(period_at(period, value)), found["multiple"]

@@ -17,7 +17,6 @@ from ..lattice import Lattice, State
 from ..linear import bands
 from ..measures import site_energy
 from ..orbits.attractors import steps_per_period
-from ..programs import waited
 from ..results import SI, Held, Result
 from ..scenes import beads
 from ..solvers import SRKN11b
@@ -133,7 +132,7 @@ def bright_by_instability(
                           period / steps, driven_for, free, state, outcome)
 
 
-@waited
+@eqx.filter_jit
 def _run(lattice, state, period, steps, count):
     """Period by period: the state at the end, (share, place, energy) after each, and all velocities."""
     one = Flow(1, SRKN11b())

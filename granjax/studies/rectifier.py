@@ -20,7 +20,7 @@ from ..linear import normal_modes
 from ..orbits.attractors import steps_per_period
 from ..orbits.driven_chain import SIDES
 from ..orbits.steps import history
-from ..programs import shared_size, waited
+from ..programs import shared_size
 from ..results import SI, Held, Result
 from ..scenes import beads
 from ..solvers import SRKN11b
@@ -167,7 +167,7 @@ def _errors(way, driven, power, amplitudes, period, steps):
     return errors
 
 
-@waited
+@eqx.filter_jit
 def _later(driven, power, amplitude, y, period, steps):
     """The power over each of the next `AGAIN` stretches of `WATCH` periods, (AGAIN,)."""
     lattice, flow = driven(amplitude), Flow(steps, SRKN11b())

@@ -14,7 +14,6 @@ from ..forced import forced_orbit
 from ..lattice import Lattice
 from ..measures import contacts
 from ..orbits.driven_chain import driven_chain
-from ..programs import waited
 from ..results import Held, Result
 from ..types import Count, Parameter, Scalar
 
@@ -125,7 +124,7 @@ def _one_way(still, moves, amplitudes, period, steps):
     return np.array(found).T
 
 
-@waited
+@eqx.filter_jit
 def _force(lattice, us, vs, ts, error, wall):
     """Amplitude at the drive's frequency of the force on a wall, beyond the static one, and its error."""
     def force(u, v, t):

@@ -12,7 +12,6 @@ from jax.scipy.special import gammaln
 from ...checks import concrete, described, held_in_memory, parameter, passable, refuse, show, whole, within
 from ...entry import checked
 from ...outside import Outside
-from ...programs import waited
 from ...results import Result
 from ...types import Count, Number, Pytree, Scalar, Times, VectorField
 from ...variables import Held
@@ -119,7 +118,7 @@ def _inside(name, order):
     return order
 
 
-@waited
+@eqx.filter_jit
 def _solved(field, y, t0, t1, order, grading, steps, args, outside):
     flat, unravel = ravel_pytree(y)
     ends = (jnp.arange(steps + 1) / steps) ** grading * (t1 - t0)

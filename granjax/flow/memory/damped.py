@@ -1,12 +1,12 @@
 """Runs of lattices with Caputo damping: velocity Verlet, and the whole history of the velocities."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.scipy.special import gammaln
 
 from ...lattice import Lattice, State
 from ...lattice.split import damping_rates
-from ...programs import waited
 from ...terms.tracing import reads
 from ...types import Number, Numbers, Scalar, StateLike, Times
 from ..integrate import _overlaps
@@ -45,7 +45,7 @@ def missed(order: Number, step: Number, count: int) -> Numbers:
     return step**q / jnp.exp(gammaln(1 + q)) * found
 
 
-@waited
+@eqx.filter_jit
 def march(
     lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, save_ts: Times | None, steps: int,
 ) -> Run:

@@ -10,7 +10,6 @@ import jax
 import jax.numpy as jnp
 
 from ...lattice import Lattice, State
-from ...programs import waited
 from ...solvers.wrapped import Wrapped
 from ...terms.tracing import reads
 from ...types import Number, Pytree, Scalar, StateLike, Times
@@ -126,7 +125,7 @@ class _Path(diffrax.AbstractLocalInterpolation):
         return y._replace(memory=_advanced(self.lattice, self.start.memory, t0 - self.t0, self.start, y))
 
 
-@waited
+@eqx.filter_jit
 def integrate(
     lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, tolerance: Number, longest: Number | None,
     save_ts: Times | None, max_steps: int | None, progress: bool,
