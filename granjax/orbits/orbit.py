@@ -211,7 +211,8 @@ class Orbit(Result):
 def orbit(
     lattice: Lattice, guess: StateLike, period: Scalar, *, symmetry: Symmetry = Symmetry(), t0: Scalar = 0.0,
     steps: Count | Counts | None = None, segments: Count = 1, transient: Count = 0,
-    solver: AbstractSolver | None = None, tolerance: Scalar = TOLERANCE, max_steps: Count = 20, throw: bool | None = None,
+    solver: AbstractSolver | None = None, tolerance: Scalar = TOLERANCE, max_steps: Count = 20,
+    throw: bool | None = None,
 ) -> Orbit:
     r"""An orbit of a lattice that returns after a time, up to a symmetry: y(t0 + T) = S y(t0), by Newton's method.
 
