@@ -459,6 +459,7 @@ row("site_energy", *EVERY)(lambda s: energy(gx.measures.site_energy(s.lattice, s
 row("species_energy", closed, mixed)(
     lambda s: energy(gx.measures.species_energy(s.lattice, s.state, s.s(0.7), species=[0, 1] * 3)))
 row("contact_force", *EVERY)(lambda s: strength(gx.measures.contact_force(s.lattice, s.state, s.s(0.7))))
+row("sensor_force", closed, lanes)(lambda s: strength(gx.measures.sensor_force(s.lattice, s.state, s.s(0.7))))
 row("strain", *EVERY)(lambda s: length(gx.measures.strain(s.lattice, s.state, s.s(0.7))))
 row("overlap", closed, mixed, slow=(vacuum, pairs, lanes))(
     lambda s: length(gx.measures.overlap(s.lattice, s.state, s.s(0.7))))
