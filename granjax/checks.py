@@ -227,7 +227,8 @@ def unexpected(function: Callable, name: str, options: Iterable[str]) -> NoRetur
     options = [option for option in options if option != "self"]
     every = f"Its keywords are {', '.join(options)}." if options else "It takes no keywords."
     called = function.__qualname__.removesuffix(".__init__")
-    raise TypeError(f"{called}() got an unexpected keyword argument {name!r}. {nearest(name, options) or every}") from None
+    remedy = nearest(name, options) or every
+    raise TypeError(f"{called}() got an unexpected keyword argument {name!r}. {remedy}") from None
 
 
 def one_of(argument: str, name: Any, options: Iterable) -> Any:

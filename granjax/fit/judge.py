@@ -102,9 +102,11 @@ def judged(
         share, surely = structure(one, after)
         left = share * np.sqrt(squares / samples) / noise
         if surely > STRUCTURED and left > max(NOTICEABLE, step_error) and not remarks:
-            remarks.append(f"A residue beyond noise is left, {100 * share:.2g} % of the residuals: neighbouring samples "
-                           "share it, as independent errors would not. The scene does not describe what was measured, "
-                           "or the noise is correlated; the deviations are too small.")
+            remarks.append(
+                f"A residue beyond noise is left, {100 * share:.2g} % of the residuals: neighbouring "
+                "samples share it, as independent errors would not. The scene does not describe what "
+                "was measured, or the noise is correlated; the deviations are too small."
+            )
         if not known:
             remarks.append(f"Noise, as the residuals have it: {noise * float(plain.traces[0].size):.3g}.")
         if problem is not plain:

@@ -139,10 +139,13 @@ def _refuse_draws(known, shapes):
     # as another function, or JAX would not trace it again
     again = jax.jit(lambda *given: program.__wrapped__(known, *given)).trace(*given)
     if _numbers(program.trace(known, *given)) != _numbers(again):
-        refuse("function", "one that computes the same each time", "one with other numbers when it is called again",
-               "It is compiled once for many lanes, which would share what NumPy or Python's random draws. Draw from a "
-               "parameter instead: jax.random.normal(jax.random.key(seed), shape), with one seed for each lane. Or give "
-               "lanes=False, which calls it for every lane.")
+        remedy = (
+            "It is compiled once for many lanes, which would share what NumPy or Python's random "
+            "draws. Draw from a parameter instead: jax.random.normal(jax.random.key(seed), shape), "
+            "with one seed for each lane. Or give lanes=False, which calls it for every lane."
+        )
+        got = "one with other numbers when it is called again"
+        refuse("function", "one that computes the same each time", got, remedy)
 
 
 def _numbers(traced):
