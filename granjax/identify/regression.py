@@ -324,7 +324,7 @@ def _record(mass, candidates, names, A, y, c, kept, known, shared):
     if shared:
         words.append(f"A residue beyond noise is left, {100 * shared:.2g} % of the accelerations: neighbours share "
                      "it, as independent errors would not. A term is missing among the candidates, or lies below the "
-                     "threshold; errors of the coefficients are too small.")
+                     "threshold; the errors of the coefficients are too small.")
     if condition > ALIKE:
         words.append(f"They are much alike (condition {condition:.1g}): their coefficients stand for each other.")
     lattice = None

@@ -79,8 +79,8 @@ class Extrema(Result):
     resonance_transmission: Float[np.ndarray, " k"]
     anti_resonances: Float[np.ndarray, " m"]
     anti_resonance_transmission: Float[np.ndarray, " m"]
-    local_extrema: Float[np.ndarray, " l"]
-    local_transmission: Float[np.ndarray, " l"]
+    local_extrema: Float[np.ndarray, " l"] = eqx.field(default_factory=lambda: np.zeros(0))
+    local_transmission: Float[np.ndarray, " l"] = eqx.field(default_factory=lambda: np.zeros(0))
 
     @property
     def outcome(self) -> str:
