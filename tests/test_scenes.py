@@ -3,6 +3,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import granjax as gx
 from granjax import scenes
@@ -255,6 +256,35 @@ def test_beads_in_si():
     np.testing.assert_allclose(
         chain.acceleration(0.0, u, v), (F[:-1] - F[1:]) / m - np.asarray(v) / tau, rtol=1e-11
     )
+
+
+@pytest.mark.parametrize(("materials", "radii", "striker", "cells"), [
+    ("PTFE", 2.38e-3, ("steel 316", 2.38e-3), 4), (["brass", "PTFE"], [2e-3, 1e-3], ("PTFE", 1e-3), 2),
+    ("steel 316", [3e-3, 2e-3, 2e-3], ("steel 316", 5e-3), None),
+])
+def test_a_striker_hits_a_chain_before_a_wall(materials, radii, striker, cells):
+    """Against DOP853 with forces of its own: contacts of unlike spheres, and the last bead on a plane."""
+    R = np.append(striker[1], np.tile(np.ravel(radii), cells or 1))
+    kinds = [striker[0], *(np.tile(np.ravel(materials), (R.size - 1) // np.size(materials)))]
+    bodies = [gx.materials.material(str(kind)) for kind in kinds]
+    m = np.array([4 / 3 * np.pi * r**3 * float(b.density) for r, b in zip(R, bodies)])
+    softness = np.array([(1 - float(b.poisson) ** 2) / float(b.young) for b in bodies])
+    A = 4 / 3 / (softness[:-1] + softness[1:]) * (1 / R[:-1] + 1 / R[1:]) ** -0.5
+    A = np.append(A, 4 / 3 / (2 * softness[-1]) * R[-1] ** 0.5)
+
+    def field(t, y):
+        u, v = np.split(y, 2)
+        f = A * np.maximum(u - np.append(u[1:], 0), 0) ** 1.5
+        return np.concatenate([v, -np.diff(f, prepend=0) / m])
+
+    chain = scenes.struck(materials, radii, striker, cells=cells)
+    run = gx.simulate(chain, gx.states.impact(chain, velocity=0.5), 3e-4, tolerance=1e-10)
+    start = np.append(np.zeros(R.size), 0.5 * (np.arange(R.size) == 0))
+    known = solve_ivp(field, (0, 3e-4), start, method="DOP853", rtol=1e-11, atol=1e-15).y[:, -1]
+    assert chain.units == "SI" and np.abs(known[R.size :]).max() > 0.05
+    scale = np.repeat([1e4, 1], R.size)
+    np.testing.assert_allclose(scale * np.append(run.final.u, run.final.v), scale * known, atol=1e-7)
+    np.testing.assert_allclose(chain.mass, m, rtol=1e-13)
 
 
 def test_cells_and_boundaries_of_beads():

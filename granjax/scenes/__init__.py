@@ -3,7 +3,7 @@
 A batch of scenes is `jax.vmap(lambda ratio: scenes.dimer(60, ratio), out_axes=-1)(ratios)`: its lanes are trailing.
 """
 
-from .bead_chain import beads
+from .bead_chain import beads, struck
 from .chains import defects, dimer, fput, monomer, n_to_one, pattern, taper, toda, trimer
 from .disorder import disordered
 from .fractional import fractional, fractional_fput, fractional_sine_gordon
@@ -35,7 +35,7 @@ from .yielding import plastic
 
 __all__ = [
     "ScaledLattice", "Units", "scaled",
-    "beads",
+    "beads", "struck",
     "defects", "dimer", "fput", "monomer", "n_to_one", "pattern", "taper", "toda", "trimer",
     "disordered",
     "fractional", "fractional_fput", "fractional_sine_gordon",

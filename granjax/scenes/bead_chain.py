@@ -12,7 +12,7 @@ from ..lattice import Lattice
 from ..laws import Hertz
 from ..materials import Material, bead_mass, hertz_coefficient, named, stack
 from ..strains import BOUNDARIES, Shift
-from ..terms import Bond, Damping
+from ..terms import Bond, Damping, Wall
 from ..types import Count, Parameter, Scalar
 from ..units import SI
 
@@ -80,6 +80,41 @@ def beads(
         tau = positive("damping_time", damping_time, "It is in seconds; None is no damping.")
         terms += (Damping(1 / tau),)
     return Lattice(mass, terms, sites=sites, units=SI)
+
+
+@checked
+def struck(
+    materials: str | Material | Sequence[str | Material], radii: Parameter, striker: tuple[str | Material, Scalar], *,
+    cells: Count | None = None, wall: str | Material | None = None, damping_time: Scalar | None = None,
+) -> Lattice:
+    r"""Chain of beads at rest before a wall, in SI, with the striker that hits it as site 0.
+
+    Every contact is without precompression, and nothing holds the striker, which may rebound:
+    `gx.states.impact(chain, velocity)` lets it touch bead 1 at t = 0 with its velocity.
+
+    **Arguments:** `materials`, `radii` [m], `cells`, `damping_time` [s]: of the beads of the chain, as in `beads`.
+    `striker`: its material and radius [m]. `wall`: material of the wall behind the last bead, as in `beads`; by default
+    that of this bead.
+
+    **Returns:** a `Lattice` in SI of the striker and the beads. **Raises** ValueError as `beads` does.
+    Source: Daraio, Nesterenko, Herbold, Jin, Phys. Rev. E 72, 016603 (2005).
+
+    **Example:**
+
+    >>> chain = gx.scenes.struck("PTFE", 2.38e-3, ("steel 316", 2.38e-3), cells=20)
+    >>> state = gx.states.impact(chain, velocity=0.5)
+    >>> chain.sites, state.v[:2].tolist()
+    ((21,), [0.5, 0.0])
+    """
+    material, radius = striker
+    _, R = _cell(materials, radii)
+    cells = 1 if cells is None else whole("cells", cells, 1, "It is how often the beads are repeated.")
+    kinds = [materials] * R.size if isinstance(materials, (str, Material)) else [*materials]
+    own = positive("striker", radius, "Its radius is in metres, above zero.")
+    R = jnp.concatenate([jnp.ravel(own), jnp.tile(jnp.ravel(R), cells)])
+    chain = beads([material, *kinds * cells], R, boundary="free", damping_time=damping_time)
+    behind = hertz_coefficient(kinds[-1], R[-1], kinds[-1] if wall is None else named("wall", wall), jnp.inf)
+    return Lattice(chain.mass, (*chain.terms, Wall(Hertz(behind), "right")), sites=chain.sites, units=SI)
 
 
 def _cell(materials, radii):
