@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import one_of, refuse, traced
+from ..checks import one_of, positive, refuse, show, traced
 from ..entry import checked
 from ..lattice import Lattice
 from ..laws import Law
@@ -20,7 +20,7 @@ TABLE, REACH = 257, 20.0
 @checked
 def solitary_wave(
     law: Law | Lattice, *, speed: Scalar | None = None, amplitude: Scalar | None = None, energy: Scalar | None = None,
-    mass: Scalar = 1.0, side: str | None = None, resonator: Resonator | None = None,
+    mass: Scalar = 1.0, side: str | None = None, resonator: Resonator | None = None, spacing: Scalar | None = None,
 ) -> Wave | CellWave:
     r"""The solitary wave of a chain of equal masses with one law between neighbours, exact on the lattice.
 
@@ -34,6 +34,8 @@ def solitary_wave(
       equal masses and bonds to the next site, whose walls and boundary do not count and whose units the result has.
     - exactly one of `speed` (contacts per time; below zero it runs to the left), `amplitude` (the largest strain, below
       zero in tension) and `energy`.
+    - `spacing`: distance of neighbouring sites, such as the diameter of a bead [m]: `speed` is then in m/s. The `speed`
+      of the result is in contacts per time all the same.
     - `side`: `"compression"` or `"tension"`, where a law has waves on both; `None` is the first that has some. Hertz,
       p > 1, magnets: compression; 0 < p < 1: tension (rarefaction).
     - `resonator`: a `gx.Resonator` in every bead. Such a wave is alone at single stiffnesses, `tail_free_stiffness`; at
@@ -59,6 +61,10 @@ def solitary_wave(
                "One number says which wave of the family.")
     if side is not None:
         one_of("side", side, ("compression", "tension"))
+    if spacing is not None:
+        if speed is None:
+            refuse("spacing", "None without a speed", show(spacing), "Only a speed is counted in it.")
+        speed = speed / positive("spacing", spacing, "It is a length, such as a bead's diameter.")
     medium = medium_of(law, mass)
     if resonator is not None:
         if given != ["speed"]:
