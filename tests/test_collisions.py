@@ -87,7 +87,7 @@ MET = [
 @pytest.mark.slow
 @pytest.mark.parametrize(("law", "force", "speeds", "phase"), MET)
 def test_waves_meet_at_the_phase_that_is_asked_for(law, force, speeds, phase):
-    """By the crests of the strains of DOP853, of waves that begin farther apart than those of `collide`."""
+    """Where they leave, by DOP853, of waves that begin farther apart than those of `collide`."""
     waves = [solitary_wave(law, speed=c) for c in speeds]
     found = collide(*waves, phase=phase, tolerance=2e-2)
     assert found.phase == phase % 1 and found.meeting_place % 1 == pytest.approx(phase % 1, abs=1e-12)
@@ -119,7 +119,7 @@ def test_calls_with_other_numerical_options_agree_within_their_errors():
     np.testing.assert_allclose(several.radiated[0], first.radiated, atol=1e-9)
     data = several.to_xarray()
     assert data.shifts.dims == ("wave", "lane") and data.places.dims == ("wave", "found", "lane")
-    assert data.times.dims == ("found",) and data.phase.values.tolist() == [0.0, 0.5]
+    assert data.times.dims == ("found", "lane") and data.phase.values.tolist() == [0.0, 0.5]
 
 
 @pytest.mark.study

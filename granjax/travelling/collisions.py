@@ -187,7 +187,7 @@ def collide(
 
 def _together(each):
     """The collisions at several phases as one, the phases last."""
-    common = {name for name, held in Collision.held.items() if held.axes is None} | {"kind", "times"}
+    common = {name for name, held in Collision.held.items() if held.axes is None} | {"kind"}
     fields = {name: getattr(each[0], name) if name in common else np.stack([getattr(one, name) for one in each], -1)
               for name in ("kind", *Collision.held)}
     shifts, errors = fields["shifts"], fields["shift_errors"]
