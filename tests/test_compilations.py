@@ -452,7 +452,7 @@ WITHIN = {
     **dict.fromkeys(("checks", "entry.checked", "entry.kinds", "printing", "programs", "variables", "cli.commands",
                      "outside", "tuning", "materials", "canonical.scenes", "scenes.chains",
                      "scenes.long_range", "scenes.resonators", "scenes.softening",
-                     "scenes.disorder", "scenes.fractional", "scenes.modulated", "scenes.on_site", "scenes.yielding",
+                     "scenes.bead_chain", "scenes.disorder", "scenes.fractional", "scenes.modulated", "scenes.on_site", "scenes.yielding",
                      "scenes.plane.chains", "scenes.plane.lattices", "scenes.plane.networks", "scenes.plane.packing",
                      "scenes.plane.rotating",
                      "work_precision.measuring", "orbits.symmetry", "laws.power"),
