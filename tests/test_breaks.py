@@ -224,13 +224,13 @@ def test_records_of_a_run_that_may_have_missed_a_pulse_are_not_known_and_breaks_
 @pytest.mark.slow
 def test_what_is_at_rest_does_not_step_over_what_is_to_come():
     """An adaptive step is never long against the lattice's own period where something drives it."""
-    width = 0.3
+    width = 0.15
     late = lambda t: jnp.exp(-(((t - 50.1) / width) ** 2))
     chain = gx.Lattice(1.0, (gx.Bond(gx.Shift(1, "fixed"), gx.Linear()), gx.Drive(late, 1)), sites=N)
-    run = gx.simulate(chain, gx.states.rest(chain), 60.0, tolerance=1e-8)
+    run = gx.simulate(chain, gx.states.rest(chain), 100.0, tolerance=1e-8)
     K = 2 * np.eye(N) - np.eye(N, k=1) - np.eye(N, k=-1)
     squared, modes = np.linalg.eigh(K)
     # u(t) = sum of modes sin(omega (t - s))/omega over the pulse, whose transform is a Gaussian
     omega = np.sqrt(squared)
-    swings = width * np.sqrt(np.pi) * np.exp(-squared * width**2 / 4) * np.sin(omega * (60.0 - 50.1)) / omega
+    swings = width * np.sqrt(np.pi) * np.exp(-squared * width**2 / 4) * np.sin(omega * (100.0 - 50.1)) / omega
     assert np.abs(run.final.u - modes @ (modes[1] * swings)).max() < 1e-7
