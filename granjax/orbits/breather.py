@@ -330,8 +330,10 @@ def resonant_harmonic(lattice: Lattice, omega: Scalar, first: Count = 1) -> tupl
     >>> chain = gx.scenes.klein_gordon(5, 0.02)
     >>> gx.breathers.resonant_harmonic(chain, 1.4) is None
     True
-    >>> gx.breathers.resonant_harmonic(chain, 0.51)[0]
-    2
+    >>> gx.breathers.resonant_harmonic(chain, 0.51) is None  # 2 omega lies in the band, but the forces are odd
+    True
+    >>> gx.breathers.resonant_harmonic(chain, 0.34)[0]
+    3
     """
     intervals, discrete = bands_of(lattice)
     top = max(intervals.max(initial=0.0), discrete.max())
