@@ -157,11 +157,15 @@ def test_and_at_the_energy_that_it_had_without(over_coupling):
 
 @pytest.mark.slow
 def test_what_is_no_breather_is_not_on_the_branch():
-    soft = lambda c: gx.scenes.klein_gordon(9, c, beta=-1.0)
-    br = gx.breathers.anticontinuous(soft, 1.0, 0.8, stability=False)
+    uneven = lambda c: gx.scenes.klein_gordon(9, c, law=gx.Polynomial(1.0, -0.1, -1.0))
+    br = gx.breathers.anticontinuous(uneven, 1.0, 0.8, stability=False)
     # 2 omega enters the band, 1 <= omega^2 <= 1 + 4 c, at c = (4 omega^2 - 1)/4
     assert 0.38 < br.p[-1] < 0.39 and br.outcome.startswith("Ended: beyond its last point 2 omega = 1.6 meets")
-    assert gx.breathers.localisation(soft(br.p[-1]), br.orbit(-1).state).bright
+    assert gx.breathers.localisation(uneven(br.p[-1]), br.orbit(-1).state).bright
+    # an odd force makes no second harmonic
+    soft = lambda c: gx.scenes.klein_gordon(9, c, beta=-1.0)
+    br = gx.breathers.anticontinuous(soft, 0.45, 0.8, stability=False)
+    assert br.p[-1] == pytest.approx(0.45) and gx.breathers.localisation(soft(br.p[-1]), br.orbit(-1).state).bright
     two = gx.breathers.anticontinuous(soft, 0.02, 0.8, [4, 5], amplitudes=[1, -1])
     assert two.u[0, 4] == -two.u[0, 5] and two.verdict[-1] == "stable"
     same = gx.breathers.anticontinuous(soft, 0.02, 0.8, [4, 5])
