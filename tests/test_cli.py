@@ -211,7 +211,7 @@ class Outcome:
     """Stands for a result of `reproduce.run`."""
 
     def __init__(self, passed, failure=""):
-        self.passed, self.failure, self.unwritten = passed, failure, ""
+        self.passed, self.failure = passed, failure
 
     def __str__(self):
         return f"figure, passed: {self.passed}"
