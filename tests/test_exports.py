@@ -194,7 +194,7 @@ MAKERS = {
     "ResonanceMap": lambda: ResonanceMap(
         np.ones(2), np.arange(3.0), np.ones((2, 3)), np.ones((2, 3)), ("a", "b"), "2:1", (8, 20)),
     "Collision": lambda: gx.travelling.Collision(
-        "overtaking", 1.0, 2.0, *np.ones((10, 2)), 3.0, 0.1, 0.01, 40.0, 30.0, np.ones(2), np.arange(4.0),
+        "overtaking", 1.0, 0.5, 2.0, *np.ones((10, 2)), 3.0, 0.1, 0.01, 40.0, 30.0, np.ones(2), np.arange(4.0),
         np.ones((2, 4)), run(), "They have parted.", **OTHER),
     "Reflection": lambda: gx.travelling.Reflection(*np.ones((9, 3)), 1.0, 1.5, 2.8, 30, run(), "Back.", **OTHER),
     "Shock": lambda: gx.shocks.Shock(

@@ -167,7 +167,7 @@ def _start(equation, psi):
     lanes = "Give the start the equation's lanes, last."
     try:
         found = jax.eval_shape(equation.gradient, psi)
-    except TypeError as error:  # JAX's words for shapes that do not fit
+    except (TypeError, ValueError) as error:  # JAX's words for shapes that do not fit
         refuse("psi", "a start that the equation takes", f"shape {psi.shape}: {error}", lanes)
     if found.shape != psi.shape:
         refuse("psi", f"shape {found.shape}, with the lanes of the equation", f"shape {psi.shape}", lanes)

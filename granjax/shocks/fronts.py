@@ -28,6 +28,8 @@ CLOSER, AROUND = 5, 33
 ROUNDING, LEAST = 1e-12, 1e-5
 # binary orders of magnitude in which a strain is looked for, places in each
 ORDERS, EACH = 200, 4
+# units of rounding that the integrated equation is evaluated to: the force and the sum over the tent
+UNITS = 2
 
 
 class _Step(NamedTuple):
@@ -203,19 +205,21 @@ def _recorded(medium, given, known_step, front, critical, root):
     root, rate, limit = _rates(step, known_step, critical, root)
     top = _top(front)
     overshoot = jnp.sign(known_step.jump) * (shape.at("strain", top) - ahead - step.jump)
-    above = solver.smoothed_at(front, np.array([top]))[0] - 1 > 2 * front.error
+    # what is left of the equation, and its rounding, move the tails by as much over how far they are from sound
+    left = front.residual + UNITS * np.finfo(float).eps
+    error = front.error + left / min(known_step.excess, known_step.short)
+    above = solver.smoothed_at(front, np.array([top]))[0] - 1 > 2 * error
     reaches = (REACH / float(jax.lax.stop_gradient(x)) for x in (jnp.real(root), rate))
     xi = np.linspace(-min(LONGEST, next(reaches)), next(reaches), TABLE)
     kind = "oscillatory" if known_step.zeta < critical.zeta else "monotone"
-    error = abs(known_step.jump) * max(front.error, np.finfo(float).eps / min(known_step.excess, known_step.short))
     # a power of ten: the digits are those of rounding
-    share = 10.0 ** max(np.ceil(np.log10(error / abs(known_step.jump))), -13.0)
+    share = 10.0 ** max(np.ceil(np.log10(error)), -13.0)
     return DissipativeFront(
         speed=step.speed, behind=ahead + step.jump, ahead=ahead, piston=step.speed * step.jump, dashpot=dashpot,
         critical=limit * mass * step.speed, kind=kind, decay_behind=jnp.real(root), wavenumber_behind=jnp.imag(root),
         decay_ahead=rate, overshoot=overshoot if above else jnp.zeros(()),
         power=_power(law, step, Outside(law)), residual=jnp.asarray(front.residual),
-        error=jnp.asarray(error), law=medium.law, mass=mass, xi=xi, strains=shape.at("strain", xi),
+        error=jnp.asarray(error * abs(known_step.jump)), law=medium.law, mass=mass, xi=xi, strains=shape.at("strain", xi),
         velocities=shape.at("velocity", xi), _shape=shape, **medium.origin,
         outcome=f"Found to {share:.0e} of its jump; {kind}, with {known_step.zeta / critical.zeta:.4g} of the critical "
                 "dashpot.")
