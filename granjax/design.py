@@ -14,7 +14,6 @@ from .checks import described, given_by_name, held_in_memory, one_of, parameter,
 from .checks import tolerance as checked_tolerance
 from .descent import CONVERGED, NO_GRADIENT, NO_START, NOT_FINITE, SPENT, STALLED, checked_optimiser, descend
 from .entry import checked, shape_of
-from .outside import Outside
 from .parameters import Bounds, Coordinates
 from .results import Held, Result
 from .types import AnyArray, Count, Numbers, Parameter, Scalar
@@ -133,10 +132,9 @@ def design(
     mode = one_of("mode", mode or MODES[coordinates.size > FEW], MODES)
     max_steps = whole("max_steps", max_steps, 1)
     optimiser, tolerance = checked_optimiser(optimiser), jnp.asarray(checked_tolerance("tolerance", tolerance))
-    outside = Outside(objective)
     if coordinates.sizeless:
-        coordinates = coordinates.sized(*_first(objective, coordinates, mode, outside))
-    ends = [_solve(objective, start, optimiser, max_steps, tolerance, bool(maximise), mode, outside)
+        coordinates = coordinates.sized(*_first(objective, coordinates, mode))
+    ends = [_solve(objective, start, optimiser, max_steps, tolerance, bool(maximise), mode)
             for start in (coordinates, *_others(coordinates, bounds, starts, seed))]
     every = np.array([end.value if end.code < NO_GRADIENT else np.nan for end in ends])
     best = ends[int(np.argmin(np.nan_to_num(-every if maximise else every, nan=np.inf)))]
@@ -223,13 +221,13 @@ def _with_gradient(objective, coordinates, maximise, mode):
 
 
 @eqx.filter_jit
-def _first(objective, coordinates, mode, outside):
+def _first(objective, coordinates, mode):
     """The objective and its gradient in the free coordinates, at the start."""
     return _with_gradient(objective, coordinates, False, mode)[1](jnp.zeros(coordinates.size))
 
 
 @eqx.filter_jit
-def _solve(objective, coordinates, optimiser, max_steps, tolerance, maximise, mode, outside):
+def _solve(objective, coordinates, optimiser, max_steps, tolerance, maximise, mode):
     cost, both = _with_gradient(objective, coordinates, maximise, mode)
     found = descend(cost, both, coordinates.size, optimiser, max_steps, tolerance)
     sign = -1.0 if maximise else 1.0

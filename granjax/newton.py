@@ -10,7 +10,6 @@ import numpy as np
 
 from .checks import broadcast, described, passable, refuse, traced, whole
 from .entry import checked, takes
-from .outside import Outside
 from .results import Held, Result
 from .types import Count, Counts, Flags, Numbers, Parameter, Scalar
 
@@ -106,7 +105,6 @@ def newton(residual: Callable[[Any, Any], Any], guess: Parameter, args: Any = No
     # a plain number is an input of what is compiled, not a part of it
     args = jax.tree.map(lambda leaf: jnp.asarray(leaf) if isinstance(leaf, float) else leaf, args)
     inputs = residual, linearise, x0, args, jnp.asarray(tolerance, x0.dtype), jnp.asarray(max_steps), finish
-    inputs = *inputs, Outside((residual, linearise))
     # without tracers nobody differentiates; a function may hide some, which the result then shows
     root = None if traced(inputs) else _plain(*inputs)
     if root is None or traced(root):
@@ -117,14 +115,14 @@ def newton(residual: Callable[[Any, Any], Any], guess: Parameter, args: Any = No
 
 
 @eqx.filter_jit
-def _plain(residual, linearise, x0, args, tolerance, max_steps, finish, outside):
+def _plain(residual, linearise, x0, args, tolerance, max_steps, finish):
     both = _by_forward_mode(residual) if linearise is None else _given(linearise)
     x, (jacobian, size, first, steps, code) = _iterate(both, x0, args, tolerance, max_steps, finish)
     return Root(x, jacobian, size, first, steps, code, tolerance)
 
 
 @eqx.filter_jit
-def _differentiable(residual, linearise, x0, args, tolerance, max_steps, finish, outside):
+def _differentiable(residual, linearise, x0, args, tolerance, max_steps, finish):
     both = _by_forward_mode(residual) if linearise is None else _given(linearise)
 
     def solve(f, x0):

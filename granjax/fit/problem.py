@@ -19,7 +19,6 @@ from ..flow.inputs import checked_state
 from ..flow.method import STEP_FRACTION
 from ..lattice import Lattice, State
 from ..measures import contact_force
-from ..outside import Outside
 from ..parameters import Bounds, Coordinates
 from ..printing import told
 from ..solvers import SRKN11b
@@ -54,7 +53,6 @@ class Problem(eqx.Module):
     t1: Float[AnyArray, ""]
     step: Float[AnyArray, ""]
     solver: diffrax.AbstractSolver
-    outside: Outside = Outside()
     __repr__ = told
 
     @property
@@ -195,8 +193,7 @@ def prepared(
         solver = SRKN11b() if facts(lattice).splits else diffrax.Dopri8()
     t0, unknown = jnp.asarray(parameter("t0", t0), dtype), jnp.ones((), dtype)
     make_state = state if given is None else None
-    problem = Problem(scene, make_state, given, coordinates, traces, t0, unknown, unknown, solver,
-                      Outside((scene, make_state)))
+    problem = Problem(scene, make_state, given, coordinates, traces, t0, unknown, unknown, solver)
     times = problem.times(parameters)
     if not problem.moving and times.min() < t0 - 1e-9 * np.ptp(times):
         refuse("times", f"samples from t0 = {t0} on", f"{times.min()}", "Give offset=, or an earlier t0.")

@@ -13,7 +13,6 @@ import numpy as np
 from ..checks import refuse, show, traced, whole
 from ..entry import checked
 from ..lattice import Lattice, State
-from ..outside import Outside
 from ..programs import shared_size, wait
 from ..types import Count, Parameter, Scalar, StateLike
 from .confirmation import Confirmation
@@ -125,7 +124,6 @@ def simulate(
         remedy = "Give times, or step= for steps that lanes share."
         refuse("save_at", "times, where each lane has steps of its own", "'steps'", remedy)
     records = checked_records(record, lattice, state)
-    outside = Outside(tuple(records.values())) if records else None
     if tolerance is None:
         dt, steps, choice, remark, watch = fixed_step(lattice, state, t0, t1, step, solver, frames)
     else:
@@ -148,7 +146,7 @@ def simulate(
     dt = None if dt is None else number(dt, dtype)
     save_ts = None if save_ts is None else jnp.asarray(save_ts, dtype)
     watch = watch and not unknown
-    rest = records, solver, adjoint, limit, every, progress, watch, outside, dips
+    rest = records, solver, adjoint, limit, every, progress, watch, dips
     try:
         # its derivative is asked for where something is traced
         if backwards is None or not (unknown or traced(backwards)):
@@ -164,7 +162,7 @@ def simulate(
         dt, steps, choice, remark, _ = fixed_step(lattice, state, t0, t1, None, solver, frames, again)
         choice += ", taken again: energy gathered beyond the bound at the start"
         dt, limit = number(dt, dtype), None if limit is None else max(limit, steps)
-        rest = records, solver, adjoint, limit, every, progress, watch, outside
+        rest = records, solver, adjoint, limit, every, progress, watch
         run = march(lattice, state, *span, dt, tolerance, save_ts, *rest)
     zone = _zone(lattice, dt, step, tolerance, unknown, dips)
     run = named(run, type(solver).__name__, choice, remark, zone, lattice._mark)

@@ -14,7 +14,6 @@ from ..checks import described, refuse, traced, whole
 from ..entry import checked
 from ..lattice import Lattice, vector_field
 from ..lattice.model import check_shape
-from ..outside import Outside
 from ..printing import told
 from ..programs import compiled, parted
 from ..solvers import AbstractNystrom, AbstractSplitting, SRKN14a
@@ -129,7 +128,7 @@ def _run(solver, field, steps, y, t0, t1, args, tangents=None):
         t0, t1, numbers = jax.tree.map(lambda x: jnp.asarray(x) if _is_number(x) else x, (t0, t1, args))
         try:
             hash(parted(fixed)[0])
-            return _by_itself(solver, field, steps, y, t0, t1, numbers, tangents, Outside(fixed))
+            return _by_itself(solver, field, steps, y, t0, t1, numbers, tangents)
         except TypeError:  # of what has no hash, or of a field that asks what a number is: `range(args)`
             pass
     return _marched(*arguments)
@@ -147,7 +146,6 @@ def _of_times(y):
 
 def _stays(leaf):
     """Whether a program may keep it, or take it as an input: any other object may change and be the same to JAX."""
-    # what functions read is seen to by `Outside`
     return leaf is None or isinstance(leaf, (jax.Array, np.ndarray, np.generic, Number, str)) or callable(leaf)
 
 
@@ -164,7 +162,7 @@ def _marched(solver, field, steps, y, t0, t1, args, tangents):
 
 
 @compiled
-def _by_itself(solver, field, steps, y, t0, t1, args, tangents, outside):
+def _by_itself(solver, field, steps, y, t0, t1, args, tangents):
     return _marched(solver, field, steps, y, t0, t1, args, tangents)
 
 

@@ -21,7 +21,6 @@ from ..checks import non_negative, parameter, positive, refuse, whole
 from ..entry import checked
 from ..fit.problem import checked_scene
 from ..flow.stiffness import linear_frequency
-from ..outside import Outside
 from ..parameters import Bounds, Coordinates
 from ..printing import told
 from ..programs import shared_size
@@ -151,7 +150,7 @@ def physics_informed(
     motion = Motion(net, frequencies, span, jnp.sqrt(size) / omega)
     state = None if state is None else tuple(parameter("state", x) for x in state)
     training = _Training(scene, coordinates, times, velocity, tuple(map(int, sites)), state, collocation, omega, size,
-                         weight, Outside(scene))
+                         weight)
     model, history = training.trained((motion, jnp.zeros(coordinates.size)), max_steps, refine, jnp.asarray(rate))
     motion = model[0]
     data, physics, accelerations, _ = map(float, _parts(training, model))
@@ -195,7 +194,6 @@ class _Training(eqx.Module):
     omega: AnyArray
     size: AnyArray
     weight: AnyArray
-    outside: Outside
 
     def parts(self, model):
         """Mean squares: of the data's misfit, of the residual, of the accelerations, and of what the start is off."""

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -12,7 +12,6 @@ import numpy as np
 
 from ..checks import described, held_in_memory, letter, parameter, positive, refuse, whole
 from ..entry import checked
-from ..outside import Outside
 from ..printing import text, told
 from ..terms import Term
 from ..terms.tracing import reads, traced
@@ -70,11 +69,12 @@ class Lattice(eqx.Module):
     ((20,), False)
     """
 
+    # it never changes, so that `programs.parted` takes it apart once
+    settled: ClassVar[bool] = True
     mass: object
     terms: tuple[Term, ...]
     positions: object
     _mark: jax.Array
-    _outside: Outside
     _sites: object = eqx.field(static=True)
     _per_site: object = eqx.field(static=True)
     dimension: int | None = eqx.field(static=True)
@@ -102,7 +102,6 @@ class Lattice(eqx.Module):
         terms = (terms,) if isinstance(terms, Term) else terms
         self.terms = tuple(terms)
         self._mark = _one(self.axes + (self.dimension is not None), mark_of(units))
-        self._outside = Outside(self.terms)
         if self.dimension is not None:
             self.terms = tuple(term.per_vector(self.axes) for term in self.terms)
         self.check_terms()
@@ -191,11 +190,6 @@ class Lattice(eqx.Module):
     def space(self):
         """Number of leading axes that count sites, and of components of a vector at each, 0 for numbers."""
         return self.axes, self.dimension or 0
-
-    @property
-    def settled(self):
-        """Whether it is the same as long as it lives: no function of the user's in it reads what may change."""
-        return not self._outside.readers
 
     @property
     def origin(self):

@@ -7,7 +7,6 @@ import jax
 import jax.numpy as jnp
 
 from ..entry import checked
-from ..outside import Outside
 from ..printing import told
 from ..types import Number
 from .base import Law
@@ -44,11 +43,11 @@ def taylor(law: Law, e: Number = 0.0) -> Taylor:
     >>> gx.laws.taylor(gx.Hertz(precompression=1.0))
     Taylor(K2=1.5, K3=0.375, K4=-0.0625)
     """
-    return _taylor(law, jnp.asarray(e, float), Outside(law))
+    return _taylor(law, jnp.asarray(e, float))
 
 
 @eqx.filter_jit
-def _taylor(law, e, outside):
+def _taylor(law, e):
     at = jnp.zeros(jax.eval_shape(law.force, e).shape) + e
 
     def slope(f):

@@ -14,7 +14,6 @@ from ..continuation import Curve
 from ..entry import shape_of
 from ..flow import Flow
 from ..lattice import Lattice, State, spread_mass, vector_field
-from ..outside import Outside
 from ..printing import told
 from ..types import AnyArray, Count, Number, Numbers, Scalar, StateLike
 from .symmetry import Symmetry, free_moves, shifts
@@ -222,7 +221,6 @@ class Family(eqx.Module):
     period: Callable | Scalar
     start: Scalar = 0.0
     span: Scalar = 1.0
-    outside: Outside = Outside()
     __repr__ = told
 
     def value(self, q: Number) -> Number:

@@ -11,7 +11,6 @@ from ..checks import concrete, described, positive, refuse, traced
 from ..entry import checked
 from ..lattice import Lattice
 from ..laws import Law
-from ..outside import Outside
 from ..printing import told
 from ..types import Number, Numbers, Scalar
 
@@ -137,16 +136,16 @@ def fine_force(law: Law, e: Numbers) -> Numbers:
 
 
 @eqx.filter_jit
-def _values(law, e, outside):
+def _values(law, e):
     return fine(law, e)
 
 
 def values(law: Law, e: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Force, stiffness and energy at known compressions of any shape, by one program for each law."""
-    flat, outside = np.ravel(e), Outside(law)
+    flat = np.ravel(e)
     padded = np.zeros(-(-max(flat.size, 1) // CHUNK) * CHUNK)
     padded[: flat.size] = flat
-    parts = [_values(law, jnp.asarray(part), outside) for part in padded.reshape(-1, CHUNK)]
+    parts = [_values(law, jnp.asarray(part)) for part in padded.reshape(-1, CHUNK)]
     return tuple(np.concatenate([np.asarray(p, float) for p in x])[: flat.size].reshape(np.shape(e))
                  for x in zip(*parts))
 

@@ -20,8 +20,8 @@ ULPS = 16
 class Function(eqx.Module):
     """A plain Python function of time, held as static: two equal functions compile once, another compiles anew.
 
-    What it reads from outside (closures, globals) counts as it stands at each run: another number compiles anew. Values
-    that are swept or differentiated belong in a Module, like `Harmonic`.
+    It must be pure, as JAX asks: a global number that it reads is compiled into the first run and kept. Values that are
+    swept, changed or differentiated belong in a Module, like `Harmonic`.
 
     **Example:**
 

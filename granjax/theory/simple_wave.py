@@ -26,7 +26,6 @@ from ..checks import broadcast, concrete, non_negative, parameter, positive, ref
 from ..entry import checked
 from ..lattice import Lattice
 from ..laws import Law
-from ..outside import Outside
 from ..profiles import medium_of
 from ..types import Numbers, Parameter, Scalar
 from .simple_states import _path_to, _slopes_at, _width_of
@@ -55,11 +54,11 @@ def mean(law: Law | Lattice, c: Scalar, mass: Scalar = 1.0, *, ahead: Scalar = 0
     medium = medium_of(law, mass)
     c, ahead = parameter("c", c), parameter("ahead", ahead)
     path = _path_to(medium.known, c, ahead)
-    return _mean(medium.law, medium.mass, c, ahead, *path.arrays[:3], Outside(medium.law))
+    return _mean(medium.law, medium.mass, c, ahead, *path.arrays[:3])
 
 
 @eqx.filter_jit
-def _mean(law, mass, c, ahead, width, nodes, weights, outside):
+def _mean(law, mass, c, ahead, width, nodes, weights):
     return ahead + _width_of(law, mass, c, ahead, width, nodes, weights)
 
 
@@ -90,7 +89,7 @@ def fan(
     inside = (np.abs(known) <= path.sound) & (np.abs(known) >= path.behind)
     behind = jnp.asarray(np.abs(known) < path.behind)
     return _fan(medium.law, medium.mass, c, ahead, speed, jnp.asarray(path.width * share.reshape(known.shape)),
-                jnp.asarray(inside), behind, *path.arrays[:3], Outside(medium.law))
+                jnp.asarray(inside), behind, *path.arrays[:3])
 
 
 def _solved(medium, path, speeds):
@@ -104,7 +103,7 @@ def _solved(medium, path, speeds):
 
 
 @eqx.filter_jit
-def _fan(law, mass, c, ahead, speed, further, inside, behind, width, nodes, weights, outside):
+def _fan(law, mass, c, ahead, speed, further, inside, behind, width, nodes, weights):
     width = _width_of(law, mass, c, ahead, width, nodes, weights)
     # by Newton's method, for the digits of a weak fan and for derivatives
     for _ in range(2):
