@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from .checks import broadcast, described, passable, refuse, traced, whole
-from .entry import checked, takes
 from .results import Held, Result
 from .types import Count, Counts, Flags, Numbers, Parameter, Scalar
 
@@ -67,7 +66,6 @@ class Root(Result):
         return f"Newton did not converge: {went}, {wanted}; {why}."
 
 
-@checked
 def newton(residual: Callable[[Any, Any], Any], guess: Parameter, args: Any = None, *, tolerance: Scalar = 1e-10,
            max_steps: Count = 20, linearise: Callable[[Any, Any], Any] | None = None, throw: bool | None = None,
            finish: bool = True) -> Root:
@@ -160,7 +158,6 @@ def _given(linearise):
     return both
 
 
-@checked
 def evaluated(residual: Callable, x: Numbers, *others: Any) -> Numbers:
     """F(x, ...), as many numbers as unknowns.
 
@@ -169,9 +166,6 @@ def evaluated(residual: Callable, x: Numbers, *others: Any) -> Numbers:
     >>> gx.newton.evaluated(lambda x, a: a * x**2, jnp.array([1.0, 3.0]), 2.0)
     Array([ 2., 18.], dtype=float64)
     """
-    count = 1 + len(others)
-    if not takes(residual, count):
-        refuse("residual", f"a function of {count} argument{'s' * (count != 1)}", described(residual))
     found = residual(x, *others)
     if not isinstance(found, (jax.Array, np.ndarray)) or found.shape != x.shape:
         refuse("residual", f"a function that gives an array of shape {x.shape}", f"one that gives {described(found)}")
@@ -229,7 +223,6 @@ def _iterate(both, x0, args, tolerance, max_steps, finish):
     return x, (end["jacobian"], end["size"], end["first"], end["steps"], code)
 
 
-@checked
 def nearby(x: Numbers, step: Numbers) -> Numbers:
     """x + step, of one shape, where that is a small part of x, and x where it is not (or not finite).
 

@@ -12,7 +12,6 @@ import numpy as np
 
 from ..checks import concrete, described, held_in_memory, positive, refuse, show, traced
 from ..checks import tolerance as checked_tolerance
-from ..entry import checked
 from ..flow import Flow
 from ..programs import bar, compiled
 from ..results import Held, Result
@@ -99,7 +98,6 @@ class Evolution(Result):
                 "the norm: the motion is unstable or not smooth, or the steps are too long.")
 
 
-@checked
 def evolve(
     equation: Equation, psi: Amplitudes, t1: Scalar, *, t0: Scalar = 0.0, save_at: Count | Parameter | None = None,
     solver: diffrax.AbstractSolver | None = None, step: Scalar | None = None, tolerance: Scalar = 1e-10,

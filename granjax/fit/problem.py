@@ -12,7 +12,6 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
 from ..checks import described, given_by_name, one_of, parameter, positive, refuse
-from ..entry import checked, kind_of
 from ..flow import Run, frequency_bound, simulate
 from ..flow.dispatch import facts
 from ..flow.inputs import checked_state
@@ -172,7 +171,6 @@ def _fastest_decay(lattice, t, u, v):
     return jax.lax.fori_loop(0, POWER_STEPS, power, (first / jnp.linalg.norm(first), jnp.zeros((), flat.dtype)))[1]
 
 
-@checked
 def prepared(
     scene: Scene, start: dict[str, Parameter], traces: Traces | Sequence[Traces], *, state: Start,
     bounds: Bounds = None, t0: Scalar = 0.0, step: Scalar | None = None, solver: diffrax.AbstractSolver | None = None,
@@ -217,7 +215,7 @@ def _refuse_other_units(units, omega, span):
 def _made(state, parameters, lattice):
     """The state that a function of the user's gives."""
     found = given_by_name("state", state, parameters, lattice)
-    if not kind_of(StateLike).fits(found):
+    if not isinstance(found, tuple) or len(found) != 2:
         wanted = "a function (parameters, lattice) that gives State(u, v)"
         refuse("state", wanted, f"one that gives {described(found)}")
     return as_state(found, lattice.dtype)

@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import positive, refuse, returned
-from ..entry import checked
 from ..results import Held, Result
 from ..types import Numbers, Pytree, Scalar
 
@@ -65,7 +64,6 @@ class Derivative(Result):
         yield "outcome", self.outcome
 
 
-@checked
 def derivative(function: Callable[[Any, Any], Any], x: Pytree, step: Scalar) -> Derivative:
     """df/dx of a function of runs, and what the time steps leave uncertain of it.
 

@@ -11,7 +11,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import refuse, show, traced, whole
-from ..entry import checked
 from ..lattice import Lattice, State
 from ..programs import shared_size, wait
 from ..types import Count, Parameter, Scalar, StateLike
@@ -45,7 +44,6 @@ _FORWARD, _BOTH_MODES = diffrax.ForwardMode(), diffrax.DirectAdjoint()
 KEYWORDS = ("t0", "solver", "step", "tolerance", "save_at", "record", "adjoint", "progress", "throw", "max_steps")
 
 
-@checked
 def simulate(
     lattice: Lattice, state: StateLike, t1: Scalar, *, t0: Scalar = 0.0, solver: diffrax.AbstractSolver | None = None,
     step: Scalar | None = None, tolerance: Scalar | None = None, save_at: Parameter | str | None = None,

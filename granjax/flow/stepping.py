@@ -11,7 +11,6 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 
 from ..checks import described, refuse, traced, whole
-from ..entry import checked
 from ..lattice import Lattice, vector_field
 from ..lattice.model import check_shape
 from ..printing import told
@@ -25,7 +24,6 @@ from .control import refuse_unresolved
 VECTOR = 8
 
 
-@checked
 class Flow(eqx.Module):
     r"""The flow phi(y; t0, t1, args) of y' = f(t, y, args), by a fixed number of equal steps.
 
@@ -54,13 +52,11 @@ class Flow(eqx.Module):
         if np.ndim(self.steps) == 0:
             check_steps(self.steps)
 
-    @checked
     def __call__(self, y: Pytree, t0: Scalar, t1: Scalar, args: Any) -> Pytree:
         """The state at t1 of what is `y` at t0; of a lattice's shape, where that is what moves."""
         check_moved("y", y, self, args)
         return _run(self.solver, self.field, self.steps, y, t0, t1, args)
 
-    @checked
     def tangents(self, y: Pytree, tangents: Pytree, t0: Scalar, t1: Scalar, args: Any) -> tuple:
         """(phi(y), D phi(y) tangents), with `tangents` like `y` plus a trailing axis."""
         check_moved("y", y, self, args)
@@ -73,7 +69,6 @@ class Flow(eqx.Module):
         end, moved = _run(self.solver, self.field, self.steps, y, t0, t1, args, tangents)
         return end, jax.tree.map(lambda x: x[..., :count], moved)
 
-    @checked
     def derivative(self, y: Pytree, t0: Scalar, t1: Scalar, args: Any) -> tuple:
         """(phi(y), D phi(y)), the derivative as a matrix over the raveled state."""
         flat, unravel = ravel_pytree(_floating(y))

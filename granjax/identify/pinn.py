@@ -18,7 +18,6 @@ import optax
 from jaxtyping import Float
 
 from ..checks import non_negative, parameter, positive, refuse, whole
-from ..entry import checked
 from ..fit.problem import checked_scene
 from ..flow.stiffness import linear_frequency
 from ..parameters import Bounds, Coordinates
@@ -52,7 +51,6 @@ class Motion(eqx.Module):
         phase = self.frequencies * t
         return self.scale * self.net(jnp.concatenate([t[None] / self.span, jnp.sin(phase), jnp.cos(phase)]))
 
-    @checked
     def state(self, t: Scalar) -> tuple[Float[AnyArray, " N"], Float[AnyArray, " N"], Float[AnyArray, " N"]]:
         """Displacements, velocities and accelerations at one time."""
         t = jnp.asarray(t, self.span.dtype)
@@ -89,7 +87,6 @@ class PhysicsInformed(Result):
     outcome: str = eqx.field(static=True)
 
 
-@checked
 def physics_informed(
     scene: Scene, start: dict[str, Parameter], times: Times, velocity: Float[AnyArray, "T sensors"], *,
     sites: Parameter | None = None, state: tuple | None = None, bounds: Bounds = None, weight: Scalar = 1.0,

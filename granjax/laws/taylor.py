@@ -6,7 +6,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ..entry import checked
 from ..printing import told
 from ..types import Number
 from .base import Law
@@ -28,7 +27,6 @@ class Taylor(NamedTuple):
     __repr__ = told
 
 
-@checked
 def taylor(law: Law, e: Number = 0.0) -> Taylor:
     """Taylor coefficients of a law about a compression, by nested derivatives.
 

@@ -13,7 +13,6 @@ from jax.flatten_util import ravel_pytree
 from ..checks import parameter, positive, refuse, whole
 from ..checks import tolerance as checked_tolerance
 from ..continuation import continuation
-from ..entry import checked
 from ..flow import Flow
 from ..solvers import KahanLi8
 from ..tuning import one_thread
@@ -37,7 +36,6 @@ VETOED = "vetoed, "
 FELT = 1e-9
 
 
-@checked
 @one_thread
 def anticontinuous(
     scene: Callable[[Any], Any], coupling: Scalar, omega: Scalar, sites: Site | Sequence[Site] | None = None, *,

@@ -14,7 +14,6 @@ from scipy.optimize import brentq
 from ..checks import parameter, positive, refuse, whole
 from ..checks import tolerance as checked_tolerance
 from ..continuation import continuation
-from ..entry import checked
 from ..flow import Flow
 from ..lattice import State
 from ..measures import rms_velocity
@@ -50,7 +49,6 @@ HELPS = 4
 LOCATED, APART = 1e-10, 1e-7
 
 
-@checked
 @one_thread
 def forced_branch(
     make: Callable[[Any], Any], start: Scalar, until: Scalar, *, period: Callable[[Any], Any] | Scalar,

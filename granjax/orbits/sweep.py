@@ -12,7 +12,6 @@ from jaxtyping import Float, Integer
 
 from ..checks import concrete, held_in_memory, parameter, refuse, whole
 from ..checks import tolerance as checked_tolerance
-from ..entry import checked
 from ..flow import Flow
 from ..flow.inputs import held_frames
 from ..lattice import State
@@ -134,7 +133,6 @@ class Sweep(Result):
         return f"Up: {self.up.outcome} Down: {self.down.outcome} They differ {where}."
 
 
-@checked
 def sweep(
     make: Callable[[Any], Any], values: Parameter, period: Callable[[Any], Any] | Scalar, *,
     state: StateLike | None = None, response: Callable[[Any, Any, Any, Any], Any] = rms_velocity,

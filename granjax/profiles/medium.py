@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import concrete, described, positive, refuse, traced
-from ..entry import checked
 from ..lattice import Lattice
 from ..laws import Law
 from ..printing import told
@@ -64,7 +63,6 @@ class Medium(NamedTuple):
         return Medium(law, mass, self.origin)
 
 
-@checked
 def medium_of(law: Law | Lattice, mass: Scalar = 1.0) -> Medium:
     """The medium of a law, or of a lattice whose sites and bonds are all alike.
 
@@ -102,7 +100,6 @@ def law_between(lattice: Lattice, wanted: str) -> Law:
     return sum(own[1:], own[0])
 
 
-@checked
 def single(argument: str, what: str, x: Any) -> Number:
     """One number out of equal ones, in the default type."""
     values = concrete(jax.lax.stop_gradient(x))
@@ -150,7 +147,6 @@ def values(law: Law, e: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]
                  for x in zip(*parts))
 
 
-@checked
 def one_number(argument: str, x: Any) -> float | None:
     """A known number behind what may be differentiated; `None` for `None`."""
     if x is None:

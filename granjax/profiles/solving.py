@@ -10,7 +10,6 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from ..checks import refuse, traced
-from ..entry import checked
 from ..printing import told
 from .existence import Bounds, reached, side_of, twice_energy
 from .medium import Medium, fine, fine_force, one_number, values
@@ -89,7 +88,6 @@ class _Problem(NamedTuple):
         return energy
 
 
-@checked
 def wave_of(
     medium: Medium, speed: Any = None, amplitude: Any = None, energy: Any = None, side: str | None = None,
 ) -> Solved:

@@ -9,7 +9,6 @@ import numpy as np
 from scipy.optimize import brentq
 
 from ..checks import positive, refuse, traced
-from ..entry import checked
 from ..lattice import Lattice
 from ..laws import Law, Strained
 from ..profiles import Medium, medium_of, tails
@@ -42,7 +41,6 @@ class _Step(NamedTuple):
     zeta: Any
 
 
-@checked
 def dissipative_front(
     law: Law | Lattice, behind: Scalar | None = None, ahead: Scalar = 0.0, *, dashpot: Scalar | None = None,
     piston: Scalar | None = None, mass: Scalar = 1.0,

@@ -23,7 +23,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import parameter, refuse, traced
-from ..entry import checked
 from ..lattice import Lattice
 from ..laws import Law
 from ..profiles import medium_of, wave_of
@@ -89,7 +88,6 @@ class FittedEdges(Result):
     outcome: str
 
 
-@checked
 def shock_edges(
     law: Law | Lattice, c: Scalar, mass: Scalar = 1.0, *, ahead: Scalar = 0.0, wave: bool = False,
 ) -> FittedEdges:

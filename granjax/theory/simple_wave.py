@@ -23,7 +23,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import broadcast, concrete, non_negative, parameter, positive, refuse, show, traced
-from ..entry import checked
 from ..lattice import Lattice
 from ..laws import Law
 from ..profiles import medium_of
@@ -35,7 +34,6 @@ __all__ = ["fan", "mean", "power_law_mean"]
 HALVINGS = 60
 
 
-@checked
 def mean(law: Law | Lattice, c: Scalar, mass: Scalar = 1.0, *, ahead: Scalar = 0.0) -> Numbers:
     """Strain behind the waves of v_n = -2c sign(n), int_ahead^mean (F'/m)^{1/2} dy = 2c, to 1e-12 or so.
 
@@ -62,7 +60,6 @@ def _mean(law, mass, c, ahead, width, nodes, weights):
     return ahead + _width_of(law, mass, c, ahead, width, nodes, weights)
 
 
-@checked
 def fan(
     speed: Parameter, law: Law | Lattice, c: Scalar, mass: Scalar = 1.0, *, ahead: Scalar = 0.0,
 ) -> Numbers:
@@ -113,7 +110,6 @@ def _fan(law, mass, c, ahead, speed, further, inside, behind, width, nodes, weig
     return ahead + jnp.where(inside, further, jnp.where(behind, width, 0.0))
 
 
-@checked
 def power_law_mean(
     c: Parameter, stiffness: Parameter = 1.0, exponent: Parameter = 1.5, rest: Parameter = 0.0, mass: Parameter = 1.0,
 ) -> Numbers:

@@ -10,7 +10,6 @@ from jax.flatten_util import ravel_pytree
 from jax.scipy.special import gammaln
 
 from ...checks import concrete, described, held_in_memory, parameter, passable, refuse, show, whole, within
-from ...entry import checked
 from ...results import Result
 from ...types import Count, Number, Pytree, Scalar, Times, VectorField
 from ...variables import Held
@@ -51,7 +50,6 @@ class CaputoRun(Result):
         return "Completed." if self.residual < 1e-8 else "Newton's method has not converged in some step: more steps."
 
 
-@checked
 def caputo(
     field: VectorField, y: Pytree, t1: Scalar, *, order: Scalar, steps: Count = 200, t0: Scalar = 0.0, args: Any = None,
     grading: Scalar | None = None,
