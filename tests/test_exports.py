@@ -322,7 +322,7 @@ def test_times_of_their_own_of_each_lane_are_kept():
     ({"ratio": RATIOS, "load": [1.0]}, "load of shape (1,)"), ({"u": RATIOS}, "lanes: expected names that nothing"),
     ({"time": RATIOS}, "expected names that nothing"), ({"site": RATIOS}, "expected names"), ({"": RATIOS}, "lanes"),
     ({"a/b": RATIOS}, "without a slash"),
-    ({"a": [None] * 3}, "numbers or words"), ({"a": 1.0}, "lanes"), ([1.0], "lanes: expected a dict"),
+    ({"a": [None] * 3}, "numbers or words"), ({"a": 1.0}, "lanes"),
 ])
 def test_lanes_that_do_not_fit_are_refused(lanes, said, tmp_path):
     run = batch(np.arange(float(F)), np.ones((F, N, 3)), (3,))

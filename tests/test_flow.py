@@ -376,11 +376,6 @@ def test_a_mapped_run_prints_itself(closed):
     assert "Completed at t = 1" in str(runs)
 
 
-def test_something_else_than_a_lattice():
-    with pytest.raises(ValueError, match="lattice: expected a Lattice"):
-        gx.simulate(3, MOVING, 1.0)
-
-
 @pytest.mark.slow
 def test_a_law_of_ones_own_may_hold_plain_numbers():
     class Cubic(gx.Law):

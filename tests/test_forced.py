@@ -120,9 +120,6 @@ def test_input_that_cannot_be_meant_is_refused():
             forced_branch(lambda p, terms=terms: gx.Lattice(jnp.ones(2), terms), 0.9, 1.0, period=7.0)
     with pytest.raises(ValueError, match="until: expected another value than start"):
         forced_branch(duffing, 0.9, 0.9, period=period_of)
-    for given in ({"make": lambda: lattice, "period": 7.0}, {"make": duffing, "period": lambda: 7.0}):
-        with pytest.raises(ValueError, match="a function of 1 argument"):
-            forced_branch(start=0.9, until=1.0, **given)
 
 
 def test_what_does_not_converge_says_so():

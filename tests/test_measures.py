@@ -215,9 +215,6 @@ def test_a_measure_along_a_run_has_options():
         return y.u[site]
 
     np.testing.assert_array_equal(measures.along(at, chain(8), Run, site=2), Run.us[:, 2])
-    for options, said in (({}, ""), ({"place": 2}, ", and of place")):
-        with pytest.raises(ValueError, match=rf"^measure: expected a function of \(lattice, y, t\){said}, got"):
-            measures.along(at, chain(8), Run, **options)
 
 
 def test_a_derivative_goes_through_a_measure():
@@ -435,8 +432,7 @@ def test_velocity_trace_has_the_noise_it_was_asked_for():
 REST = states.rest(chain(8))
 TS, Q = np.linspace(0, 1, 10), np.ones((10, 8))
 BAD = {
-    "a pair of three": (lambda: measures.energy(chain(8), (1, 2, 3)), "y: expected State"),
-    "an array": (lambda: measures.energy(chain(8), REST.u), "y: expected State"),
+    "an array": (lambda: measures.energy(chain(8), REST.u), "y.u: expected shape"),
     "another shape": (lambda: measures.energy(chain(9), REST), r"y.u: expected shape \(9,\)"),
     "a trajectory": (lambda: measures.energy(chain(8), gx.State(Q, Q)), "measures.along"),
     "fields": (lambda: measures.energy(cells(), REST), "y.u: expected fields"),
@@ -463,9 +459,7 @@ BAD = {
     "bead": (lambda: measures.velocity_trace(TS, Q, 8, sampling=100.0), "bead: expected an index"),
     "sampling": (lambda: measures.velocity_trace(TS, Q, 1, sampling=0.5), "sampling: expected"),
     "noise": (lambda: measures.velocity_trace(TS, Q, 1, sampling=50.0, noise=-1.0), "noise: expected"),
-    "units": (lambda: measures.velocity_trace(TS, Q, 1, sampling=50.0, units=3.0), "units: expected"),
     "no run": (lambda: measures.along(measures.energy, chain(8), REST), "run: expected"),
-    "no measure": (lambda: measures.along("energy", chain(8), REST), "measure: expected"),
 }
 
 

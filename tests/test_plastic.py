@@ -167,7 +167,6 @@ def test_what_needs_the_present_alone_refuses():
         with pytest.raises(ValueError, match=next(iter(how))):
             gx.simulate(chain, rest, 1.0, **how)
     for wrong, said in ((lambda: gx.WaltonBraun(2.0, 1.0), "unloading"), (lambda: gx.Thornton(1.0, 0.0), "yield"),
-                        (lambda: gx.PlasticContact(WALLS, gx.Hertz()), "law"),
                         (lambda: gx.PlasticContact(WALLS, gx.WaltonBraun(1.0, 2.0), 0.1, 0.05), "largest")):
         with pytest.raises(ValueError, match=said):
             wrong()

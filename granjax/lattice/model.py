@@ -99,6 +99,9 @@ class Lattice(eqx.Module):
             refuse("mass", "at least two sites", f"{count}", "A lattice has bonds.")
         terms = (terms,) if isinstance(terms, Term) else terms
         self.terms = tuple(terms)
+        for i, term in enumerate(self.terms):
+            if not isinstance(term, Term):
+                refuse(f"terms[{i}]", "a term", f"a {type(term).__name__}", "A law needs a Bond, a Wall or an OnSite.")
         self._mark = _one(self.axes + (self.dimension is not None), mark_of(units))
         if self.dimension is not None:
             self.terms = tuple(term.per_vector(self.axes) for term in self.terms)

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Complex, Float, Integer
 
-from ..checks import broadcast, concrete, one_of, parameter, positive, refuse, show, whole
+from ..checks import broadcast, concrete, one_of, parameter, per_lane, positive, refuse, show, whole
 from ..results import Held, Result
 from ..types import Count, Parameter, Scalar
 
@@ -110,7 +110,7 @@ def coefficients(
     (0.306186, -0.459279)
     """
     mass, K2, K3, K4 = _cell(mass, K2, K3, K4)
-    k = parameter("k", k)
+    k = per_lane("k", k, ())
     sites = mass.size
     if whole("branch", branch) >= sites:
         refuse("branch", f"a branch below {sites}, as the cell has {sites} sites", repr(branch))
