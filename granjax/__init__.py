@@ -13,7 +13,6 @@ Scenes
     scenes              ready lattices: monomer, dimer, defects, disorder, FPUT, Toda, beads of materials in SI
     states              where they start: impact, rest, modes, packets, steps, random
     materials           steel, brass, PTFE ...; Hertz's contact coefficient from moduli and radii
-    canonical           scenes with references in extended precision
     Units               sizes of a scene's units of mass, length and time in SI
 Lattices
     Lattice             masses and terms, m a = sum of forces
@@ -206,7 +205,7 @@ from .work_precision import WorkPrecision, work_precision  # noqa: E402
 __version__ = "0.2.0"
 _LAZY = {
     name: f".{name}" for name in (
-        "breathers", "canonical", "continuation", "driven", "first_order", "floquet", "forced",
+        "breathers", "continuation", "driven", "first_order", "floquet", "forced",
         "fractional", "identify", "kinks", "linear", "materials", "measures", "newton",
         "orbits", "plots", "scenes", "shocks", "states", "studies", "sweeps",
         "theory", "topology", "travelling",
