@@ -64,6 +64,7 @@ Motion
     CaputoRun           what it returns
     RunWithMemory       what `simulate` returns where forces remember
     Peak                a record: the highest value between the steps
+    PeakTime            a record: when it comes
     Lowest              the lowest
     Arrival             the time at which a quantity passes a threshold
     Integral            an integral over time
@@ -143,6 +144,7 @@ from .flow import (  # noqa: E402
     Integral,
     Lowest,
     Peak,
+    PeakTime,
     Record,
     Reversible,
     Run,
@@ -219,7 +221,7 @@ _WITHIN = {
 __all__ = [
     "Arrival", "Bond", "Breaks", "BrilliantovContact", "CaputoDamping", "CaputoRun", "Damping", "Dashpot", "Derivative",
     "Design", "Drag", "Drive", "Equilibrium", "Fit", "Flow", "Harmonic", "Hertz", "Integral", "KahanLi8", "Lattice",
-    "Law", "Linear", "LongRange", "Lowest", "Modulated", "Network", "OnSite", "Pairs", "Peak", "PlasticContact",
+    "Law", "Linear", "LongRange", "Lowest", "Modulated", "Network", "OnSite", "Pairs", "Peak", "PeakTime", "PlasticContact",
     "PlasticLaw", "Polynomial", "PowerLaw", "RKN1210", "RKN86", "Record", "Resonator", "Result", "Reversible", "Run",
     "RunWithMemory", "SRKN11b", "SRKN14a", "SRKN6b", "Shift", "Sine", "SofroniouSpaletta10", "Spline", "Square",
     "State", "StrainMap", "Stretch", "Term", "Thornton", "Toda", "Traces", "Units", "VelocityVerlet", "ViscousContact",
