@@ -15,11 +15,7 @@ import numpy as np
 from references import equations
 from references.integrators import EXTENDED, collocation, extrapolation
 from references.starts import soliton, starts
-
-from granjax import canonical
-from granjax.canonical.scenes import RECIPES, SHOCK, measure, names
-from granjax.canonical.stored import Stored
-from granjax.checks import one_of
+from scenes import DATA, RECIPES, SHOCK, Stored, measure, names
 
 REFERENCE, CHECK = 1e-19, 3e-18
 NOISE = 1e-12
@@ -65,7 +61,7 @@ class Problem(NamedTuple):
 
 def make(name):
     """The data of one scene, a `Stored`. **Raises** ValueError where numbers have less than 18 digits."""
-    recipe = RECIPES[one_of("name", name, names())]
+    recipe = RECIPES[name]
     start = Stored(**starts(name))
     lattice, state = recipe.build(start)
     problem = _problem(name, lattice, state, recipe.t1)
@@ -169,8 +165,7 @@ def main(argv=None):
     """Make the files of all scenes, or of some."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--only", action="append", choices=names(), metavar="NAME", help="a scene; may be repeated")
-    own = Path(canonical.__file__).parent / "data"
-    parser.add_argument("--out", type=Path, default=own, help="folder for the files")
+    parser.add_argument("--out", type=Path, default=DATA, help="folder for the files")
     arguments = parser.parse_args(argv)
     log.addHandler(logging.StreamHandler())
     log.setLevel(logging.INFO)

@@ -24,6 +24,7 @@ if hasattr(os, "sched_setaffinity"):
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+import scenes
 from curves import chart, figures
 from peers import PACKAGES
 from peers.tangents import METHODS, Orbit
@@ -77,7 +78,7 @@ def drawn(result, folder):
 
 def monodromy(options):
     """All points, and what follows from them."""
-    scene = gx.canonical.scene("monodromy")
+    scene = scenes.scene("monodromy")
     orbit, left_out, ladders = Orbit.of(scene.lattice, scene.state, scene.t1), {}, []
     counts = np.unique(np.round(FEWEST * RUNG ** np.arange(40)).astype(int))
     counts = counts[counts <= MOST][slice(10, 12) if options.quick else slice(None)]

@@ -21,6 +21,7 @@ if hasattr(os, "sched_setaffinity"):
 import jax
 import numpy as np
 import peers
+import scenes
 from curves import by_method, chart, figures
 from peers.chain import SPLITTING
 from peers.native import compiler
@@ -100,7 +101,7 @@ def disagreeing(table, ladders):
 
 def problem(name, quick):
     """The canonical scene; the start of it, with a reference of its own, where quick."""
-    scene = gx.canonical.scene(name)
+    scene = scenes.scene(name)
     if not quick:
         return scene
     t1 = scene.t1 / SHORT

@@ -13,7 +13,6 @@ Scenes
     scenes              ready lattices: monomer, dimer, defects, disorder, FPUT, Toda, beads of materials in SI
     states              where they start: impact, rest, modes, packets, steps, random
     materials           steel, brass, PTFE ...; Hertz's contact coefficient from moduli and radii
-    canonical           scenes with references in extended precision
     Units               sizes of a scene's units of mass, length and time in SI
 Lattices
     Lattice             masses and terms, m a = sum of forces
@@ -65,6 +64,7 @@ Motion
     CaputoRun           what it returns
     RunWithMemory       what `simulate` returns where forces remember
     Peak                a record: the highest value between the steps
+    PeakTime            a record: when it comes
     Lowest              the lowest
     Arrival             the time at which a quantity passes a threshold
     Integral            an integral over time
@@ -144,6 +144,7 @@ from .flow import (  # noqa: E402
     Integral,
     Lowest,
     Peak,
+    PeakTime,
     Record,
     Reversible,
     Run,
@@ -206,7 +207,7 @@ from .work_precision import WorkPrecision, work_precision  # noqa: E402
 __version__ = "0.2.0"
 _LAZY = {
     name: f".{name}" for name in (
-        "breathers", "canonical", "continuation", "driven", "first_order", "floquet", "forced",
+        "breathers", "continuation", "driven", "first_order", "floquet", "forced",
         "fractional", "identify", "kinks", "linear", "materials", "measures", "newton",
         "orbits", "plots", "scenes", "shocks", "states", "studies", "sweeps",
         "theory", "topology", "travelling",
@@ -220,7 +221,7 @@ _WITHIN = {
 __all__ = [
     "Arrival", "Bond", "Breaks", "BrilliantovContact", "CaputoDamping", "CaputoRun", "Damping", "Dashpot", "Derivative",
     "Design", "Drag", "Drive", "Equilibrium", "Fit", "Flow", "Harmonic", "Hertz", "Integral", "KahanLi8", "Lattice",
-    "Law", "Linear", "LongRange", "Lowest", "Modulated", "Network", "OnSite", "Pairs", "Peak", "PlasticContact",
+    "Law", "Linear", "LongRange", "Lowest", "Modulated", "Network", "OnSite", "Pairs", "Peak", "PeakTime", "PlasticContact",
     "PlasticLaw", "Polynomial", "PowerLaw", "RKN1210", "RKN86", "Record", "Resonator", "Result", "Reversible", "Run",
     "RunWithMemory", "SRKN11b", "SRKN14a", "SRKN6b", "Shift", "Sine", "SofroniouSpaletta10", "Spline", "Square",
     "State", "StrainMap", "Stretch", "Term", "Thornton", "Toda", "Traces", "Units", "VelocityVerlet", "ViscousContact",

@@ -1,5 +1,6 @@
-"""The canonical scenes: what they are, that their references hold, and that granjax's own runs agree with them."""
+"""The canonical scenes of the benchmarks: their references hold, and granjax's own runs agree with them."""
 
+import sys
 from pathlib import Path
 
 import diffrax
@@ -10,9 +11,11 @@ import pytest
 from cases import few
 
 import granjax as gx
-from granjax.canonical import stored
 
-ROOT = Path(gx.canonical.__file__).parent
+sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
+
+import scenes  # noqa: E402
+
 NAMES = (
     "impact", "impact_free", "smooth", "dimer_sweep", "monodromy", "toda_soliton", "toda_shock_1e4", "toda_shock_1e5",
     "fput", "driven", "light_dimer", "softening", "magnets", "modulated",
@@ -21,14 +24,12 @@ CONSERVED = tuple(name for name in NAMES if name not in ("driven", "modulated", 
 
 
 def test_the_scenes_by_name():
-    assert gx.canonical.names() == NAMES
-    with pytest.raises(ValueError, match="name: expected one of .* Did you mean 'impact'"):
-        gx.canonical.scene("impct")
+    assert scenes.names() == NAMES
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_every_scene_builds_and_its_reference_fits(name):
-    scene = gx.canonical.scene(name)
+    scene = scenes.scene(name)
     shape = tuple(scene.lattice.shape) + scene.lattice.lanes
     assert scene.name == name and scene.title and scene.note
     assert np.shape(scene.state.u) == np.shape(scene.state.v) == shape
@@ -46,18 +47,18 @@ def test_every_scene_builds_and_its_reference_fits(name):
     assert scene.error(scene.reference) == 0
     assert 2.0**-53 <= scene.uncertainty < 1e-13
     assert scene.growth > 0 and scene.t1 > scene.t0 == 0
-    assert stored.read(name).t1 == scene.t1 and stored.read(name).method
+    assert scenes.read(name).t1 == scene.t1 and scenes.read(name).method
 
 
 def test_the_files_are_small():
-    assert sorted(path.stem for path in (ROOT / "data").iterdir()) == sorted(NAMES)
-    assert sum(path.stat().st_size for path in (ROOT / "data").iterdir()) < 1e6
+    assert sorted(path.stem for path in scenes.DATA.iterdir()) == sorted(NAMES)
+    assert sum(path.stat().st_size for path in scenes.DATA.iterdir()) < 1e6
 
 
 @pytest.mark.study
 @pytest.mark.parametrize("name", CONSERVED)
 def test_references_keep_the_energy(name):
-    scene = gx.canonical.scene(name)
+    scene = scenes.scene(name)
     before, after = (gx.measures.energy(scene.lattice, gx.State(*map(jnp.asarray, y)))
                      for y in (scene.state, scene.reference))
     assert np.max(np.abs(after - before) / before) < 1e-14 * np.sqrt(scene.lattice.shape[0])
@@ -72,7 +73,7 @@ def _soliton_strain(n, t):
 
 
 def test_the_soliton_is_the_closed_form():
-    scene = gx.canonical.scene("toda_soliton")
+    scene = scenes.scene("toda_soliton")
     n = np.arange(99)
     for y, t in ((scene.state, 0), (scene.reference, scene.t1)):
         assert np.abs(-np.diff(y.u) - _soliton_strain(n, t)).max() < 2e-14
@@ -85,7 +86,7 @@ def test_the_soliton_is_the_closed_form():
 
 @pytest.mark.parametrize("name", ["toda_shock_1e4", "toda_shock_1e5"])
 def test_the_shock_is_odd_with_a_uniform_rest(name):
-    scene = gx.canonical.scene(name)
+    scene = scenes.scene(name)
     u, v = scene.reference
     half = len(u) // 2
     assert (u == -u[::-1]).all() and (v == -v[::-1]).all()
@@ -99,7 +100,7 @@ def test_the_shock_is_odd_with_a_uniform_rest(name):
 
 
 def test_the_recurrence_is_the_published_one():
-    scene = gx.canonical.scene("fput")
+    scene = scenes.scene("fput")
     n = np.arange(1, 32)
     mode = np.sin(np.pi * n / 32)
     assert np.abs(scene.state.u - mode).max() < 1e-15
@@ -112,7 +113,7 @@ def test_the_recurrence_is_the_published_one():
 
 
 def test_the_map_of_tangents_is_symplectic_and_has_the_breathers_multipliers():
-    scene = gx.canonical.scene("monodromy")
+    scene = scenes.scene("monodromy")
     size = scene.lattice.shape[0]
     mass = np.diag(np.asarray(scene.lattice.mass))
     J = np.block([[np.zeros((size, size)), mass], [-mass, np.zeros((size, size))]])
@@ -134,7 +135,7 @@ def test_the_map_of_tangents_is_symplectic_and_has_the_breathers_multipliers():
 
 
 def test_the_pulses_of_the_sweep_are_inside():
-    scene = gx.canonical.scene("dimer_sweep")
+    scene = scenes.scene("dimer_sweep")
     ratios = np.asarray(scene.lattice.mass)[1]
     assert ratios[0] == 0.2 and ratios[-1] == 1 and (np.diff(ratios) > 0).all()
     # momentum: the wall behind bead 0 has only added to it
@@ -169,7 +170,7 @@ RUNS = {
 @pytest.mark.study
 @pytest.mark.parametrize("name", few(list(RUNS), 0, 4, 7, -1))
 def test_an_accurate_run_agrees(name):
-    scene = gx.canonical.scene(name)
+    scene = scenes.scene(name)
     how, error = RUNS[name]
     run = gx.simulate(scene.lattice, scene.state, scene.t1, t0=scene.t0, **how)
     assert scene.error(run.final) < error
@@ -179,7 +180,7 @@ def test_an_accurate_run_agrees(name):
 
 @pytest.mark.slow
 def test_some_lanes_of_the_sweep_agree_one_by_one():
-    scene = gx.canonical.scene("dimer_sweep")
+    scene = scenes.scene("dimer_sweep")
     for lane in (0, 100, 255):
         chain = gx.scenes.dimer(60, ratio=float(np.asarray(scene.lattice.mass)[1, lane]))
         run = gx.simulate(chain, gx.states.impact(chain), scene.t1, solver=gx.RKN86(), tolerance=1e-13)
@@ -190,7 +191,7 @@ def test_some_lanes_of_the_sweep_agree_one_by_one():
 
 @pytest.mark.study
 def test_all_lanes_of_the_sweep_agree_at_a_fixed_step():
-    scene = gx.canonical.scene("dimer_sweep")
+    scene = scenes.scene("dimer_sweep")
     coarse, fine = (
         scene.error(gx.simulate(scene.lattice, scene.state, scene.t1, solver=gx.SRKN11b(), step=h).final)
         for h in (0.04, 0.01)
@@ -200,7 +201,7 @@ def test_all_lanes_of_the_sweep_agree_at_a_fixed_step():
 
 @pytest.mark.slow
 def test_tangents_of_the_tenth_order_method_agree():
-    scene = gx.canonical.scene("monodromy")
+    scene = scenes.scene("monodromy")
     size = scene.lattice.shape[0]
 
     def flow(y):

@@ -450,7 +450,7 @@ def _(seed):
 # public functions that no row calls by name, by their modules, and why
 WITHIN = {
     **dict.fromkeys(("checks", "entry.checked", "entry.kinds", "printing", "programs", "variables", "cli.commands",
-                     "outside", "tuning", "materials", "canonical.scenes", "scenes.chains",
+                     "outside", "tuning", "materials", "scenes.chains",
                      "scenes.long_range", "scenes.resonators", "scenes.softening",
                      "scenes.bead_chain", "scenes.disorder", "scenes.fractional", "scenes.modulated",
                      "scenes.on_site", "scenes.yielding",

@@ -21,7 +21,7 @@ FLOORS = (
     {"linear"},
     {"first_order", "measures", "states"},
     {"orbits"},
-    {"topology", "breathers", "canonical", "driven", "floquet", "forced", "kinks", "shocks", "travelling"},
+    {"topology", "breathers", "driven", "floquet", "forced", "kinks", "shocks", "travelling"},
     {"sweeps", "fit", "design", "work_precision"},
     {"identify", "studies"},
 )

@@ -28,7 +28,7 @@ PRINTED = {
     "beads": gx.scenes.beads(["steel 316", "PTFE"], 9.5e-3, 10.0), "state": gx.states.impact(CHAIN), "material": STEEL,
     "stack": gx.materials.stack(["steel 316", "PTFE"]), "units": Units(1e-3, 1e-6, 1e-5),
     "traces": gx.Traces(LONG, velocity=np.ones((400, 2)), sites=[2, 5], sigma=0.1),
-    "scene": gx.canonical.scene("impact"), "flow": gx.Flow(40), "record": gx.Peak(gx.measures.contact_force),
+    "flow": gx.Flow(40), "record": gx.Peak(gx.measures.contact_force),
     "adjoint": gx.Reversible(), "solver": gx.SRKN11b(), "adaptive": gx.RKN86(), "waveform": gx.Harmonic(LONG, 1.0),
     "taylor": gx.laws.taylor(gx.Hertz(LONG, 1.0)), "tuning": gx.tune(), "sum": gx.Hertz() + gx.Linear(0.2),
     "function": gx.Modulated(gx.Bond(gx.Shift(1, "fixed"), gx.Hertz()), lambda t: 1 + t),

@@ -7,12 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from granjax.canonical import stored
-
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 sys.path.append(str(BENCHMARKS))
 
 import make_references  # noqa: E402
+import scenes  # noqa: E402
 from references import equations, integrators  # noqa: E402
 
 EXTENDED = np.finfo(np.longdouble).precision >= integrators.FEWEST_DIGITS
@@ -80,7 +79,7 @@ def test_the_gauss_method_is_exact_for_polynomials():
 @extended_only
 @pytest.mark.parametrize("name", ["toda_soliton", "toda_shock_1e5", "driven", "softening", "magnets", "modulated"])
 def test_the_cheapest_references_are_made_again(name):
-    made, kept = make_references.make(name), stored.read(name)
+    made, kept = make_references.make(name), scenes.read(name)
     for x, y in zip(made, kept):
         if isinstance(x, np.ndarray):
             assert np.abs(x - y).max() <= 4e-16 * np.abs(y).max()
@@ -88,10 +87,10 @@ def test_the_cheapest_references_are_made_again(name):
 
 
 def test_the_maker_writes_what_is_read(tmp_path):
-    data = stored.Stored(u=np.arange(3.0), v=np.ones(3), t1=2.0, uncertainty=1e-15, growth=3.0, method="x", date="y")
+    data = scenes.Stored(u=np.arange(3.0), v=np.ones(3), t1=2.0, uncertainty=1e-15, growth=3.0, method="x", date="y")
     path = make_references.write(tmp_path, "one", data)
     with np.load(path) as file:
         assert set(file.files) == {"u", "v", "t1", "uncertainty", "growth", "method", "date"}
-    u, v = stored.unfolded(data, 10)
+    u, v = scenes.unfolded(data, 10)
     assert (u == [-2, -2, -2, -1, 0, 0, 1, 2, 2, 2]).all()
     assert (v == [-1] * 5 + [1] * 5).all()

@@ -3,7 +3,9 @@
 import dataclasses
 import json
 import math
+import sys
 import time
+from pathlib import Path
 
 import diffrax
 import jax
@@ -24,6 +26,10 @@ from granjax.work_precision import ladder as ladders  # noqa: E402
 from granjax.work_precision.ladder import observed_order  # noqa: E402
 from granjax.work_precision.scene import find_reference  # noqa: E402
 from granjax.work_precision.solvers import sensible_solvers  # noqa: E402
+
+sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
+
+import scenes  # noqa: E402
 
 END = 2.0
 EXACT = np.array([math.cos(END)]), np.array([-math.sin(END)])
@@ -584,7 +590,7 @@ def test_the_reference_is_as_good_as_it_says(smooth):
 @pytest.mark.parametrize("name", ["impact", "light_dimer", "driven"])
 def test_the_floor_is_above_the_error_of_the_reference(name):
     # against references in extended precision
-    scene = gx.canonical.scene(name)
+    scene = scenes.scene(name)
     found = find_reference(scene.lattice, scene.state, scene.t0, scene.t1)
     assert distance(found.state, scene.reference) < 2 * found.floor < 1e-10
 

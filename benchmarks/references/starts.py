@@ -1,8 +1,7 @@
 """Where the scenes start that do not start from exact numbers; made once, in extended precision, and stored."""
 
 import numpy as np
-
-from granjax.canonical.scenes import BREATHER_FREQUENCY, HEAVY, LIGHT
+from scenes import BREATHER_FREQUENCY, HEAVY, LIGHT
 
 from .equations import Tangents
 from .integrators import EXTENDED, extrapolation

@@ -2,7 +2,7 @@
 
 from .derivative import Derivative, derivative
 from .memory import CaputoRun, RunWithMemory, caputo
-from .record import Arrival, Integral, Lowest, Peak, Record
+from .record import Arrival, Integral, Lowest, Peak, PeakTime, Record
 from .reversible import Reversible, return_error
 from .run import Run
 from .simulate import simulate
@@ -10,6 +10,6 @@ from .stepping import Flow
 from .stiffness import frequency_bound, linear_frequency
 
 __all__ = [
-    "Arrival", "CaputoRun", "Derivative", "Flow", "Integral", "Lowest", "Peak", "Record", "Reversible", "Run",
-    "RunWithMemory", "caputo", "derivative", "frequency_bound", "linear_frequency", "return_error", "simulate",
+    "Arrival", "CaputoRun", "Derivative", "Flow", "Integral", "Lowest", "Peak", "PeakTime", "Record", "Reversible",
+    "Run", "RunWithMemory", "caputo", "derivative", "frequency_bound", "linear_frequency", "return_error", "simulate",
 ]

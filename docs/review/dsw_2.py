@@ -1,0 +1,33 @@
+"""DSW.2: two zooms into the dispersive shock.
+
+The shock of DSW.1 near its trailing and its leading edge: bonds (dots) and splines through them.
+The expected value is that of an independent integration by SciPy's DOP853 at 1e-12.
+"""
+
+import matplotlib.pyplot as plt
+import numpy as np
+from dsw_1 import TIME, crests, stepped
+
+import granjax as gx
+
+# from the trailing edge (0) to the leading one (1), and bonds to either side
+ZOOMS = {"trailing": 0.17, "leading": 0.85}
+ASIDE = 14
+
+
+def make():
+    places, strain, edges = stepped()
+    axes = plt.figure(figsize=(8.4, 3.4), layout="constrained").subplots(1, 2)
+    for ax, (name, x) in zip(axes, ZOOMS.items()):
+        middle = TIME * (edges.trailing_speed + x * (edges.leading_speed - edges.trailing_speed))
+        window = middle - ASIDE, middle + ASIDE
+        gx.plots.shock_core(strain, window, ax, places=places, units="scaled")
+        ax.set_title(f"Near the {name} edge")
+    top = crests(places, strain)[0]
+    length = np.diff(top[(top > window[0]) & (top < window[1])]).mean()
+    return {"distance of crests near the leading edge [bonds]": (length, 4.592161032, 1e-6)}
+
+
+if __name__ == "__main__":
+    print(*make().items(), sep="\n")
+    plt.show()
