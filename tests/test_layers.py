@@ -143,7 +143,7 @@ def test_there_is_no_circle_within_a_folder():
 
 
 # a process or a thread of its own, of which every error is told to another
-ALONE = {ROOT / "sweeps" / name for name in ("executors.py", "plan.py", "task.py", "workers.py")}
+ALONE = {ROOT / "sweeps" / name for name in ("function.py", "sweep.py")} | {ROOT / "flow" / "batching.py"}
 
 
 @pytest.mark.parametrize("path", FILES, ids=IDS)
