@@ -17,6 +17,8 @@ from ..results import Result
 
 # failed points of a chunk that are computed again alone, for what their errors say
 ASKED = 4
+# attributes of a result that say nothing of its numbers
+KNOWN = ("granjax", "jax", "result", "units", "cite", "commit")
 DRAWS = (
     "It is compiled once for many points, which would share what NumPy's or Python's random draws. Draw from a "
     "parameter: jax.random.normal(jax.random.key(seed), shape), with a seed for each point."
@@ -276,6 +278,10 @@ def _entries(value, name) -> Iterator[tuple[str, Any, dict]]:
         for key, x in value.variables.items():
             if x.dtype.kind != "O" and key not in ("site", "component", "field"):
                 yield f"{name}_{key}" if name else key, x.values, {"dims": list(x.dims), **_units(x)}
+        for key, x in value.attrs.items():
+            if isinstance(x, (bool, int, float, str, np.number)) and key not in KNOWN and not key.endswith("_units"):
+                told = {"units": value.attrs[f"{key}_units"]} if f"{key}_units" in value.attrs else {}
+                yield f"{name}_{key}" if name else key, x, told
     elif hasattr(value, "dims"):
         yield name or str(value.name or ""), value.values, {"dims": list(value.dims), **_units(value)}
     elif isinstance(value, (tuple, list)) and not all(np.ndim(x) == 0 for x in value):
