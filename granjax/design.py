@@ -13,8 +13,6 @@ from jaxtyping import Float, Integer
 from .checks import described, given_by_name, held_in_memory, one_of, parameter, refuse, whole, within
 from .checks import tolerance as checked_tolerance
 from .descent import CONVERGED, NO_GRADIENT, NO_START, NOT_FINITE, SPENT, STALLED, checked_optimiser, descend
-from .entry import checked, shape_of
-from .outside import Outside
 from .parameters import Bounds, Coordinates
 from .results import Held, Result
 from .types import AnyArray, Count, Numbers, Parameter, Scalar
@@ -86,7 +84,6 @@ class Design(Result):
         yield "outcome", self.outcome
 
 
-@checked
 def design(
     objective: Callable[[Any], Any], start: dict[str, Parameter], *, bounds: Bounds = None, maximise: bool = False,
     optimiser: object = None, max_steps: Count = 200, tolerance: Scalar = 1e-6, mode: str | None = None,
@@ -133,10 +130,9 @@ def design(
     mode = one_of("mode", mode or MODES[coordinates.size > FEW], MODES)
     max_steps = whole("max_steps", max_steps, 1)
     optimiser, tolerance = checked_optimiser(optimiser), jnp.asarray(checked_tolerance("tolerance", tolerance))
-    outside = Outside(objective)
     if coordinates.sizeless:
-        coordinates = coordinates.sized(*_first(objective, coordinates, mode, outside))
-    ends = [_solve(objective, start, optimiser, max_steps, tolerance, bool(maximise), mode, outside)
+        coordinates = coordinates.sized(*_first(objective, coordinates, mode))
+    ends = [_solve(objective, start, optimiser, max_steps, tolerance, bool(maximise), mode)
             for start in (coordinates, *_others(coordinates, bounds, starts, seed))]
     every = np.array([end.value if end.code < NO_GRADIENT else np.nan for end in ends])
     best = ends[int(np.argmin(np.nan_to_num(-every if maximise else every, nan=np.inf)))]
@@ -146,7 +142,6 @@ def design(
     return found
 
 
-@checked
 def smooth_peak(values: Parameter, power: Scalar = 40, axis: int | tuple[int, ...] | None = None) -> Numbers:
     r"""Smooth largest value of positive quantities, such as forces: the p-norm (mean [v]_+^p)^{1/p}.
 
@@ -209,8 +204,8 @@ def _with_gradient(objective, coordinates, maximise, mode):
     """The cost of free coordinates, less is better, and its value with the gradient by the mode."""
     def cost(x):
         value = given_by_name("objective", objective, coordinates.parameters(x))
-        value = jnp.asarray(value) if shape_of(value) is not None else value
-        if shape_of(value) != () or not jnp.issubdtype(value.dtype, jnp.floating):
+        value = jnp.asarray(value)
+        if value.ndim or not jnp.issubdtype(value.dtype, jnp.floating):
             remedy = "Reduce it, such as by .sum() or smooth_peak."
             refuse("objective", "a function that gives one real number", f"one that gives {described(value)}", remedy)
         return -value if maximise else value
@@ -223,13 +218,13 @@ def _with_gradient(objective, coordinates, maximise, mode):
 
 
 @eqx.filter_jit
-def _first(objective, coordinates, mode, outside):
+def _first(objective, coordinates, mode):
     """The objective and its gradient in the free coordinates, at the start."""
     return _with_gradient(objective, coordinates, False, mode)[1](jnp.zeros(coordinates.size))
 
 
 @eqx.filter_jit
-def _solve(objective, coordinates, optimiser, max_steps, tolerance, maximise, mode, outside):
+def _solve(objective, coordinates, optimiser, max_steps, tolerance, maximise, mode):
     cost, both = _with_gradient(objective, coordinates, maximise, mode)
     found = descend(cost, both, coordinates.size, optimiser, max_steps, tolerance)
     sign = -1.0 if maximise else 1.0

@@ -10,7 +10,6 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 
 from .checks import is_whole, one_of, refuse, traced, whole
-from .entry import checked
 from .lattice import Lattice, State
 from .lattice.model import check_shape as _check_shape
 from .newton import newton
@@ -139,7 +138,6 @@ def _shaped(lattice, x):
     return ravel_pytree(lattice.zeros())[1](x)
 
 
-@checked
 def equilibrium(
     lattice: Lattice, *, hold: str | Sequence = "ends", loads: Displacements | None = None,
     guess: Displacements | State | None = None, max_steps: Count = 50, throw: bool | None = None,

@@ -6,12 +6,10 @@ import numpy as np
 from jax.scipy.special import gammaln
 
 from .checks import whole, within
-from .entry import checked
 from .programs import by_rows
 from .types import Count, Numbers, Parameter
 
 
-@checked
 def checked_order(order: Parameter) -> jax.Array:
     """The order s of a fractional Laplacian, in (0, 1].
 
@@ -24,7 +22,6 @@ def checked_order(order: Parameter) -> jax.Array:
                   remedy="s = 1 is next neighbours; beyond it the weights change sign, below it nothing is coupled.")
 
 
-@checked
 def kernel(order: Parameter, offsets: Count) -> Numbers:
     r"""Weights K(1), ..., K(M) of the discrete fractional Laplacian.
 
@@ -51,7 +48,6 @@ def kernel(order: Parameter, offsets: Count) -> Numbers:
     return jnp.concatenate([first[None], first * jnp.cumprod((m - s) / (m + 1 + s), axis=0)])
 
 
-@checked
 def total(order: Parameter) -> Numbers:
     """Sum of all weights on both sides, Gamma(1 + 2s)/Gamma(1 + s)^2: what holds a site whose neighbours are fixed.
 
@@ -64,7 +60,6 @@ def total(order: Parameter) -> Numbers:
     return jnp.exp(gammaln(1 + 2 * s) - 2 * gammaln(1 + s))
 
 
-@checked
 def symbol(order: Parameter, k: Parameter) -> Numbers:
     """(4 sin^2(k/2))^s at wave numbers k of any shape; the order's lanes come last.
 
@@ -80,7 +75,6 @@ def symbol(order: Parameter, k: Parameter) -> Numbers:
     return jnp.where(inside, jnp.exp(s * jnp.log(jnp.where(inside, x, 1.0))), 0.0)
 
 
-@checked
 def wave_numbers(sites: Count) -> np.ndarray:
     """Wave numbers 2 pi j/N of a ring, j = 0 ... N-1, exactly paired about pi.
 
@@ -93,7 +87,6 @@ def wave_numbers(sites: Count) -> np.ndarray:
     return 2 * np.pi * np.minimum(j, sites - j) / sites
 
 
-@checked
 def ring_kernel(order: Parameter, sites: Count) -> Numbers:
     """Weights of the offsets 1, ..., N-1 on a ring of N sites: the sum of the images of `kernel`, exactly.
 
@@ -114,7 +107,6 @@ def ring_kernel(order: Parameter, sites: Count) -> Numbers:
 IMAGES = 16
 
 
-@checked
 def to_the_right(order: Parameter, sites: Count) -> Numbers:
     """The part of `ring_kernel` that goes to the right, sum_{j >= 0} K(m + j N), m = 1, ..., N-1; N - m has the rest.
 

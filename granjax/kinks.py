@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from .checks import parameter, refuse, traced
-from .entry import checked
 from .lattice import Lattice, State, spread_mass
 from .newton import newton
 from .results import STATE, Held, Result
@@ -87,7 +86,6 @@ class PeierlsNabarro(Result):
     outcome: str = eqx.field(static=True)
 
 
-@checked
 def kink(lattice: Lattice, right: Scalar, left: Scalar = 0.0, *, centre: Scalar | None = None) -> Kink:
     r"""A kink at rest, u -> left and u -> right at the two ends, by Newton's method.
 
@@ -145,7 +143,6 @@ def _refuse_ends(why, middle, sites):
                        f"and free ends{elsewhere}.")
 
 
-@checked
 def peierls_nabarro(lattice: Lattice, right: Scalar, left: Scalar = 0.0) -> PeierlsNabarro:
     """The Peierls-Nabarro barrier: the energies of kinks centred on a site and on a bond, in the middle of a chain.
 
@@ -172,7 +169,6 @@ def peierls_nabarro(lattice: Lattice, right: Scalar, left: Scalar = 0.0) -> Peie
     return PeierlsNabarro(barrier, error, site.energy, bond.energy, low.omega[0], outcome, **lattice.origin)
 
 
-@checked
 def moving(
     lattice: Lattice, velocity: Scalar, right: Scalar, left: Scalar = 0.0, *, centre: Scalar | None = None,
 ) -> State:

@@ -15,7 +15,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from .checks import broadcast, concrete, described, positive, real, refuse, within
-from .entry import checked
 from .printing import called
 from .types import Number, Parameter
 
@@ -68,7 +67,6 @@ class Material(eqx.Module):
     density: jax.Array
     source: str = eqx.field(static=True)
 
-    @checked
     def __init__(self, name: str, young: Parameter, poisson: Parameter, density: Parameter, source: str = ""):
         self.name, self.source = str(name), str(source)
         self.young = positive("young", young, "Young's modulus is in pascal: 193e9 for steel, 1.46e9 for PTFE.")
@@ -93,7 +91,6 @@ def _plain(name):
 _PLAIN = {_plain(name): name for name in (*NAMES, *_ALIASES)}
 
 
-@checked
 def material(name: str | Material) -> Material:
     """A material of the table by its name; capitals, spaces, dashes and underscores do not matter.
 
@@ -108,7 +105,6 @@ def material(name: str | Material) -> Material:
     return named("name", name)
 
 
-@checked
 def named(argument: str, name: str | Material) -> Material:
     """As `material`, for an argument of another name, which the sentence says.
 
@@ -133,7 +129,6 @@ def named(argument: str, name: str | Material) -> Material:
     return Material(known, *_TABLE[known])
 
 
-@checked
 def stack(materials: Sequence[str | Material]) -> Material:
     """One `Material` whose numbers are arrays (N,), from a sequence of N materials or names.
 
@@ -172,7 +167,6 @@ def _effective_modulus(first, second):
     return 1 / compliance
 
 
-@checked
 def hertz_coefficient(
     material_1: str | Material, radius_1: Parameter, material_2: str | Material | None = None,
     radius_2: Parameter | None = None,
@@ -210,7 +204,6 @@ def hertz_coefficient(
     return 4 / 3 * _effective_modulus(first, second) / jnp.sqrt(curvature)
 
 
-@checked
 def yield_overlap(
     pressure: Parameter, material_1: str | Material, radius_1: Parameter, material_2: str | Material | None = None,
     radius_2: Parameter | None = None,
@@ -235,7 +228,6 @@ def yield_overlap(
     return (jnp.pi * positive("pressure", pressure) / (2 * modulus) * root) ** 2
 
 
-@checked
 def bead_mass(material: str | Material, radius: Parameter) -> Number:
     """Mass of a solid sphere, m = (4/3) pi R^3 rho [kg].
 
@@ -261,7 +253,6 @@ def bead_mass(material: str | Material, radius: Parameter) -> Number:
     return 4 / 3 * math.pi * R**3 * body.density
 
 
-@checked
 def crossed_cylinders(
     material_1: str | Material, radius_1: Parameter, material_2: str | Material | None = None,
     radius_2: Parameter | None = None, angle: Parameter = math.pi / 2,

@@ -9,8 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from .checks import broadcast, described, passable, refuse, traced, whole
-from .entry import checked, takes
-from .outside import Outside
 from .results import Held, Result
 from .types import Count, Counts, Flags, Numbers, Parameter, Scalar
 
@@ -68,7 +66,6 @@ class Root(Result):
         return f"Newton did not converge: {went}, {wanted}; {why}."
 
 
-@checked
 def newton(residual: Callable[[Any, Any], Any], guess: Parameter, args: Any = None, *, tolerance: Scalar = 1e-10,
            max_steps: Count = 20, linearise: Callable[[Any, Any], Any] | None = None, throw: bool | None = None,
            finish: bool = True) -> Root:
@@ -106,7 +103,6 @@ def newton(residual: Callable[[Any, Any], Any], guess: Parameter, args: Any = No
     # a plain number is an input of what is compiled, not a part of it
     args = jax.tree.map(lambda leaf: jnp.asarray(leaf) if isinstance(leaf, float) else leaf, args)
     inputs = residual, linearise, x0, args, jnp.asarray(tolerance, x0.dtype), jnp.asarray(max_steps), finish
-    inputs = *inputs, Outside((residual, linearise))
     # without tracers nobody differentiates; a function may hide some, which the result then shows
     root = None if traced(inputs) else _plain(*inputs)
     if root is None or traced(root):
@@ -117,14 +113,14 @@ def newton(residual: Callable[[Any, Any], Any], guess: Parameter, args: Any = No
 
 
 @eqx.filter_jit
-def _plain(residual, linearise, x0, args, tolerance, max_steps, finish, outside):
+def _plain(residual, linearise, x0, args, tolerance, max_steps, finish):
     both = _by_forward_mode(residual) if linearise is None else _given(linearise)
     x, (jacobian, size, first, steps, code) = _iterate(both, x0, args, tolerance, max_steps, finish)
     return Root(x, jacobian, size, first, steps, code, tolerance)
 
 
 @eqx.filter_jit
-def _differentiable(residual, linearise, x0, args, tolerance, max_steps, finish, outside):
+def _differentiable(residual, linearise, x0, args, tolerance, max_steps, finish):
     both = _by_forward_mode(residual) if linearise is None else _given(linearise)
 
     def solve(f, x0):
@@ -162,7 +158,6 @@ def _given(linearise):
     return both
 
 
-@checked
 def evaluated(residual: Callable, x: Numbers, *others: Any) -> Numbers:
     """F(x, ...), as many numbers as unknowns.
 
@@ -171,9 +166,6 @@ def evaluated(residual: Callable, x: Numbers, *others: Any) -> Numbers:
     >>> gx.newton.evaluated(lambda x, a: a * x**2, jnp.array([1.0, 3.0]), 2.0)
     Array([ 2., 18.], dtype=float64)
     """
-    count = 1 + len(others)
-    if not takes(residual, count):
-        refuse("residual", f"a function of {count} argument{'s' * (count != 1)}", described(residual))
     found = residual(x, *others)
     if not isinstance(found, (jax.Array, np.ndarray)) or found.shape != x.shape:
         refuse("residual", f"a function that gives an array of shape {x.shape}", f"one that gives {described(found)}")
@@ -231,7 +223,6 @@ def _iterate(both, x0, args, tolerance, max_steps, finish):
     return x, (end["jacobian"], end["size"], end["first"], end["steps"], code)
 
 
-@checked
 def nearby(x: Numbers, step: Numbers) -> Numbers:
     """x + step, of one shape, where that is a small part of x, and x where it is not (or not finite).
 

@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Float
 
 from .checks import concrete, described, one_of, parameter, refuse, show
-from .entry import checked
 from .printing import told
 from .types import AnyArray, Numbers, Parameter, Scalar
 
@@ -40,7 +39,6 @@ class Coordinates(eqx.Module):
     order: tuple[str, ...] = eqx.field(static=True)
     __repr__ = told
 
-    @checked
     def __init__(self, start: dict[str, Parameter], bounds: Bounds = None):
         if not start:
             refuse("start", 'a dict from names to numbers, such as {"stiffness": 1.0}', "an empty one")

@@ -11,7 +11,6 @@ import jax
 import numpy as np
 
 from .checks import refuse, traced
-from .entry import checked
 from .files import save
 from .printing import text
 from .types import Values
@@ -118,7 +117,6 @@ class Result(eqx.Module):
             return Layout(*space, first.pop(), count)
         return Layout(*space, last.pop()) if len(last) == 1 else Layout(*space)
 
-    @checked
     def to_xarray(self, *, lanes: Lanes = None) -> "xarray.Dataset":
         """The arrays as an `xarray.Dataset`, with units; the rest, the versions and the outcome as attributes.
 
@@ -177,7 +175,6 @@ class Result(eqx.Module):
         fits = over and all(len(x) > len(sizes) and x[len(x) - len(sizes) :] == sizes for x in over)
         return Layout(lanes=sizes) if fits else layout
 
-    @checked
     def in_units(self, *units: str | Units, lanes: Lanes = None) -> "xarray.Dataset":
         """`to_xarray(lanes=lanes)` with its numbers counted in other units.
 
@@ -226,7 +223,6 @@ class Result(eqx.Module):
         mark = self._known_mark
         return dataclasses.replace(self, _mark=np.full(np.shape(0.0 if mark is None else mark), by_name.mark_of(kind)))
 
-    @checked
     def save(self, path: str | Path, *, lanes: Lanes = None) -> Path:
         """Write `to_xarray(lanes=lanes)` to a file: netCDF (`.nc`) or MATLAB (`.mat`, version 5).
 

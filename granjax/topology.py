@@ -20,7 +20,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from .checks import parameter, refuse, whole
-from .entry import checked
 from .lattice import Lattice
 from .linear import unit_cell
 from .linear.zone import lattice_vectors as _vectors
@@ -236,7 +235,6 @@ class Zak(Result):
         return " ".join([f"Zak phases {told}.", *self.faults])
 
 
-@checked
 def zak(
     lattice: Any, *, points: Count = 64, axis: Count = 0, k: Parameter | None = None, cell: Cell | None = None,
 ) -> Zak:
@@ -309,7 +307,6 @@ def _phases(waves, count):
     return fine[:size], fine[size:], error, [x.fault for x in cuts if x.fault]
 
 
-@checked
 def winding(lattice: Any, *, points: Count = 256, cell: Cell | None = None) -> int:
     r"""Winding number of a chain whose sites are of two kinds, each bound to the other alone.
 
@@ -414,7 +411,6 @@ class BerryCurvature(Result):
         return f"{told}, at most {most:.3g} rad through a plaquette of {len(self.flux)} x {len(self.flux)}."
 
 
-@checked
 def berry_curvature(
     lattice: Any, band: Count | Sequence[Count] = 0, *, points: Count = 24, cell: Cell | None = None,
 ) -> BerryCurvature:
@@ -470,7 +466,6 @@ def _flux(q):
     return -np.angle(first * np.roll(second, -1, 0) / (np.roll(first, -1, 1) * second))
 
 
-@checked
 def chern(
     lattice: Any, band: Count | Sequence[Count] = 0, *, points: Count = 24, cell: Cell | None = None,
 ) -> int:
@@ -496,7 +491,6 @@ def _refuse_touching(numbers, fault):
            f"{fault} Take the bands that touch together, as band=(0, 1), or open the gap.")
 
 
-@checked
 def valley_chern(
     lattice: Any, band: Count | Sequence[Count] = 0, *, valley: str | Parameter = "K", points: Count = 96,
     cell: Cell | None = None,
@@ -572,7 +566,6 @@ class Polarisation(Result):
         return f"Polarisation ({p}) cells of band {', '.join(map(str, self.band))}, to {self.error:.1e}."
 
 
-@checked
 def polarisation(
     lattice: Any, bands: Count | Sequence[Count] = 0, *, points: Count = 48, cell: Cell | None = None,
 ) -> Polarisation:
@@ -660,7 +653,6 @@ def _in_cell(x):
     return np.round(x % 1.0, 13) % 1.0
 
 
-@checked
 def quadrupole(
     lattice: Any, bands: Sequence[Count] | None = None, *, points: Count = 24, cell: Cell | None = None,
 ) -> tuple[float, float]:

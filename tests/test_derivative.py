@@ -52,14 +52,6 @@ def test_what_has_no_derivative_is_refused():
         gx.derivative(shaken, 1.0, 0.0)
 
 
-FACTOR = 1.0
-
-
-def test_what_the_function_reads_counts_as_it_stands(monkeypatch):
-    function = lambda x, step: FACTOR * x**2 * step**0
-    assert gx.derivative(function, 3.0, 0.1).value == pytest.approx(6.0)
-    monkeypatch.setitem(globals(), "FACTOR", 2.0)
-    assert gx.derivative(function, 3.0, 0.1).value == pytest.approx(12.0)
 
 
 # ------------------------------------------------------------------------------- gradients of runs, scene by scene

@@ -188,7 +188,7 @@ def test_runs_that_stop_and_scenes_that_are_refused_say_why():
     def stopped(ratio):
         chain = gx.scenes.dimer(5, ratio=ratio)
         run = gx.simulate(chain, gx.states.impact(chain), 6.0, tolerance=1e-8, max_steps=100, record={"force": FORCE})
-        return run.recorded["force"][0]
+        return run.recorded["force"].max()
 
     data = sweep(stopped, {"ratio": [0.01, 1.0]})
     assert "Stopped after" in str(data.reason[0].values) and np.isnan(data.stopped[0]) and data.stopped[1] > 0

@@ -11,7 +11,6 @@ from jaxtyping import Float
 
 from ..checks import described, refuse
 from ..newton import CONVERGED, evaluated, newton
-from ..outside import Outside
 from ..types import Numbers, Parameter, Pytree, Scalar
 
 MOST_NEWTON = 10
@@ -46,7 +45,6 @@ class Bordered(eqx.Module):
 
     function: Callable
     slopes: Callable | None
-    outside: Outside
 
     def residual(self, z: Numbers, args: Any) -> Numbers:
         """F and what is missing along the border."""
@@ -101,7 +99,7 @@ class System:
     """Corrector and tangents of one problem."""
 
     def __init__(self, residual, linearise, args, tolerance):
-        self.augmented = Bordered(residual, linearise, Outside((residual, linearise)))
+        self.augmented = Bordered(residual, linearise)
         self.args, self.tolerance = args, tolerance
         self.scale = None
 

@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 
 from ..checks import described, one_of, parameter, positive, real, refuse, whole
-from ..entry import checked
 from ..types import Count, Parameter, Scalar
 from .curve import Curve
 from .locate import bound_met, located
@@ -16,7 +15,6 @@ TARGET = 4
 LEAST_COSINE = 0.9
 
 
-@checked
 def continuation(
     residual: Callable[[Any, Any, Any], Any], x0: Parameter, p0: Scalar, *, args: Any = None,
     until: Parameter | None = None, direction: Parameter = 1.0, arclength: Scalar = 0.01,

@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import held_in_memory, non_negative, one_of, parameter, positive, refuse, whole, within
-from ..entry import checked
 from ..fractional import checked_order
 from ..lattice import State
 from ..laws import Law, Linear
@@ -77,7 +76,6 @@ def check_shape(psi: Any, equation: Any) -> None:
         refuse("psi", f"shape ({equation.sites},), then lanes", f"shape {jnp.shape(psi)}")
 
 
-@checked
 def field(t: Any, psi: Amplitudes, equation: Equation) -> Amplitudes:
     """dpsi/dt = -i dH/dpsi*: a vector field f(t, psi, args) for `gx.Flow(steps, solver, field)` and diffrax.
 
@@ -129,7 +127,6 @@ class DNLS(Equation):
     laplacian: Coupling
     sites: int = eqx.field(static=True)
 
-    @checked
     def __init__(self, sites: Count, coupling: Parameter = 1.0, nonlinearity: Parameter | Law = 1.0, *,
                  order: Parameter | None = None, kernel: Parameter | None = None,
                  potential: Parameter | None = None, boundary: str = "periodic"):
@@ -176,7 +173,6 @@ class DNLS(Equation):
         return own if self.potential is None else own + trailing(self.potential, psi)
 
 
-@checked
 def electrical(
     sites: Count, *, inductance: Parameter = 1.0, ground: Parameter = 1.0, capacitance: Parameter = 1.0,
     nonlinearity: Parameter = 1.0, order: Parameter | None = None, boundary: str = "periodic",
@@ -235,7 +231,6 @@ class DpS(Equation):
     sites: int = eqx.field(static=True)
     boundary: str = eqx.field(static=True)
 
-    @checked
     def __init__(self, sites: Count, stiffness: Parameter | None = None, exponent: Parameter = 1.5, *,
                  omega: Parameter = 1.0, boundary: str = "free"):
         one_of("boundary", boundary, BOUNDARIES)
@@ -245,7 +240,6 @@ class DpS(Equation):
         self.stiffness = 1 / (2 * tau_0(self.exponent)) if stiffness is None else parameter("stiffness", stiffness)
 
     @staticmethod
-    @checked
     def of_cradle(sites: Count, *, mass: Parameter = 1.0, stiffness: Parameter = 1.0, exponent: Parameter = 1.5,
                   pendulum: Parameter = 1.0, boundary: str = "free") -> "DpS":
         """The modulation equation of `gx.scenes.cradle` of such parameters, one number each, in SI or scaled.
@@ -269,7 +263,6 @@ class DpS(Equation):
             return self.stiffness * (flux - jnp.roll(flux, 1, axis=0))
         return self.stiffness * jnp.diff(flux, axis=0)
 
-    @checked
     def state(self, psi: Amplitudes, t: Scalar = 0.0) -> State:
         """The cradle's state (u, v) at time t: u = 2 Re(A exp(i omega t)), v = 2 Re(i omega A exp(i omega t))."""
         turned = psi * jnp.exp(1j * self.omega * t)
@@ -287,7 +280,6 @@ class DpS(Equation):
         return jnp.diff(jnp.pad(psi, [(1, 1)] + [(0, 0)] * (psi.ndim - 1), mode=mode), axis=0)
 
 
-@checked
 def tau_0(exponent: Parameter = 1.5) -> Numbers:
     r"""tau_0 = 2^{1-p} sqrt(pi) Gamma(p/2 + 3/2)/Gamma(p/2 + 1), 1.5450622310844768 for Hertz's p = 3/2.
 

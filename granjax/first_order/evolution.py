@@ -12,9 +12,7 @@ import numpy as np
 
 from ..checks import concrete, described, held_in_memory, positive, refuse, show, traced
 from ..checks import tolerance as checked_tolerance
-from ..entry import checked
 from ..flow import Flow
-from ..outside import Outside
 from ..programs import bar, compiled
 from ..results import Held, Result
 from ..types import Amplitudes, Count, Flags, Number, Numbers, Parameter, Scalar, Times
@@ -100,7 +98,6 @@ class Evolution(Result):
                 "the norm: the motion is unstable or not smooth, or the steps are too long.")
 
 
-@checked
 def evolve(
     equation: Equation, psi: Amplitudes, t1: Scalar, *, t0: Scalar = 0.0, save_at: Count | Parameter | None = None,
     solver: diffrax.AbstractSolver | None = None, step: Scalar | None = None, tolerance: Scalar = 1e-10,
@@ -199,12 +196,12 @@ def _step(equation, psi, solver, known, longest):
     if not known:
         refuse("step", "a step beside numbers that are traced, whose rate nobody knows", "None",
                "Give step=, such as 0.5 over the fastest rate.")
-    rate = float(_rate(equation, psi, Outside(equation)))
+    rate = float(_rate(equation, psi))
     return BEGIN[isinstance(solver, SplitStep)] / rate if rate > 0 else longest
 
 
 @eqx.filter_jit
-def _rate(equation, psi, outside):
+def _rate(equation, psi):
     """The fastest rate of the linearisation at psi, by power iteration: the largest of all lanes."""
     along = jnp.exp(1j * _angles(psi))
 
@@ -236,27 +233,26 @@ def _run(solver, equation, psi, times, counts, shown):
         for a, b, count in zip(ends[:-1], ends[1:], counts):
             frames.append(Flow(int(count), solver, field)(frames[-1], a, b, equation))
         return jnp.stack(frames)
-    outside = Outside((solver, equation))
     if shown is None:
-        return _marched(solver, equation, psi, ends, jnp.asarray(counts), outside)
+        return _marched(solver, equation, psi, ends, jnp.asarray(counts))
     frames, most = [np.asarray(psi)], max(int(counts.sum()) // PIECES, 1)
     for begin, end, count in zip(times[:-1], times[1:], counts):
         steps = count * np.arange(-(-count // most) + 1) // -(-count // most)
         for i, j in itertools.pairwise(steps):
             a, b = (begin + (end - begin) * k / count for k in (i, j))
-            psi = _piece(solver, equation, psi, *jnp.asarray([a, b], ends.dtype), jnp.asarray(j - i), outside)
+            psi = _piece(solver, equation, psi, *jnp.asarray([a, b], ends.dtype), jnp.asarray(j - i))
             shown.update(int(j - i))
         frames.append(np.asarray(psi))
     return jnp.asarray(np.stack(frames))
 
 
 @eqx.filter_jit
-def _piece(solver, equation, psi, begin, end, count, outside):
+def _piece(solver, equation, psi, begin, end, count):
     return Flow(count, solver, field)(psi, begin, end, equation)
 
 
 @eqx.filter_jit
-def _marched(solver, equation, psi, ends, counts, outside):
+def _marched(solver, equation, psi, ends, counts):
     def span(psi, x):
         a, b, count = x
         psi = Flow(count, solver, field)(psi, a, b, equation)
@@ -274,7 +270,7 @@ def _apart(before, now):
 
 
 @eqx.filter_jit
-def _measured(equation, psis, outside):
+def _measured(equation, psis):
     """Norm and energy of each frame, and the scale of the latter's error."""
     norms, energies = jax.lax.map(lambda psi: (equation.norm(psi), equation.energy(psi)), psis)
     size = jnp.sum(jnp.abs(psis[0]) * jnp.abs(equation.gradient(psis[0])), axis=0)
@@ -282,7 +278,7 @@ def _measured(equation, psis, outside):
 
 
 def _told(equation, solver, times, first, now, error, step, tolerance):
-    norms, energies, scale = _measured(equation, now, Outside(equation))
+    norms, energies, scale = _measured(equation, now)
     moved = lambda x, size: jnp.max(jnp.abs(x - x[0]), axis=0) / jnp.where(size > 0, size, 1.0)
     return Evolution(
         jnp.asarray(times)[first:], now[first:], error[first:], norms[first:], energies[first:],

@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import described, one_of, parameter, refuse, traced
-from ..entry import checked
 from ..newton import Root, newton
 from ..results import Held, Result
 from ..types import Count, Number, Numbers, Parameter, Scalar
@@ -45,7 +44,6 @@ class Soliton(Result):
     outcome: str
 
 
-@checked
 def soliton(
     equation: Equation, omega: Scalar, *, guess: str | Parameter = "site", centre: Count | None = None,
     throw: bool | None = None,

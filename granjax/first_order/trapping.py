@@ -9,7 +9,6 @@ import numpy as np
 
 from ..checks import described, held_in_memory, positive, refuse, within
 from ..checks import tolerance as checked_tolerance
-from ..entry import checked
 from ..results import Held, Result
 from ..types import Count, Number, Numbers, Scalar
 from .equations import Equation
@@ -45,7 +44,6 @@ class SelfTrapping(Result):
     outcome: str
 
 
-@checked
 def self_trapping(
     scene: Callable[[Any], Any], low: Scalar, high: Scalar, t1: Scalar, *, site: Count = 0, share: Scalar = 0.5,
     tolerance: Scalar = 1e-6, frames: Count = 200,

@@ -11,7 +11,6 @@ from diffrax import AbstractSolver
 from ..checks import held_in_memory, one_of, positive, refuse, whole
 from ..checks import tolerance as checked_tolerance
 from ..descent import checked_optimiser
-from ..entry import checked
 from ..flow import Reversible
 from ..parameters import Bounds
 from ..tuning import one_thread
@@ -32,7 +31,6 @@ TOO_LONG = 1.3
 MOST = 1e-2
 
 
-@checked
 @one_thread
 def fit(
     scene: Scene, start: dict[str, Parameter], traces: Traces | Sequence[Traces], *, state: Start,

@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..entry import checked
 from ..lattice import Lattice
 from ..results import Held, Result
 from ..types import AnyArray, Count, Numbers
@@ -92,7 +91,6 @@ class Fit(Result):
         with np.errstate(invalid="ignore"):
             return covariance / np.outer(size, size)
 
-    @checked
     def whiteness(self, lags: Count | None = None) -> list[Float[np.ndarray, " _"]]:
         """Probability that residuals as correlated as these are white noise, per sensor (a list of (S,)).
 

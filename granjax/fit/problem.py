@@ -12,14 +12,12 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
 from ..checks import described, given_by_name, one_of, parameter, positive, refuse
-from ..entry import checked, kind_of
 from ..flow import Run, frequency_bound, simulate
 from ..flow.dispatch import facts
 from ..flow.inputs import checked_state
 from ..flow.method import STEP_FRACTION
 from ..lattice import Lattice, State
 from ..measures import contact_force
-from ..outside import Outside
 from ..parameters import Bounds, Coordinates
 from ..printing import told
 from ..solvers import SRKN11b
@@ -54,7 +52,6 @@ class Problem(eqx.Module):
     t1: Float[AnyArray, ""]
     step: Float[AnyArray, ""]
     solver: diffrax.AbstractSolver
-    outside: Outside = Outside()
     __repr__ = told
 
     @property
@@ -174,7 +171,6 @@ def _fastest_decay(lattice, t, u, v):
     return jax.lax.fori_loop(0, POWER_STEPS, power, (first / jnp.linalg.norm(first), jnp.zeros((), flat.dtype)))[1]
 
 
-@checked
 def prepared(
     scene: Scene, start: dict[str, Parameter], traces: Traces | Sequence[Traces], *, state: Start,
     bounds: Bounds = None, t0: Scalar = 0.0, step: Scalar | None = None, solver: diffrax.AbstractSolver | None = None,
@@ -195,8 +191,7 @@ def prepared(
         solver = SRKN11b() if facts(lattice).splits else diffrax.Dopri8()
     t0, unknown = jnp.asarray(parameter("t0", t0), dtype), jnp.ones((), dtype)
     make_state = state if given is None else None
-    problem = Problem(scene, make_state, given, coordinates, traces, t0, unknown, unknown, solver,
-                      Outside((scene, make_state)))
+    problem = Problem(scene, make_state, given, coordinates, traces, t0, unknown, unknown, solver)
     times = problem.times(parameters)
     if not problem.moving and times.min() < t0 - 1e-9 * np.ptp(times):
         refuse("times", f"samples from t0 = {t0} on", f"{times.min()}", "Give offset=, or an earlier t0.")
@@ -220,7 +215,7 @@ def _refuse_other_units(units, omega, span):
 def _made(state, parameters, lattice):
     """The state that a function of the user's gives."""
     found = given_by_name("state", state, parameters, lattice)
-    if not kind_of(StateLike).fits(found):
+    if not isinstance(found, tuple) or len(found) != 2:
         wanted = "a function (parameters, lattice) that gives State(u, v)"
         refuse("state", wanted, f"one that gives {described(found)}")
     return as_state(found, lattice.dtype)

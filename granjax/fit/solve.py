@@ -10,7 +10,6 @@ from jaxtyping import Float
 
 from .. import descent
 from ..checks import described, refuse
-from ..entry import checked
 from ..flow.march import seconds_a_step
 from ..types import AnyArray, Scalar
 from .problem import Problem, Signals, misfit
@@ -35,7 +34,6 @@ class Found(NamedTuple):
     code: Scalar
 
 
-@checked
 @eqx.filter_jit
 def linearised(
     problem: Problem | eqx.Module, x: Float[AnyArray, " n"],

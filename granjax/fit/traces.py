@@ -13,7 +13,6 @@ import numpy as np
 from jaxtyping import Float
 
 from ..checks import concrete, described, one_of, parameter, positive, real, refuse, show, whole
-from ..entry import checked, shape_of
 from ..types import AnyArray, Count, Number, Numbers, Parameter, Scalar, Values
 
 KINDS = ("velocity", "displacement", "force")
@@ -66,7 +65,6 @@ class Traces(eqx.Module):
     field: str | None = eqx.field(static=True)
     component: int | None = eqx.field(static=True)
 
-    @checked
     def __init__(
         self, times: Any, *, velocity: Parameter | None = None, displacement: Parameter | None = None,
         force: Parameter | None = None, sites: Count | Values | None = None,
@@ -105,7 +103,6 @@ class Traces(eqx.Module):
         self.component = None if component is None else whole("component", component)
 
     @classmethod
-    @checked
     def from_csv(
         cls, path: str | Path, *, time: str | int = "Time",
         velocity: str | int | Sequence[str | int] | None = None,
@@ -248,10 +245,11 @@ def checked_shape(name: str, x: Numbers, *others: tuple[int, ...]) -> Numbers:
 
 def _places(name, where):
     """Indices of the sensors, each a tuple; one tuple is one place on a grid."""
-    single = isinstance(where, tuple) and all(isinstance(i, (int, np.integer)) for i in where) or shape_of(where) == ()
+    single = isinstance(where, tuple) and all(isinstance(i, (int, np.integer)) for i in where) or np.ndim(where) == 0
     where = [where] if single else list(where)
-    shapes = [shape_of(place, "iu") for place in where]
-    one = bool(shapes) and all(shape == () or shape and len(shape) == 1 for shape in shapes)
+    shapes = [np.shape(place) for place in where]
+    whole = all(np.asarray(place).dtype.kind in "iu" for place in where)
+    one = bool(shapes) and whole and all(len(shape) < 2 for shape in shapes)
     if not one or len({shape or (1,) for shape in shapes}) > 1:
         refuse(name, "whole numbers, such as [2, 5] (tuples on a grid: [(1, 2), (3, 4)])", described(where))
     places = [np.atleast_1d(np.asarray(place)) for place in where]

@@ -12,7 +12,6 @@ import numpy as np
 
 from ..checks import refuse, traced
 from ..lattice import vector_field
-from ..outside import Outside
 from ..programs import joined, parted
 from ..types import Flags
 from .batching import batched
@@ -75,7 +74,7 @@ class Confirmation(eqx.Module):
         if dt is not None:
             dt = dt / jnp.where(jnp.any(opened), *SHORTER[::-1]).astype(dt.dtype)
         tolerance = None if tolerance is None else tighter(tolerance, TIGHTER, lattice.dtype)
-        rest = solver, diffrax.ForwardMode(), None, False, False, False, Outside(tuple(records.values()))
+        rest = solver, diffrax.ForwardMode(), None, False, False, False
         go = partial(batched, own_step=False) if traced((arrays, opened)) else march
         finer = go(lattice, state, t0, t1, dt, tolerance, None, records, *rest)
         order, lanes = min(solver.order(diffrax.ODETerm(vector_field)), 2), len(lattice.lanes)

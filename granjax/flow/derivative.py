@@ -9,8 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import positive, refuse, returned
-from ..entry import checked
-from ..outside import Outside
 from ..results import Held, Result
 from ..types import Numbers, Pytree, Scalar
 
@@ -66,7 +64,6 @@ class Derivative(Result):
         yield "outcome", self.outcome
 
 
-@checked
 def derivative(function: Callable[[Any, Any], Any], x: Pytree, step: Scalar) -> Derivative:
     """df/dx of a function of runs, and what the time steps leave uncertain of it.
 
@@ -95,7 +92,7 @@ def derivative(function: Callable[[Any, Any], Any], x: Pytree, step: Scalar) -> 
         refuse("x", "real numbers", "complex ones", "Write real and imaginary parts as parameters of their own.")
     ladder = float(positive("step", step)) * np.asarray(LADDER)
     x = jax.tree.map(lambda a: a if hasattr(a, "dtype") and a.dtype.kind == "f" else jnp.asarray(a, float), x)
-    slopes = _slopes(function, x, jnp.asarray(ladder), Outside(function))
+    slopes = _slopes(function, x, jnp.asarray(ladder))
     value = jax.tree.map(lambda s: s[-1], slopes)
 
     def error(s):
@@ -106,7 +103,7 @@ def derivative(function: Callable[[Any, Any], Any], x: Pytree, step: Scalar) -> 
 
 
 @eqx.filter_jit
-def _slopes(function, x, ladder, outside):
+def _slopes(function, x, ladder):
     def looked_at(x, step):
         return returned("function", function(x, step))
 

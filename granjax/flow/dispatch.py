@@ -12,7 +12,7 @@ class Facts(NamedTuple):
     """What every call asks of a lattice, and what only its terms and shapes decide.
 
     `traced`: whether a parameter is; `reads_velocity`: whether some force does; `splits`: whether none does but linear
-    damping; `outside`: what functions of the user's read; `known`: a dict for what is worked out when it is first asked
+    damping; `known`: a dict for what is worked out when it is first asked
     for. `remembers`: whether some force reads the past.
     """
 
@@ -21,7 +21,6 @@ class Facts(NamedTuple):
     traced: bool
     reads_velocity: bool
     splits: bool
-    outside: tuple
     known: dict
     remembers: bool
 
@@ -30,18 +29,14 @@ _FACTS = Kept()
 
 
 def facts(lattice: Lattice) -> Facts:
-    """The `Facts` of a lattice, kept while it lives and its functions read the same: its parameters never change."""
+    """The `Facts` of a lattice, kept while it lives: its parameters never change."""
     found = _FACTS.get(lattice)
-    # without functions of the user's nothing is read from outside, and a lattice is known by itself
-    if found is not None and (not found.outside or found.outside == lattice._outside.values()):
-        return found
-    return _FACTS.put(lattice, _found(lattice))
+    return _FACTS.put(lattice, _found(lattice)) if found is None else found
 
 
 def _found(lattice):
     velocity = [term for term in lattice.terms if reads(term, lattice).velocity]
     return Facts(
         lattice.template(), lattice.dtype, traced(lattice), bool(velocity),
-        all(term.exact_damping() is not None for term in velocity), lattice._outside.values(), {},
-        any(term.remembers() for term in lattice.terms),
+        all(term.exact_damping() is not None for term in velocity), {}, any(term.remembers() for term in lattice.terms),
     )

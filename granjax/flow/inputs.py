@@ -11,7 +11,6 @@ import numpy as np
 
 from ..checks import concrete, held_in_memory, one_of, real, refuse, show, whole
 from ..lattice import Lattice, State
-from ..outside import Outside
 from ..types import Scalar, StateLike
 from .dispatch import facts
 from .record import CLOSEST, EXTREMES, FORMS
@@ -134,7 +133,7 @@ def _intervals(ts, t0, t1):
 
 def _try(record, lattice, state):
     """Trace what a record carries at first, once for each structure; its errors are raised each time."""
-    leaves, structure = jax.tree.flatten((record, lattice, state, Outside(record)))
+    leaves, structure = jax.tree.flatten((record, lattice, state))
     shapes = tuple(jax.ShapeDtypeStruct(x.shape, x.dtype) if hasattr(x, "dtype") else x for x in leaves)
     try:
         hash((structure, shapes))
@@ -149,7 +148,7 @@ def _start(structure, shapes):
     arrays, static = eqx.partition(shapes, lambda x: isinstance(x, jax.ShapeDtypeStruct))
 
     def started(arrays):
-        record, lattice, y, _ = jax.tree.unflatten(structure, eqx.combine(arrays, static))
+        record, lattice, y = jax.tree.unflatten(structure, eqx.combine(arrays, static))
         t = jnp.zeros((), lattice.dtype)
         # of as many samples as there may be
         return jax.tree.map(lambda q: record.start(t, q, 2), record.value(t, y, lattice))

@@ -9,7 +9,6 @@ import jax
 import jax.numpy as jnp
 
 from ..lattice import Lattice, State, vector_field
-from ..outside import Outside
 from ..programs import compiled
 from ..solvers import AbstractNystrom
 from ..types import Displacements, Number, Numbers, Scalar, StateLike, Times
@@ -31,14 +30,12 @@ QUIET = 2.0
 def integrate(
     lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, dt: Number | None, tolerance: Number | None,
     save_ts: Times | None, records: dict, solver: diffrax.AbstractSolver, adjoint: diffrax.AbstractAdjoint,
-    max_steps: int | None, every: bool, progress: bool, watch: bool = False, outside: Outside | None = None,
-    dips: bool = False,
+    max_steps: int | None, every: bool, progress: bool, watch: bool = False, dips: bool = False,
 ) -> Run:
     """Integrate and reduce; everything checked, everything chosen. A `Run` without its names.
 
-    `watch`: follow every compression, for the highest frequency that the run reaches. `outside`: what the records'
-    functions read, of which only the structure counts. `dips`: look for openings between steps too, where no second
-    run can. Adaptive steps are each lane's own.
+    `watch`: follow every compression, for the highest frequency that the run reaches. `dips`: look for openings between
+    steps too, where no second run can. Adaptive steps are each lane's own.
     """
 
     def run(lattice, state, records, progress=False):

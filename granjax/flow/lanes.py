@@ -13,6 +13,7 @@ import numpy as np
 
 from ..checks import refuse
 from ..lattice import Lattice
+from ..terms import Term
 from ..tuning import lanes_abreast
 from ..types import AnyArray, Number, Pytree, Scalar, StateLike
 from .run import Run
@@ -38,12 +39,12 @@ def by_groups(function: Callable, lattice: Lattice, *others: Pytree) -> tuple | 
     """What `function(lattice, *others)` returns of all lanes, from some of them at a time.
 
     That is two trees: of arrays with lanes last, and of what lanes share (of codes, the largest). `None` where that is
-    no gain: few lanes, or a processor with which it was not measured; or where code of the user's might look from one
+    no gain: few lanes, or a processor with which it was not measured; or where a term of the user's might look from one
     lane at another.
     """
     width, count = lanes_abreast(), math.prod(lattice.lanes)
     groups = -(-count // width) if width else 0
-    if groups < 2 or groups * width > (1 + FILLING) * count or not lattice.settled:
+    if groups < 2 or groups * width > (1 + FILLING) * count or _has_foreign_term(lattice):
         return None
     parts, build = apart(lattice, *others)
 
@@ -58,6 +59,13 @@ def by_groups(function: Callable, lattice: Lattice, *others: Pytree) -> tuple | 
 
     own, shared = jax.lax.map(lambda some: function(*build(some)), [folded(jnp.asarray(x)) for x in parts])
     return jax.tree.map(unfolded, own), jax.tree.map(lambda x: jnp.max(x, 0), shared)
+
+
+def _has_foreign_term(lattice):
+    def foreign(x):
+        return isinstance(x, Term) and not type(x).__module__.startswith("granjax.")
+
+    return any(map(foreign, jax.tree.leaves(lattice.terms, is_leaf=foreign)))
 
 
 def apart(lattice: Lattice, *others: Pytree) -> tuple[list[AnyArray], Callable]:

@@ -15,7 +15,6 @@ import numpy as np
 
 from ..checks import refuse, traced
 from ..lattice import Lattice
-from ..outside import Outside
 from ..programs import compiled, wait
 from ..types import Number, Scalar, StateLike, Times
 from .dispatch import facts
@@ -44,7 +43,7 @@ def march(
     lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, dt: Number | None, tolerance: Number | None,
     save_ts: Times | None, records: dict[str, Record], solver: diffrax.AbstractSolver,
     adjoint: diffrax.AbstractAdjoint, max_steps: int | None, every: bool, progress: bool, watch: bool = False,
-    outside: Outside | None = None, dips: bool = False,
+    dips: bool = False,
 ) -> Run:
     """`integrate`, and where nothing is traced what takes long in pieces, between which Ctrl-C is heard.
 
@@ -52,7 +51,7 @@ def march(
     wherever it is computed. An adaptive run has pieces from where its first one, of so many steps, does not suffice.
     """
     arguments = lattice, state, t0, t1, dt, tolerance, save_ts, records, solver, adjoint
-    rest = every, progress, watch, outside, dips
+    rest = every, progress, watch, dips
     if traced((t0, t1, dt)):
         return integrate(*arguments, max_steps, *rest)
     known = facts(lattice).known
@@ -91,7 +90,7 @@ def march(
         if limit == max_steps or np.asarray(run.code) != TOO_MANY_STEPS:
             return run
     begin, how = (state, t0, t1), (dt, tolerance, save_ts, records, solver)
-    return _in_pieces(lattice, begin, ends, budget, max_steps, *how, progress, watch, outside)
+    return _in_pieces(lattice, begin, ends, budget, max_steps, *how, progress, watch)
 
 
 def _steps(count, dtype):
@@ -197,7 +196,7 @@ def _lane_by_lane(
 
 
 def _in_pieces(
-    lattice, begin, ends, budget, max_steps, dt, tolerance, save_ts, records, solver, progress, watch, outside,
+    lattice, begin, ends, budget, max_steps, dt, tolerance, save_ts, records, solver, progress, watch,
 ):
     """Pieces between `ends`, numbers of steps; or where these are none as many as it takes, of `budget` steps each."""
     number = facts(lattice).dtype.type
@@ -222,7 +221,7 @@ def _in_pieces(
             if budget and max_steps:
                 limit = int(min(budget, max_steps - counts[0]))
             part = wait(_piece(
-                lattice, begin, *last, size, tolerance, window, records, carried, solver, limit, outside))
+                lattice, begin, *last, size, tolerance, window, records, carried, solver, limit))
             if since is not None:
                 _tell_long(float(t), float(part.t), float(t1), int(part.steps), time.perf_counter() - since)
             state, t, carried, code = part.final, np.asarray(part.t)[()], part.carried or None, np.asarray(part.code)
@@ -246,7 +245,7 @@ def _in_pieces(
     else:
         ts, ys = _filled(wanted, kept, taken, lost)
     part = Part(ts, ys, t, state, carried or {}, *counts, code)
-    run = _reduced(lattice, begin, dt, tolerance, records, solver, watch, part, outside)
+    run = _reduced(lattice, begin, dt, tolerance, records, solver, watch, part)
     # where it may be looked for what went wrong
     object.__setattr__(run, "_last", last)
     return run
@@ -292,11 +291,11 @@ _alone = eqx.filter_jit(integrate.__wrapped__)
 
 
 @compiled
-def _piece(lattice, begin, state, t0, t1, dt, tolerance, save_ts, records, carried, solver, budget, outside):
+def _piece(lattice, begin, state, t0, t1, dt, tolerance, save_ts, records, carried, solver, budget):
     return part_of(
         lattice, begin, state, t0, t1, dt, tolerance, save_ts, records, carried, solver, _FORWARD, budget)
 
 
 @compiled
-def _reduced(lattice, begin, dt, tolerance, records, solver, watch, part, outside):
+def _reduced(lattice, begin, dt, tolerance, records, solver, watch, part):
     return reduced(lattice, begin, dt, tolerance, records, solver, watch, part)

@@ -9,7 +9,6 @@ import numpy as np
 
 from ..checks import concrete, refuse, show, traced
 from ..lattice import Lattice, acceleration_only, split_system
-from ..outside import Outside
 from ..programs import compiled
 from ..solvers import RKN86, AbstractNystrom, AbstractSplitting, SRKN11b
 from ..solvers.stability import refused_from
@@ -259,7 +258,7 @@ def missed(lattice: Lattice, t0: Scalar, t1: Scalar, step: Any, tolerance: Any) 
     places = int(np.clip(4 ** int(np.log2(MOST_PLACES / count) / 2), *PLACES))
     t0, t1 = (jnp.asarray(t, facts(lattice).dtype) for t in (t0, t1))
     for i, function in known["signals"]:
-        if _leap(function, t0, t1, jnp.asarray(count), places, Outside(function)) > LEAP:
+        if _leap(function, t0, t1, jnp.asarray(count), places) > LEAP:
             name = type(lattice.terms[i]).__name__
             return (f"terms[{i}] ({name}) has a pulse that is shorter than the steps, or swings within one: the run "
                     f"may have missed it. Give {name} breaks= where the pulse begins and ends, or simulate a shorter "
@@ -268,7 +267,7 @@ def missed(lattice: Lattice, t0: Scalar, t1: Scalar, step: Any, tolerance: Any) 
 
 
 @compiled
-def _leap(function, t0, t1, count, places, outside):
+def _leap(function, t0, t1, count, places):
     """How far a function of time leaves, within one of equal steps, what it is at their ends; over its range."""
     at, h = jax.vmap(function), (t1 - t0) / count
     inner = (np.arange(places) + 0.5) / places

@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import positive, refuse
-from ..entry import checked
 from ..lattice import Lattice, split_system, vector_field
 from ..printing import told
 from ..solvers import AbstractSplitting
@@ -52,7 +51,6 @@ class Reversible(eqx.Module):
     tolerance: float = eqx.field(static=True)
     __repr__ = told
 
-    @checked
     def __init__(self, tolerance: Scalar = 1e-6):
         self.return_error = jnp.zeros(())
         self.tolerance = float(positive("tolerance", tolerance))
@@ -83,7 +81,6 @@ def refuse_forward_mode(adjoint: eqx.Module, error: TypeError) -> None:
            "Leave adjoint= out, which serves both, or give diffrax.ForwardMode().")
 
 
-@checked
 def return_error(
     lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, steps: Count | Counts, solver: diffrax.AbstractSolver,
 ) -> Number:

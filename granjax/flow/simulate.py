@@ -11,9 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import refuse, show, traced, whole
-from ..entry import checked
 from ..lattice import Lattice, State
-from ..outside import Outside
 from ..programs import shared_size, wait
 from ..types import Count, Parameter, Scalar, StateLike
 from .batching import TRACED_STEPS, batched, without_the_lost
@@ -45,7 +43,6 @@ _FORWARD, _BOTH_MODES = diffrax.ForwardMode(), diffrax.DirectAdjoint()
 KEYWORDS = ("t0", "solver", "step", "tolerance", "save_at", "record", "adjoint", "progress", "throw", "max_steps")
 
 
-@checked
 def simulate(
     lattice: Lattice, state: StateLike, t1: Scalar, *, t0: Scalar = 0.0, solver: diffrax.AbstractSolver | None = None,
     step: Scalar | None = None, tolerance: Scalar | None = None, save_at: Parameter | str | None = None,
@@ -121,7 +118,6 @@ def simulate(
         remedy = "Give times, or step= for steps that lanes share."
         refuse("save_at", "times, where each lane has steps of its own", "'steps'", remedy)
     records = checked_records(record, lattice, state)
-    outside = Outside(tuple(records.values())) if records else None
     if tolerance is None:
         dt, steps, choice, remark, watch = fixed_step(lattice, state, t0, t1, step, solver, frames)
     else:
@@ -144,7 +140,7 @@ def simulate(
     dt = None if dt is None else number(dt, dtype)
     save_ts = None if save_ts is None else jnp.asarray(save_ts, dtype)
     watch = watch and not unknown
-    rest = records, solver, adjoint, limit, every, progress, watch, outside, dips
+    rest = records, solver, adjoint, limit, every, progress, watch, dips
     try:
         # its derivative is asked for where something is traced
         if backwards is None or not (unknown or traced(backwards)):
@@ -163,7 +159,7 @@ def simulate(
         dt, steps, choice, remark, _ = fixed_step(lattice, state, t0, t1, None, solver, frames, again)
         choice += ", taken again: energy gathered beyond the bound at the start"
         dt, limit = number(dt, dtype), None if limit is None else max(limit, steps)
-        rest = records, solver, adjoint, limit, every, progress, watch, outside
+        rest = records, solver, adjoint, limit, every, progress, watch
         run = march(lattice, state, *span, dt, tolerance, save_ts, *rest)
     zone = _zone(lattice, dt, step, tolerance, unknown, dips)
     run = named(run, type(solver).__name__, choice, remark, zone, lattice._mark)

@@ -11,10 +11,8 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 
 from ..checks import described, refuse, traced, whole
-from ..entry import checked
 from ..lattice import Lattice, vector_field
 from ..lattice.model import check_shape
-from ..outside import Outside
 from ..printing import told
 from ..programs import compiled, parted
 from ..solvers import AbstractNystrom, AbstractSplitting, SRKN14a
@@ -26,7 +24,6 @@ from .control import refuse_unresolved
 VECTOR = 8
 
 
-@checked
 class Flow(eqx.Module):
     r"""The flow phi(y; t0, t1, args) of y' = f(t, y, args), by a fixed number of equal steps.
 
@@ -55,13 +52,11 @@ class Flow(eqx.Module):
         if np.ndim(self.steps) == 0:
             check_steps(self.steps)
 
-    @checked
     def __call__(self, y: Pytree, t0: Scalar, t1: Scalar, args: Any) -> Pytree:
         """The state at t1 of what is `y` at t0; of a lattice's shape, where that is what moves."""
         check_moved("y", y, self, args)
         return _run(self.solver, self.field, self.steps, y, t0, t1, args)
 
-    @checked
     def tangents(self, y: Pytree, tangents: Pytree, t0: Scalar, t1: Scalar, args: Any) -> tuple:
         """(phi(y), D phi(y) tangents), with `tangents` like `y` plus a trailing axis."""
         check_moved("y", y, self, args)
@@ -74,7 +69,6 @@ class Flow(eqx.Module):
         end, moved = _run(self.solver, self.field, self.steps, y, t0, t1, args, tangents)
         return end, jax.tree.map(lambda x: x[..., :count], moved)
 
-    @checked
     def derivative(self, y: Pytree, t0: Scalar, t1: Scalar, args: Any) -> tuple:
         """(phi(y), D phi(y)), the derivative as a matrix over the raveled state."""
         flat, unravel = ravel_pytree(_floating(y))
@@ -129,7 +123,7 @@ def _run(solver, field, steps, y, t0, t1, args, tangents=None):
         t0, t1, numbers = jax.tree.map(lambda x: jnp.asarray(x) if _is_number(x) else x, (t0, t1, args))
         try:
             hash(parted(fixed)[0])
-            return _by_itself(solver, field, steps, y, t0, t1, numbers, tangents, Outside(fixed))
+            return _by_itself(solver, field, steps, y, t0, t1, numbers, tangents)
         except TypeError:  # of what has no hash, or of a field that asks what a number is: `range(args)`
             pass
     return _marched(*arguments)
@@ -147,7 +141,6 @@ def _of_times(y):
 
 def _stays(leaf):
     """Whether a program may keep it, or take it as an input: any other object may change and be the same to JAX."""
-    # what functions read is seen to by `Outside`
     return leaf is None or isinstance(leaf, (jax.Array, np.ndarray, np.generic, Number, str)) or callable(leaf)
 
 
@@ -164,7 +157,7 @@ def _marched(solver, field, steps, y, t0, t1, args, tangents):
 
 
 @compiled
-def _by_itself(solver, field, steps, y, t0, t1, args, tangents, outside):
+def _by_itself(solver, field, steps, y, t0, t1, args, tangents):
     return _marched(solver, field, steps, y, t0, t1, args, tangents)
 
 

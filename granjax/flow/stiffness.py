@@ -19,7 +19,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import whole
-from ..entry import checked
 from ..lattice import Lattice
 from ..programs import compiled
 from ..terms import Reach, Reached
@@ -37,7 +36,6 @@ ROUNDING = 1e-12
 OPENING = 2.0
 
 
-@checked
 def frequency_bound(
     lattice: Lattice, state: StateLike, t0: Scalar, t1: Scalar, neighbourhood: Count = NEIGHBOURHOOD,
 ) -> Number:
@@ -98,7 +96,6 @@ def gathered_frequency(
     return jnp.stack([bound, beyond.astype(bound.dtype)])
 
 
-@checked
 @compiled
 def linear_frequency(lattice: Lattice, power_steps: Count = POWER_STEPS) -> Number:
     """The same bound for infinitesimal motion about equilibrium: zero in a sonic vacuum.

@@ -8,7 +8,6 @@ import numpy as np
 from jaxtyping import Float, Integer
 
 from ..checks import described, positive, refuse
-from ..entry import checked
 from ..fit import Fit, Traces, fit
 from ..fit.problem import Start
 from ..fit.traces import checked_traces
@@ -95,7 +94,6 @@ class Comparison(Result):
         return "\n".join([*rows, self.outcome])
 
 
-@checked
 def compare(
     models: dict[str, tuple[Scene, dict[str, Parameter]] | list], traces: Traces | Sequence[Traces], *, state: Start,
     level: Scalar = 10.0, options: dict[str, dict] | None = None, **common: object,

@@ -8,7 +8,6 @@ import numpy as np
 from jaxtyping import Complex, Float, Inexact
 
 from ..checks import parameter, positive, refuse, show, unmasked, whole
-from ..entry import checked
 from ..flow import Run
 from ..results import Held, Result
 from ..types import AnyArray, Count, Parameter, Scalar
@@ -47,14 +46,12 @@ class DynamicModes(Result):
     real: bool = eqx.field(static=True)
     outcome: str = eqx.field(static=True)
 
-    @checked
     def reconstruction(self, t: Parameter) -> Inexact[np.ndarray, "*T n"]:
         """y at times t (T,) after the first snapshot: (T, n); real where the snapshots were."""
         y = np.exp(np.multiply.outer(np.asarray(t), self.omega)) * self.amplitudes @ self.modes.T
         return y.real if self.real else y
 
 
-@checked
 def dmd(
     snapshots: Inexact[AnyArray, "T n"], dt: Scalar, rank: Count | str | None = None, *, delays: Count = 1,
 ) -> DynamicModes:
@@ -124,7 +121,6 @@ def dmd(
     )
 
 
-@checked
 def snapshots(run: Run, velocities: bool = True) -> Float[np.ndarray, "T n"]:
     """Displacements and, behind them, velocities of a run's frames as one array (T, n), fields one after the other.
 
@@ -168,7 +164,6 @@ def _rank(rank, s, shape):
     return r
 
 
-@checked
 def hard_threshold(shape: tuple[Scalar, Scalar]) -> float:
     r"""Optimal hard threshold over the median singular value, of a matrix of some shape with unknown white noise.
 

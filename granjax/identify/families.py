@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import concrete, one_of, parameter, positive, refuse
-from ..entry import checked
 from ..lattice import Lattice
 from ..laws import Law, Network, PowerLaw, Spline
 from ..types import AnyArray, Numbers, Parameter, Scalar, Scene
@@ -40,7 +39,6 @@ class Series(Law):
     strain: Numbers
     scale: Numbers
 
-    @checked
     def __init__(self, coefficients: Parameter, strain: Scalar = 1.0, force: Scalar = 1.0):
         coefficients = parameter("coefficients", coefficients)
         if coefficients.ndim == 0 or coefficients.shape[0] == 0:

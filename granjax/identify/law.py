@@ -11,7 +11,6 @@ import numpy as np
 from jaxtyping import Float
 
 from ..checks import described, parameter, positive, refuse, whole
-from ..entry import checked, takes
 from ..fit import Fit, Traces, fit, prepared
 from ..fit.determined import along
 from ..fit.problem import Start
@@ -68,7 +67,6 @@ class ForceLaw(Result):
         deviation = along(self.fit.directions, np.asarray(gradients) * np.asarray(self.fit.sizes))
         return np.where(inside, force, np.nan), np.where(inside, deviation, np.nan)
 
-    @checked
     def band(self, points: Count = 201, deviations: Scalar = 2.0) -> tuple[Float[np.ndarray, " points"], ...]:
         """(strain, force, low, high), each (points,), over the strain range: the force and deviations to each side."""
         deviations = float(positive("deviations", deviations))
@@ -92,7 +90,6 @@ class ForceLaw(Result):
         return f"The force from e = {low:.3g} to {high:.3g} is known {known} (one standard deviation). {said}"
 
 
-@checked
 def law(
     scene: Callable[..., Lattice], family: str | Law, traces: Traces | Sequence[Traces], *, state: Start,
     stiffness: Scalar | None = None, reach: Sequence | None = None, others: dict[str, Parameter] | None = None,
@@ -139,8 +136,6 @@ def law(
     1.0
     """
     others = {} if others is None else dict(others)
-    if not takes(scene, 1 + bool(others)):
-        refuse("scene", "a function of the law" + ", and of the dict of others" * bool(others), described(scene))
     strain = None
     if isinstance(family, str):
         if stiffness is None:

@@ -18,10 +18,8 @@ import optax
 from jaxtyping import Float
 
 from ..checks import non_negative, parameter, positive, refuse, whole
-from ..entry import checked
 from ..fit.problem import checked_scene
 from ..flow.stiffness import linear_frequency
-from ..outside import Outside
 from ..parameters import Bounds, Coordinates
 from ..printing import told
 from ..programs import shared_size
@@ -53,7 +51,6 @@ class Motion(eqx.Module):
         phase = self.frequencies * t
         return self.scale * self.net(jnp.concatenate([t[None] / self.span, jnp.sin(phase), jnp.cos(phase)]))
 
-    @checked
     def state(self, t: Scalar) -> tuple[Float[AnyArray, " N"], Float[AnyArray, " N"], Float[AnyArray, " N"]]:
         """Displacements, velocities and accelerations at one time."""
         t = jnp.asarray(t, self.span.dtype)
@@ -90,7 +87,6 @@ class PhysicsInformed(Result):
     outcome: str = eqx.field(static=True)
 
 
-@checked
 def physics_informed(
     scene: Scene, start: dict[str, Parameter], times: Times, velocity: Float[AnyArray, "T sensors"], *,
     sites: Parameter | None = None, state: tuple | None = None, bounds: Bounds = None, weight: Scalar = 1.0,
@@ -151,7 +147,7 @@ def physics_informed(
     motion = Motion(net, frequencies, span, jnp.sqrt(size) / omega)
     state = None if state is None else tuple(parameter("state", x) for x in state)
     training = _Training(scene, coordinates, times, velocity, tuple(map(int, sites)), state, collocation, omega, size,
-                         weight, Outside(scene))
+                         weight)
     model, history = training.trained((motion, jnp.zeros(coordinates.size)), max_steps, refine, jnp.asarray(rate))
     motion = model[0]
     data, physics, accelerations, _ = map(float, _parts(training, model))
@@ -195,7 +191,6 @@ class _Training(eqx.Module):
     omega: AnyArray
     size: AnyArray
     weight: AnyArray
-    outside: Outside
 
     def parts(self, model):
         """Mean squares: of the data's misfit, of the residual, of the accelerations, and of what the start is off."""

@@ -10,7 +10,6 @@ from numpy.polynomial import polynomial
 from scipy.optimize import minimize_scalar
 
 from ..checks import real, refuse, whole
-from ..entry import checked
 from ..printing import told
 from ..results import Held, Result
 from ..types import Count, Numbers, Parameter, Scalar
@@ -89,13 +88,11 @@ class PlanarODE(Result):
     # G - p^2/2 of the trajectory of each window, in these
     _levels: Any = eqx.field(kw_only=True, repr=False)
 
-    @checked
     def bend(self, strain: Parameter) -> Float[np.ndarray, "..."]:
         """f at strains of any shape [m]: y'' where there is no drift."""
         middle, half, length, f = self._scaled
         return half / length**2 * polynomial.polyval((np.asarray(strain, float) - middle) / half, f)
 
-    @checked
     def homoclinic(self) -> PlanarOrbit | None:
         """The orbit that leaves a saddle and comes back to it, around most of the data; `None` where there is none.
 
@@ -118,7 +115,6 @@ class PlanarODE(Result):
         found.sort(key=lambda x: (-_overlap(*x), abs(x[0] - x[1])))
         return self._orbit(*found[0], True) if found and _overlap(*found[0]) > 0 else None
 
-    @checked
     def periodic(self, *, crest: Scalar | None = None, energy: Scalar | None = None) -> PlanarOrbit:
         """The periodic orbit through a crest [m], or of an energy y'^2/2 - int_0^y f [m^2].
 
@@ -208,7 +204,6 @@ def _real_roots(p):
     return roots[np.abs(roots) < BEYOND]
 
 
-@checked
 def planar_ode(
     xi: Parameter | Sequence[Numbers], strain: Parameter | Sequence[Numbers], *, degree: Count = 3,
     windows: Count | None = None, drift: bool = False,

@@ -7,7 +7,6 @@ import numpy as np
 from jaxtyping import Float
 from numpy.polynomial import polynomial
 
-from ..entry import checked
 from ..results import Held, Result
 from ..types import Parameter
 
@@ -49,7 +48,6 @@ class PlanarOrbit(Result):
     outcome: str = eqx.field(static=True)
     _way: Any = eqx.field(kw_only=True, repr=False)
 
-    @checked
     def strain(self, xi: Parameter) -> Float[np.ndarray, "..."]:
         """Strain at places xi, of any shape [m]."""
         return self._way(np.asarray(xi, float))

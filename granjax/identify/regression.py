@@ -10,7 +10,6 @@ import numpy as np
 from jaxtyping import Float
 
 from ..checks import non_negative, parameter, positive, refuse, whole, within
-from ..entry import checked
 from ..fit.judge import STRUCTURED, structure
 from ..lattice import Lattice
 from ..laws import Polynomial, PowerLaw, Scaled
@@ -78,7 +77,6 @@ class Regression(Result):
     outcome: str = eqx.field(static=True)
 
 
-@checked
 def library(
     strain_map: StrainMap, *, powers: Sequence[Count] = (1, 2, 3), contacts: Sequence[Scalar] = (1.5,),
     overlap: Scalar = 0.0, on_site: Sequence[Count] = (1, 3), dissipation: Sequence[str] | None = None,
@@ -144,7 +142,6 @@ def _monomial(argument, p):
     return Polynomial(*(1.0 if q == p else 0.0 for q in (1, 2, 3)))
 
 
-@checked
 def regression(
     mass: Parameter | dict[str, Parameter], candidates: dict[str, Callable[[Any], Any]], ts: Times, us: Displacements,
     vs: Displacements, accelerations: Displacements | None = None, *, noise: Scalar = 0.0,

@@ -10,7 +10,6 @@ import numpy as np
 from jaxtyping import Float
 
 from ..checks import held_in_memory, one_of, positive, refuse, show, whole, within
-from ..entry import checked
 from ..fit import Fit, Traces, fit, linearised, prepared
 from ..fit.problem import Start
 from ..lattice import Lattice
@@ -97,7 +96,6 @@ class WallScene(eqx.Module):
         return walled
 
 
-@checked
 def wall_modulus(
     lattice: Lattice | Callable[[Any], Lattice], traces: Traces | Sequence[Traces], *, state: Start,
     material: str | Material, radius: Scalar, start: Scalar, poisson: Scalar = 0.3, precompression: Scalar = 0.0,

@@ -13,7 +13,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax.lax import dynamic_slice, dynamic_update_slice
 
-from ..entry import checked
 from ..laws import Law
 from ..split_system import Split, by_stages, pair
 from ..types import StateLike
@@ -191,7 +190,6 @@ def _prepared(system, u, around, sites, margin, behind):
                   margin, system.boundary != "fixed")
 
 
-@checked
 def in_blocks(lattice: Lattice, y: StateLike) -> BlockSplit | None:
     """The split system of a long chain; `None` for what is no long chain of one bond to the next site."""
     shape = () if lattice.fields else np.shape(y[0])

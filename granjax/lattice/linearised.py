@@ -4,13 +4,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ..entry import checked
 from ..terms.base import wider
 from ..types import Displacements, Number
 from .model import Lattice, check_shape, refuse_memory
 
 
-@checked
 def linearised(lattice: Lattice, t: Number, u: Displacements, v: Displacements | None = None) -> Lattice:
     r"""The lattice of small perturbations U about u(t): m U'' = (dF/du) U + (dF/dv) U'.
 

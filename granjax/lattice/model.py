@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -11,8 +11,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import described, held_in_memory, letter, parameter, positive, refuse, whole
-from ..entry import checked
-from ..outside import Outside
 from ..printing import text, told
 from ..terms import Term
 from ..terms.tracing import reads, traced
@@ -70,16 +68,16 @@ class Lattice(eqx.Module):
     ((20,), False)
     """
 
+    # it never changes, so that `programs.parted` takes it apart once
+    settled: ClassVar[bool] = True
     mass: object
     terms: tuple[Term, ...]
     positions: object
     _mark: jax.Array
-    _outside: Outside
     _sites: object = eqx.field(static=True)
     _per_site: object = eqx.field(static=True)
     dimension: int | None = eqx.field(static=True)
 
-    @checked
     def __init__(
         self, mass: Parameter | dict[str, Parameter], terms: Term | Sequence[Term], *, sites: Site | None = None,
         dimension: Count | None = None, positions: Parameter | dict[str, Parameter] | None = None, units: str = SCALED,
@@ -102,7 +100,6 @@ class Lattice(eqx.Module):
         terms = (terms,) if isinstance(terms, Term) else terms
         self.terms = tuple(terms)
         self._mark = _one(self.axes + (self.dimension is not None), mark_of(units))
-        self._outside = Outside(self.terms)
         if self.dimension is not None:
             self.terms = tuple(term.per_vector(self.axes) for term in self.terms)
         self.check_terms()
@@ -193,11 +190,6 @@ class Lattice(eqx.Module):
         return self.axes, self.dimension or 0
 
     @property
-    def settled(self):
-        """Whether it is the same as long as it lives: no function of the user's in it reads what may change."""
-        return not self._outside.readers
-
-    @property
     def origin(self):
         """What results keep of their lattice: its units and its axes."""
         return {"_mark": self._mark, "_space": self.space}
@@ -241,7 +233,6 @@ class Lattice(eqx.Module):
         """What its numbers are counted in, "SI" or "scaled"; `None` while traced."""
         return counted_in(self._mark)
 
-    @checked
     def counted_in(self, units: str) -> Any:
         """The same lattice, its numbers said to be those of `"SI"`, or `"scaled"`; none is converted."""
         mark = mark_of(units)
@@ -259,7 +250,6 @@ class Lattice(eqx.Module):
         """Displacements (or velocities) that are zero, lanes included."""
         return jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), self.template())
 
-    @checked
     def astype(self, dtype: Any) -> Any:
         """The lattice with every floating parameter in another type, for a float32 run."""
         try:
@@ -274,19 +264,16 @@ class Lattice(eqx.Module):
 
         return jax.tree.map(cast, self)
 
-    @checked
     def force(self, t: Number, u: Displacements, v: Displacements) -> Displacements:
         """Sum of the forces on the sites, of the structure of `u`: of the lattice's shape, lanes or tangents behind."""
         check_shape(self, "u", u)
         check_shape(self, "v", v)
         return self.sum_forces(t, u, v, self.terms)
 
-    @checked
     def sum_forces(self, t: Number, u: Displacements, v: Displacements, terms: Sequence[Term]) -> Displacements:
         """Sum of the forces of some terms, of the structure of `u`."""
         return self.total([term.force(t, u, v, self.mass) for term in terms], u)
 
-    @checked
     def total(self, parts: Sequence[Displacements | None], u: Displacements) -> Displacements:
         """Sum of arrays over the sites, or of dicts of those fields that they touch; `None` is nothing."""
         parts = [part for part in parts if part is not None]
@@ -294,12 +281,10 @@ class Lattice(eqx.Module):
             return {name: _sum([part[name] for part in parts if name in part], x) for name, x in u.items()}
         return _sum(parts, u)
 
-    @checked
     def acceleration(self, t: Number, u: Displacements, v: Displacements) -> Displacements:
         """a = force/m."""
         return jax.tree.map(jnp.divide, self.force(t, u, v), self.mass)
 
-    @checked
     def potential_energy(self, t: Number, u: Displacements) -> Number:
         """Potential energy of the whole lattice, from equilibrium; shape of the lanes."""
         check_shape(self, "u", u)
@@ -311,7 +296,6 @@ class Lattice(eqx.Module):
                 total = total + sum(e.sum(tuple(range(e.ndim - lanes))) for e in jax.tree.leaves(energy))
         return total
 
-    @checked
     def kinetic_energy(self, v: Displacements) -> Number:
         """Sum of m v^2/2; shape of the lanes."""
         check_shape(self, "v", v)
@@ -321,7 +305,6 @@ class Lattice(eqx.Module):
 
         return sum(jax.tree.leaves(jax.tree.map(kinetic, self.mass, v)))
 
-    @checked
     def energy(self, t: Number, u: Displacements, v: Displacements) -> Number:
         """Kinetic and potential energy of the whole lattice, from equilibrium; shape of the lanes."""
         return self.kinetic_energy(v) + self.potential_energy(t, u)
@@ -350,7 +333,6 @@ class Lattice(eqx.Module):
         """The `Breaks` of all terms, where time steps end."""
         return tuple(b for term in self.terms for b in term.jumps())
 
-    @checked
     def between(self, low: Number, high: Number) -> Any:
         """The lattice for the times from `low` to `high`: functions of time with breaks are held beyond them."""
         return eqx.tree_at(lambda x: x.terms, self, tuple(term.between(low, high) for term in self.terms))
@@ -415,7 +397,6 @@ def _sum(parts, like):
     return sum(parts[1:], parts[0]) if parts else jnp.zeros_like(like)
 
 
-@checked
 def spread_mass(lattice: Lattice) -> Displacements:
     """Mass of every degree of freedom, of the structure of the displacements, where `lattice.mass` may be one number.
 

@@ -11,7 +11,6 @@ import jax
 import jax.numpy as jnp
 
 from ..checks import refuse
-from ..entry import checked
 from ..laws import Law
 from ..split_system import Split, pair
 from ..types import Number, StateLike
@@ -186,7 +185,6 @@ class SpringSplit(eqx.Module):
         return left * u[:-2] - (left + right) * u[1:-1] + right * u[2:]
 
 
-@checked
 def split_system(lattice: Lattice) -> Any:
     """The lattice as kicks and drifts for a splitting solver.
 
@@ -225,7 +223,6 @@ def next_neighbours(lattice: Lattice) -> tuple[Law, str] | None:
     return forces[0].next_neighbours() if plain and len(forces) == 1 else None
 
 
-@checked
 def acceleration_only(lattice: Lattice) -> Callable:
     """The acceleration a(t, u) alone, for Nystrom pairs.
 
@@ -242,7 +239,6 @@ def acceleration_only(lattice: Lattice) -> Callable:
     return lambda t, u: lattice.acceleration(t, u, jax.tree.map(jnp.zeros_like, u))
 
 
-@checked
 def vector_field(t: Number, y: StateLike, lattice: Lattice) -> StateLike:
     """dy/dt = (v, a): the right-hand side of diffrax's form f(t, y, args), with the lattice as `args`.
 

@@ -7,7 +7,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ..entry import checked
 from ..types import Number, StateLike
 from .linearised import linearised
 from .model import Lattice
@@ -65,7 +64,6 @@ class TangentSplit(eqx.Module):
         return self._inner.acceleration((u, v), inner), outer.acceleration((U, V), many)
 
 
-@checked
 def variational(t: Number, y: tuple[StateLike, StateLike], lattice: Lattice) -> tuple:
     """dy/dt of the state and its tangents: f(t, y, args), with the lattice as `args`."""
     (u, U), (v, V) = y

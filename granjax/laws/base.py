@@ -9,7 +9,6 @@ import jax
 import jax.numpy as jnp
 
 from ..checks import non_negative, plain_zero, refuse
-from ..entry import checked
 from ..types import Number, Numbers, Parameter
 from ..units import PART, Dimensional
 
@@ -98,7 +97,6 @@ class Law(Dimensional):
     def _wrapped(self, units):
         return InOtherUnits(self, units.length, units.force)
 
-    @checked
     def __add__(self, law: "Law") -> "Law":
         return Sum(self.parts + law.parts)
 
@@ -126,7 +124,6 @@ class Sum(Law):
     dimensions = {"_parts": PART}
     _parts: tuple[Law, ...]
 
-    @checked
     def __init__(self, parts: Sequence[Law]):
         self._parts = tuple(parts)
         if not self._parts:
@@ -193,7 +190,6 @@ class Scaled(Law):
     law: Law
     factor: object
 
-    @checked
     def __init__(self, law: Law, factor: Number):
         self.law, self.factor = law, factor
 
@@ -252,7 +248,6 @@ class Strained(Law):
     strain: object
     reference: object
 
-    @checked
     def __init__(self, law: Law, strain: Number, reference: Number | None = None):
         self.law, self.strain, self.reference = law, strain, reference
 

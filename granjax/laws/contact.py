@@ -7,7 +7,6 @@ import jax
 import jax.numpy as jnp
 
 from ..checks import concrete, parameter, positive, refuse, show
-from ..entry import checked
 from ..types import Parameter
 from .base import Law, checked_preload
 from .power import plus_power
@@ -150,7 +149,6 @@ class Hertz(_Contact):
     stiffness: jax.Array
     precompression: jax.Array | None
 
-    @checked
     def __init__(self, stiffness: Parameter = 1.0, precompression: Parameter = 0.0):
         self.stiffness = positive("stiffness", stiffness, "The contact coefficient A is positive.")
         self.precompression = _precompression(precompression)
@@ -196,7 +194,6 @@ class PowerLaw(_Contact):
     _free_exponent: jax.Array | None
     _repels: bool | None = eqx.field(static=True)
 
-    @checked
     def __init__(self, stiffness: Parameter = 1.0, exponent: Parameter = 1.5, precompression: Parameter = 0.0):
         self.stiffness = positive("stiffness", stiffness, "The contact coefficient A is positive.")
         self.precompression = _precompression(precompression)

@@ -5,7 +5,6 @@ import jax
 import jax.numpy as jnp
 
 from ..checks import held_in_memory, parameter, positive, refuse, whole
-from ..entry import checked
 from ..types import Count, Parameter
 from .base import Law, checked_preload
 
@@ -50,7 +49,6 @@ class Network(Law):
     _preload: jax.Array | None
     monotone: bool = eqx.field(static=True)
 
-    @checked
     def __init__(
         self, width: Count = 8, strain: Parameter = 1.0, force: Parameter = 1.0, monotone: bool = True,
         parameters: Parameter | None = None, preload: Parameter = 0.0,

@@ -6,7 +6,6 @@ import jax
 import jax.numpy as jnp
 
 from ..checks import concrete, positive, refuse, show
-from ..entry import checked
 from ..types import Number, Numbers, Parameter
 from ..units import PART, Dimensional
 from .base import Law
@@ -72,7 +71,6 @@ class WaltonBraun(PlasticLaw):
     loading: jax.Array
     unloading: jax.Array
 
-    @checked
     def __init__(self, loading: Parameter, unloading: Parameter):
         self.loading, self.unloading = positive("loading", loading), positive("unloading", unloading)
         k1, k2 = concrete(self.loading), concrete(self.unloading)
@@ -117,7 +115,6 @@ class Thornton(PlasticLaw):
     stiffness: jax.Array
     yield_overlap: jax.Array
 
-    @checked
     def __init__(self, stiffness: Parameter, yield_overlap: Parameter):
         self.stiffness, self.yield_overlap = positive("stiffness", stiffness), positive("yield_overlap", yield_overlap)
 
@@ -181,7 +178,6 @@ class Indented(Law):
     rest: jax.Array
     largest: jax.Array
 
-    @checked
     def __init__(self, law: PlasticLaw, rest: Parameter, largest: Parameter):
         self.law, self.rest, self.largest = law, rest, largest
 

@@ -17,12 +17,10 @@ import jax.numpy as jnp
 from jax.custom_derivatives import SymbolicZero
 
 from ..checks import refuse
-from ..entry import checked
 from ..types import Number, Numbers
 from .real_power import logarithm, real_power, root
 
 
-@checked
 def plus_power(s: Number, p: Number) -> Numbers:
     """[s]_+^p, elementwise.
 

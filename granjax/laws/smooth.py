@@ -4,7 +4,6 @@ import jax
 import jax.numpy as jnp
 
 from ..checks import parameter, plain_zero, positive, refuse
-from ..entry import checked
 from ..types import Parameter
 from .base import Law
 
@@ -35,7 +34,6 @@ class Polynomial(Law):
     K3: jax.Array | None
     K4: jax.Array | None
 
-    @checked
     def __init__(self, K2: Parameter = 1.0, K3: Parameter = 0.0, K4: Parameter = 0.0):
         self.K2, self.K3, self.K4 = _optional("K2", K2), _optional("K3", K3), _optional("K4", K4)
         if self.K2 is None and self.K3 is None and self.K4 is None:
@@ -80,7 +78,6 @@ class Toda(Law):
     strength: jax.Array
     rate: jax.Array
 
-    @checked
     def __init__(self, strength: Parameter = 1.0, rate: Parameter = 1.0):
         self.strength, self.rate = positive("strength", strength), positive("rate", rate)
 
@@ -115,7 +112,6 @@ class Linear(Law):
     is_linear = True
     stiffness: jax.Array
 
-    @checked
     def __init__(self, stiffness: Parameter = 1.0):
         self.stiffness = parameter("stiffness", stiffness)
 
@@ -149,7 +145,6 @@ class Sine(Law):
     stiffness: jax.Array
     wavenumber: jax.Array
 
-    @checked
     def __init__(self, stiffness: Parameter = 1.0, wavenumber: Parameter = 1.0):
         self.stiffness, self.wavenumber = parameter("stiffness", stiffness), positive("wavenumber", wavenumber)
 

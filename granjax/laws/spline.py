@@ -8,7 +8,6 @@ import numpy as np
 from scipy.optimize import nnls
 
 from ..checks import concrete, non_negative, parameter, refuse, show
-from ..entry import checked
 from ..types import Parameter, Values
 from .base import Law, checked_preload
 
@@ -44,7 +43,6 @@ class Spline(Law):
     _preload: jax.Array | None
     knots: tuple[float, ...] = eqx.field(static=True)
 
-    @checked
     def __init__(self, knots: Values, stiffness: Parameter, preload: Parameter = 0.0):
         self.knots = _checked_knots(knots)
         stiffness = non_negative("stiffness", stiffness, "Where it is negative the force falls.")

@@ -6,8 +6,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ..entry import checked
-from ..outside import Outside
 from ..printing import told
 from ..types import Number
 from .base import Law
@@ -29,7 +27,6 @@ class Taylor(NamedTuple):
     __repr__ = told
 
 
-@checked
 def taylor(law: Law, e: Number = 0.0) -> Taylor:
     """Taylor coefficients of a law about a compression, by nested derivatives.
 
@@ -44,11 +41,11 @@ def taylor(law: Law, e: Number = 0.0) -> Taylor:
     >>> gx.laws.taylor(gx.Hertz(precompression=1.0))
     Taylor(K2=1.5, K3=0.375, K4=-0.0625)
     """
-    return _taylor(law, jnp.asarray(e, float), Outside(law))
+    return _taylor(law, jnp.asarray(e, float))
 
 
 @eqx.filter_jit
-def _taylor(law, e, outside):
+def _taylor(law, e):
     at = jnp.zeros(jax.eval_shape(law.force, e).shape) + e
 
     def slope(f):

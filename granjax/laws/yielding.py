@@ -6,7 +6,6 @@ import jax
 import jax.numpy as jnp
 
 from ..checks import positive
-from ..entry import checked
 from ..types import Parameter
 from ..units import PART
 from .base import Law
@@ -35,7 +34,6 @@ class Yielding(Law):
     law: Law
     support: jax.Array
 
-    @checked
     def __init__(self, law: Law, support: Parameter):
         self.law, self.support = law, positive("support", support)
 

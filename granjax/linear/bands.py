@@ -10,7 +10,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import concrete, refuse
-from ..entry import checked
 from ..lattice import Lattice
 from ..results import Held, Result
 from ..types import Count, Numbers
@@ -84,7 +83,6 @@ class Bands(Result):
         yield "outcome", self.outcome
 
 
-@checked
 def bands(lattice: Lattice, cell: Count | tuple[Count, ...] | None = None) -> Bands:
     r"""Edges of the bands of omega(k), and the gaps between them.
 

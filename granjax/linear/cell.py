@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import refuse, whole
-from ..entry import checked
 from ..lattice import Lattice
 from ..printing import told
 from ..types import AnyArray, Cell, ComplexNumbers, Displacements, Number, Numbers
@@ -55,12 +54,10 @@ class UnitCell(eqx.Module):
     dimension: int | None = eqx.field(static=True)
     __repr__ = told
 
-    @checked
     def dynamical_matrix(self, k: Numbers) -> ComplexNumbers:
         """D(k), (P, P), complex and Hermitian, for one `k` of shape (axes,)."""
         return bloch(self.coupling, self.shells, k)
 
-    @checked
     def slopes(self, k: Numbers) -> tuple:
         """First and second derivatives of D(k): (axes, P, P) and (axes, axes, P, P)."""
         R = np.array(self.shells)
@@ -68,7 +65,6 @@ class UnitCell(eqx.Module):
         first = jnp.einsum("r,rj,rab->jab", 1j * phase, R, self.coupling)
         return first, -jnp.einsum("r,rj,rl,rab->jlab", phase, R, R, self.coupling)
 
-    @checked
     def displacements(self, q: AnyArray) -> Displacements:
         """Displacements M^{-1/2} q of vectors (..., P, bands): (..., cell..., [vector], bands), or a dict of such."""
         x = jnp.moveaxis(q / jnp.sqrt(self.mass)[:, None], -2, -1)
@@ -96,7 +92,6 @@ def bloch(coupling: Numbers, shells: tuple, k: Numbers) -> ComplexNumbers:
     return uniform + jnp.einsum("r,rab->ab", turn, coupling)
 
 
-@checked
 def unit_cell(lattice: Lattice, cell: Cell | None = None) -> UnitCell:
     """The unit cell of a lattice, as a `UnitCell` with its dynamical matrix.
 

@@ -6,7 +6,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import parameter, refuse
-from ..entry import checked
 from ..lattice import Lattice
 from ..results import Held, Result
 from ..types import ComplexNumbers, Count, Numbers, Parameter
@@ -70,7 +69,6 @@ class Dispersion(Result):
                f"omega = {omega.min():.6g} ... {self._told('omega', omega.max())}."
 
 
-@checked
 def dispersion(
     lattice: Lattice, k: Parameter, cell: Count | tuple[Count, ...] | None = None,
 ) -> Dispersion:

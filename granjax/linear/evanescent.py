@@ -7,7 +7,6 @@ import numpy as np
 from scipy.linalg import eig
 
 from ..checks import concrete, parameter, refuse
-from ..entry import checked
 from ..lattice import Lattice
 from ..results import Held, Result
 from ..types import Cell, ComplexNumbers, Count, Number, Numbers, Parameter
@@ -54,7 +53,6 @@ class ComplexBands(Result):
         return f"Wave numbers of {len(self.omega)} frequencies; at {stopped} of them every wave decays."
 
 
-@checked
 def complex_bands(
     lattice: Lattice, omega: Parameter, *, axis: Count = 0, across: Parameter = 0.0, cell: Cell | None = None,
 ) -> ComplexBands:

@@ -9,7 +9,6 @@ import numpy as np
 from scipy.linalg import null_space
 
 from ..checks import refuse, whole
-from ..entry import checked
 from ..lattice import Lattice, State
 from ..results import Held, Result
 from ..types import AnyArray, Cell, Count, Numbers
@@ -60,7 +59,6 @@ class FlatBands(Result):
         told = ", ".join(f"{self._told('omega', w)} (on {n} sites)" for w, n in zip(self.omega, self.support))
         return f"{int(np.sum(self.degeneracy))} flat band{'s' * (int(np.sum(self.degeneracy)) > 1)}: omega = {told}."
 
-    @checked
     def state(self, lattice: Lattice, number: Count = 0, at: Cell | None = None) -> State:
         """The compact state of one frequency on a lattice, as a `State` at rest with the largest displacement 1.
 
@@ -88,7 +86,6 @@ class FlatBands(Result):
         return State(u, lattice.zeros())
 
 
-@checked
 def flat_bands(lattice: Lattice, cell: Cell | None = None, *, cells: Count = WIDEST) -> FlatBands:
     r"""The flat bands of a lattice, and their compact localised states.
 

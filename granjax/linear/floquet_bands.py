@@ -11,7 +11,6 @@ from scipy.optimize import linear_sum_assignment
 
 from ..checks import parameter, positive, refuse, traced, whole
 from ..checks import tolerance as checked_tolerance
-from ..entry import checked
 from ..lattice import Lattice, State
 from ..results import Held, Result
 from ..tuning import one_thread
@@ -129,7 +128,6 @@ class FloquetBands(Result):
         """Whether |rho| > 1 by more than its error, (k..., 2P)."""
         return np.abs(self.multipliers) - 1 > self.error
 
-    @checked
     def state(self, lattice: Lattice, wave: Count = 0, multiplier: Count = 0, amplitude: Scalar = 1.0) -> State:
         """A wave as a state of the lattice at t0: u_n = Re(a u_j exp(i k R)), n = R P + j, in every cell.
 
@@ -142,7 +140,6 @@ class FloquetBands(Result):
         return _wave_state(self, lattice, wave, multiplier, amplitude)
 
 
-@checked
 def floquet_bands(
     lattice: Lattice, k: Parameter, period: Scalar, *, t0: Scalar = 0.0, cell: Cell = None, steps: Count | None = None,
     tolerance: Scalar = TOLERANCE,

@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import positive, refuse
-from ..entry import checked
 from ..results import Held, Result
 from ..types import Amplitudes, ComplexNumbers, Numbers, Parameter
 
@@ -112,7 +111,6 @@ class SmoothGauge(Result):
                "bands cross, or the mesh is too coarse."
 
 
-@checked
 def smooth_gauge(vectors: Amplitudes | dict[str, Amplitudes], mass: Parameter | dict[str, Parameter] = 1.0
                  ) -> SmoothGauge:
     r"""Bloch vectors of a chain in a smooth gauge, by parallel transport around the zone: what is left is a Zak phase.

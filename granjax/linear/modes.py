@@ -9,7 +9,6 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
-from ..entry import checked
 from ..lattice import Lattice, spread_mass
 from ..results import Held, Result
 from ..types import AnyArray, Displacements, Number, Numbers
@@ -57,7 +56,6 @@ class NormalModes(Result):
         return f"{omega.shape[-1]} modes up to {self._told('omega', omega.max())}, {unstable}."
 
 
-@checked
 def normal_modes(lattice: Lattice) -> NormalModes:
     r"""Normal modes of a finite lattice about u = 0: K phi = omega^2 M phi, any boundary, any masses, any terms.
 

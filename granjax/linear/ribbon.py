@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import parameter, refuse, whole
-from ..entry import checked
 from ..lattice import Lattice
 from ..results import Held, Result
 from ..types import ComplexNumbers, Count, Numbers, Parameter
@@ -68,7 +67,6 @@ class RibbonBands(Result):
                "at some of them."
 
 
-@checked
 def ribbon(lattice: Lattice, k: Parameter | None = None, *, axis: Count | None = None,
            cell: Count | None = None) -> RibbonBands:
     r"""Bands of a strip: waves exp(ikR) along one axis of a lattice of the plane, whose other axis ends as it does.

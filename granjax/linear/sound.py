@@ -6,14 +6,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import parameter, refuse
-from ..entry import checked
 from ..lattice import Lattice
 from ..types import Count, Number, Parameter
 from .cell import LOOSE, unit_cell
 from .modes import signed_root
 
 
-@checked
 def sound_speed(
     lattice: Lattice, cell: Count | tuple[Count, ...] | None = None, direction: Parameter | None = None,
 ) -> Number:

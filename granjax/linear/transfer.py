@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import concrete, described, positive, refuse, show
-from ..entry import checked
 from ..lattice import Lattice, spread_mass
 from ..results import Held, Result
 from ..types import Flags, Number, Parameter
@@ -70,7 +69,6 @@ class LocalisationLength(Result):
         return f"{said}, {unseen} of {gamma.size} not told from zero." if unseen else f"{said}."
 
 
-@checked
 def localisation_length(lattice: Lattice, omega: Parameter) -> LocalisationLength:
     r"""How fast a wave of frequency omega decays along a disordered chain: gamma = lim ln|u_n|/n, by transfer matrices.
 

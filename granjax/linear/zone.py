@@ -10,7 +10,6 @@ from scipy.ndimage import maximum_filter1d
 from scipy.spatial import Voronoi
 
 from ..checks import concrete, parameter, refuse, whole
-from ..entry import checked
 from ..lattice import Lattice
 from ..results import Held, Result
 from ..types import Cell, ComplexNumbers, Count, Numbers, Parameter
@@ -102,7 +101,6 @@ class PathBands(Result):
                f"{self._told('omega', np.min(self.omega))} ... {self._told('omega', np.max(self.omega))}."
 
 
-@checked
 def path(
     lattice: Lattice, points: str = "GXMG", count: Count = 120, cell: Cell | None = None, *,
     named: dict[str, Parameter] | None = None,
@@ -209,7 +207,6 @@ class DensityOfStates(Result):
         return f"Density of states in {self.omega.size} bins, each known to {worst:.1e} of the largest."
 
 
-@checked
 def density_of_states(
     lattice: Lattice, bins: Count = 100, points: Count | None = None, cell: Cell | None = None,
 ) -> DensityOfStates:
@@ -305,7 +302,6 @@ class ZoneMap(Result):
         return f"{self.omega.shape[-1]} bands on {self.omega.shape[0]} x {self.omega.shape[1]} wave vectors."
 
 
-@checked
 def zone_map(lattice: Lattice, points: Count = 81, cell: Cell | None = None) -> ZoneMap:
     """Frequencies and group velocities over the Brillouin zone of a lattice of the plane, for `gx.plots.zone`.
 

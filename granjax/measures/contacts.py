@@ -3,13 +3,11 @@
 import jax.numpy as jnp
 
 from ..checks import refuse, whole
-from ..entry import checked
 from ..lattice import Lattice
 from ..types import Count, Number, Numbers, StateLike
 from .states_of import parts
 
 
-@checked
 def contacts(lattice: Lattice, y: StateLike, t: Number = 0.0) -> list:
     """The contacts at a state: `Compression`s, bonds in the order of the terms, then walls in theirs.
 
@@ -36,7 +34,6 @@ def _contact(lattice, y, t, bond):
     return found[bond]
 
 
-@checked
 def strain(lattice: Lattice, y: StateLike, t: Number = 0.0, *, bond: Count = 0) -> Numbers:
     """Compression of every bond from equilibrium, e_n = u_n - u_{n+1} for a chain, positive in compression [m].
 
@@ -55,7 +52,6 @@ def strain(lattice: Lattice, y: StateLike, t: Number = 0.0, *, bond: Count = 0) 
     return _contact(lattice, y, t, bond).compression
 
 
-@checked
 def contact_force(lattice: Lattice, y: StateLike, t: Number = 0.0, *, bond: Count = 0) -> Numbers:
     """Total contact force of every bond, F0 + F(e), positive in compression [N].
 
@@ -73,7 +69,6 @@ def contact_force(lattice: Lattice, y: StateLike, t: Number = 0.0, *, bond: Coun
     return _contact(lattice, y, t, bond).force
 
 
-@checked
 def sensor_force(lattice: Lattice, y: StateLike, t: Number = 0.0, *, field: str | None = None) -> Numbers:
     """Mean of the two contact forces of every bead, (F_{n-1,n} + F_{n,n+1})/2 [N]: what a sensor inside it reads.
 
@@ -103,7 +98,6 @@ def sensor_force(lattice: Lattice, y: StateLike, t: Number = 0.0, *, field: str 
            "Of other lattices take the mean of gx.measures.contact_force yourself.")
 
 
-@checked
 def overlap(lattice: Lattice, y: StateLike, t: Number = 0.0, *, bond: Count = 0) -> Number | None:
     """Overlap of every contact, d0 + e for a power law; not above zero where it is open [m].
 

@@ -1,6 +1,5 @@
 """Energies and momentum of a state, of the whole lattice and site by site."""
 
-from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
@@ -9,14 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import described, refuse
-from ..entry import checked, shape_of
 from ..lattice import Lattice
 from ..terms.tracing import reads
 from ..types import Displacements, Number, StateLike, Values
 from .states_of import parts
 
 
-@checked
 def energy(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
     """Kinetic and potential energy of the whole lattice, from equilibrium [J]; shape of the lanes.
 
@@ -32,7 +29,6 @@ def energy(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
     return lattice.energy(t, u, v)
 
 
-@checked
 def potential_energy(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
     """Potential energy of all bonds, walls and sites, from equilibrium [J]; shape of the lanes.
 
@@ -47,7 +43,6 @@ def potential_energy(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
     return lattice.potential_energy(t, u) + jnp.zeros(lattice.lanes, lattice.dtype)
 
 
-@checked
 def kinetic_energy(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
     """Sum of m v^2/2 [J]; shape of the lanes. `t` is not read.
 
@@ -60,7 +55,6 @@ def kinetic_energy(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
     return lattice.kinetic_energy(parts(lattice, y, t)[1])
 
 
-@checked
 def momentum(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
     """Total momentum, sum of m v [kg m/s]; shape of the lanes, after (d,) for vectors. `t` is not read.
 
@@ -75,7 +69,6 @@ def momentum(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
     return sum(jax.tree.leaves(jax.tree.map(lambda m, v: (m * v).sum(axes), lattice.mass, v)))
 
 
-@checked
 def power(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
     """How fast the `energy` changes [W]: what drives, moving walls and modulations give less what damping takes.
 
@@ -108,7 +101,6 @@ def power(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
     return total
 
 
-@checked
 def site_energy(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Displacements:
     """Energy of every site: m v^2/2, its on-site energy, and half of each of its bonds' [J].
 
@@ -151,7 +143,6 @@ def _per_site(lattice, x):
     return x
 
 
-@checked
 def species_energy(
     lattice: Lattice, y: StateLike, t: Number = 0.0, *, species: Values | None = None
 ) -> dict[Any, Number]:
@@ -175,9 +166,8 @@ def species_energy(
         if species is not None:
             refuse("species", "None, as the cells' fields are the species", f"{type(species).__name__}")
         return {name: e.sum(axes) for name, e in share.items()}
-    shape = shape_of(species, "fiubUS") if isinstance(species, Sequence) else np.shape(species) or None
-    if isinstance(species, jax.core.Tracer) or shape != lattice.sites:
-        got = described(species) if shape is None else f"shape {shape}"
+    if isinstance(species, jax.core.Tracer) or np.shape(species) != lattice.sites:
+        got = f"shape {np.shape(species)}"
         refuse("species", f"labels of shape {lattice.sites}, one per site", got, "Labels must be known before tracing.")
     labels = np.asarray(species)
     labels = labels.astype(str) if labels.dtype.kind == "O" else labels

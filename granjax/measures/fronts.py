@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import concrete, one_of, parameter, refuse, show, within
-from ..entry import checked
 from ..results import Held, Result
 from ..types import Number, Numbers, Parameter, Scalar
 
@@ -61,7 +60,6 @@ class Front(Result):
         return f"A line through {there.sum()} of {there.size} arrivals."
 
 
-@checked
 def arrival_times(
     ts: Parameter, q: Parameter, threshold: Parameter | None = None, *, fraction: Scalar = 0.5,
 ) -> Numbers:
@@ -100,7 +98,6 @@ def _threshold(threshold, fraction, q):
     return fraction, threshold
 
 
-@checked
 def peak_times(ts: Parameter, q: Parameter) -> Peaks:
     """Time and height of the highest maximum of a quantity at every site, refined between frames.
 
@@ -121,7 +118,6 @@ def peak_times(ts: Parameter, q: Parameter) -> Peaks:
     return _maxima(ts, q)
 
 
-@checked
 def front_speed(
     ts: Parameter, q: Parameter, sites: Parameter | None = None, *, by: str = "peak",
     threshold: Parameter | None = None, fraction: Scalar = 0.5,

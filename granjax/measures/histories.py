@@ -8,14 +8,12 @@ import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
 from ..checks import described, refuse, returned
-from ..entry import checked, takes
 from ..flow import RunWithMemory
 from ..flow.memory import recalled
 from ..lattice import Lattice, State
 from ..types import Displacements, Number, Numbers, Pytree
 
 
-@checked
 def along(measure: Callable, lattice: Lattice, run: Any, **options: Any) -> Pytree:
     """A measure of every frame of a run: `measure(lattice, State(u, v), t, **options)`, stacked on a leading axis.
 
@@ -35,10 +33,6 @@ def along(measure: Callable, lattice: Lattice, run: Any, **options: Any) -> Pytr
     if not all(hasattr(run, name) for name in ("ts", "us", "vs")):
         refuse("run", "a record with ts, us and vs", described(run), "Give the result of simulate.")
 
-    if not takes(measure, 3, options):
-        also = f", and of {', '.join(options)}" if options else ""
-        refuse("measure", f"a function of (lattice, y, t){also}", described(measure))
-
     def of_frame(t, u, v, memory):
         now = lattice if memory is None else recalled(lattice, memory)
         return returned("measure", measure(now, State(u, v), t, **options))
@@ -47,7 +41,6 @@ def along(measure: Callable, lattice: Lattice, run: Any, **options: Any) -> Pytr
     return jax.vmap(of_frame)(run.ts, run.us, run.vs, memory)
 
 
-@checked
 def rms_velocity(lattice: Lattice, u: Displacements, v: Displacements, t: Numbers) -> Number:
     """Root mean square of all velocities in a history u, v (F, N) over t (F,): a response for sweeps and branches.
 

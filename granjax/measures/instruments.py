@@ -5,7 +5,6 @@ from typing import ClassVar
 import numpy as np
 
 from ..checks import MOST, held_in_memory, non_negative, parameter, positive, refuse, show, whole
-from ..entry import checked
 from ..results import Held, Result
 from ..types import Count, Numbers, Parameter, Scalar
 from ..units import SI, Units
@@ -35,7 +34,6 @@ class Trace(Result):
         return f"{self.time.size} samples over {np.ptp(self.time):.6g} s."
 
 
-@checked
 def velocity_trace(
     ts: Parameter, vs: Parameter, bead: Count, *, sampling: Scalar, noise: Scalar = 0.0, seed: Count = 0,
     units: Units | None = None,

@@ -4,13 +4,11 @@ import jax
 import jax.numpy as jnp
 
 from ..checks import described, parameter, refuse
-from ..entry import checked
 from ..lattice import Lattice
 from ..types import Number, Parameter, StateLike
 from .energies import site_energy
 
 
-@checked
 def participation(weights: Parameter, axis: int | tuple[int, ...] = 0) -> Number:
     """Number of sites that share a positive quantity: (sum w)^2 / sum w^2; N where all are equal, 1 for one alone.
 
@@ -29,7 +27,6 @@ def participation(weights: Parameter, axis: int | tuple[int, ...] = 0) -> Number
     return weights.sum(axis) ** 2 / (weights * weights).sum(axis)
 
 
-@checked
 def participation_number(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
     """Participation number of the site energies, (sum e)^2 / sum e^2, from 1 to N; shape of the lanes.
 
@@ -46,7 +43,6 @@ def participation_number(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Num
     return participation(_cell_energy(lattice, y, t), tuple(range(lattice.axes)))
 
 
-@checked
 def energy_centre(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
     """Mean place of the energy, sum n e_n / sum e_n [sites]; shape of the lanes, after (2,) on a grid.
 
@@ -62,7 +58,6 @@ def energy_centre(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
     return centres[0] if len(centres) == 1 else jnp.stack(centres)
 
 
-@checked
 def second_moment(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Number:
     """Mean square distance of the energy from its centre, sum (n - centre)^2 e_n / sum e_n [sites^2].
 

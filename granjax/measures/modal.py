@@ -4,13 +4,11 @@ import jax
 import jax.numpy as jnp
 
 from ..checks import parameter, refuse
-from ..entry import checked
 from ..lattice import Lattice
 from ..types import Numbers, Parameter, StateLike
 from .states_of import parts
 
 
-@checked
 def modal_amplitudes(lattice: Lattice, y: StateLike, modes: Parameter) -> tuple[Numbers, Numbers]:
     """Normal coordinates a_k = sum_i m_i phi_ik u_i of a state, and their rates.
 
@@ -39,7 +37,6 @@ def modal_amplitudes(lattice: Lattice, y: StateLike, modes: Parameter) -> tuple[
     return tuple(jnp.einsum("nm...,n...->m...", modes, p) for p in momenta)
 
 
-@checked
 def modal_energy(lattice: Lattice, y: StateLike, modes: Parameter, omega: Parameter) -> Numbers:
     """Energy of every normal mode in the linear lattice, E_k = (a_dot_k^2 + omega_k^2 a_k^2)/2 [J].
 

@@ -6,7 +6,6 @@ import jax
 import jax.numpy as jnp
 
 from ..checks import parameter, positive, refuse, traced
-from ..entry import checked
 from ..lattice import Lattice
 from ..printing import told
 from ..types import Displacements, Number, Numbers, Parameter, Scalar, StateLike
@@ -39,7 +38,6 @@ def placed(lattice: Lattice, what: str) -> Displacements:
     return lattice.positions
 
 
-@checked
 def force_network(lattice: Lattice, y: StateLike, t: Number = 0.0) -> ForceNetwork:
     """Where the bonds are and what force each carries, total and positive in compression: for `gx.plots.beads`.
 
@@ -74,7 +72,6 @@ def force_network(lattice: Lattice, y: StateLike, t: Number = 0.0) -> ForceNetwo
     return ForceNetwork(lines[short], force[short])
 
 
-@checked
 def angular_momentum(
     lattice: Lattice, y: StateLike, t: Number = 0.0, *, centre: Parameter = (0.0, 0.0), radius: Scalar | None = None,
 ) -> Number:
@@ -114,7 +111,6 @@ def angular_momentum(
     return total
 
 
-@checked
 def slip_ratio(lattice: Lattice, y: StateLike, t: Number = 0.0) -> Numbers:
     r"""The largest ratio of tangential to normal force |T|/N of any contact: above the friction coefficient it slides.
 

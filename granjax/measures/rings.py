@@ -7,7 +7,6 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..checks import concrete, parameter, positive, refuse, traced
-from ..entry import checked
 from ..lattice import Lattice
 from ..results import Held, Result
 from ..types import Cell, Count, Number, Numbers, Parameter, Scalar, StateLike
@@ -18,7 +17,6 @@ from .networks import placed
 EXACT = 1e-8
 
 
-@checked
 def energy_radius(lattice: Lattice, y: StateLike, t: Number = 0.0, *, centre: Parameter | None = None) -> Number:
     r"""How far the energy is from a point: the root of sum e_n |r_n - c|^2 / sum e_n, by the lattice's positions [m].
 
@@ -89,7 +87,6 @@ class RadialProfile(Result):
         return f"Crest at the distance {where} +- {self._told('error', float(self.error))}."
 
 
-@checked
 def radial_profile(
     lattice: Lattice, quantity: Parameter | dict[str, Parameter], centre: Parameter | None = None, *,
     width: Scalar | None = None,
@@ -182,7 +179,6 @@ class FrontDecay(Result):
         return f"{told}; no power law: the exponent changes by {float(self.drift):+.2g} on the way."
 
 
-@checked
 def front_decay(
     lattice: Lattice, amplitude: Parameter, site: Count | Cell, *, direction: Parameter | None = None,
     between: tuple[Scalar, Scalar] | None = None,

@@ -6,7 +6,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import one_of, parameter, positive, refuse
-from ..entry import checked
 from ..results import Held, Result
 from ..types import Numbers, Parameter, Scalar
 from ..units import names
@@ -64,7 +63,6 @@ class Spectrogram(Result):
         return f"{self.time.size} windows, {self.omega.size} frequencies up to {self._told('omega', self.omega[-1])}."
 
 
-@checked
 def spectrum(
     us: Parameter, dt: Scalar, *, time_window: str = "hann", space_window: str = "hann", units: str | None = None,
 ) -> Spectrum:
@@ -120,7 +118,6 @@ def _window(name, window, size):
     return jnp.asarray(hann(size, sym=False))
 
 
-@checked
 def spectrogram(
     v: Parameter, dt: Scalar, window: Scalar, *, hop: Scalar | None = None, units: str | None = None,
 ) -> Spectrogram:

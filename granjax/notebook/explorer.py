@@ -14,7 +14,6 @@ from matplotlib.colors import TwoSlopeNorm
 from PIL import Image
 
 from ..checks import described, one_of, positive, refuse, show, whole
-from ..entry import checked
 from ..flow import Run
 from ..lattice import Lattice, State
 from ..plots import figure, space_time, style
@@ -33,7 +32,6 @@ FAILURES = (ArithmeticError, AssertionError, AttributeError, LookupError, NameEr
 STEPS, SIZE, DOTS, FADED = (100, 301), (5.8, 4.3), 100, 0.25
 
 
-@checked
 def explore(
     scene: Lattice | Callable, t1: Scalar | None = None, *, state: StateLike | Scene | None = None,
     quantity: str | Quantity = "v", frames: Count = 240, tolerance: Scalar | None = None, units: UnitsOrWords = None,
@@ -101,7 +99,6 @@ class Explorer:
     - `figure`: matplotlib's, `image` the map in it; `widget`: all of it, `sliders`: those of ipywidgets by name.
     """
 
-    @checked
     def __init__(self, scenery: Scenery, units: UnitsOrWords, widgets: Any):
         self._scenery, self._units, self._signed, self._held = scenery, units, False, False
         self.seconds = {"compute": 0.0, "draw": 0.0}
@@ -119,7 +116,6 @@ class Explorer:
         """The present values of the sliders, in the scene's units."""
         return {name: slider.value for name, slider in self.sliders.items()}
 
-    @checked
     def move(self, **values: Scalar) -> None:
         """Set some sliders at once. **Raises** ValueError for a slider that is not there, a value beyond its ends."""
         for name, x in values.items():

@@ -13,9 +13,7 @@ from jax.flatten_util import ravel_pytree
 from ..checks import parameter, positive, refuse, whole
 from ..checks import tolerance as checked_tolerance
 from ..continuation import continuation
-from ..entry import checked
 from ..flow import Flow
-from ..outside import Outside
 from ..solvers import KahanLi8
 from ..tuning import one_thread
 from ..types import Count, Scalar, Site
@@ -38,7 +36,6 @@ VETOED = "vetoed, "
 FELT = 1e-9
 
 
-@checked
 @one_thread
 def anticontinuous(
     scene: Callable[[Any], Any], coupling: Scalar, omega: Scalar, sites: Site | Sequence[Site] | None = None, *,
@@ -95,7 +92,7 @@ def anticontinuous(
         refuse("coupling", "a coupling to go to, not zero", repr(end), "At zero every site is by itself.")
     period = 2 * np.pi / omega
     made(scene, period, end)
-    scene = _Traced(scene, Outside((scene,)))
+    scene = _Traced(scene)
     lattices = [checked_lattice(scene(jnp.asarray(c))) for c in (0.0, end)]
     limit = _limit(lattices[0], omega, sites, amplitudes, field)
     length = float(largest(limit.u))
@@ -130,14 +127,13 @@ class _Traced(eqx.Module):
     """A scene that sees no number, so that one which refuses a coupling of zero is made too."""
 
     scene: Callable
-    outside: Outside
 
     def __call__(self, coupling):
-        return _scene(self.scene, coupling, self.outside)
+        return _scene(self.scene, coupling)
 
 
 @eqx.filter_jit
-def _scene(scene, coupling, outside):
+def _scene(scene, coupling):
     return scene(coupling)
 
 

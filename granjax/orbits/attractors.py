@@ -12,7 +12,6 @@ from jaxtyping import Float
 
 from ..checks import held_in_memory, positive, refuse, traced, whole
 from ..checks import tolerance as checked_tolerance
-from ..entry import checked
 from ..flow import Flow
 from ..flow.inputs import held_frames
 from ..lattice import Lattice, State
@@ -100,7 +99,6 @@ class Attractor(Result):
         return self.multiple > 0
 
 
-@checked
 def settle(
     lattice: Lattice, state: StateLike, period: Scalar, *, periods: Count = 4000, tolerance: Scalar = 1e-8,
     steps: Count | None = None, solver: AbstractSolver | None = None,
@@ -162,7 +160,6 @@ def settle(
                      **lattice.origin)
 
 
-@checked
 def steps_per_period(lattice: Lattice, period: Scalar) -> Scalar:
     """Steps in a period such that h omega_max <= 0.4, with omega_max the highest linear frequency."""
     return default_steps(lattice, period, fineness=STEP_FRACTION)
@@ -243,7 +240,6 @@ def forces(lattice: Lattice, y: StateLike, t: Scalar) -> Numbers:
     return jnp.concatenate(each) if each else jnp.zeros(0, lattice.dtype)
 
 
-@checked
 def largest(x: Numbers) -> Numbers:
     """Largest value over the first axis, equal steps of whole periods: top of the parabola through its neighbours."""
     # NumPy compiles nothing for another number of steps

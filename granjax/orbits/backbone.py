@@ -9,7 +9,6 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 
 from ..checks import refuse, traced, whole
-from ..entry import checked
 from ..lattice import Lattice, State, spread_mass
 from ..linear import normal_modes
 from ..linear.stiffness import at_rest
@@ -66,12 +65,10 @@ class Backbone(Result):
         bound = f", for amplitudes well below {self._told('limit', self.limit)}" if np.isfinite(self.limit) else ""
         return f"The mode at omega = {self._told('omega', self.omega)} {way}{bound}."
 
-    @checked
     def omega_at(self, amplitude: Scalar) -> Number:
         """(omega_0^2 + curvature a^2)^{1/2} [rad/s]: the frequency to leading order. `amplitude`: a [m], any shape."""
         return jnp.sqrt(self.omega_squared + self.curvature * jnp.asarray(amplitude) ** 2)
 
-    @checked
     def state(self, amplitude: Scalar) -> State:
         """The orbit's turning point to second order, at rest: a guess for `gx.breathers.breather`.
 
@@ -82,7 +79,6 @@ class Backbone(Result):
         return State(u, jax.tree.map(jnp.zeros_like, u))
 
 
-@checked
 def backbone(lattice: Lattice, mode: Count | StateLike) -> Backbone:
     r"""The backbone curve of a normal mode to leading order: first in the quartic potential, second in the cubic one.
 

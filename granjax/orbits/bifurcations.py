@@ -7,7 +7,6 @@ import numpy as np
 
 from ..checks import one_of, refuse, tolerance
 from ..continuation import continuation
-from ..entry import checked
 from ..lattice import State
 from ..tuning import one_thread
 from ..types import Scalar
@@ -22,7 +21,6 @@ HALVINGS = 40
 NEAR, LEAST_ERROR = 1e-4, 1e-12
 
 
-@checked
 @one_thread
 def bifurcations(branch: Branch, kinds: Sequence[str] = KINDS, *, accuracy: Scalar = 1e-9) -> list[Bifurcation]:
     r"""Bifurcations along a family, each located between two neighbouring breathers.

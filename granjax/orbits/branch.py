@@ -11,7 +11,6 @@ from jaxtyping import Bool, Float, Inexact, Shaped
 
 from ..checks import refuse
 from ..continuation import Curve
-from ..entry import checked
 from ..flow import Flow
 from ..lattice import Lattice, State
 from ..newton import Root
@@ -163,7 +162,6 @@ class Branch(Result):
         """Which points are stable, (P,)."""
         return self.verdict == "stable"
 
-    @checked
     def orbit(self, i: Count) -> Orbit:
         """The `Orbit` at point i; -1 is the last."""
         if not -len(self) <= i < len(self):

@@ -9,7 +9,6 @@ from jaxtyping import Float
 
 from ..checks import one_of, positive, refuse, traced
 from ..checks import tolerance as checked_tolerance
-from ..entry import checked
 from ..flow import Flow
 from ..lattice import Lattice, State
 from ..linear import bands, normal_modes
@@ -44,7 +43,6 @@ PUSHES = (
 NEARER = (0.5, 0.2, 0.1)
 
 
-@checked
 @one_thread
 def breather(
     lattice: Lattice, omega: Scalar, guess: StateLike | Orbit | str | None = None, *, energy: Scalar | None = None,
@@ -264,7 +262,6 @@ def _check(lattice, omega, guess, kind):
         refuse_bright(lattice, omega)
 
 
-@checked
 def bands_of(lattice: Lattice) -> tuple[Float[np.ndarray, "bands 2"], Float[np.ndarray, " modes"]]:
     """Intervals of omega that waves fill, (bands, 2), and the discrete spectrum.
 
@@ -318,7 +315,6 @@ def _is_odd(lattice):
     return bool(found.size) and bool(found.max() <= np.sqrt(jnp.finfo(lattice.dtype).eps))
 
 
-@checked
 def resonant_harmonic(lattice: Lattice, omega: Scalar, first: Count = 1) -> tuple | None:
     """The least n >= first with n omega in a band, with that band and the nearest frequency of the finite lattice.
 

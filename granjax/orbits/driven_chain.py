@@ -6,7 +6,6 @@ import equinox as eqx
 import jax
 
 from ..checks import non_negative, one_of, parameter, per_lane, refuse
-from ..entry import checked
 from ..lattice import Lattice
 from ..terms import Damping, Harmonic, Wall
 from ..types import Parameter
@@ -14,7 +13,6 @@ from ..types import Parameter
 SIDES = ("left", "right")
 
 
-@checked
 def driven_chain(
     lattice: Lattice, amplitude: Parameter, omega: Parameter, *, ends: str | Sequence[str] = SIDES,
     damping: Parameter | None = None, phase: Parameter | tuple = 0.0, field: str | None = None,

@@ -12,7 +12,6 @@ from diffrax import AbstractSolver
 from ..checks import positive, refuse, traced, whole
 from ..checks import tolerance as checked_tolerance
 from ..continuation import Curve, continuation
-from ..entry import checked
 from ..flow import Flow
 from ..lattice import Lattice, State
 from ..linear import normal_modes
@@ -40,7 +39,6 @@ MEMBERS = 16
 SLOW = 20
 
 
-@checked
 @one_thread
 def family(
     lattice: Lattice, until: Scalar | None = None, *, guess: Orbit | None = None, amplitude: Scalar | None = None,

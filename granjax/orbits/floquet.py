@@ -12,7 +12,6 @@ from jaxtyping import Complex, Float, Inexact, Integer
 
 from ..checks import refuse, whole, within
 from ..checks import tolerance as checked_tolerance
-from ..entry import checked
 from ..flow import Flow, linear_frequency
 from ..flow.stepping import check_moved
 from ..lattice import Lattice, vector_field
@@ -108,7 +107,6 @@ class Floquet(Result):
         return np.flatnonzero(np.abs(self.multipliers) - 1 > self.error)
 
 
-@checked
 def decide(
     multipliers: Inexact[np.ndarray, " two_n"], error: Float[np.ndarray, " two_n"], expected: int, conserves: bool,
     resolution: Scalar = RESOLUTION,
@@ -160,7 +158,6 @@ def _derivative(flow, like, x, t0, t1, args):
     return ravel_pytree(end)[0], factor
 
 
-@checked
 def floquet(
     lattice: Lattice | Flow, state: Pytree, period: Scalar, *, t0: Scalar = 0.0, steps: Count | None = None,
     solver: AbstractSolver | None = None, segments: Count = 1, tolerance: Scalar = TOLERANCE, args: Any = None,
@@ -366,7 +363,6 @@ def _product(factors):
     return total
 
 
-@checked
 def multipliers(flow: Flow, state: Pytree, t0: Scalar, period: Scalar, args: Any) -> Complex[jax.Array, " two_n"]:
     """Floquet multipliers alone, a pure function: (2n,) complex, for `jax.jacfwd`, `vmap` and `jit`.
 

@@ -14,12 +14,10 @@ from scipy.optimize import brentq
 from ..checks import parameter, positive, refuse, whole
 from ..checks import tolerance as checked_tolerance
 from ..continuation import continuation
-from ..entry import checked
 from ..flow import Flow
 from ..lattice import State
 from ..measures import rms_velocity
 from ..newton import nearby
-from ..outside import Outside
 from ..solvers import SRKN14a
 from ..tuning import one_thread
 from ..types import Count, Numbers, Scalar, StateLike
@@ -51,7 +49,6 @@ HELPS = 4
 LOCATED, APART = 1e-10, 1e-7
 
 
-@checked
 @one_thread
 def forced_branch(
     make: Callable[[Any], Any], start: Scalar, until: Scalar, *, period: Callable[[Any], Any] | Scalar,
@@ -118,8 +115,7 @@ def forced_branch(
             refuse("make", "a lattice under forcing", "none", "Breathers over their frequency: gx.breathers.family.")
         checked_symmetry(lattice, Symmetry(), guess, t0, T)
     shooting, x = prepared(lattice, T, guess, flow, jnp.asarray(t0, lattice.dtype), segments, jnp.asarray(transient))
-    family = Family(shooting, make, period, jnp.asarray(start), jnp.asarray(until - start),
-                    Outside((make, period)))
+    family = Family(shooting, make, period, jnp.asarray(start), jnp.asarray(until - start))
     settings = {"tolerance": newtons(tolerance, lattice.dtype, LEFT_ON_BRANCH), "find": ("fold",)}
     first = continuation(family.residual, x, 0.0, linearise=family.linearise, points=1, **settings)
     # the unit of length: the first orbit, or where its slope over the whole way leads, if that is more

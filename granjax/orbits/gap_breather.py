@@ -10,7 +10,6 @@ from diffrax import AbstractSolver
 
 from ..checks import positive, refuse, traced, whole
 from ..checks import tolerance as checked_tolerance
-from ..entry import checked
 from ..flow import Flow
 from ..lattice import Lattice, State
 from ..linear import FloquetBands, floquet_bands
@@ -85,7 +84,6 @@ class GapBreather(Result):
         return State(*jax.tree.map(lambda x: jnp.asarray(x[0]), (self.us, self.vs)))
 
 
-@checked
 @one_thread
 def k_gap_breather(
     lattice: Lattice, period: Scalar, k: Scalar | None = None, *, amplitude: Scalar | None = None, t0: Scalar = 0.0,

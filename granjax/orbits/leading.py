@@ -13,7 +13,6 @@ from scipy.sparse.linalg import ArpackError, ArpackNoConvergence, LinearOperator
 
 from ..checks import refuse, whole
 from ..checks import tolerance as checked_tolerance
-from ..entry import checked
 from ..flow import Flow
 from ..lattice import Lattice
 from ..printing import told
@@ -51,7 +50,6 @@ def _push(flow, y, t0, period, args, direction):
     return ravel_pytree(flow.tangents(y, tangent, t0, t0 + period, args)[1])[0]
 
 
-@checked
 def leading(
     lattice: Lattice, state: StateLike, period: Scalar, count: Count = 6, *, t0: Scalar = 0.0,
     steps: Count | None = None, solver: AbstractSolver | None = None, tolerance: Scalar = 1e-9,

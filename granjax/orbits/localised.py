@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Float
 
 from ..checks import traced
-from ..entry import checked
 from ..lattice import Lattice, State
 from ..linear.cell import unit_cell
 from ..measures import participation, site_energy
@@ -68,7 +67,6 @@ class Localisation(NamedTuple):
     def __str__(self) -> str:
         return f"{self.participation:.3g} of {self.cells} cells share its energy"
 
-    @checked
     def why_not(self, kind: str, guess: "Localisation") -> str | None:
         """A sentence on why this is no breather of a kind, "bright", "dark" or "any", or `None` where it is one."""
         strayed = kind == "bright" and self.participation > max(2 * guess.participation, STRAYED * self.cells)
@@ -81,7 +79,6 @@ class Localisation(NamedTuple):
         return f"Not localised: {self} (participation number; of the guess {guess.participation:.3g}){dip}. {WAVES}"
 
 
-@checked
 def localisation(lattice: Lattice, state: StateLike) -> Localisation:
     """The `Localisation` of a state at rest.
 

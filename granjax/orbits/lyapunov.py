@@ -11,7 +11,6 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
 from ..checks import held_in_memory, positive, refuse, whole
-from ..entry import checked
 from ..flow import Flow
 from ..flow.stepping import columns, matrix
 from ..lattice import Lattice, State
@@ -58,7 +57,6 @@ class Lyapunov(Result):
         return bool(self.exponents[0] > self.uncertainty[0])
 
 
-@checked
 def lyapunov(
     lattice: Lattice, state: StateLike, period: Scalar, *, periods: Count = 1000, transient: Count = 100,
     number: Count = 1, windows: Count = 10, steps: Count | None = None, solver: AbstractSolver | None = None,

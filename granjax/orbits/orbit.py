@@ -13,7 +13,6 @@ from jax.flatten_util import ravel_pytree
 
 from ..checks import concrete, positive, refuse, traced, whole
 from ..checks import tolerance as checked_tolerance
-from ..entry import checked
 from ..flow import Flow
 from ..flow.inputs import held_frames
 from ..lattice import Lattice, State, vector_field
@@ -149,14 +148,12 @@ class Orbit(Result):
         size, error = (max(float(largest(y.u)), float(largest(y.v) / self.omega)) for y in pair)
         return f"It is known to {error / size:.1e} of its size." if size > 0 and np.isfinite(error) else ""
 
-    @checked
     def run(self, frames: Count = FRAMES) -> OrbitRun:
         """The orbit in time, `OrbitRun`."""
         held_frames("frames", whole("frames", frames, 2), self.state)
         _, ts, ys = _history(self.flow, self.lattice, self.state, self.t0, self.period, frames)
         return OrbitRun(ts, ys.u, ys.v, **self.lattice.origin)
 
-    @checked
     def harmonics(self, count: Count = 1, frames: Count = FRAMES) -> Displacements:
         r"""Complex Fourier amplitudes c_k of every displacement, u = Re sum_k c_k exp(2 pi i k t/T), k = 0 ... count.
 
@@ -205,7 +202,6 @@ class Orbit(Result):
         return floquet(self.lattice, self.state, float(self.period), t0=float(self.t0), **keywords)
 
 
-@checked
 @one_thread
 def orbit(
     lattice: Lattice, guess: StateLike, period: Scalar, *, symmetry: Symmetry = Symmetry(), t0: Scalar = 0.0,
@@ -270,7 +266,6 @@ def orbit(
     return checked_orbit(Orbit(state, period, lattice, root, flow, t0, symmetry, error), guess, throw)
 
 
-@checked
 def forced_orbit(lattice: Lattice, period: Scalar, guess: StateLike | None = None, **keywords: Any) -> Orbit:
     """A T-periodic orbit of a lattice under T-periodic forcing, y(t0 + T) = y(t0): `gx.orbits.orbit`.
 

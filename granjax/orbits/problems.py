@@ -11,10 +11,8 @@ from jaxtyping import Float
 
 from ..checks import described, refuse
 from ..continuation import Curve
-from ..entry import shape_of
 from ..flow import Flow
 from ..lattice import Lattice, State, spread_mass, vector_field
-from ..outside import Outside
 from ..printing import told
 from ..types import AnyArray, Count, Number, Numbers, Scalar, StateLike
 from .symmetry import Symmetry, free_moves, shifts
@@ -222,7 +220,6 @@ class Family(eqx.Module):
     period: Callable | Scalar
     start: Scalar = 0.0
     span: Scalar = 1.0
-    outside: Outside = Outside()
     __repr__ = told
 
     def value(self, q: Number) -> Number:
@@ -265,7 +262,7 @@ def made(make: Callable, period: Callable | Scalar, p: Scalar) -> tuple[Lattice,
     lattice, T = make(jnp.asarray(p)), period_at(period, p)
     if not isinstance(lattice, Lattice):
         refuse("make", "a function of a number that gives a Lattice", f"one that gives {described(lattice)}")
-    if shape_of(T) != () or not 0 < float(T) < np.inf:
+    if np.ndim(T) or not 0 < float(T) < np.inf:
         refuse("period", "a time above zero, or a function that gives one", described(T))
     return lattice, jnp.asarray(T)
 

@@ -6,7 +6,6 @@ from scipy.linalg import eig, eigh
 from scipy.optimize import linear_sum_assignment
 
 from ..checks import described, real, refuse
-from ..entry import checked
 from ..tuning import one_thread
 from ..types import Parameter, Scalar
 
@@ -18,7 +17,6 @@ REGULAR, ALIGNED = 10, 0.95
 Map = Float[np.ndarray, "n n"]
 
 
-@checked
 @one_thread
 def spectrum(
     fine: Map, coarse: Map | None = None, coarser: Map | None = None, *, moved: Scalar = 0.0,
@@ -109,7 +107,6 @@ def change(fine: np.ndarray, coarse: np.ndarray, coarser: np.ndarray) -> np.ndar
     return max(near, far, coarse - coarser, key=np.linalg.norm)
 
 
-@checked
 @one_thread
 def product_multipliers(factors: Parameter) -> Inexact[np.ndarray, " n"]:
     """Eigenvalues of the product M_m ... M_1 from its factors, small ones kept beside large ones.
@@ -166,7 +163,6 @@ def _copies(roots, m):
     return found
 
 
-@checked
 @one_thread
 def reversible_multipliers(half: Map, coarse: Map | None = None, coarser: Map | None = None) -> tuple:
     r"""Multipliers of a time-reversible orbit from the tangent map of half a period between rests, with errors.

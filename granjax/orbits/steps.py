@@ -9,7 +9,6 @@ import numpy as np
 from diffrax import AbstractSolver, Dopri8
 
 from ..checks import concrete, described, refuse, traced, whole
-from ..entry import checked, shape_of
 from ..flow import Flow, frequency_bound, linear_frequency
 from ..flow.dispatch import facts
 from ..flow.inputs import held_frames
@@ -32,7 +31,6 @@ def fixed_step_solver(lattice: Lattice, solver: AbstractSolver | None, otherwise
     return otherwise if facts(lattice).splits else Dopri8()
 
 
-@checked
 def default_steps(
     lattice: Lattice, period: Scalar, multiple: Count = 1, *, fineness: Scalar = FINE, doubled: bool = False,
     guess: StateLike | None = None,
@@ -87,12 +85,11 @@ def flow_over(
 def answered(response: Callable, lattice: Lattice, ys: State, ts: Times) -> Numbers:
     """The number that a response gives of a history."""
     found = response(lattice, ys.u, ys.v, ts)
-    if shape_of(found) != ():
+    if np.ndim(found):
         refuse("response", "a function (lattice, u, v, t) that gives one number", f"one that gives {described(found)}")
     return jnp.asarray(found)
 
 
-@checked
 def history(
     flow: Flow, lattice: Lattice, state: StateLike, t0: Scalar, period: Scalar, frames: Count, periods: Count = 1,
 ) -> tuple[State, Times, State]:

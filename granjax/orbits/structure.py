@@ -6,7 +6,6 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from ..entry import checked
 from ..lattice import Lattice
 from ..printing import told
 from ..types import Scalar
@@ -30,7 +29,6 @@ class Structure(NamedTuple):
 NOTHING = Structure(None, None, 0, False)
 
 
-@checked
 def structure(lattice: Lattice) -> Structure:
     """The `Structure` of a lattice.
 

@@ -12,12 +12,10 @@ from jaxtyping import Float, Integer
 
 from ..checks import concrete, held_in_memory, parameter, refuse, whole
 from ..checks import tolerance as checked_tolerance
-from ..entry import checked
 from ..flow import Flow
 from ..flow.inputs import held_frames
 from ..lattice import State
 from ..measures import rms_velocity
-from ..outside import Outside
 from ..printing import told
 from ..programs import shared_size
 from ..results import STATE, Held, Result
@@ -135,7 +133,6 @@ class Sweep(Result):
         return f"Up: {self.up.outcome} Down: {self.down.outcome} They differ {where}."
 
 
-@checked
 def sweep(
     make: Callable[[Any], Any], values: Parameter, period: Callable[[Any], Any] | Scalar, *,
     state: StateLike | None = None, response: Callable[[Any, Any, Any, Any], Any] = rms_velocity,
@@ -200,11 +197,10 @@ def sweep(
         refuse("state", "numbers known before tracing", "a traced state", "A sweep runs outside of transformations.")
 
     period = period if callable(period) else jnp.asarray(float(period))
-    outside = Outside((make, period, response))
 
     def run(value, y, tolerance, most):
         numbers = jnp.asarray(value), y, jnp.asarray(tolerance), jnp.asarray(most)
-        return _run(make, period, response, flow, periods, watch, *numbers, outside)
+        return _run(make, period, response, flow, periods, watch, *numbers)
 
     def attractor(value, y, share=1.0):
         """What is settled to a share of the tolerance, run longer than the budget if need be."""
@@ -221,7 +217,7 @@ def sweep(
         return found
 
     def with_errors(value, found):
-        rest = flow, watch, jnp.asarray(value), found, jnp.asarray(periods), jnp.asarray(tolerance), outside
+        rest = flow, watch, jnp.asarray(value), found, jnp.asarray(periods), jnp.asarray(tolerance)
         return {name: x for name, x in found.items() if name != "rate"} | _errors(make, period, response, *rest)
 
     up = _way(attractor, with_errors, values, state, jump, accuracy, 1, first.origin)
@@ -233,7 +229,7 @@ def sweep(
 
 
 @eqx.filter_jit
-def _run(make, period, response, flow, periods, watch, value, y, tolerance, most, outside):
+def _run(make, period, response, flow, periods, watch, value, y, tolerance, most):
     """What is found at a value, and whether it settles still."""
     lattice, T = make(value), period_at(period, value)
     y, used, multiple, changes, once, rate = follow(flow, lattice, y, T, periods, tolerance, most)
@@ -244,7 +240,7 @@ def _run(make, period, response, flow, periods, watch, value, y, tolerance, most
 
 
 @eqx.filter_jit
-def _errors(make, period, response, flow, watch, value, found, periods, tolerance, outside):
+def _errors(make, period, response, flow, watch, value, found, periods, tolerance):
     """The errors of what is found at a value."""
     lattice, T, multiple = make(value), jnp.asarray(period_at(period, value)), found["multiple"]
     y, left = otherwise(flow, lattice, found["states"], T, jnp.maximum(multiple, 1), periods, tolerance, found["rate"])

@@ -8,7 +8,6 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
 from ..checks import whole
-from ..entry import checked
 from ..flow.dispatch import facts
 from ..lattice import Lattice
 from ..types import Count, Numbers, Pytree, StateLike
@@ -16,7 +15,6 @@ from ..types import Count, Numbers, Pytree, StateLike
 NOT_RESISTED = 1e-9
 
 
-@checked
 class Symmetry(eqx.Module):
     r"""S of y(t0 + T) = S y(t0): displacements moved by some cells, reflected, with a sign; velocities alike.
 
@@ -47,7 +45,6 @@ class Symmetry(eqx.Module):
         """Whether it is the identity."""
         return self == Symmetry()
 
-    @checked
     def matrix(self, like: StateLike) -> Float[np.ndarray, "two_n two_n"]:
         """S over the raveled state, (2n, 2n); S^-1 is its transpose."""
         flat, unravel = ravel_pytree(like)
@@ -57,7 +54,6 @@ class Symmetry(eqx.Module):
         turned = -other.cells if self.mirror else other.cells
         return Symmetry(self.cells + turned, self.mirror != other.mirror, self.sign * other.sign)
 
-    @checked
     def __call__(self, y: Pytree) -> Pytree:
         """S of displacements, or of a state."""
         def one(x):
@@ -67,7 +63,6 @@ class Symmetry(eqx.Module):
         return y if self.trivial else jax.tree.map(one, y)
 
 
-@checked
 def Translation(cells: Count = 1) -> Symmetry:
     """The wave reappears `cells` further on after a period: a rotating wave of a ring, or one that travels.
 
@@ -101,7 +96,6 @@ def Sign() -> Symmetry:
     return Symmetry(sign=-1)
 
 
-@checked
 def shifts(lattice: Lattice) -> Float[jax.Array, "n k"]:
     """Uniform displacements that cost nothing, as columns (n, k) over the raveled displacements.
 

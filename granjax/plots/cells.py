@@ -7,7 +7,6 @@ from matplotlib.axes import Axes
 from matplotlib.colors import CenteredNorm
 
 from ..checks import refuse
-from ..entry import checked
 from ..types import Count
 from ..units import UnitsOrWords
 from .arrays import having, numbers, rising
@@ -15,7 +14,6 @@ from .quantities import Axis, drawn_in, scaled_by, units_of
 from .style import AxesOrNone, add_colour_bar, axes_or_new, colour
 
 
-@checked
 def cell_wave(wave: Any, ax: AxesOrNone = None, *, tail: bool = True, units: UnitsOrWords = None) -> Axes:
     """Strain of a wave as each contact of its cell sees it, with an inset of the tail on a logarithmic scale.
 
@@ -60,7 +58,6 @@ def cell_wave(wave: Any, ax: AxesOrNone = None, *, tail: bool = True, units: Uni
     return ax
 
 
-@checked
 def resonance_map(
     record: Any, ax: AxesOrNone = None, *, marks: Count = 0, units: UnitsOrWords = None, colour_bar: bool = True,
 ) -> Axes:

@@ -7,7 +7,6 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
 from ..checks import one_of, parameter, refuse, within
-from ..entry import checked
 from ..types import Parameter, Scalar
 from ..units import UnitsOrWords
 from .arrays import Samples, numbers
@@ -17,7 +16,6 @@ from .style import COLOURS, DASHES, FAINT, AxesOrNone, axes_or_new, colour
 INSETS = ("log", "none")
 
 
-@checked
 def profile(
     x: Parameter, y: Samples, ax: AxesOrNone = None, *, labels: str | Sequence[str] | None = None,
     points: tuple | list | None = None, points_label: str | None = None, inset: str | None = "log",
@@ -99,7 +97,6 @@ def _curves(ax, x, y, points, labels, points_label, scale=1.0):
         ax.plot(*points, "o", color=COLOURS[2], label=points_label, **style)
 
 
-@checked
 def transmission(
     mass_ratio: Parameter, transmission: Samples, ax: AxesOrNone = None, *, resonances: Parameter | None = None,
     anti_resonances: Parameter | None = None, label: str | Sequence[str] | None = None,

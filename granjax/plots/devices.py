@@ -7,7 +7,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
-from ..entry import checked
 from ..units import UnitsOrWords
 from .arrays import having, numbers
 from .quantities import Axis, drawn_in, scaled_by, units_of, units_of_both
@@ -19,7 +18,6 @@ DECADES = 4
 SIDES = ("defect's side", "other side")
 
 
-@checked
 def truth_table(found: Any, ax: AxesOrNone = None, *, units: UnitsOrWords = None) -> Axes:
     """Output of a gate for every combination of its inputs, with the thresholds that make it an OR, an AND, a XOR.
 
@@ -61,7 +59,6 @@ def truth_table(found: Any, ax: AxesOrNone = None, *, units: UnitsOrWords = None
     return ax
 
 
-@checked
 def switch(found: Any, ax: AxesOrNone = None, *, units: UnitsOrWords = None) -> Axes:
     """Output of a switch over its control, with and without the signal; where it passes half of its largest is shaded.
 
@@ -101,7 +98,6 @@ def switch(found: Any, ax: AxesOrNone = None, *, units: UnitsOrWords = None) -> 
     return ax
 
 
-@checked
 def rectifier(found: Any, ax: AxesOrNone = None, *, orbits: Any = None, units: UnitsOrWords = None) -> Axes:
     """Power that a rectifier transmits from either side over the drive's amplitude; rings where it does not repeat.
 
@@ -148,7 +144,6 @@ def rectifier(found: Any, ax: AxesOrNone = None, *, orbits: Any = None, units: U
     return ax
 
 
-@checked
 def sound_bullet(found: Any, ax: AxesOrNone = None) -> Axes:
     """How much higher a focus is driven by one, two, ... channels that meet there than by one, and without delays.
 
@@ -182,7 +177,6 @@ def sound_bullet(found: Any, ax: AxesOrNone = None) -> Axes:
     return ax
 
 
-@checked
 def two_way(
     found: Any, axes: Sequence[Axes] | np.ndarray | None = None, *, units: UnitsOrWords = None
 ) -> np.ndarray:

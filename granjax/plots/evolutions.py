@@ -7,7 +7,6 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from ..checks import refuse
-from ..entry import checked
 from ..units import UnitsOrWords
 from .arrays import having, numbers, rising
 from .histories import space_time
@@ -18,7 +17,6 @@ from .style import COLOURS, AxesOrNone, add_colour_bar, axes_or_new, several_axe
 FLOOR = 1e-17
 
 
-@checked
 def evolution(
     found: Any, axes: Sequence[Axes] | np.ndarray | None = None, *, scale: str = "linear", units: UnitsOrWords = None,
 ) -> np.ndarray:
@@ -78,7 +76,6 @@ def _change(x, most):
     return moved * (float(most) / (moved.max() or 1.0))
 
 
-@checked
 def gap_breather(found: Any, ax: AxesOrNone = None, *, units: UnitsOrWords = None) -> Axes:
     """Energy of a breather of a k-gap once a period, beside the growth and decay of the linear waves.
 

@@ -6,7 +6,6 @@ import numpy as np
 from matplotlib.animation import FuncAnimation
 
 from ..checks import one_of, positive, refuse, whole
-from ..entry import checked
 from ..types import Count, Scalar
 from ..units import UnitsOrWords
 from .arrays import is_run, numbers, opened
@@ -16,7 +15,6 @@ from .quantities import Axis, drawn_in, scaled_by, units_of, units_of_both
 from .style import COLOURS, AxesOrNone, add_colour_bar, figure, style
 
 
-@checked
 def film(
     run: Any, places: Any = None, *, quantity: Any = "v", limit: Scalar | None = None, label: str | None = None,
     frames: Count | None = None, rate: Count = 20, move: Scalar = 0.0, radius: Scalar | None = None,

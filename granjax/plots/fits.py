@@ -10,7 +10,6 @@ from matplotlib.patches import Ellipse
 from matplotlib.ticker import MaxNLocator
 
 from ..checks import refuse, show, whole
-from ..entry import checked
 from ..types import Count, Parameter, Scalar
 from ..units import UnitsOrWords
 from .arrays import having, numbers, rising
@@ -21,7 +20,6 @@ from .style import COLOURS, FAINT, AxesOrNone, style
 REACH = 3.5
 
 
-@checked
 def fit(
     result: Any, ax: Axes | Shaped[np.ndarray, "..."] | None = None, *, sensors: Sequence[Count] | None = None,
     units: UnitsOrWords = None, x_label: str = "time", y_label: str | None = None,
@@ -102,7 +100,6 @@ def _counted(units, said, x_label, y_label, columns):
              by_kind[kind]) for times, data, fitted, kind in plain]
 
 
-@checked
 def corner(
     result: Any, axes: Axes | Shaped[np.ndarray, "..."] | None = None, *, truths: dict[str, Scalar] | None = None,
     labels: Sequence[str] | None = None, units: UnitsOrWords = None,
@@ -186,7 +183,6 @@ def corner(
     return axes
 
 
-@checked
 def law(
     strain: Parameter, force: Parameter, low: Parameter, high: Parameter, ax: AxesOrNone = None, *,
     label: str = "identified", band: str | None = None, truth: Parameter | None = None, truth_label: str = "true",
@@ -276,7 +272,6 @@ def _ellipses(ax, centre, matrix):
     ax.plot(*centre, ".", color=COLOURS[0], ms=4)
 
 
-@checked
 def planar(record: Any, ax: AxesOrNone = None, *, units: UnitsOrWords = None) -> Axes:
     """Phase plane of a planar equation: the measured wave, its homoclinic and periodic orbit, and the equilibria.
 

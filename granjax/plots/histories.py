@@ -10,7 +10,6 @@ from matplotlib.colors import LogNorm, Normalize, TwoSlopeNorm
 from matplotlib.ticker import MaxNLocator
 
 from ..checks import one_of, positive, refuse, within
-from ..entry import checked
 from ..types import Parameter, Scalar
 from ..units import SCALED, UnitsOrWords
 from .arrays import Samples, having, history, is_run, numbers, rising
@@ -25,7 +24,6 @@ SIGNED = 0.02
 FINE = 1000
 
 
-@checked
 def space_time(
     run_or_array: Any, ax: AxesOrNone = None, *, quantity: str | Samples = "v", ts: Parameter | None = None,
     sites: Parameter | None = None, scale: str = "linear", floor: Scalar = 1e-4, limit: Scalar | None = None,
@@ -138,7 +136,6 @@ def _ends(x):
     return x[0] - half, x[-1] + half
 
 
-@checked
 def traces(
     ts: Any, qs: str | Samples = "v", sites: Parameter | None = None, ax: AxesOrNone = None, *,
     offset: Scalar | None = None, labels: Sequence | None = None, label: str | None = None,

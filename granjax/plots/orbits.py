@@ -8,7 +8,6 @@ from matplotlib.axes import Axes
 from scipy.interpolate import Akima1DInterpolator
 
 from ..checks import one_of, refuse
-from ..entry import checked
 from ..types import Count
 from ..units import UnitsOrWords
 from .arrays import having, history, numbers, rising
@@ -34,7 +33,6 @@ _ORBITS = {
 }
 
 
-@checked
 def floquet_circle(fl: Any, ax: AxesOrNone = None, *, legend: bool = True, units: UnitsOrWords = None) -> Axes:
     r"""Floquet multipliers in the complex plane with the unit circle.
 
@@ -89,7 +87,6 @@ def unstable_of(fl: Any) -> np.ndarray:
     return np.setdiff1d(outside, symmetry)
 
 
-@checked
 def breather(
     breather: Any, fl: Any = None, axes: Sequence[Axes] | np.ndarray | None = None, *, mode: Count | None = None,
     field: str | None = None, units: UnitsOrWords = None,
@@ -221,7 +218,6 @@ def _written(rho, complex_pair):
     return f"{rho.real:.6f} {'-' if rho.imag < 0 else '+'} {abs(rho.imag):.6f}i"
 
 
-@checked
 def branch(
     br: Any, axes: Sequence[Axes] | np.ndarray | None = None, *, bands: Any = None, marks: Any = None,
     units: UnitsOrWords = None, omega_label: str = r"angular frequency $\omega_b$", p_label: str = "coupling",
@@ -328,7 +324,6 @@ def _within(at, low, high, event, i):
     return places[np.argmin(np.abs(away))] if inside else None
 
 
-@checked
 def hysteresis(
     sweep: Any, ax: AxesOrNone = None, *, orbits: Any = None, units: UnitsOrWords = None,
     x_label: str = "parameter", y_label: str = "response",
@@ -388,7 +383,6 @@ def _ways(sweep):
     return values, up, down, intervals
 
 
-@checked
 def strain_map(run: Any, ax: AxesOrNone = None, **options: Any) -> Axes:
     """Space-time map of the strain of a chain, y_n = u_n - u_{n+1} (compression positive) at n + 1/2.
 

@@ -10,7 +10,6 @@ from matplotlib.collections import EllipseCollection, LineCollection
 from matplotlib.patches import Polygon
 
 from ..checks import positive, refuse, whole
-from ..entry import checked
 from ..types import Count, Scalar
 from ..units import UnitsOrWords
 from .arrays import having, numbers
@@ -23,7 +22,6 @@ CLOSED = 1e-9
 MANY = 3000
 
 
-@checked
 def beads(
     places: Any, values: Any = None, ax: AxesOrNone = None, *, network: Any = None, radius: Scalar | None = None,
     label: str = "quantity", limit: Scalar | None = None, units: UnitsOrWords = None, colour_bar: bool = True,
@@ -136,7 +134,6 @@ def frame(ax: Axes, at: Float[np.ndarray, "N 2"], radius: Scalar, by: Shown) -> 
     ax.set_ylabel(by.label.replace("length", "y"))
 
 
-@checked
 def bands(record: Any, ax: AxesOrNone = None, *, units: UnitsOrWords = None, colour_bar: bool = True) -> Axes:
     """Bands along a path through the zone, or those of a strip coloured by the edge to which a wave is bound.
 
@@ -183,7 +180,6 @@ def bands(record: Any, ax: AxesOrNone = None, *, units: UnitsOrWords = None, col
     return ax
 
 
-@checked
 def zone(
     record: Any, band: Count = 0, ax: AxesOrNone = None, *, levels: Count = 12, velocity: bool = False,
     units: UnitsOrWords = None, colour_bar: bool = True,
@@ -231,7 +227,6 @@ def zone(
     return ax
 
 
-@checked
 def radial_profile(
     record: Any, ax: AxesOrNone = None, *, label: str = "quantity", units: UnitsOrWords = None,
 ) -> Axes:

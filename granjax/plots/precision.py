@@ -6,7 +6,6 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from ..checks import one_of, refuse
-from ..entry import checked
 from ..units import SI, UnitsOrWords
 from .arrays import having, numbers
 from .quantities import Axis, drawn_in, scaled_by
@@ -20,7 +19,6 @@ MARKS = ("o", "s", "^", "D", "v", "P", "X")
 DEFAULT = "default"
 
 
-@checked
 def work_precision(wp: Any, ax: AxesOrNone = None, *, against: str = "time", units: UnitsOrWords = None) -> Axes:
     """Error against the work that it takes, both logarithmic: down and to the left is better.
 

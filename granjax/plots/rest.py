@@ -7,7 +7,6 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from ..checks import one_of, refuse
-from ..entry import checked
 from ..units import SCALED, UnitsOrWords
 from .arrays import having, numbers
 from .quantities import OMEGA, Axis, drawn_in, scaled_by, units_of, units_of_both
@@ -16,7 +15,6 @@ from .style import COLOURS, FAINT, several_axes
 COMPONENTS = "xyz"
 
 
-@checked
 def kink(
     found: Any, axes: Sequence[Axes] | np.ndarray | None = None, *, barrier: Any = None, units: UnitsOrWords = None,
 ) -> np.ndarray:
@@ -108,7 +106,6 @@ def _barrier(ax, barrier, ends, by):
     ax.legend(loc="upper center", ncols=3, frameon=False, fontsize="small", columnspacing=1.0, handletextpad=0.4)
 
 
-@checked
 def equilibrium(
     found: Any, axes: Sequence[Axes] | np.ndarray | None = None, *, field: str | None = None,
     units: UnitsOrWords = None,

@@ -8,7 +8,6 @@ from matplotlib.axes import Axes
 from scipy.interpolate import CubicSpline
 
 from ..checks import one_of, positive, refuse
-from ..entry import checked
 from ..types import Parameter, Scalar
 from ..units import UnitsOrWords
 from .arrays import having, numbers, rising
@@ -30,7 +29,6 @@ QUANTITIES = {
 FINE, LEAST = 16, 4
 
 
-@checked
 def shock(
     run_or_strain: Any, shock: Any = None, ax: AxesOrNone = None, *, problem: Any = None,
     places: Parameter | None = None, time: Scalar | None = None, over: str = "place", units: UnitsOrWords = None,
@@ -112,7 +110,6 @@ def _room(ax, edge, way):
     ax.set_xlim(*(low, max(high, edge + space)) if way > 0 else (min(low, edge - space), high))
 
 
-@checked
 def shock_core(
     run_or_strain: Any, window: Parameter, ax: AxesOrNone = None, *, beside: Mapping[str, Any] | None = None,
     problem: Any = None, places: Parameter | None = None, units: UnitsOrWords = None,
@@ -162,7 +159,6 @@ def shock_core(
     return ax
 
 
-@checked
 def shock_map(
     record: Any, ax: AxesOrNone = None, *, edges: Mapping[str, Any] | None = None, ts: Parameter | None = None,
     places: Parameter | None = None, limit: Scalar | None = None, units: UnitsOrWords = None,
@@ -225,7 +221,6 @@ class _Map(NamedTuple):
     units: str | None
 
 
-@checked
 def modulation(
     shock: Any, ax: AxesOrNone = None, *, quantity: str = "m", beside: Mapping[str, Any] | None = None,
     units: UnitsOrWords = None,

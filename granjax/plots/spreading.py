@@ -6,7 +6,6 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from ..checks import one_of
-from ..entry import checked
 from ..units import UnitsOrWords
 from .arrays import having
 from .quantities import Axis, drawn_in, scaled_by, units_of
@@ -18,7 +17,6 @@ MEASURES = {
 }
 
 
-@checked
 def spreading(
     found: Any, ax: AxesOrNone = None, *, measure: str = "moment", label: str | None = None, inset: bool = True,
     units: UnitsOrWords = None,

@@ -16,7 +16,6 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from ..checks import described, one_of, positive, refuse
-from ..entry import checked
 from ..files import target, write
 from ..types import Count, Scalar
 
@@ -67,7 +66,6 @@ def style() -> Iterator[None]:
         matplotlib.rcParams.update(kept)
 
 
-@checked
 def figure(width: Scalar = 5.0, height: Scalar = 3.6) -> Figure:
     """An empty figure without a window, to be filled by `.subplots(rows, columns)` inside `with style()`.
 
@@ -87,7 +85,6 @@ def figure(width: Scalar = 5.0, height: Scalar = 3.6) -> Figure:
     return made
 
 
-@checked
 def save(made: Any, path: str | Path, *, dpi: Scalar = 200) -> Path:
     """Write what a plot returned; the path's ending says how (png, pdf, svg; gif, mp4 for an animation).
 
@@ -106,7 +103,6 @@ def save(made: Any, path: str | Path, *, dpi: Scalar = 200) -> Path:
     return write(path, _drawn("path", made, path.suffix, dpi))
 
 
-@checked
 def drawn(made: Any, ending: str, *, dpi: Scalar = 200) -> bytes:
     """What a file with this ending (`".png"`, `".pdf"`, `".svg"`) of a picture holds, as `save` takes it.
 

@@ -7,7 +7,6 @@ from matplotlib.axes import Axes
 from matplotlib.colors import BoundaryNorm, CenteredNorm, ListedColormap, LogNorm, Normalize
 
 from ..checks import one_of, refuse
-from ..entry import checked
 from ..types import AnyArray
 from ..units import UnitsOrWords
 from .arrays import having
@@ -25,7 +24,6 @@ ROW, HANDLE = 64, 6
 KNOWN = {"stable": 0, "unstable": 1, "undecided": 3, "yes": 0, "no": 1}
 
 
-@checked
 def sweep(
     data: Any, name: str | None = None, ax: AxesOrNone = None, *, lines: str | None = None, bands: str | None = None,
     scale: str = "linear", units: UnitsOrWords = None, colour_bar: bool = True,

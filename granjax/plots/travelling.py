@@ -7,7 +7,6 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from ..checks import one_of, positive, refuse, within
-from ..entry import checked
 from ..types import Numbers, Parameter, Scalar
 from ..units import UnitsOrWords
 from .arrays import having, numbers
@@ -20,7 +19,6 @@ POWERS = 8.0
 MEASURED = {"energy": "J", "amplitude": "m", "momentum": "N s", "compression": "m", "width": ""}
 
 
-@checked
 def wave(
     wave_record: Any, ax: AxesOrNone = None, *, beside: Mapping[str, Numbers] | None = None, slope: bool = True,
     floor: Scalar = 1e-16, units: UnitsOrWords = None,
@@ -67,7 +65,6 @@ def wave(
     )
 
 
-@checked
 def front(record: Any, ax: AxesOrNone = None, *, units: UnitsOrWords = None) -> Axes:
     """Strain of a front over the place, the lattice's contacts as dots, both far states, and both tails in insets.
 
@@ -125,7 +122,6 @@ def _tail(ax, x, d, rate, name):
     ax.patch.set_alpha(0.9)
 
 
-@checked
 def wave_errors(record: Any, ax: AxesOrNone = None, *, floor: Scalar = 1e-12, units: UnitsOrWords = None) -> Axes:
     """Errors of closed forms against the exact wave over how much faster than sound it is, both logarithmic.
 
@@ -166,7 +162,6 @@ def wave_errors(record: Any, ax: AxesOrNone = None, *, floor: Scalar = 1e-12, un
     return ax
 
 
-@checked
 def wave_family(
     record: Any, ax: AxesOrNone = None, *, quantity: str = "energy", units: UnitsOrWords = None,
 ) -> Axes:
@@ -204,7 +199,6 @@ def wave_family(
     return ax
 
 
-@checked
 def reflection(
     record: Any, stiffness: Parameter, ax: AxesOrNone = None, *, rigid: Any = None,
     x_label: str = "stiffness of the wall's contact", units: UnitsOrWords = None,

@@ -7,7 +7,6 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 
 from ..checks import refuse, within
-from ..entry import checked
 from ..types import Scalar
 from ..units import UnitsOrWords
 from .arrays import having, numbers
@@ -17,7 +16,6 @@ from .style import COLOURS, AxesOrNone, add_colour_bar, axes_or_new
 CLOSED = 1e-6
 
 
-@checked
 def dispersion(
     dispersion_record: Any, ax: AxesOrNone = None, *, spectrum: Any = None, floor: Scalar = 1e-6,
     units: UnitsOrWords = None, colour_bar: bool = True,
@@ -72,7 +70,6 @@ def dispersion(
     return ax
 
 
-@checked
 def floquet_bands(bands: Any, ax: AxesOrNone = None, *, growth: bool = True, units: UnitsOrWords = None) -> Axes:
     """Quasi-frequencies of a modulated chain over the wave number, k-gaps shaded, with the growth rate on the right.
 

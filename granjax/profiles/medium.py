@@ -8,10 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import concrete, described, positive, refuse, traced
-from ..entry import checked
 from ..lattice import Lattice
 from ..laws import Law
-from ..outside import Outside
 from ..printing import told
 from ..types import Number, Numbers, Scalar
 
@@ -65,7 +63,6 @@ class Medium(NamedTuple):
         return Medium(law, mass, self.origin)
 
 
-@checked
 def medium_of(law: Law | Lattice, mass: Scalar = 1.0) -> Medium:
     """The medium of a law, or of a lattice whose sites and bonds are all alike.
 
@@ -103,7 +100,6 @@ def law_between(lattice: Lattice, wanted: str) -> Law:
     return sum(own[1:], own[0])
 
 
-@checked
 def single(argument: str, what: str, x: Any) -> Number:
     """One number out of equal ones, in the default type."""
     values = concrete(jax.lax.stop_gradient(x))
@@ -137,21 +133,20 @@ def fine_force(law: Law, e: Numbers) -> Numbers:
 
 
 @eqx.filter_jit
-def _values(law, e, outside):
+def _values(law, e):
     return fine(law, e)
 
 
 def values(law: Law, e: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Force, stiffness and energy at known compressions of any shape, by one program for each law."""
-    flat, outside = np.ravel(e), Outside(law)
+    flat = np.ravel(e)
     padded = np.zeros(-(-max(flat.size, 1) // CHUNK) * CHUNK)
     padded[: flat.size] = flat
-    parts = [_values(law, jnp.asarray(part), outside) for part in padded.reshape(-1, CHUNK)]
+    parts = [_values(law, jnp.asarray(part)) for part in padded.reshape(-1, CHUNK)]
     return tuple(np.concatenate([np.asarray(p, float) for p in x])[: flat.size].reshape(np.shape(e))
                  for x in zip(*parts))
 
 
-@checked
 def one_number(argument: str, x: Any) -> float | None:
     """A known number behind what may be differentiated; `None` for `None`."""
     if x is None:

@@ -9,7 +9,6 @@ import numpy as np
 
 from ..checks import traced
 from ..laws import Law
-from ..outside import Outside
 from ..programs import shared_size
 from ..types import Number, Numbers
 from .medium import fine_force
@@ -42,19 +41,19 @@ class Shape(eqx.Module):
     def at(self, name: str, xi: Any) -> Numbers:
         """One of them at many places: by a program of few sizes, or within the one that traces it."""
         if traced((self, xi)):
-            return _evaluated(self, name, jnp.asarray(xi, float), Outside(self))
+            return _evaluated(self, name, jnp.asarray(xi, float))
         xi = np.asarray(xi, float)
-        flat, outside, parts = xi.ravel(), Outside(self), []
+        flat, parts = xi.ravel(), []
         for begin in range(0, max(flat.size, 1), PLACES):
             part = flat[begin : begin + PLACES]
             padded = np.zeros(shared_size(max(part.size, 1)))
             padded[: part.size] = part
-            parts.append(np.asarray(_evaluated(self, name, jnp.asarray(padded), outside))[: part.size])
+            parts.append(np.asarray(_evaluated(self, name, jnp.asarray(padded)))[: part.size])
         return jnp.asarray(np.concatenate(parts).reshape(xi.shape))
 
 
 @eqx.filter_jit
-def _evaluated(shape, name, xi, outside):
+def _evaluated(shape, name, xi):
     return getattr(shape, name)(xi)
 
 

@@ -10,8 +10,6 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from ..checks import refuse, traced
-from ..entry import checked
-from ..outside import Outside
 from ..printing import told
 from .existence import Bounds, reached, side_of, twice_energy
 from .medium import Medium, fine, fine_force, one_number, values
@@ -90,7 +88,6 @@ class _Problem(NamedTuple):
         return energy
 
 
-@checked
 def wave_of(
     medium: Medium, speed: Any = None, amplitude: Any = None, energy: Any = None, side: str | None = None,
 ) -> Solved:
@@ -280,7 +277,7 @@ def _assembled(medium, problem, tent, found, error, numbers):
     rate = decay_rate(np.exp(found.level) / problem.linear) if problem.linear > 0 else 0.0
     steep = rate or float(found.q[-2] - found.q[-1]) / places.apart
     shape, energy, compression = _whole(
-        law, mass, speed, jnp.asarray(unit), q, jnp.asarray(places.apart), jnp.asarray(steep), Outside(law))
+        law, mass, speed, jnp.asarray(unit), q, jnp.asarray(places.apart), jnp.asarray(steep))
     exponent = np.nan if problem.linear > 0 else problem.exponent(SMALL)
     if traced((law, mass, numbers)):
         rate, exponent = _tails(law, mass * speed**2, rate, exponent, unit)
@@ -303,7 +300,7 @@ def _tails(law, level, rate, exponent, unit):
 
 
 @eqx.filter_jit
-def _whole(law, mass, speed, unit, q, apart, steep, outside):
+def _whole(law, mass, speed, unit, q, apart, steep):
     """The shape, its energy and its compression, by one program for each number of places."""
     places = Places(len(q), apart, 0.0)
     shape = TentShape.of(law, mass, speed, unit, places.coefficients(q), apart, steep)

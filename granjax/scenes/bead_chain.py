@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import concrete, described, held_in_memory, one_of, positive, refuse, show, whole
-from ..entry import checked
 from ..lattice import Lattice
 from ..laws import Hertz
 from ..materials import Material, bead_mass, hertz_coefficient, named, stack
@@ -17,7 +16,6 @@ from ..types import Count, Parameter, Scalar
 from ..units import SI
 
 
-@checked
 def beads(
     materials: str | Material | Sequence[str | Material], radii: Parameter, precompression: Parameter = 0.0, *,
     cells: Count | None = None, wall: str | Material | Sequence[str | Material] | None = None, boundary: str = "fixed",
@@ -82,7 +80,6 @@ def beads(
     return Lattice(mass, terms, sites=sites, units=SI)
 
 
-@checked
 def struck(
     materials: str | Material | Sequence[str | Material], radii: Parameter, striker: tuple[str | Material, Scalar], *,
     cells: Count | None = None, wall: str | Material | None = None, damping_time: Scalar | None = None,

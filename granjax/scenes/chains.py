@@ -4,7 +4,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import concrete, held_in_memory, one_of, parameter, positive, refuse, show, whole, within
-from ..entry import checked
 from ..lattice import Lattice
 from ..laws import Hertz, Polynomial, PowerLaw, Toda
 from ..strains import BOUNDARIES, Shift
@@ -59,7 +58,6 @@ def _sites(sites):
     return sites
 
 
-@checked
 def monomer(
     sites: Count, mass: Parameter = 1.0, stiffness: Parameter = 1.0, exponent: Parameter = 1.5,
     precompression: Parameter = 0.0, boundary: str = "fixed",
@@ -91,7 +89,6 @@ def monomer(
     return _power_chain(sites, mass, stiffness, exponent, precompression, boundary)
 
 
-@checked
 def pattern(
     sites: Count, masses: Parameter, *, stiffness: Parameter = 1.0, exponent: Parameter = 1.5,
     precompression: Parameter = 0.0, boundary: str = "fixed",
@@ -121,7 +118,6 @@ def pattern(
     return _power_chain(sites, mass, stiffness, exponent, precompression, boundary)
 
 
-@checked
 def dimer(
     sites: Count, ratio: Scalar = 0.5, *, stiffness: Parameter = 1.0, exponent: Parameter = 1.5,
     precompression: Parameter = 0.0, boundary: str = "fixed",
@@ -147,7 +143,6 @@ def dimer(
                    precompression=precompression, boundary=boundary)
 
 
-@checked
 def trimer(
     sites: Count, ratios: Parameter = (0.5, 0.25), *, stiffness: Parameter = 1.0, exponent: Parameter = 1.5,
     precompression: Parameter = 0.0, boundary: str = "fixed",
@@ -173,7 +168,6 @@ def trimer(
                    boundary=boundary)
 
 
-@checked
 def n_to_one(
     sites: Count, beads: Count, ratio: Scalar = 0.5, *, stiffness: Parameter = 1.0, exponent: Parameter = 1.5,
     precompression: Parameter = 0.0, boundary: str = "fixed",
@@ -198,7 +192,6 @@ def n_to_one(
                    boundary=boundary)
 
 
-@checked
 def defects(
     sites: Count, masses: dict[Count, Scalar], *, mass: Scalar = 1.0, stiffness: Parameter = 1.0,
     exponent: Parameter = 1.5, precompression: Parameter = 0.0, boundary: str = "fixed",
@@ -234,7 +227,6 @@ def defects(
     return _power_chain(sites, m, stiffness, exponent, precompression, boundary)
 
 
-@checked
 def taper(
     sites: Count, q: Scalar = 0.05, *, stiffness: Scalar = 1.0, precompression: Parameter = 0.0,
     boundary: str = "fixed",
@@ -271,7 +263,6 @@ def taper(
     return _chain(sites, R**3, Hertz(A * jnp.sqrt(share), precompression), boundary, precompression=precompression)
 
 
-@checked
 def fput(
     sites: Count, alpha: Parameter | None = None, beta: Parameter | None = None, *, mass: Parameter = 1.0,
     stiffness: Parameter = 1.0, boundary: str = "fixed",
@@ -304,7 +295,6 @@ def fput(
     return _chain(sites, mass, law, boundary, stiffness=stiffness, alpha=alpha, beta=beta)
 
 
-@checked
 def toda(
     sites: Count, *, mass: Parameter = 1.0, strength: Parameter = 1.0, rate: Parameter = 1.0, boundary: str = "free",
 ) -> Lattice:

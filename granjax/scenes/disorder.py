@@ -6,7 +6,6 @@ import jax
 import jax.numpy as jnp
 
 from ..checks import concrete, one_of, positive, random_key, refuse, within
-from ..entry import checked
 from ..lattice import Lattice
 from ..laws import Law
 from ..types import Count, Parameter, Scalar, Seed
@@ -18,7 +17,6 @@ CORRELATIONS = ("none", "alike", "opposite")
 _DRAWS = {"uniform": jax.random.uniform, "binary": jax.random.rademacher}
 
 
-@checked
 def disordered(
     sites: Count, spread: Scalar, seed: Seed = 0, *, of: str = "mass", distribution: str = "uniform",
     correlation: str = "none", law: Callable[..., Law] | None = None, mass: Scalar = 1.0, stiffness: Parameter = 1.0,

@@ -3,7 +3,6 @@
 import jax.numpy as jnp
 
 from ..checks import non_negative, one_of, positive, refuse
-from ..entry import checked
 from ..fractional import checked_order, kernel, ring_kernel, to_the_right
 from ..lattice import Lattice
 from ..laws import Law, Linear, Polynomial, Scaled, Sine
@@ -65,7 +64,6 @@ def _checked(sites, boundary):
     return sites
 
 
-@checked
 def fractional(
     sites: Count, order: Parameter = 0.5, *, law: Law | None = None, on_site: Law | None = None,
     mass: Parameter = 1.0, boundary: str = "periodic",
@@ -99,7 +97,6 @@ def fractional(
     return Lattice(mass, terms if on_site is None else (*terms, OnSite(on_site)), sites=sites)
 
 
-@checked
 def fractional_fput(
     sites: Count, order: Parameter = 0.5, *, alpha: Parameter = 0.25, beta: Parameter = 0.0,
     nonlinear: str = "all", mass: Parameter = 1.0, stiffness: Parameter = 1.0, boundary: str = "fixed",
@@ -130,7 +127,6 @@ def fractional_fput(
     return Lattice(mass, terms, sites=sites)
 
 
-@checked
 def fractional_sine_gordon(
     sites: Count, order: Parameter = 0.5, coupling: Parameter = 1.0, *, mass: Parameter = 1.0,
     stiffness: Parameter = 1.0, wavenumber: Parameter = 1.0, boundary: str = "periodic",

@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import concrete, non_negative, one_of, parameter, positive, refuse, show, whole
-from ..entry import checked
 from ..lattice import Lattice
 from ..laws import Polynomial, PowerLaw
 from ..strains import BOUNDARIES
@@ -26,7 +25,6 @@ SETTLED = 1e-9
 ROUNDING = 1000
 
 
-@checked
 def magnets(
     sites: Count, exponent: Scalar = -4.0, *, mass: Parameter = 1.0, stiffness: Scalar = 1.0, spacing: Scalar = 1.0,
     diameter: Scalar = 0.0, reach: Count | None = None, boundary: str = "fixed", units: str = SCALED,
@@ -150,7 +148,6 @@ def _towards_rest(numpy, sites, reach, boundary):
     return numpy.zeros(sites + 2 * more), step, slice(more, sites + more)
 
 
-@checked
 def long_range(
     sites: Count, exponent: Scalar = 3.0, *, mass: Parameter = 1.0, stiffness: Scalar = 1.0, alpha: Scalar = 0.0,
     beta: Scalar = 0.0, reach: Count | None = None, boundary: str = "fixed", units: str = SCALED,

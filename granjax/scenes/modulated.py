@@ -5,7 +5,6 @@ from collections.abc import Callable
 import numpy as np
 
 from ..checks import concrete, non_negative, one_of, positive, refuse
-from ..entry import checked
 from ..lattice import Lattice
 from ..laws import Law, Linear
 from ..strains import BOUNDARIES, Shift
@@ -17,7 +16,6 @@ _SHAPES = {"cosine": Harmonic, "square": Square}
 _TURNS = 1e-9
 
 
-@checked
 def modulated(
     sites: Count, amplitude: Parameter = 0.1, omega: Parameter = 2.0, *, shape: str = "cosine", on: str = "bonds",
     law: Law | None = None, grounding: Parameter = 0.0, damping: Parameter = 0.0, phase: Parameter = 0.0,
@@ -51,7 +49,6 @@ def modulated(
     return _chain(sites, wave, on, law, grounding, damping, mass, boundary)
 
 
-@checked
 def travelling_modulation(
     sites: Count, amplitude: Parameter = 0.1, omega: Parameter = 0.5, wavelength: Parameter = 3.0, *,
     shape: str = "cosine", on: str = "bonds", law: Law | None = None, grounding: Parameter = 0.0,

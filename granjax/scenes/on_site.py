@@ -1,7 +1,6 @@
 """Chains with a force on every site: Newton's cradle, Klein-Gordon (phi^4), sine-Gordon."""
 
 from ..checks import non_negative, one_of, parameter, positive, refuse
-from ..entry import checked
 from ..lattice import Lattice
 from ..laws import Law, Linear, Polynomial, Sine
 from ..strains import BOUNDARIES, Shift
@@ -24,7 +23,6 @@ def _on_sites(sites, mass, law, on_site, boundary, parameters, per_site):
     return Lattice(mass, (Bond(Shift(1, boundary), law), OnSite(on_site)), sites=sites)
 
 
-@checked
 def cradle(
     sites: Count, *, mass: Parameter = 1.0, stiffness: Parameter = 1.0, exponent: Parameter = 1.5,
     precompression: Parameter = 0.0, pendulum: Parameter = 1.0, length: Parameter | None = None,
@@ -76,7 +74,6 @@ def cradle(
     return _on_sites(sites, mass, law, swing, boundary, contacts, per_site)
 
 
-@checked
 def klein_gordon(
     sites: Count, coupling: Parameter = 0.1, *, alpha: Parameter | None = None, beta: Parameter | None = None,
     law: Law | None = None, mass: Parameter = 1.0, stiffness: Parameter = 1.0, boundary: str = "free",
@@ -123,7 +120,6 @@ def klein_gordon(
     return _on_sites(sites, mass, Linear(coupling), on_site, boundary, {"coupling": coupling}, per_site)
 
 
-@checked
 def sine_gordon(
     sites: Count, coupling: Parameter = 1.0, *, mass: Parameter = 1.0, stiffness: Parameter = 1.0,
     wavenumber: Parameter = 1.0, boundary: str = "free",

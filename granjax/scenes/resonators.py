@@ -6,7 +6,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import non_negative, one_of, positive, refuse
-from ..entry import checked
 from ..lattice import Lattice
 from ..laws import Law, Linear
 from ..strains import BOUNDARIES, Pairs, Shift
@@ -18,7 +17,6 @@ from .chains import _contact, _sites
 _TIE = "A resonator without stiffness is let go: 0 leaves the chain of beads."
 
 
-@checked
 def mass_in_mass(
     sites: Count, mass: Parameter = 0.5, stiffness: Parameter = 1.0, *, bead_mass: Parameter = 1.0,
     contact_stiffness: Parameter = 1.0, exponent: Parameter = 1.5, precompression: Parameter = 0.0,
@@ -62,7 +60,6 @@ def mass_in_mass(
                      precompression, boundary, law, units)
 
 
-@checked
 def mass_with_mass(
     sites: Count, mass: Parameter = 0.5, stiffness: Parameter = 1.0, *, at: Sequence[Count] | None = None,
     bead_mass: Parameter = 1.0, contact_stiffness: Parameter = 1.0, exponent: Parameter = 1.5,
@@ -108,7 +105,6 @@ def mass_with_mass(
     return Lattice(masses, (contacts, tie), units=units)
 
 
-@checked
 def woodpile(
     sites: Count, masses: Sequence[Parameter] | Numbers = (0.5, 0.25),
     stiffnesses: Sequence[Parameter] | Numbers = (1.0, 2.0), *, bead_mass: Parameter = 1.0,

@@ -4,7 +4,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import concrete, parameter, positive, refuse, within
-from ..entry import checked
 from ..lattice import Lattice
 from ..laws import PowerLaw
 from ..types import Count, Parameter
@@ -15,7 +14,6 @@ _STIFF = "A contact of 0 < p < 1 without static force is infinitely stiff at res
 _SOFT = "0 < p < 1 softens; p = 1 is linear and p > 1 hardens: gx.scenes.monomer."
 
 
-@checked
 def foam(
     sites: Count, exponent: Parameter = 0.5, *, mass: Parameter = 1.0, stiffness: Parameter = 1.0,
     precompression: Parameter = 1.0, boundary: str = "fixed", units: str = SCALED,
@@ -56,7 +54,6 @@ def foam(
     return _softening(sites, exponent, mass, stiffness, precompression, boundary, units)
 
 
-@checked
 def hollow_cylinders(
     sites: Count, exponent: Parameter = 0.5, *, mass: Parameter = 1.0, stiffness: Parameter = 1.0,
     precompression: Parameter = 1.0, boundary: str = "fixed", units: str = SCALED,
@@ -77,7 +74,6 @@ def hollow_cylinders(
     return _softening(sites, exponent, mass, stiffness, precompression, boundary, units)
 
 
-@checked
 def origami(
     sites: Count, exponent: Parameter = 0.5, *, mass: Parameter = 1.0, stiffness: Parameter = 1.0,
     precompression: Parameter = 1.0, boundary: str = "fixed", units: str = SCALED,
@@ -99,7 +95,6 @@ def origami(
     return _softening(sites, exponent, mass, stiffness, precompression, boundary, units)
 
 
-@checked
 def tensegrity(
     sites: Count, exponent: Parameter = 0.5, *, mass: Parameter = 1.0, stiffness: Parameter = 1.0,
     precompression: Parameter = 1.0, boundary: str = "fixed", units: str = SCALED,
@@ -121,7 +116,6 @@ def tensegrity(
     return _softening(sites, exponent, mass, stiffness, precompression, boundary, units)
 
 
-@checked
 def alternating(
     sites: Count, exponents: Parameter = (1.5, 0.5), *, mass: Parameter = 1.0, stiffnesses: Parameter = (1.0, 1.0),
     precompression: Parameter = 1.0, boundary: str = "fixed", units: str = SCALED,

@@ -7,7 +7,6 @@ import jax
 import jax.numpy as jnp
 
 from ..checks import concrete, positive, refuse, show
-from ..entry import checked
 from ..lattice import Lattice
 from ..printing import told
 from ..types import Scalar
@@ -30,7 +29,6 @@ class ScaledLattice(NamedTuple):
     __repr__ = told
 
 
-@checked
 def scaled(lattice: Lattice, velocity: Scalar | None = None, *, units: Units | None = None) -> ScaledLattice:
     r"""A lattice in SI with numbers of order one, and the units that lead back.
 

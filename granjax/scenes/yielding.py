@@ -3,7 +3,6 @@
 import jax.numpy as jnp
 
 from ..checks import non_negative, one_of, parameter, positive
-from ..entry import checked
 from ..lattice import Lattice
 from ..laws import Thornton, plus_power
 from ..strains import BOUNDARIES, Shift
@@ -13,7 +12,6 @@ from ..units import SCALED
 from .chains import _sites, check_contacts
 
 
-@checked
 def plastic(
     sites: Count, *, mass: Parameter = 1.0, stiffness: Parameter = 1.0, yield_overlap: Parameter = 0.02,
     precompression: Parameter = 0.0, boundary: str = "free", units: str = SCALED,

@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import is_whole, refuse
-from ..entry import checked
 from ..flow import Integral
 from ..flow.method import GATHERED, STEP_FRACTION
 from ..flow.stiffness import frequency_bound
@@ -88,7 +87,6 @@ class Inflow(eqx.Module):
         return {"strain": at_left - at_right, "momentum": left - right, "energy": left * at_left - right * at_right}
 
 
-@checked
 def balances(
     problem: Riemann, t1: Scalar | None = None, box: tuple[int, int] | None = None, **keywords: Any,
 ) -> Balances:

@@ -6,7 +6,6 @@ import equinox as eqx
 import numpy as np
 
 from ..checks import whole
-from ..entry import checked
 from ..lattice import State
 from ..laws import Law
 from ..profiles.front import FrontShape
@@ -73,17 +72,14 @@ class DissipativeFront(Result):
     outcome: str
     _shape: FrontShape = eqx.field(kw_only=True, repr=False)
 
-    @checked
     def strain(self, xi: Parameter) -> Numbers:
         """Compression of the contacts at places xi = n - s t, of any shape [m]."""
         return self._shape.at("strain", xi)
 
-    @checked
     def velocity(self, xi: Parameter) -> Numbers:
         """Velocity of the beads at places xi [m/s]: zero ahead, `piston` behind."""
         return self._shape.at("velocity", xi)
 
-    @checked
     def displacement(self, xi: Parameter) -> Numbers:
         """Displacement of the beads at places xi from where they were ahead of the front [m].
 
@@ -91,7 +87,6 @@ class DissipativeFront(Result):
         """
         return self._shape.at("displacement", xi)
 
-    @checked
     def state(self, sites: Count, centre: Scalar | None = None) -> State:
         """Displacements and velocities (sites,) of a chain with the front at contact `centre`, a real number.
 

@@ -9,10 +9,8 @@ import numpy as np
 from scipy.optimize import brentq
 
 from ..checks import positive, refuse, traced
-from ..entry import checked
 from ..lattice import Lattice
 from ..laws import Law, Strained
-from ..outside import Outside
 from ..profiles import Medium, medium_of, tails
 from ..profiles import front as solver
 from ..profiles.front import FrontShape
@@ -43,7 +41,6 @@ class _Step(NamedTuple):
     zeta: Any
 
 
-@checked
 def dissipative_front(
     law: Law | Lattice, behind: Scalar | None = None, ahead: Scalar = 0.0, *, dashpot: Scalar | None = None,
     piston: Scalar | None = None, mass: Scalar = 1.0,
@@ -198,10 +195,10 @@ def _recorded(medium, given, known_step, front, critical, root):
     behind, ahead, piston, dashpot = (None if x is None else jnp.asarray(x, float) for x in given)
     law, mass, free = Strained(medium.law, ahead), medium.mass, traced((medium, given))
     jump = behind - ahead if behind is not None else _implicit_jump(law, mass, known_step.jump, piston)
-    step = _sides(law, mass, jump, dashpot, Outside(law)) if free else _Step(*map(jnp.asarray, known_step))
+    step = _sides(law, mass, jump, dashpot) if free else _Step(*map(jnp.asarray, known_step))
     z = _implicit(front, law, (mass, jump, dashpot), known_step) if free else jnp.asarray(solver.padded(front))
     shape = _whole(law, mass, step.speed, dashpot, ahead, step.jump, z, jnp.asarray(float(front.centre)),
-                   jnp.asarray(front.apart), Outside(law))
+                   jnp.asarray(front.apart))
     root, rate, limit = _rates(step, known_step, critical, root)
     top = _top(front)
     overshoot = jnp.sign(known_step.jump) * (shape.at("strain", top) - ahead - step.jump)
@@ -218,9 +215,9 @@ def _recorded(medium, given, known_step, front, critical, root):
         speed=step.speed, behind=ahead + step.jump, ahead=ahead, piston=step.speed * step.jump, dashpot=dashpot,
         critical=limit * mass * step.speed, kind=kind, decay_behind=jnp.real(root), wavenumber_behind=jnp.imag(root),
         decay_ahead=rate, overshoot=overshoot if above else jnp.zeros(()),
-        power=_power(law, step, Outside(law)), residual=jnp.asarray(front.residual),
-        error=jnp.asarray(error * abs(known_step.jump)), law=medium.law, mass=mass, xi=xi, strains=shape.at("strain", xi),
-        velocities=shape.at("velocity", xi), _shape=shape, **medium.origin,
+        power=_power(law, step), residual=jnp.asarray(front.residual),
+        error=jnp.asarray(error * abs(known_step.jump)), law=medium.law, mass=mass, xi=xi,
+        strains=shape.at("strain", xi), velocities=shape.at("velocity", xi), _shape=shape, **medium.origin,
         outcome=f"Found to {share:.0e} of its jump; {kind}, with {known_step.zeta / critical.zeta:.4g} of the critical "
                 "dashpot.")
 
@@ -244,7 +241,7 @@ def _top(front):
 
 
 @eqx.filter_jit
-def _sides(law, mass, jump, dashpot, outside):
+def _sides(law, mass, jump, dashpot):
     """Of a law measured from the strain ahead."""
     force = fine_force(law, jump)
     chord = force / jump
@@ -254,13 +251,13 @@ def _sides(law, mass, jump, dashpot, outside):
 
 
 @eqx.filter_jit
-def _power(law, step, outside):
+def _power(law, step):
     """What the dashpots take: the work of both forces less what the law stores and the beads keep."""
     return step.speed * (step.force * step.jump / 2 - law.energy(step.jump))
 
 
 @eqx.filter_jit
-def _whole(law, mass, speed, dashpot, ahead, jump, z, centre, apart, outside):
+def _whole(law, mass, speed, dashpot, ahead, jump, z, centre, apart):
     return FrontShape.of(law, mass, speed, dashpot, ahead, jump, z, centre, apart)
 
 
@@ -274,7 +271,7 @@ def _implicit_jump(law, mass, jump, piston):
 def _implicit(front, law, numbers, known):
     """The table of z, whose derivatives are those of the equations at fixed z over -Jacobian."""
     fixed, table = jax.lax.stop_gradient((law, numbers)), solver.padded(front)
-    parts = _slopes(*fixed, jnp.asarray(table), Outside(fixed[0]))
+    parts = _slopes(*fixed, jnp.asarray(table))
     force, zeta = (np.stack([np.asarray(x) for x in jax.tree.leaves(part)], -1) for part in parts)
     slope = values(fixed[0], known.jump * front.z)[1] * (known.jump / known.force)
     change = np.zeros((len(table), force.shape[1]))
@@ -284,7 +281,7 @@ def _implicit(front, law, numbers, known):
 
 
 @eqx.filter_jit
-def _slopes(law, numbers, z, outside):
+def _slopes(law, numbers, z):
     """Derivatives of f at the places and of zeta in every parameter of the law, and in (mass, jump, dashpot)."""
     moving, rest = eqx.partition(law, eqx.is_inexact_array)
 

@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import held_in_memory, is_whole, real, refuse, show, traced, whole
-from ..entry import checked
 from ..flow import simulate
 from ..flow.method import PASSED, STEP_FRACTION, checked_method, fixed_step
 from ..flow.stiffness import compressions, reached_frequency
@@ -57,7 +56,6 @@ class SpaceTime(Result):
         yield from ((name, value) for name, value in super()._fields() if name != "final")
 
 
-@checked
 def space_time(
     problem: Riemann, t1: Scalar | None = None, frames: Count = 400, sites: Count | Values = 400, **keywords: Any,
 ) -> SpaceTime:

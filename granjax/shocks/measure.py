@@ -7,7 +7,6 @@ import numpy as np
 from numpy.polynomial import Polynomial
 
 from ..checks import one_of, refuse, traced, whole
-from ..entry import checked
 from ..flow import Run
 from ..measures import peak_times
 from ..profiles.medium import values
@@ -52,7 +51,6 @@ class Profile(NamedTuple):
         return float(self.sign * np.max(self.sign * self.strain[self.places > 0]))
 
 
-@checked
 def measure(
     run: Run, problem: Riemann | None = None, *, side: str = "right", theory: str = "toda", points: Count = 11,
 ) -> Shock:

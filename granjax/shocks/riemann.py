@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import concrete, refuse
-from ..entry import checked
 from ..flow import Run, simulate
 from ..lattice import Lattice, State
 from ..laws import Law
@@ -73,7 +72,6 @@ class Riemann(eqx.Module):
         """The law between neighbours, from the rest of the chain as it was given; `None` where there are others."""
         return None if self._jolt is None else self._jolt.law
 
-    @checked
     def strain(self, u: Displacements) -> Numbers:
         """Total strain y_n of the bonds between sites, (..., N - 1) and lanes, from displacements (..., N) and lanes.
 
@@ -87,7 +85,6 @@ class Riemann(eqx.Module):
         u = jnp.asarray(u)
         return _cut(u, axis, 0, size - 1) - _cut(u, axis, 1, size) + self.rest
 
-    @checked
     def until(self) -> Number:
         """The time until which what the step sends out meets no end of the chain, one number or one per lane.
 
@@ -114,7 +111,6 @@ class Riemann(eqx.Module):
             refuse("t1", "a time", "None", f"None is found here: {why}.")
         return float(known)
 
-    @checked
     def run(self, t1: Scalar | None = None, **keywords: Any) -> Run:
         """`gx.simulate(*self, t1, **keywords)`; t1 is `until()` where it is not given (the shortest of the lanes).
 

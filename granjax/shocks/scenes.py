@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import concrete, per_lane, positive, refuse, show, traced, whole
-from ..entry import checked
 from ..lattice import Lattice, State
 from ..laws import Strained
 from ..printing import told
@@ -55,7 +54,6 @@ class Uniform(eqx.Module):
         return self.speed * t
 
 
-@checked
 def velocity_shock(lattice: Lattice, c: Parameter, *, centre: Parameter | None = None) -> Riemann:
     r"""Two halves of a chain that collide: u = 0, v_n = -2c sign(n - centre).
 
@@ -91,7 +89,6 @@ def velocity_shock(lattice: Lattice, c: Parameter, *, centre: Parameter | None =
     return Riemann(chain, state, c, middle - 0.5, 0.0, "velocity", _jolt(chain, [(0.0, 4 * c)]))
 
 
-@checked
 def step(lattice: Lattice, left: Parameter, right: Parameter = 0.0, *, centre: Count | None = None) -> Riemann:
     r"""A step in the strain, at rest: y_n = left for n < centre, right for n >= centre; u = v = 0.
 
@@ -148,7 +145,6 @@ def step(lattice: Lattice, left: Parameter, right: Parameter = 0.0, *, centre: C
                    Jolt(law, _least(chain), ((right, velocity), (left, -velocity)), _spread(lattice)))
 
 
-@checked
 def piston(lattice: Lattice, speed: Parameter) -> Riemann:
     r"""A piston that moves into a chain at rest from the left: a `Wall` with w(t) = speed t and the chain's own law.
 
@@ -181,7 +177,6 @@ def piston(lattice: Lattice, speed: Parameter) -> Riemann:
                    _jolt(free, [(0.0, 2 * speed)]))
 
 
-@checked
 def impacts(
     lattice: Lattice, impulse: Parameter, interval: Parameter, count: Count | None = None, *,
     duration: Parameter | None = None,

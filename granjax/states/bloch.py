@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import concrete, parameter, positive, refuse, show, traced, whole
-from ..entry import checked
 from ..lattice import Lattice, State
 from ..linear.cell import by_sites, unit_cell
 from ..linear.stiffness import grid, unpack
@@ -19,7 +18,6 @@ from ..types import Cell, Count, Displacements, Parameter
 MEET, ROUNDING = 1e-9, 1e-12
 
 
-@checked
 def bloch_packet(
     lattice: Lattice, k: Parameter | str, width: Parameter, *, band: Count | tuple[Count, ...] | None = None,
     polarisation: Parameter | dict[str, Parameter] | None = None, centre: Parameter | None = None,

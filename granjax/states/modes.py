@@ -8,13 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import concrete, per_lane, refuse, whole
-from ..entry import checked
 from ..lattice import Lattice, State
 from ..types import Count, Parameter
 from .places import chain_only
 
 
-@checked
 def normal_mode(lattice: Lattice, index: Count = 0, amplitude: Parameter = 1.0, phase: Parameter = 0.0) -> State:
     r"""One normal mode phi of the linearised lattice: u = a cos(phase) phi, v = -omega a sin(phase) phi.
 
@@ -55,7 +53,6 @@ def normal_mode(lattice: Lattice, index: Count = 0, amplitude: Parameter = 1.0, 
     return State(_shaped(lattice, u), _shaped(lattice, v))
 
 
-@checked
 def sine_mode(lattice: Lattice, k: Count = 1, amplitude: Parameter = 1.0) -> State:
     """Sine k of a chain between fixed ends: u_n = a sin(pi k (n+1)/(N+1)), n = 0 ... N-1, v = 0.
 

@@ -4,7 +4,6 @@ import jax
 import jax.numpy as jnp
 
 from ..checks import concrete, non_negative, parameter, per_lane, positive, random_key, refuse, show
-from ..entry import checked
 from ..lattice import Lattice, State
 from ..types import Parameter, Scalar, Seed, Site
 from .places import field_of, site_of
@@ -13,7 +12,6 @@ from .places import field_of, site_of
 EDGE = 1e-9
 
 
-@checked
 def rest(lattice: Lattice) -> State:
     """Every site at rest in equilibrium: u = v = 0.
 
@@ -26,7 +24,6 @@ def rest(lattice: Lattice) -> State:
     return State(lattice.zeros(), lattice.zeros())
 
 
-@checked
 def impact(lattice: Lattice, velocity: Parameter = 1.0, site: Site = 0, field: str | None = None) -> State:
     """One site moves, all else is at rest in equilibrium: what a striker leaves behind.
 
@@ -61,7 +58,6 @@ def impact(lattice: Lattice, velocity: Parameter = 1.0, site: Site = 0, field: s
     return State(lattice.zeros(), x if field is None else {**v, field: x})
 
 
-@checked
 def radial_impact(
     lattice: Lattice, velocity: Parameter, radius: Scalar, centre: Parameter | None = None,
 ) -> State:
@@ -100,7 +96,6 @@ def radial_impact(
     return State(zeros, zeros.at[..., :size].set(v.astype(zeros.dtype)))
 
 
-@checked
 def random(lattice: Lattice, seed: Seed = 0, displacement: Parameter = 0.1, velocity: Parameter = 0.0) -> State:
     """Displacements and velocities uniform in [-displacement, displacement) and [-velocity, velocity), seeded.
 
@@ -121,7 +116,6 @@ def random(lattice: Lattice, seed: Seed = 0, displacement: Parameter = 0.1, velo
     return State(*(_draw(lattice, key, a, _uniform) for key, a in zip(keys, amplitudes)))
 
 
-@checked
 def thermal(lattice: Lattice, temperature: Parameter, seed: Seed = 0) -> State:
     """Sites in equilibrium position with Gaussian velocities: m <v^2> = k_B T for each component.
 

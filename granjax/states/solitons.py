@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import concrete, per_lane, positive, refuse, show, within
-from ..entry import checked
 from ..lattice import Lattice, State, spread_mass
 from ..theory import kdv, toda
 from ..types import Parameter
@@ -32,7 +31,6 @@ class Chain(NamedTuple):
     differs: jax.Array
 
 
-@checked
 def toda_soliton(
     lattice: Lattice, k: Parameter | None = None, *, speed: Parameter | None = None,
     amplitude: Parameter | None = None, centre: Parameter | None = None, direction: str = "right",
@@ -74,7 +72,6 @@ def toda_soliton(
     return _held(lattice, chain, y, u, v)
 
 
-@checked
 def kdv_soliton(
     lattice: Lattice, *, speed: Parameter | None = None, amplitude: Parameter | None = None,
     centre: Parameter | None = None, direction: str = "right",

@@ -3,13 +3,11 @@
 import jax.numpy as jnp
 
 from ..checks import per_lane
-from ..entry import checked
 from ..lattice import Lattice, State
 from ..types import Parameter
 from .places import chain_only, inside
 
 
-@checked
 def strain_step(lattice: Lattice, left: Parameter, right: Parameter = 0.0, centre: Parameter | None = None) -> State:
     r"""A step in the strain, at rest: y_n = u_n - u_{n+1} = `left` for n < centre, `right` for n >= centre; v = 0.
 
@@ -40,7 +38,6 @@ def strain_step(lattice: Lattice, left: Parameter, right: Parameter = 0.0, centr
     return State((zeros + (left * before + right * after)).astype(zeros.dtype), zeros)
 
 
-@checked
 def velocity_step(lattice: Lattice, c: Parameter, centre: Parameter | None = None) -> State:
     r"""A velocity shock: u = 0, v_n = -2 c sign(n - centre), with sign(0) = 0.
 

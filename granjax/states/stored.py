@@ -7,13 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import is_whole, refuse
-from ..entry import checked
 from ..lattice import Lattice, State
 from ..lattice.model import check_shape
 from ..types import Count
 
 
-@checked
 def stored(lattice: Lattice, data: Any, frame: Count = -1) -> State:
     """The state of one frame of a run's dataset: where a run that was saved goes on.
 

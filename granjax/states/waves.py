@@ -10,7 +10,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import concrete, described, one_of, parameter, per_lane, positive, refuse, show, within
-from ..entry import checked, shape_of
 from ..lattice import Lattice, State
 from ..profiles import medium_of, wave_of
 from ..programs import by_rows
@@ -20,7 +19,6 @@ from .places import chain_only
 UNIFORM = 1e-6
 
 
-@checked
 def wave_packet(
     lattice: Lattice, k: Parameter, centre: Parameter | None = None, width: Parameter = 10.0,
     amplitude: Parameter = 0.01, *, omega: Parameter | Callable[[Any], Any] | None = None, direction: str = "right",
@@ -75,7 +73,6 @@ def wave_packet(
     return State((zeros + u).astype(zeros.dtype), (zeros + sign * v).astype(zeros.dtype))
 
 
-@checked
 def solitary_wave(
     lattice: Lattice, centre: Parameter | None = None, *, speed: Scalar | None = None, amplitude: Scalar | None = None,
     energy: Scalar | None = None, side: str | None = None,
@@ -117,8 +114,8 @@ def _column(x, lattice):
 def _given_frequency(omega, q, lanes):
     """omega(q) of the user's."""
     found = omega(q)
-    shape = shape_of(found)
-    if shape is None or len(shape) > len(q.shape[:1] + lanes) or shape and shape[0] not in (1, len(q)):
+    shape = np.shape(found)
+    if len(shape) > len(q.shape[:1] + lanes) or shape and shape[0] not in (1, len(q)):
         wanted = f"a function of wave numbers {q.shape} that gives as many frequencies"
         refuse("omega", wanted, f"one that gives {described(found)}")
     return jnp.asarray(found)

@@ -3,7 +3,6 @@
 import jax.numpy as jnp
 
 from ..checks import parameter, refuse
-from ..entry import checked
 from ..types import Parameter
 from ..units import PART
 from .maps import LinearMap, TwoEnds
@@ -32,7 +31,6 @@ class Along(LinearMap):
     pairs: TwoEnds
     direction: jnp.ndarray
 
-    @checked
     def __init__(self, pairs: TwoEnds, direction: Parameter):
         self.pairs, self.direction = pairs, parameter("direction", direction)
         if self.direction.ndim != 1:

@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import positive, refuse, whole
-from ..entry import checked
 from ..types import Parameter, Site, Values
 from .maps import TwoEnds, checked_fields
 
@@ -40,7 +39,6 @@ class Pairs(TwoEnds):
     sites: tuple[int, int] = eqx.field(static=True)
     fields: tuple[str, str] | None = eqx.field(static=True)
 
-    @checked
     def __init__(
         self, tail: Values, head: Values, *, sites: Site | None = None,
         fields: str | Sequence[str] | None = None, weights: tuple[Parameter, Parameter] | None = None,

@@ -6,7 +6,6 @@ import jax
 import jax.numpy as jnp
 
 from ..checks import refuse
-from ..entry import checked
 from ..types import Parameter
 from ..units import PART
 from .maps import TwoEnds
@@ -43,7 +42,6 @@ class Slip(Directed):
     dimensions = {"pairs": PART, "vector": (0, 1, 0)}
     tangential: ClassVar[bool] = True
 
-    @checked
     def __init__(self, pairs: TwoEnds, vector: Parameter):
         super().__init__(pairs, vector)
         if self.components != 2:

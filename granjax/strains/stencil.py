@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import is_whole, one_of, parameter, refuse
-from ..entry import checked
 from ..types import Site
 from .maps import BOUNDARIES, LinearMap, TwoEnds, checked_fields
 
@@ -112,7 +111,6 @@ class Shift(_Grid, TwoEnds):
     boundary: tuple[str, ...] = eqx.field(static=True)
     fields: tuple[str, str] | None = eqx.field(static=True)
 
-    @checked
     def __init__(
         self, offset: Site = 1, boundary: str | Sequence[str] = "fixed", fields: str | Sequence[str] | None = None,
     ):
@@ -178,7 +176,6 @@ class Stencil(_Grid):
     offsets: tuple[tuple[int, ...], ...] = eqx.field(static=True)
     boundary: tuple[str, ...] = eqx.field(static=True)
 
-    @checked
     def __init__(self, parts: Sequence, boundary: str | Sequence[str] = "fixed"):
         parts = tuple(parts) if isinstance(parts, (tuple, list)) else ()
         if not parts or any(not isinstance(p, (tuple, list)) or len(p) != 3 for p in parts):

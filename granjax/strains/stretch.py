@@ -5,7 +5,6 @@ import jax
 import jax.numpy as jnp
 
 from ..checks import parameter, positive, refuse
-from ..entry import checked
 from ..types import Parameter
 from ..units import PART
 from .maps import StrainMap, TwoEnds
@@ -18,7 +17,6 @@ class Directed(StrainMap):
     vector: jax.Array
     components: int = eqx.field(static=True)
 
-    @checked
     def __init__(self, pairs: TwoEnds, vector: Parameter):
         self.pairs = pairs
         self.vector = parameter("vector", vector)

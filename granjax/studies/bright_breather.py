@@ -11,7 +11,6 @@ from jaxtyping import Float, Integer
 
 from ..checks import held_in_memory, positive, whole, within
 from ..driven import driven_chain
-from ..entry import checked
 from ..flow import Flow
 from ..lattice import Lattice, State
 from ..linear import bands
@@ -70,7 +69,6 @@ class BrightBreather(Result):
         return bool(self.least_fraction > 0.5 and self.gap[0] < self.frequency < self.gap[1])
 
 
-@checked
 def bright_by_instability(
     sites: Count = 81, *, amplitude: Scalar = 0.175, detuning: Scalar = 0.005, precompression: Scalar = 20.0,
     damping_time: Scalar = 0.2, driven_for: Count = 105, free_for: Count = 300,

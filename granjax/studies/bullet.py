@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Float
 
 from ..checks import concrete, parameter, positive, refuse, traced, whole
-from ..entry import checked
 from ..flow import simulate
 from ..flow.record.kinds import Peak, PeakTime
 from ..lattice import Lattice
@@ -126,7 +125,6 @@ class _AtFocus(NamedTuple):
         return v if self.direction is None else jnp.tensordot(jnp.asarray(self.direction, v.dtype), v, 1)
 
 
-@checked
 def sound_bullet(
     lattice: Lattice, channels: Parameter, focus: Count | Cell, t1: Scalar, *, force: Scalar, duration: Scalar,
     direction: Parameter | None = None, step: Scalar | None = None, progress: bool = False,

@@ -9,7 +9,6 @@ from jaxtyping import Float
 from ..checks import positive, refuse
 from ..checks import tolerance as checked_tolerance
 from ..driven import Attractor, driven_chain, settle
-from ..entry import checked
 from ..lattice import Lattice, State
 from ..linear import normal_modes
 from ..materials import Material, hertz_coefficient
@@ -24,7 +23,6 @@ PRECOMPRESSION, DAMPING_TIME = 10.0, 5e-3
 STEPS, HARMONICS = 48, 6
 
 
-@checked
 def steel_chain(sites: Count = 21, precompression: Scalar = PRECOMPRESSION) -> Lattice:
     """Precompressed steel beads between walls that are felt as beads, in SI: 28.2 g, 9.53 mm, E = 200 GPa, nu = 0.3.
 
@@ -84,7 +82,6 @@ class DarkBreather(Result):
         return self.attractor.outcome
 
 
-@checked
 def dark_by_interference(
     lattice: Lattice | None = None, *, amplitude: Scalar = 0.2e-6, frequency: Scalar = 7290.0,
     damping_time: Scalar = DAMPING_TIME, phase: Parameter = (0.0, math.pi), periods: Count = 8000,

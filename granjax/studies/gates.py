@@ -12,7 +12,6 @@ from jaxtyping import Float, Integer
 
 from ..checks import non_negative, one_of, positive, refuse, traced
 from ..driven import driven_chain
-from ..entry import checked
 from ..flow import Integral, simulate
 from ..lattice import Lattice, State
 from ..orbits import repeats
@@ -62,7 +61,6 @@ class TruthTable(Result):
     amplitudes: Float[np.ndarray, " K"]
     omegas: Float[np.ndarray, " K"]
 
-    @checked
     def thresholds(self, gate: str) -> tuple[float, float] | None:
         """Between which outputs [m/s] a threshold makes it an `"OR"`, `"AND"` or `"XOR"`, errors off; or `None`."""
         true = np.array([GATES[one_of("gate", gate, tuple(GATES))](row) for row in self.inputs.tolist()])
@@ -70,7 +68,6 @@ class TruthTable(Result):
         high = float((self.output - self.output_error)[true].min())
         return (low, high) if low < high else None
 
-    @checked
     def table(self, threshold: Scalar) -> Integer[np.ndarray, " rows"]:
         """The gate's output, 0 or 1, (rows,). **Raises** ValueError for a threshold within the error of an output."""
         threshold = float(positive("threshold", threshold))
@@ -154,7 +151,6 @@ class Switch(Result):
         return f"{said}; it passes half of the largest between {between}."
 
 
-@checked
 def truth_table(
     lattice: Lattice, amplitudes: Parameter, omegas: Parameter, *, end: str = "left", site: int | None = None,
     damping: Parameter | None = None, settling: Scalar, watch: Scalar,
@@ -192,7 +188,6 @@ def truth_table(
     return TruthTable(inputs, output, error, amplitudes, omegas, **lattice.origin)
 
 
-@checked
 def switch(
     lattice: Lattice, signal: tuple[Scalar, Scalar], amplitudes: Parameter, omega: Scalar, *, end: str = "left",
     site: int | None = None, damping: Parameter | None = None, settling: Scalar, watch: Scalar,

@@ -12,7 +12,6 @@ from jaxtyping import Float
 from ..checks import held_in_memory, non_negative, one_of, positive, refuse, whole, within
 from ..checks import tolerance as checked_tolerance
 from ..driven import Sweep, driven_chain, sweep
-from ..entry import checked
 from ..flow import Flow
 from ..forced import Branch, forced_branch
 from ..lattice import Lattice
@@ -105,7 +104,6 @@ class _Power(eqx.Module):
         return self.damping * jnp.mean(jnp.sum((lattice.mass * v * v)[:, self.first : self.last], 1))
 
 
-@checked
 def rectifier(
     amplitudes: Parameter, *, sites: Count = 20, detuning: Scalar = -0.02, defect_radius: Scalar = DEFECT_RADIUS,
     precompression: Scalar = 8.0, damping_time: Scalar = 1.75e-3, periods: Count = 1500, tolerance: Scalar = 1e-6,
@@ -179,7 +177,6 @@ def _later(driven, power, amplitude, y, period, steps):
     return jax.lax.scan(one, y, length=AGAIN)[1]
 
 
-@checked
 def rectifier_branch(
     low: Scalar, high: Scalar, *, sites: Count = 20, detuning: Scalar = -0.02, defect_radius: Scalar = DEFECT_RADIUS,
     precompression: Scalar = 8.0, damping_time: Scalar = 1.75e-3, end: str = "left", transient: Count = 0,

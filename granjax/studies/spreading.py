@@ -13,7 +13,6 @@ import numpy as np
 from jaxtyping import Float
 
 from ..checks import described, one_of, parameter, positive, refuse, show, whole
-from ..entry import checked
 from ..flow import simulate
 from ..lattice import Lattice, State
 from ..measures import energy, participation, site_energy
@@ -138,7 +137,6 @@ class Spreading(Result):
         ends = "" if self.reached <= REACHED else f" WAVES HAVE REACHED THE ENDS, {_LONGER}."
         return f"{said}{lost}{ends} Energy kept to {self.energy_error:.1g}."
 
-    @checked
     def within(self, window: Parameter) -> "Spreading":
         """The same, its exponents fitted in another window (from, to) of times [s]."""
         window = _window(window, self.times)
@@ -183,7 +181,6 @@ class _Sample(eqx.Module):
                 "energy_error": jnp.abs(total / start - 1).max()}
 
 
-@checked
 def spreading(
     scene: Scene, t1: Scalar, *, samples: Count = 1000, seed: Count = 0, kick: str | Callable = "velocity",
     amplitude: Scalar = 1.0, site: Count | None = None, window: Parameter | None = None, frames: Count = 40,

@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Float
 
 from ..checks import positive, refuse, traced
-from ..entry import checked
 from ..forced import forced_orbit
 from ..lattice import Lattice
 from ..measures import contacts
@@ -68,7 +67,6 @@ class TwoWay(Result):
                 f"{self.asymmetry_error[worst]:.1g}.")
 
 
-@checked
 def two_way(
     lattice: Lattice, amplitudes: Parameter, omega: Scalar, *, damping: Parameter | None = None,
     field: str | None = None, steps: Count | None = None,

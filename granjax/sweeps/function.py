@@ -15,6 +15,8 @@ from jax.typing import ArrayLike
 from ..checks import described, refuse
 from ..results import Result
 
+# what a point is told whose results do not fit those of others
+ODD = "The function returned shapes {} here, but {} before. Return the same names and shapes."
 # failed points of a chunk that are computed again alone, for what their errors say
 ASKED = 4
 # attributes of a result that say nothing of its numbers
@@ -225,24 +227,20 @@ def _not_finite(row):
 
 
 def _stacked(rows, reasons):
-    """The rows of points as a `Chunk`: NaN, or "", for those that failed or have other names or shapes than the first."""
+    """The rows of points as a `Chunk`: NaN, or "", for those that failed or whose names or shapes are others."""
     first = next((row for row in rows if row), {})
-    found = {name: np.full((len(rows), *x.shape), *missing(x.dtype)) for name, (x, _) in first.items()}
+    empty = {name: ("", object) if x.dtype.kind == "U" else (np.nan, x.dtype) for name, (x, _) in first.items()}
+    found = {name: np.full((len(rows), *x.shape), *empty[name]) for name, (x, _) in first.items()}
     for i, row in enumerate(rows):
         if row is None:
             continue
         shapes, wanted = ({name: x.shape for name, (x, _) in r.items()} for r in (row, first))
         if shapes != wanted:
-            reasons[i] = f"The function returned {shapes} here, and {wanted} before. Return the same names and shapes."
+            reasons[i] = ODD.format(shapes, wanted)
             continue
         for name, (x, _) in row.items():
             found[name][i] = x
     return Chunk(found, reasons, {name: told for name, (_, told) in first.items()})
-
-
-def missing(dtype: np.dtype) -> tuple:
-    """What stands for a value that there is none of, and the type of an array that holds it."""
-    return ("", object) if dtype.kind in "UO" else (np.nan, dtype)
 
 
 def name_of(function: Callable) -> str:

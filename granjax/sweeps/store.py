@@ -12,7 +12,7 @@ import xarray
 
 from ..checks import refuse
 from ..printing import numbers
-from .function import Chunk
+from .function import ODD, Chunk
 from .points import Points
 
 NOT_YET = "not computed yet"
@@ -42,8 +42,7 @@ class Target:
         got = {key: x.shape[1:] for key, x in found.items()}
         wanted = {key: x.shape[over:] for key, x in self.arrays.items() if key != "reason"}
         if got and got != wanted:
-            odd = f"The function returned shapes {got} here, but {wanted} before. Return the same names and shapes."
-            found, reasons = {}, np.where(reasons == "", odd, reasons)
+            found, reasons = {}, np.where(reasons == "", ODD.format(got, wanted), reasons)
         for key, x in found.items():
             self.arrays[key][block] = x.reshape(*shape, *x.shape[1:])
         self.arrays["reason"][block] = reasons.reshape(shape)
@@ -62,7 +61,7 @@ class Target:
             dims = [f"{key}_{dim}" if other else dim for dim, other in zip(dims, taken)]
             unit = self.units.get(name, told.get("units"))
             self.dims[key] = (*self.points.dims, *dims), {} if unit is None else {"units": unit}
-            self.arrays[key] = self._array(key, own, x.dtype, "" if x.dtype == object else np.nan)
+            self.arrays[key] = self._array(key, own, x.dtype, "" if x.dtype.kind == "O" else np.nan)
         self.dims["reason"] = self.points.dims, {}
         self.arrays["reason"] = self._array("reason", (), np.dtype(object), NOT_YET)
 
@@ -83,7 +82,7 @@ class Target:
 
 
 class Store(Target):
-    """The same in a zarr store. `root`: a folder or a URL; `identity`: what tells a sweep from others, `source` less so.
+    """The same in a zarr store, a folder or a URL. `identity` tells a sweep from others; another `source` is a warning.
 
     **Raises** ValueError for a store of another sweep, and for what is none.
     """
@@ -99,8 +98,8 @@ class Store(Target):
         refuse_another(root, json.loads(found.attrs["sweep"]), identity)
         if source and found.attrs["source"] and source != found.attrs["source"]:
             warnings.warn(
-                f"The source of the function has changed since the store {root} was begun: what is in it was computed by "
-                "the earlier one. Give another store to compute everything anew.", stacklevel=3)
+                f"The source of the function has changed since the store {root} was begun, and what is in it was "
+                "computed by the earlier one. Give another store to compute everything anew.", stacklevel=3)
         keys = [name for name in found if name not in self.points.axes and name != "done"]
         self.arrays = {key: found[key] for key in keys}
         self.flags = found["done"]
@@ -121,7 +120,7 @@ class Store(Target):
 
     def _array(self, key, own, dtype, fill):
         made = self._made(key, (*self.points.shape, *own), (*self.chunk, *own), dtype)
-        if dtype == object:
+        if dtype.kind == "O":
             made[...] = np.full(made.shape, fill, object)
         return made
 
@@ -129,7 +128,7 @@ class Store(Target):
         dims, attrs = self.dims.get(key, (("chunk",), {}))
         fill = complex(np.nan, np.nan) if dtype.kind == "c" else np.nan if dtype.kind == "f" else None
         return self.group.create_array(
-            key, shape=shape, chunks=tuple(max(n, 1) for n in chunks), dtype=str if dtype == object else dtype,
+            key, shape=shape, chunks=tuple(max(n, 1) for n in chunks), dtype=str if dtype.kind == "O" else dtype,
             fill_value=fill, attributes={"_ARRAY_DIMENSIONS": list(dims), **attrs})
 
     def _write(self, number, chunk):

@@ -34,7 +34,7 @@ AHEAD, WORKERS = 2, 16
 
 def sweep(
     function: Callable[..., Any], parameters: Parameters, *, store: str | Path | None = None,
-    chunk: Count | None = None, executor: Executor | None = None, progress: bool = True,
+    chunk: Count | None = None, executor: Any = None, progress: bool = True,
     units: dict[str, str] | None = None,
 ) -> xarray.Dataset:
     r"""Compute a function of parameters at all of their values; kept and resumed where `store` is given.
@@ -104,8 +104,10 @@ def sweep(
     task = own.Task(b"" if executor is None else own.packed(function), keywords, static, shared, chunk or math.prod(shape))
     todo = [i for i in range(len(blocks)) if not target.done[i]]
     lanes = np.arange(points.count).reshape(points.shape)
-    with bar(points.count, "point", "sweep", progress, points.count - sum(lanes[blocks[i]].size for i in todo)) as shown:
-        for i, found in _results(task, function, executor, {i: points.values(lanes[blocks[i]].ravel()) for i in todo}):
+    done = points.count - sum(lanes[blocks[i]].size for i in todo)
+    values = {i: points.values(lanes[blocks[i]].ravel()) for i in todo}
+    with bar(points.count, "point", "sweep", progress, done) as shown:
+        for i, found in _results(task, function, executor, values):
             target.put(i, found)
             shown.update(lanes[blocks[i]].size)
     if not target.arrays:
@@ -170,8 +172,8 @@ def _results(task, function, executor, values):
                 yield flying.pop(future), future.result()
     except BrokenExecutor as error:
         raise RuntimeError(
-            "A process of the executor died, and the sweep stopped. What was finished is in the store, if there is one: "
-            "make a new executor and call again. If no process has begun, put the call under "
+            "A process of the executor died, and the sweep stopped. What was finished is in the store, if there is "
+            "one: make a new executor and call again. If no process has begun, put the call under "
             '`if __name__ == "__main__":`.') from error
     finally:
         for future in flying:

@@ -7,7 +7,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..entry import checked
 from ..laws import Law, Linear, Scaled, Strained
 from ..strains import Shift, StrainMap
 from ..types import Number, Parameter, Waveform
@@ -60,7 +59,6 @@ class Bond(Joined):
     strain_map: StrainMap
     law: Law
 
-    @checked
     def __init__(self, strain_map: StrainMap, law: Law):
         self.strain_map, self.law = strain_map, law
 
@@ -172,7 +170,6 @@ class Grip(Bond):
     dimensions = {"strain_map": PART, "law": PART, "contact": PART}
     contact: Bond
 
-    @checked
     def __init__(self, strain_map: StrainMap, law: Law, contact: Bond):
         super().__init__(strain_map, law)
         self.contact = contact
@@ -243,7 +240,6 @@ class Modulated(Term):
     modulation: Callable
     breaks: Breaks | None
 
-    @checked
     def __init__(self, term: Term, modulation: Waveform, breaks: Parameter | Breaks | None = None):
         self.term, self.modulation = term, as_module(modulation)
         self.breaks = checked_breaks(breaks)

@@ -5,7 +5,6 @@ import jax
 import jax.numpy as jnp
 
 from ..checks import concrete, non_negative, positive, refuse, show, within
-from ..entry import checked
 from ..laws import Hertz, plus_power
 from ..strains import StrainMap
 from ..types import Parameter, Scalar
@@ -36,7 +35,6 @@ class Damping(Term):
     rate: jax.Array
     field: str | None = eqx.field(static=True)
 
-    @checked
     def __init__(self, rate: Parameter, field: str | None = None):
         self.rate, self.field = non_negative("rate", rate, "A negative rate would feed the lattice."), field
 
@@ -102,7 +100,6 @@ class Dashpot(_Viscous):
     strain_map: StrainMap
     coefficient: jax.Array
 
-    @checked
     def __init__(self, strain_map: StrainMap, coefficient: Parameter):
         self.strain_map = strain_map
         self.coefficient = non_negative("coefficient", coefficient)
@@ -140,7 +137,6 @@ class ViscousContact(_Viscous):
     overlap: jax.Array
     exponent: float = eqx.field(static=True)
 
-    @checked
     def __init__(
         self, strain_map: StrainMap, coefficient: Parameter, exponent: Scalar = 0.5, overlap: Parameter = 0.0,
     ):
@@ -181,7 +177,6 @@ class BrilliantovContact(Bond):
     dimensions = {"strain_map": PART, "law": PART, "dissipative_time": (0, 0, 1)}
     dissipative_time: jax.Array
 
-    @checked
     def __init__(
         self, strain_map: StrainMap, stiffness: Parameter, dissipative_time: Parameter, precompression: Parameter = 0.0,
     ):
@@ -247,7 +242,6 @@ class CaputoDamping(Term):
     order: jax.Array
     field: str | None = eqx.field(static=True)
 
-    @checked
     def __init__(self, coefficient: Parameter, order: Parameter, field: str | None = None):
         self.coefficient, self.field = non_negative("coefficient", coefficient), field
         remedy = "Order 1 is gx.Damping, order 0 a spring."
@@ -299,7 +293,6 @@ class Drag(Term):
     dimensions = {"coefficient": (1, -2, 2)}
     coefficient: jax.Array
 
-    @checked
     def __init__(self, coefficient: Parameter):
         self.coefficient = non_negative("coefficient", coefficient)
 

@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import one_of, parameter, refuse, whole
-from ..entry import checked
 from ..laws import Law, Scaled, Strained
 from ..strains import BOUNDARIES
 from ..types import Count, Parameter
@@ -71,7 +70,6 @@ class LongRange(Term):
     beyond: int | None = eqx.field(static=True)
     _kept: "_Kept | None"
 
-    @checked
     def __init__(self, kernel: Parameter, law: Law, boundary: str = "fixed", *, takes: str = "displacement",
                  field: str | None = None, beyond: Count | None = None, rest: Parameter | None = None):
         self.kernel, self.law, self.field, self._kept = parameter("kernel", kernel), law, field, None

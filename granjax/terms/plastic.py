@@ -7,7 +7,6 @@ import jax
 import jax.numpy as jnp
 
 from ..checks import concrete, non_negative, parameter, refuse, show
-from ..entry import checked
 from ..laws import Indented, PlasticLaw
 from ..strains import StrainMap
 from ..types import Parameter
@@ -42,7 +41,6 @@ class PlasticContact(Bond):
     dimensions = {"strain_map": PART, "law": PART}
     _memory: ClassVar[dict[str, str]] = {"largest_overlap": "m"}
 
-    @checked
     def __init__(
         self, strain_map: StrainMap, law: PlasticLaw, overlap: Parameter = 0.0, largest: Parameter | None = None,
     ):

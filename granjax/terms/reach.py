@@ -8,7 +8,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..entry import checked
 from ..printing import told
 from ..strains.maps import spectral_radius
 from ..types import Flags, Numbers
@@ -44,12 +43,10 @@ class Reach(eqx.Module):
     u: object
     __repr__ = told
 
-    @checked
     def stiffest(self, law: Any, index: int) -> Numbers:
         """Largest |F'(x)| over the compressions x within reach, per bond; `index` counts the term's compressions."""
         return steepest(law, *self._ends(law))
 
-    @checked
     def opens(self, law: Any) -> Flags:
         """Whether some contact of the law may open."""
         overlaps = [law.overlap(x) for x in self._ends(law)]
@@ -91,7 +88,6 @@ class Reached(eqx.Module):
     energy: jax.Array
     __repr__ = told
 
-    @checked
     def stiffest(self, law: Any, index: int) -> Numbers:
         """Largest |F'(x)| over the compressions that were reached, per bond."""
         return steepest(law, jnp.minimum(self.low[index], 0), jnp.maximum(self.high[index], 0))

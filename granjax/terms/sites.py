@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import refuse
-from ..entry import checked
 from ..laws import Law, Scaled
 from ..types import Parameter, Site, Waveform
 from ..units import PART, Signal
@@ -37,7 +36,6 @@ class OnSite(Term):
     law: Law
     field: str | None = eqx.field(static=True)
 
-    @checked
     def __init__(self, law: Law, field: str | None = None):
         self.law, self.field = law, field
 
@@ -105,7 +103,6 @@ class Drive(Term):
     site: tuple = eqx.field(static=True)
     field: str | None = eqx.field(static=True)
 
-    @checked
     def __init__(
         self, waveform: Waveform, site: Site = 0, field: str | None = None, breaks: Parameter | Breaks | None = None,
     ):

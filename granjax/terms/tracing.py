@@ -46,7 +46,7 @@ class Dependence(NamedTuple):
 
 def traced(term: Any, lattice: Any):
     """(shapes of the force, `Dependence`) of a term on a lattice, found once for each structure."""
-    return _used_by_force((term, time_of(lattice), lattice.template(), lattice.mass, lattice._outside))
+    return _used_by_force((term, time_of(lattice), lattice.template(), lattice.mass))
 
 
 def reads(term: Any, lattice: Any) -> Dependence:
@@ -74,7 +74,7 @@ def _used_by_force(arguments):
 
 @lru_cache(maxsize=1024)
 def _traced_force(structure, leaves):
-    term, t, u, mass, _ = jax.tree.unflatten(structure, leaves)
+    term, t, u, mass = jax.tree.unflatten(structure, leaves)
 
     def force(term, t, u, v, mass):
         return term.force(t, u, v, mass)

@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import one_of, refuse
-from ..entry import checked
 from ..laws import Law, Scaled, Yielding
 from ..types import Displacements, Number, Numbers, Parameter, Waveform
 from ..units import PART, Signal
@@ -47,7 +46,6 @@ class Wall(Term):
     side: str = eqx.field(static=True)
     field: str | None = eqx.field(static=True)
 
-    @checked
     def __init__(
         self, law: Law, side: str = "right", motion: Waveform | None = None, support: Parameter | None = None,
         field: str | None = None, breaks: Parameter | Breaks | None = None,

@@ -8,7 +8,6 @@ import jax
 import jax.numpy as jnp
 
 from ..checks import parameter, positive, refuse, within
-from ..entry import checked
 from ..printing import told
 from ..types import Number, Numbers, Parameter, Waveform
 from ..units import Dimensional, Signal
@@ -20,8 +19,8 @@ ULPS = 16
 class Function(eqx.Module):
     """A plain Python function of time, held as static: two equal functions compile once, another compiles anew.
 
-    What it reads from outside (closures, globals) counts as it stands at each run: another number compiles anew. Values
-    that are swept or differentiated belong in a Module, like `Harmonic`.
+    It must be pure, as JAX asks: a global number that it reads is compiled into the first run and kept. Values that are
+    swept, changed or differentiated belong in a Module, like `Harmonic`.
 
     **Example:**
 
@@ -56,7 +55,6 @@ class Harmonic(eqx.Module):
     mean: jax.Array
     __repr__ = told
 
-    @checked
     def __init__(self, amplitude: Parameter, omega: Parameter, phase: Parameter = 0.0, mean: Parameter = 0.0):
         self.amplitude, self.omega = parameter("amplitude", amplitude), parameter("omega", omega)
         self.phase, self.mean = parameter("phase", phase), parameter("mean", mean)
@@ -84,7 +82,6 @@ class Breaks(Dimensional):
     times: jax.Array
     period: jax.Array | None
 
-    @checked
     def __init__(self, times: Parameter, period: Parameter | None = None):
         self.times = jnp.atleast_1d(parameter("times of breaks", times))
         if self.times.size == 0:
@@ -139,7 +136,6 @@ class Square(eqx.Module):
     share: jax.Array
     __repr__ = told
 
-    @checked
     def __init__(
         self, amplitude: Parameter, omega: Parameter, phase: Parameter = 0.0, mean: Parameter = 0.0,
         share: Parameter = 0.5,

@@ -21,7 +21,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import positive, within
-from ..entry import checked
 from ..printing import told
 from ..types import Numbers, Parameter
 from .chain_wave import _numbers
@@ -55,7 +54,6 @@ class Compacton(NamedTuple):
     __repr__ = told
 
 
-@checked
 def nesterenko(
     x: Parameter, p: Parameter = 1.5, *, speed: Parameter = 1.0, stiffness: Parameter = 1.0, mass: Parameter = 1.0
 ) -> Compacton:
@@ -73,7 +71,6 @@ def nesterenko(
     return _chain(x, p, (p + 1) / 2, jnp.sqrt(6 / (p * (p + 1))) * (p - 1), speed, stiffness, mass)
 
 
-@checked
 def ahnert_pikovsky(
     x: Parameter, p: Parameter = 1.5, *, speed: Parameter = 1.0, stiffness: Parameter = 1.0, mass: Parameter = 1.0
 ) -> Compacton:
@@ -91,7 +88,6 @@ def ahnert_pikovsky(
     return _chain(x, p, 2 * p / (p + 1), jnp.sqrt(3.0) * (p - 1) / p, speed, stiffness, mass)
 
 
-@checked
 def rosenau_hyman(x: Parameter, m: Parameter = 2.0, n: Parameter = 2.0, *, speed: Parameter = 1.0) -> Numbers:
     r"""The compacton of K(m, n), u_t + (u^m)_x + (u^n)_xxx = 0, at x - c t; m, n > 1.
 

@@ -22,7 +22,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import broadcast, concrete, parameter, refuse, show, within
-from ..entry import checked
 from ..printing import told
 from ..types import Numbers, Parameter
 from .elliptic_functions import _jacobi, _zeta
@@ -47,7 +46,6 @@ class Jacobi(NamedTuple):
     __repr__ = told
 
 
-@checked
 def jacobi(u: Parameter, m: Parameter | None = None, *, m1: Parameter | None = None) -> Jacobi:
     """sn(u, m), cn(u, m), dn(u, m). At m = 0 sin u, cos u, 1; at m = 1 tanh u, sech u, sech u.
 
@@ -64,7 +62,6 @@ def jacobi(u: Parameter, m: Parameter | None = None, *, m1: Parameter | None = N
     return Jacobi(*_jacobi(_resolved(u, m1), m1))
 
 
-@checked
 def zeta(u: Parameter, m: Parameter | None = None, *, m1: Parameter | None = None) -> Numbers:
     """Jacobi's zeta function Z(u, m) = int_0^u dn^2 - u E/K, of period 2K. At m = 1 tanh u.
 
@@ -79,7 +76,6 @@ def zeta(u: Parameter, m: Parameter | None = None, *, m1: Parameter | None = Non
     return _zeta(_resolved(u, m1), m1)
 
 
-@checked
 def K(m: Parameter | None = None, *, m1: Parameter | None = None) -> Numbers:
     """Complete integral of the first kind K(m) = F(pi/2, m): pi/2 at m = 0, infinite at m = 1.
 
@@ -93,7 +89,6 @@ def K(m: Parameter | None = None, *, m1: Parameter | None = None) -> Numbers:
     return _complete(_K, _arguments(m, m1)[1])
 
 
-@checked
 def E(m: Parameter | None = None, *, m1: Parameter | None = None) -> Numbers:
     """Complete integral of the second kind E(m) = int_0^{pi/2} (1 - m sin^2)^{1/2}: pi/2 at m = 0, 1 at m = 1.
 
@@ -107,7 +102,6 @@ def E(m: Parameter | None = None, *, m1: Parameter | None = None) -> Numbers:
     return _complete(_E, _arguments(m, m1)[1])
 
 
-@checked
 def Pi(n: Parameter, m: Parameter | None = None, *, m1: Parameter | None = None) -> Numbers:
     """Complete integral of the third kind Pi(n, m) = int_0^{pi/2} 1/((1 - n sin^2)(1 - m sin^2)^{1/2}).
 
@@ -123,7 +117,6 @@ def Pi(n: Parameter, m: Parameter | None = None, *, m1: Parameter | None = None)
     return _complete_Pi(n, m1)
 
 
-@checked
 def F(phi: Parameter, m: Parameter | None = None, *, m1: Parameter | None = None) -> Numbers:
     """Incomplete integral of the first kind, of the amplitude phi [rad]: F(phi, m), the inverse of phi = am u.
 
@@ -139,7 +132,6 @@ def F(phi: Parameter, m: Parameter | None = None, *, m1: Parameter | None = None
     return _F(phi, m1)
 
 
-@checked
 def incomplete_E(phi: Parameter, m: Parameter | None = None, *, m1: Parameter | None = None) -> Numbers:
     """Incomplete integral of the second kind E(phi, m) = int_0^phi (1 - m sin^2)^{1/2}. As `F`, but always finite.
 
@@ -152,7 +144,6 @@ def incomplete_E(phi: Parameter, m: Parameter | None = None, *, m1: Parameter | 
     return _incomplete_E(phi, m1)
 
 
-@checked
 def incomplete_Pi(
     n: Parameter, phi: Parameter, m: Parameter | None = None, *, m1: Parameter | None = None
 ) -> Numbers:

@@ -23,10 +23,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import parameter, refuse, traced
-from ..entry import checked
 from ..lattice import Lattice
 from ..laws import Law
-from ..outside import Outside
 from ..profiles import medium_of, wave_of
 from ..results import Held, Result
 from ..types import Number, Scalar
@@ -90,7 +88,6 @@ class FittedEdges(Result):
     outcome: str
 
 
-@checked
 def shock_edges(
     law: Law | Lattice, c: Scalar, mass: Scalar = 1.0, *, ahead: Scalar = 0.0, wave: bool = False,
 ) -> FittedEdges:
@@ -125,7 +122,7 @@ def shock_edges(
     if not path.growth > 0:
         refuse("c", "a jump that changes the speed of sound by what numbers resolve", f"{path.c:g}")
     mean, sound, trailing, leading = _excesses(
-        medium.law, medium.mass, c, ahead, *path.arrays, Outside(medium.law))
+        medium.law, medium.mass, c, ahead, *path.arrays)
     speeds, front = [sound * (1 + trailing), sound * (1 + leading)], (None, None)
     sentences = [f"Found to {path.error:.0e} of what the formulas say, which are exact of Toda's chain alone."]
     strong = not path.growth < BINARY - 1
@@ -150,7 +147,7 @@ def shock_edges(
 
 
 @eqx.filter_jit
-def _excesses(law, mass, c, ahead, width, nodes, weights, close, outside):
+def _excesses(law, mass, c, ahead, width, nodes, weights, close):
     """mean, V_+, s_-/V_+ - 1 and s_+/V_+ - 1; the latter two without a meaning where V_+ = 0."""
     width = _width_of(law, mass, c, ahead, width, nodes, weights)
     low, high = law.derivative(ahead), law.derivative(ahead + width)

@@ -38,7 +38,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import concrete, parameter, refuse, show
-from ..entry import checked
 from ..printing import told
 from ..types import Numbers, Parameter
 from .chain_wave import ChainWave, _direction_of, _numbers, _one_given, _sech, _stiffnesses
@@ -71,7 +70,6 @@ class Scales(NamedTuple):
     __repr__ = told
 
 
-@checked
 def scales(K2: Parameter, K3: Parameter, mass: Parameter = 1.0) -> Scales:
     """The map from a chain to KdV: y = (K2/K3) s, s_t + sigma (s_n + s_nnn/24 + s s_n) = 0.
 
@@ -89,7 +87,6 @@ def scales(K2: Parameter, K3: Parameter, mass: Parameter = 1.0) -> Scales:
     return Scales(jnp.sqrt(K2 / mass), K2 / K3)
 
 
-@checked
 def speed(amplitude: Parameter, K2: Parameter, K3: Parameter, mass: Parameter = 1.0) -> Numbers:
     """Speed of the soliton of an amplitude, sigma (1 + K3 amplitude/(3 K2)) [sites/s].
 
@@ -104,7 +101,6 @@ def speed(amplitude: Parameter, K2: Parameter, K3: Parameter, mass: Parameter = 
     return sound * (1 + _excess({"amplitude": amplitude}, sound, unit))
 
 
-@checked
 def amplitude(speed: Parameter, K2: Parameter, K3: Parameter, mass: Parameter = 1.0) -> Numbers:
     """Amplitude of the soliton of a speed, 3 (K2/K3) (speed/sigma - 1) [m].
 
@@ -119,7 +115,6 @@ def amplitude(speed: Parameter, K2: Parameter, K3: Parameter, mass: Parameter = 
     return 3 * unit * _excess({"speed": speed}, sound, unit)
 
 
-@checked
 def soliton(
     n: Parameter, t: Parameter, K2: Parameter, K3: Parameter, *, speed: Parameter | None = None,
     amplitude: Parameter | None = None, mass: Parameter = 1.0, centre: Parameter = 0.0, direction: str = "right",
@@ -148,7 +143,6 @@ def soliton(
     return ChainWave(*_soliton(n, t, centre, excess, unit, sound, sign))
 
 
-@checked
 def cnoidal(
     n: Parameter, t: Parameter, r1: Parameter, r2: Parameter, r3: Parameter, K2: Parameter, K3: Parameter, *,
     mass: Parameter = 1.0, centre: Parameter = 0.0, direction: str = "right",

@@ -10,7 +10,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import concrete, refuse, show
-from ..entry import checked
 from ..printing import told
 from ..types import Numbers, Parameter
 from .chain_wave import _numbers, _stiffnesses
@@ -48,7 +47,6 @@ class Modulation(NamedTuple):
     __repr__ = told
 
 
-@checked
 def velocity_shock(c: Parameter, K2: Parameter, K3: Parameter, mass: Parameter = 1.0) -> ShockEdges:
     r"""The dispersive shock that v_n = -2c sign(n) sends to the right through a chain at rest in strain, by KdV.
 
@@ -72,7 +70,6 @@ def velocity_shock(c: Parameter, K2: Parameter, K3: Parameter, mass: Parameter =
     return ShockEdges(sound * (1 - C), sound * (1 + 2 * C / 3), unit * C, 2 * unit * C)
 
 
-@checked
 def modulation(m: Parameter, c: Parameter, K2: Parameter, K3: Parameter, mass: Parameter = 1.0) -> Modulation:
     r"""The periodic wave inside the dispersive shock of `velocity_shock`, and the speed n/t at which it stands.
 
@@ -93,7 +90,6 @@ def modulation(m: Parameter, c: Parameter, K2: Parameter, K3: Parameter, mass: P
     return Modulation(*_modulation(1 - _modulus_of(m, c=C), C, sound, unit))
 
 
-@checked
 def modulus(speed: Parameter, c: Parameter, K2: Parameter, K3: Parameter, mass: Parameter = 1.0) -> Numbers:
     """The parameter m of the periodic wave at speed = n/t, the inverse of `modulation(m, c, K2, K3).speed`.
 
@@ -110,7 +106,6 @@ def modulus(speed: Parameter, c: Parameter, K2: Parameter, K3: Parameter, mass: 
     return _modulus(speed / sound, C)
 
 
-@checked
 def shock_wave(
     n: Parameter, t: Parameter, c: Parameter, K2: Parameter, K3: Parameter, *, mass: Parameter = 1.0,
     phase: Parameter | None = None,

@@ -23,7 +23,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import broadcast, concrete, held_in_memory, non_negative, parameter, positive, refuse, show
-from ..entry import checked
 from ..types import Numbers, Parameter
 
 __all__ = ["strain_step", "velocity_step"]
@@ -35,7 +34,6 @@ LEAST = 64
 ARRAYS = 64
 
 
-@checked
 def velocity_step(n: Parameter, t: Parameter, c: Parameter, K2: Parameter = 1.0, mass: Parameter = 1.0) -> Numbers:
     """Strain of bond n, between the sites n and n + 1, at time t after v_n = -2c sign(n), sign(0) = 0.
 
@@ -54,7 +52,6 @@ def velocity_step(n: Parameter, t: Parameter, c: Parameter, K2: Parameter = 1.0,
     return 2 * c / w * _at(n, w * t, "velocity")
 
 
-@checked
 def strain_step(n: Parameter, t: Parameter, c: Parameter, K2: Parameter = 1.0, mass: Parameter = 1.0) -> Numbers:
     """Strain of bond n at time t after y_n = c for n <= 0, zero for n > 0, of a chain at rest.
 

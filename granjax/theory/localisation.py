@@ -16,13 +16,11 @@ correlations: Izrailev, Krokhin, Phys. Rev. Lett. 82, 4062 (1999).
 import jax.numpy as jnp
 
 from ..checks import concrete, non_negative, parameter, positive, refuse, show
-from ..entry import checked
 from ..types import Numbers, Parameter
 
 __all__ = ["lyapunov_exponent"]
 
 
-@checked
 def lyapunov_exponent(
     omega: Parameter, *, mass: Parameter = 1.0, stiffness: Parameter = 1.0, mass_deviation: Parameter = 0.0,
     compliance_deviation: Parameter = 0.0, correlations: Parameter = (),

@@ -26,7 +26,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import broadcast, one_of, parameter, positive, refuse, returned
-from ..entry import checked
 from ..programs import by_rows
 from ..types import Numbers, Parameter, Scalar
 from . import compacton
@@ -37,7 +36,6 @@ __all__ = ["FORMS", "omega_squared", "regularised_wave", "residual", "travelling
 FORMS = ("displacement", "strain", "regularised")
 
 
-@checked
 def omega_squared(k: Parameter, form: str, *, K2: Parameter = 1.0, mass: Parameter = 1.0) -> Numbers:
     """Square of the frequency of a linear wave: (K2/m) k^2 (1 - k^2/12), of `"regularised"` (K2/m) k^2/(1 + k^2/12).
 
@@ -54,7 +52,6 @@ def omega_squared(k: Parameter, form: str, *, K2: Parameter = 1.0, mass: Paramet
     return K2 / mass * k**2 * less
 
 
-@checked
 def regularised_wave(
     x: Parameter, p: Parameter = 1.5, *, speed: Parameter = 1.0, stiffness: Parameter = 1.0, mass: Parameter = 1.0
 ) -> compacton.Compacton:
@@ -80,7 +77,6 @@ def _regularised(x, p, c, stiffness, mass):
     return profile(x), c * profile(x - 0.5), jnp.full_like(x * p, jnp.inf)
 
 
-@checked
 def travelling_residual(
     profile: Callable, x: Parameter, force: Callable, speed: Parameter, form: str, *, mass: Parameter = 1.0
 ) -> Numbers:
@@ -120,7 +116,6 @@ def travelling_residual(
     return found.reshape(place.shape)
 
 
-@checked
 def residual(
     y: Parameter, y_tt: Parameter, force: Callable, form: str, *, spacing: Scalar, mass: Parameter = 1.0
 ) -> Numbers:

@@ -33,7 +33,6 @@ import numpy as np
 from jaxtyping import Array, Complex, Float
 
 from ..checks import broadcast, concrete, held_in_memory, parameter, refuse, show, whole
-from ..entry import checked
 from ..results import Held, Result
 from ..types import Count, Number, Parameter, Scalar
 from .nls_coefficients import B, Coefficients, band_edges, coefficients
@@ -44,7 +43,6 @@ __all__ = [
 ]
 
 
-@checked
 def bright(
     X: Number, T: Number, kappa: Number, nu2: Number, nu3: Number, X0: Number = 0.0
 ) -> Complex[Array, "..."]:
@@ -64,7 +62,6 @@ def bright(
     return amplitude * _sech(width * (X - X0)) * jnp.exp(1j * kappa * T)
 
 
-@checked
 def dark(
     X: Number, T: Number, kappa: Number, nu2: Number, nu3: Number, X0: Number = 0.0,
     nu3_force: Number | None = None,
@@ -91,7 +88,6 @@ def dark(
     return amplitude * jnp.tanh(width * (X - X0)) * jnp.exp(1j * kappa * T)
 
 
-@checked
 def growth_rate(Q: Parameter, amplitude: Parameter, nu2: Number, nu3: Number) -> Float[Array, "..."]:
     r"""Growth per unit T of a modulation e^{iQX} of a uniform wave: [nu2 Q^2 (2 nu3 |Y|^2 - nu2 Q^2)]^{1/2}.
 
@@ -150,7 +146,6 @@ class Profile(Result):
         return f"A breather of frequency {show(omega)}, that of the linear wave shifted by {show(kappa)}."
 
 
-@checked
 def bright_profile(
     coefficients: Coefficients, omega: Scalar, cells: Count, centre: Scalar | None = None
 ) -> Profile:
@@ -184,7 +179,6 @@ def bright_profile(
     return Profile(*strains, amplitude, width, kappa + coefficients.omega, kappa)
 
 
-@checked
 def dark_profile(
     coefficients: Coefficients, omega: Scalar, cells: Count, centre: Scalar | None = None
 ) -> Profile:

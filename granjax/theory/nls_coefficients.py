@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Array, Bool, Complex, Float, Integer
 
 from ..checks import broadcast, concrete, one_of, parameter, positive, refuse, show, whole
-from ..entry import checked
 from ..results import Held, Result
 from ..types import Count, Parameter, Scalar
 
@@ -79,7 +78,6 @@ class Coefficients(Result):
         return f"nu2 = {nu2:.6g}, nu3 = {nu3:.6g} at constant force: {'bright' if nu2 * nu3 > 0 else 'dark'} solitons."
 
 
-@checked
 def coefficients(
     mass: Parameter, K2: Parameter, K3: Parameter, K4: Parameter, k: Scalar, branch: Count = 0,
     constraint: str = "force",
@@ -228,7 +226,6 @@ def _coefficients(mass, K2, K3, K4, k, branch, length):
     return found, touches
 
 
-@checked
 def B(K2: Parameter, K3: Parameter, K4: Parameter, mass: Parameter = 1.0) -> Float[Array, "..."]:
     r"""nu3 of the monomer chain at k = pi and constant force: (3 K2 K4 - 4 K3^2)/(K2^{3/2} m^{1/2}).
 
@@ -245,7 +242,6 @@ def B(K2: Parameter, K3: Parameter, K4: Parameter, mass: Parameter = 1.0) -> Flo
     return (3 * K2 * K4 - 4 * K3**2) / (K2 * jnp.sqrt(K2 * mass))
 
 
-@checked
 def band_edges(mass: Parameter, K2: Parameter) -> Float[Array, "P 2"]:
     """Edges of all bands, (P, 2): lowest and highest omega of each.
 

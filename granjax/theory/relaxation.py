@@ -5,7 +5,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import concrete, parameter, positive, refuse, show, within
-from ..entry import checked
 from ..programs import compiled
 from ..types import Number, Parameter
 
@@ -13,7 +12,6 @@ from ..types import Number, Parameter
 NODES = 32
 
 
-@checked
 def mittag_leffler(z: Parameter, order: Parameter, second: Parameter = 1.0) -> Number:
     r"""E_{a,b}(z) = sum over k of z^k/Gamma(a k + b), for z <= 0 and 0 < a <= 1.
 

@@ -3,14 +3,12 @@
 import jax.numpy as jnp
 
 from ..checks import non_negative, positive
-from ..entry import checked
 from ..types import Number, Parameter
 
 # (4/5) B(3/5, 3/2) (5/4)^{3/5}, B the beta function
 FIRST = 1.1534488581
 
 
-@checked
 def walton_braun(loading: Parameter, unloading: Parameter) -> Number:
     """e = sqrt(k1/k2), at every speed. Source: O. R. Walton, R. L. Braun, J. Rheol. 30, 949 (1986).
 
@@ -22,7 +20,6 @@ def walton_braun(loading: Parameter, unloading: Parameter) -> Number:
     return jnp.sqrt(positive("loading", loading) / positive("unloading", unloading))
 
 
-@checked
 def thornton(speed: Parameter, yield_speed: Parameter) -> Number:
     r"""Of elastic, perfectly plastic spheres, with r = V_y/V.
 
@@ -44,7 +41,6 @@ def thornton(speed: Parameter, yield_speed: Parameter) -> Number:
     return jnp.sqrt(6 * jnp.sqrt(3.0) / 5 * (1 - r * r / 6)) * inner**0.25
 
 
-@checked
 def viscoelastic(
     speed: Parameter, stiffness: Parameter, dissipative_time: Parameter, reduced_mass: Parameter = 0.5,
 ) -> Number:

@@ -9,7 +9,6 @@ import numpy as np
 
 from ..checks import refuse
 from ..laws import Law
-from ..outside import Outside
 from ..printing import told
 from ..profiles import Medium
 from ..profiles.medium import one_number
@@ -61,7 +60,7 @@ def _rounding():
 
 
 @eqx.filter_jit
-def _slopes(law, e, outside):
+def _slopes(law, e):
     first = law.derivative(e)
     second = jax.jvp(law.derivative, (e,), (jnp.ones_like(e),))[1]
     overlap = law.overlap(e)
@@ -70,10 +69,10 @@ def _slopes(law, e, outside):
 
 def _slopes_at(law: Law, e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """F' and F'' at known strains; NaN where a contact is open, two magnets have met, or the law has no stiffness."""
-    flat, outside = np.ravel(e), Outside(law)
+    flat = np.ravel(e)
     padded = np.zeros(-(-max(flat.size, 1) // CHUNK) * CHUNK)
     padded[: flat.size] = flat
-    parts = [_slopes(law, jnp.asarray(part), outside) for part in padded.reshape(-1, CHUNK)]
+    parts = [_slopes(law, jnp.asarray(part)) for part in padded.reshape(-1, CHUNK)]
     first, second, overlap = (np.concatenate([np.asarray(p, float) for p in x])[: flat.size].reshape(np.shape(e))
                               for x in zip(*parts))
     with np.errstate(invalid="ignore"):
@@ -161,7 +160,7 @@ def _path_to(medium: Medium, c: Any, ahead: Any, kind: str | None = None) -> Pat
 
 def _at_rest(law, ahead):
     """F' ahead, which may be zero; refused where it is below, infinite or that of an open contact."""
-    first, _, overlap = (float(x[0]) for x in _slopes(law, jnp.full(CHUNK, ahead), Outside(law)))
+    first, _, overlap = (float(x[0]) for x in _slopes(law, jnp.full(CHUNK, ahead)))
     if overlap < 0:
         refuse("ahead", "a strain at which the contacts are closed", f"{ahead:g}", "Across a gap no sound runs.")
     if not 0 <= first < np.inf:

@@ -23,10 +23,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import broadcast, concrete, non_negative, parameter, positive, refuse, show, traced
-from ..entry import checked
 from ..lattice import Lattice
 from ..laws import Law
-from ..outside import Outside
 from ..profiles import medium_of
 from ..types import Numbers, Parameter, Scalar
 from .simple_states import _path_to, _slopes_at, _width_of
@@ -36,7 +34,6 @@ __all__ = ["fan", "mean", "power_law_mean"]
 HALVINGS = 60
 
 
-@checked
 def mean(law: Law | Lattice, c: Scalar, mass: Scalar = 1.0, *, ahead: Scalar = 0.0) -> Numbers:
     """Strain behind the waves of v_n = -2c sign(n), int_ahead^mean (F'/m)^{1/2} dy = 2c, to 1e-12 or so.
 
@@ -55,15 +52,14 @@ def mean(law: Law | Lattice, c: Scalar, mass: Scalar = 1.0, *, ahead: Scalar = 0
     medium = medium_of(law, mass)
     c, ahead = parameter("c", c), parameter("ahead", ahead)
     path = _path_to(medium.known, c, ahead)
-    return _mean(medium.law, medium.mass, c, ahead, *path.arrays[:3], Outside(medium.law))
+    return _mean(medium.law, medium.mass, c, ahead, *path.arrays[:3])
 
 
 @eqx.filter_jit
-def _mean(law, mass, c, ahead, width, nodes, weights, outside):
+def _mean(law, mass, c, ahead, width, nodes, weights):
     return ahead + _width_of(law, mass, c, ahead, width, nodes, weights)
 
 
-@checked
 def fan(
     speed: Parameter, law: Law | Lattice, c: Scalar, mass: Scalar = 1.0, *, ahead: Scalar = 0.0,
 ) -> Numbers:
@@ -90,7 +86,7 @@ def fan(
     inside = (np.abs(known) <= path.sound) & (np.abs(known) >= path.behind)
     behind = jnp.asarray(np.abs(known) < path.behind)
     return _fan(medium.law, medium.mass, c, ahead, speed, jnp.asarray(path.width * share.reshape(known.shape)),
-                jnp.asarray(inside), behind, *path.arrays[:3], Outside(medium.law))
+                jnp.asarray(inside), behind, *path.arrays[:3])
 
 
 def _solved(medium, path, speeds):
@@ -104,7 +100,7 @@ def _solved(medium, path, speeds):
 
 
 @eqx.filter_jit
-def _fan(law, mass, c, ahead, speed, further, inside, behind, width, nodes, weights, outside):
+def _fan(law, mass, c, ahead, speed, further, inside, behind, width, nodes, weights):
     width = _width_of(law, mass, c, ahead, width, nodes, weights)
     # by Newton's method, for the digits of a weak fan and for derivatives
     for _ in range(2):
@@ -114,7 +110,6 @@ def _fan(law, mass, c, ahead, speed, further, inside, behind, width, nodes, weig
     return ahead + jnp.where(inside, further, jnp.where(behind, width, 0.0))
 
 
-@checked
 def power_law_mean(
     c: Parameter, stiffness: Parameter = 1.0, exponent: Parameter = 1.5, rest: Parameter = 0.0, mass: Parameter = 1.0,
 ) -> Numbers:

@@ -25,7 +25,6 @@ import jax
 import jax.numpy as jnp
 
 from ..checks import broadcast, one_of, parameter, positive, within
-from ..entry import checked
 from ..printing import told
 from ..types import Numbers, Parameter
 
@@ -60,7 +59,6 @@ class StokesWave(NamedTuple):
     error: jax.Array
     __repr__ = told
 
-    @checked
     def strain(self, theta: Parameter) -> Numbers:
         """y at phases theta = k n - omega t, which broadcast with the wave's numbers [m]."""
         theta = parameter("theta", theta)
@@ -69,7 +67,6 @@ class StokesWave(NamedTuple):
         return self.mean_strain + waves
 
 
-@checked
 def wave(
     k: Parameter, amplitude: Parameter, K2: Parameter, K3: Parameter, K4: Parameter, mass: Parameter = 1.0, *,
     constraint: str = "length",

@@ -35,7 +35,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import broadcast, concrete, parameter, positive, refuse, show
-from ..entry import checked
 from ..printing import told
 from ..types import Numbers, Parameter
 from .chain_wave import ChainWave, _direction_of, _numbers, _one_given, _sinh_less, _stiffnesses, _toda_constants
@@ -68,7 +67,6 @@ class TodaConstants(NamedTuple):
     __repr__ = told
 
 
-@checked
 def matched(K2: Parameter, K3: Parameter) -> TodaConstants:
     """The Toda chain of the same K2 and K3: b = 2 K3/K2, a = K2^2/(2 K3).
 
@@ -88,7 +86,6 @@ def matched(K2: Parameter, K3: Parameter) -> TodaConstants:
 # ------------------------------------------------------------------------------------------------------------ solitons
 
 
-@checked
 def speed(k: Parameter, *, strength: Parameter = 1.0, rate: Parameter = 1.0, mass: Parameter = 1.0) -> Numbers:
     """Speed of a soliton, sinh k/k times that of sound (a b/m)^{1/2} [sites/s]. **Arguments:** `k` > 0 [1/site].
 
@@ -101,7 +98,6 @@ def speed(k: Parameter, *, strength: Parameter = 1.0, rate: Parameter = 1.0, mas
     return jnp.sqrt(a * b / m) * (1 + _sinh_less(k) / k)
 
 
-@checked
 def amplitude(k: Parameter, *, rate: Parameter = 1.0) -> Numbers:
     """Largest strain of a soliton, 2 ln(cosh k)/b. **Arguments:** `k` > 0 [1/site]; `rate`: b, not zero.
 
@@ -115,7 +111,6 @@ def amplitude(k: Parameter, *, rate: Parameter = 1.0) -> Numbers:
     return jnp.log1p(jnp.sinh(k) ** 2) / b
 
 
-@checked
 def energy(k: Parameter, *, strength: Parameter = 1.0, rate: Parameter = 1.0) -> Numbers:
     """Energy of a soliton, (sinh 2k - 2k) a/b. **Arguments:** `k` > 0 [1/site].
 
@@ -128,7 +123,6 @@ def energy(k: Parameter, *, strength: Parameter = 1.0, rate: Parameter = 1.0) ->
     return a / b * _sinh_less(2 * k)
 
 
-@checked
 def wavenumber(
     *, speed: Parameter | None = None, amplitude: Parameter | None = None, energy: Parameter | None = None,
     strength: Parameter = 1.0, rate: Parameter = 1.0, mass: Parameter = 1.0,
@@ -178,7 +172,6 @@ def _solved(function, target, x):
     return jax.lax.fori_loop(0, NEWTON, nearer, x)
 
 
-@checked
 def soliton(
     n: Parameter, t: Parameter, k: Parameter, *, centre: Parameter = 0.0, direction: str = "right",
     strength: Parameter = 1.0, rate: Parameter = 1.0, mass: Parameter = 1.0,
@@ -206,7 +199,6 @@ def soliton(
     return ChainWave(*_solitons(n, t, (k,), (sign,), (centre,), (), *_toda_constants(strength, rate, mass)))
 
 
-@checked
 def two_solitons(
     n: Parameter, t: Parameter, k1: Parameter, k2: Parameter, *, centre1: Parameter, centre2: Parameter,
     head_on: bool = False, strength: Parameter = 1.0, rate: Parameter = 1.0, mass: Parameter = 1.0,
@@ -235,7 +227,6 @@ def two_solitons(
     return ChainWave(*_solitons(n, t, (k1, k2), signs, starts, (meeting,), *_toda_constants(strength, rate, mass)))
 
 
-@checked
 def phase_shifts(k1: Parameter, k2: Parameter, *, head_on: bool = False) -> tuple[Numbers, Numbers]:
     r"""By how many sites two solitons are further along n after they have met than they would be alone.
 

@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import concrete, one_of, parameter, refuse, show
-from ..entry import checked
 from ..printing import told
 from ..types import Numbers, Parameter
 from .chain_wave import ChainWave, _numbers, _toda_constants
@@ -41,7 +40,6 @@ class PeriodicNumbers(NamedTuple):
     __repr__ = told
 
 
-@checked
 def periodic_wave(
     n: Parameter, t: Parameter, E1: Parameter, E2: Parameter, E3: Parameter, E4: Parameter, *,
     centre: Parameter = 0.0, strength: Parameter = 1.0, rate: Parameter = 1.0, mass: Parameter = 1.0,
@@ -73,7 +71,6 @@ def periodic_wave(
     return ChainWave(*_periodic(n, t, centre, Es, *_toda_constants(strength, rate, mass)))
 
 
-@checked
 def periodic_numbers(
     E1: Parameter, E2: Parameter, E3: Parameter, E4: Parameter, *,
     strength: Parameter = 1.0, rate: Parameter = 1.0, mass: Parameter = 1.0,
@@ -145,7 +142,6 @@ def _of_ends(Es, a, b, m):
 # --------------------------------------------------------------------------------------------------------- Lax's matrix
 
 
-@checked
 def lax_eigenvalues(
     strain: Parameter, velocity: Parameter, *, boundary: str = "free",
     strength: Parameter = 1.0, rate: Parameter = 1.0, mass: Parameter = 1.0,

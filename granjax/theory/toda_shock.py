@@ -10,7 +10,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import concrete, refuse, show
-from ..entry import checked
 from ..printing import told
 from ..types import Numbers, Parameter
 from .chain_wave import _numbers, _toda_constants
@@ -63,7 +62,6 @@ class Modulation(NamedTuple):
     __repr__ = told
 
 
-@checked
 def velocity_shock(
     c: Parameter, *, strength: Parameter = 1.0, rate: Parameter = 1.0, mass: Parameter = 1.0
 ) -> ShockEdges:
@@ -90,7 +88,6 @@ def velocity_shock(
     return ShockEdges(*_edges(c, rate, b))
 
 
-@checked
 def modulation(
     m: Parameter, c: Parameter, *, strength: Parameter = 1.0, rate: Parameter = 1.0, mass: Parameter = 1.0
 ) -> Modulation:
@@ -122,7 +119,6 @@ def modulation(
     return Modulation(*_modulation(m1 + jax.lax.stop_gradient(jnp.minimum(m1, _last(c)) - m1), c, rate, b))
 
 
-@checked
 def modulus(
     speed: Parameter, c: Parameter, *, strength: Parameter = 1.0, rate: Parameter = 1.0, mass: Parameter = 1.0
 ) -> Numbers:
@@ -142,7 +138,6 @@ def modulus(
     return _modulus(speed / rate, c)
 
 
-@checked
 def shock_wave(
     n: Parameter, t: Parameter, c: Parameter, *, phase: Parameter | None = None,
     strength: Parameter = 1.0, rate: Parameter = 1.0, mass: Parameter = 1.0,

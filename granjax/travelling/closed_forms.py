@@ -5,7 +5,6 @@ from typing import ClassVar
 import numpy as np
 
 from ..checks import parameter, refuse
-from ..entry import checked
 from ..lattice import Lattice
 from ..laws import Law, taylor
 from ..profiles import medium_of
@@ -53,7 +52,6 @@ class ClosedForms(Result):
         return f"{said[0][0].upper()}{said[0][1:]}" + (f"; {said[-1]}." if len(said) > 1 else ".")
 
 
-@checked
 def closed_forms(law: Law | Lattice, speed: Parameter, *, mass: Scalar = 1.0) -> ClosedForms:
     """The exact solitary waves of a law beside the solitons of KdV and of Toda of the same speeds.
 

@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Float
 
 from ..checks import described, held_in_memory, positive, refuse, within
-from ..entry import checked
 from ..flow import Run, simulate
 from ..lattice import Lattice, State
 from ..laws import taylor
@@ -123,7 +122,6 @@ class Course(NamedTuple):
         return self.starts[:, None] + self.speeds[:, None] * times
 
 
-@checked
 def collide(
     first: Wave, second: Wave, *, phase: Parameter = 0.0, tolerance: Scalar = 1e-7, step: Scalar | None = None,
     progress: bool = False,

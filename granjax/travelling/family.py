@@ -8,7 +8,6 @@ import numpy as np
 from jaxtyping import Float
 
 from ..checks import one_of, parameter, refuse, traced
-from ..entry import checked
 from ..lattice import Lattice
 from ..laws import Law
 from ..profiles import medium_of, wave_of
@@ -52,7 +51,6 @@ class WaveFamily(Result):
     outcome: str
 
 
-@checked
 def family(
     law: Law | Lattice, *, speed: Parameter | None = None, amplitude: Parameter | None = None,
     energy: Parameter | None = None, mass: Scalar = 1.0, side: str | None = None,

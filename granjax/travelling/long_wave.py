@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import concrete, one_of, parameter, positive, refuse, show
-from ..entry import checked
 from ..lattice import Lattice, State
 from ..laws import Law, Scaled
 from ..printing import told
@@ -41,7 +40,6 @@ class LongWave(NamedTuple):
     places: jax.Array
     __repr__ = told
 
-    @checked
     def unresolved(self, y: StateLike | None = None) -> Number:
         """How large the shortest eighth of the waves is in the strain, over the largest wave: what so many places miss.
 
@@ -53,7 +51,6 @@ class LongWave(NamedTuple):
         return jnp.max(waves[7 * len(waves) // 8 :]) / jnp.max(waves)
 
 
-@checked
 class SpectralStrain(StrainMap):
     r"""y = mean - (1 - d_x^2/12)^{-1/2} d_x w, by Fourier transform over the places of a periodic box.
 
@@ -112,7 +109,6 @@ def _symbol(w, spacing):
     return 1j * k / jnp.sqrt(1 + k**2 / 12)
 
 
-@checked
 def long_wave(
     law: Law, strain: Parameter, rate: Parameter | None = None, *, spacing: Scalar, speed: Scalar | None = None,
     mass: Scalar = 1.0, form: str = "regularised",

@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import positive, refuse, traced, whole
-from ..entry import checked
 from ..lattice import Lattice, State
 from ..laws import Law
 from ..profiles import Shape, medium_of
@@ -61,22 +60,18 @@ class PeriodicWave(Result):
     outcome: str
     _shape: Shape = eqx.field(kw_only=True, repr=False)
 
-    @checked
     def strain(self, xi: Parameter) -> Numbers:
         """Compression of the contacts at places xi = n - c t [m]."""
         return self._shape.at("strain", xi)
 
-    @checked
     def velocity(self, xi: Parameter) -> Numbers:
         """Velocity of the beads at places xi [m/s]; its mean is zero."""
         return self._shape.at("velocity", xi)
 
-    @checked
     def displacement(self, xi: Parameter) -> Numbers:
         """Displacement of the beads at places xi [m], which falls by the mean strain from one bead to the next."""
         return self._shape.at("displacement", xi)
 
-    @checked
     def state(self, sites: Count, centre: Scalar = 0.0) -> State:
         """Displacements and velocities (sites,) with a crest at contact `centre`, of a chain.
 
@@ -95,7 +90,6 @@ class PeriodicWave(Result):
         return averages_of(self._shape, self.law, float(self.mass), c, length, points, error, origin)
 
 
-@checked
 def periodic_wave(
     law: Law | Lattice, wavelength: Scalar, *, speed: Scalar | None = None, amplitude: Scalar | None = None,
     mean: Scalar = 0.0, mass: Scalar = 1.0,

@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import held_in_memory, positive, refuse, whole
-from ..entry import checked
 from ..flow import Run, frequency_bound, simulate
 from ..lattice import Lattice, State
 from ..laws import Law, taylor
@@ -71,7 +70,6 @@ class Reflection(Result):
     outcome: str
 
 
-@checked
 def reflect(
     wave: Wave, wall: Law | None = None, *, distance: Count | None = None, step: Scalar | None = None,
     progress: bool = False,

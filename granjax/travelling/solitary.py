@@ -5,7 +5,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import one_of, positive, refuse, show, traced
-from ..entry import checked
 from ..lattice import Lattice
 from ..laws import Law
 from ..profiles import Solved, medium_of, wave_of
@@ -17,7 +16,6 @@ from .wave import Wave, half_width, implicit_width
 TABLE, REACH = 257, 20.0
 
 
-@checked
 def solitary_wave(
     law: Law | Lattice, *, speed: Scalar | None = None, amplitude: Scalar | None = None, energy: Scalar | None = None,
     mass: Scalar = 1.0, side: str | None = None, resonator: Resonator | None = None, spacing: Scalar | None = None,

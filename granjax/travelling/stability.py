@@ -8,7 +8,6 @@ import numpy as np
 from scipy.linalg import schur, solve_discrete_lyapunov
 
 from ..checks import described, one_of, refuse, whole
-from ..entry import checked
 from ..flow import Flow
 from ..lattice import Lattice, State
 from ..laws import Strained
@@ -27,7 +26,6 @@ CLOSED, SHORTEST, LONGEST = 1e-10, 12, 200
 RATE, STEPS, MOST, KNOWN = 1.0, 64, 2048, 1e-7
 
 
-@checked
 def ring(wave: Any, sites: Count | None = None) -> tuple[Lattice, State]:
     """A ring in which a wave runs, and the wave in its middle, displacements about the mean strain.
 
@@ -74,7 +72,6 @@ def _sites_of(wave):
     return max(SHORTEST, 2 * half)
 
 
-@checked
 def wave_orbit(lattice: Lattice, guess: StateLike, speed: Scalar, **keywords: Any) -> Orbit:
     r"""A wave of any ring as a fixed point: y(1/c) = S y(0), S the shift by one site, by Newton's method.
 
@@ -99,7 +96,6 @@ def wave_orbit(lattice: Lattice, guess: StateLike, speed: Scalar, **keywords: An
     return orbit(lattice, guess, 1 / abs(speed), symmetry=Translation(1 if speed > 0 else -1), **keywords)
 
 
-@checked
 def stability(wave: Any, sites: Count | None = None, ends: str | None = None, **keywords: Any) -> Floquet:
     r"""Multipliers of a wave over the time in which it runs one site: of S^-1 D y(1/c), with errors and a verdict.
 

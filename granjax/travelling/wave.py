@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import traced, whole
-from ..entry import checked
 from ..lattice import State
 from ..laws import Law
 from ..orbits.floquet import Floquet
@@ -71,22 +70,18 @@ class Wave(Result):
     outcome: str
     _shape: Shape = eqx.field(kw_only=True, repr=False)
 
-    @checked
     def strain(self, xi: Parameter) -> Numbers:
         """Compression of the contacts at places xi = n - c t, of any shape [m]."""
         return self._shape.at("strain", xi)
 
-    @checked
     def velocity(self, xi: Parameter) -> Numbers:
         """Velocity of the beads at places xi [m/s]: largest at xi = 1/2, midway between two contacts."""
         return self._shape.at("velocity", xi)
 
-    @checked
     def displacement(self, xi: Parameter) -> Numbers:
         """Displacement of the beads at places xi [m]: zero ahead of the wave, `compression` behind it."""
         return self._shape.at("displacement", xi)
 
-    @checked
     def state(self, sites: Count, centre: Scalar | None = None) -> State:
         """Displacements and velocities (sites,) of a chain whose peak is at contact `centre`, a real number.
 

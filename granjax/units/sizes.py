@@ -9,7 +9,6 @@ import equinox as eqx
 import jax
 
 from ..checks import positive, refuse
-from ..entry import checked
 from ..printing import called, told
 from ..types import Number, Parameter, StateLike
 
@@ -31,7 +30,6 @@ class Units(eqx.Module):
     length: jax.Array
     time: jax.Array
 
-    @checked
     def __init__(self, mass: Parameter = 1.0, length: Parameter = 1.0, time: Parameter = 1.0):
         self.mass, self.length, self.time = positive("mass", mass), positive("length", length), positive("time", time)
 
@@ -64,17 +62,14 @@ class Units(eqx.Module):
         """Unit of angular frequency, and of a damping rate [1/s]."""
         return 1 / self.time
 
-    @checked
     def of(self, force: Number, length: Number, time: Number) -> Number:
         """The unit of a quantity of these powers of force, length and time."""
         return self.force**force * self.length**length * self.time**time
 
-    @checked
     def state_to_si(self, state: StateLike) -> StateLike:
         """A scaled `State` in metres and metres per second."""
         return self._convert(state, self.length, self.velocity)
 
-    @checked
     def state_from_si(self, state: StateLike) -> StateLike:
         """A `State` in metres and metres per second in these units."""
         return self._convert(state, 1 / self.length, 1 / self.velocity)

@@ -10,7 +10,6 @@ import numpy as np
 from jaxtyping import Float
 
 from ..checks import one_of, real, refuse, show
-from ..entry import checked
 from ..printing import told
 from ..types import Count, Parameter, Pytree, Scalar
 
@@ -138,7 +137,6 @@ def in_turns(
     return np.array([[np.median(times), np.min(times)] for times in spent]).reshape(-1, 2).T
 
 
-@checked
 def distance(state: Pytree, reference: Pytree) -> float:
     r"""Largest error of a state, each of its parts by its own scale.
 

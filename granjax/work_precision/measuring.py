@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 
 from ..checks import held_in_memory, refuse, whole
-from ..entry import checked
 from ..types import Count, Pytree, Scalar
 from .ladder import ASYMPTOTIC, Ladder, checked_ladders, distance, in_turns, once, warmed
 from .table import DRAWN, LARGEST_FLOOR, WorkPrecision
@@ -27,7 +26,6 @@ _PACKAGES = ("granjax", "jax", "jaxlib", "diffrax", "equinox", "numpy")
 _ROOT = Path(__file__).parents[2]
 
 
-@checked
 def measure(
     ladders: Sequence[Ladder], reference: Pytree, floor: Scalar = math.nan, repeats: Count = 5, *,
     longest: Scalar = math.inf, note: str = "",

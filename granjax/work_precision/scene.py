@@ -10,7 +10,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import non_negative, positive, refuse, whole
-from ..entry import checked
 from ..flow import simulate
 from ..flow.inputs import checked_state, checked_times
 from ..lattice import Lattice
@@ -45,7 +44,6 @@ PATIENCE, GAIN = 2, 0.7
 OTHER_MESH = 1.3
 
 
-@checked
 def work_precision(
     lattice: Lattice, state: StateLike, t1: Scalar,
     solvers: diffrax.AbstractSolver | Sequence | Mapping[str, diffrax.AbstractSolver] | None = None,

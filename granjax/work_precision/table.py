@@ -10,7 +10,6 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ..checks import refuse, whole
-from ..entry import checked
 from ..results import SI, Held, Result
 from ..types import Pytree, Scalar
 from .advice import Advice, advise
@@ -113,7 +112,6 @@ class WorkPrecision(Result):
         steps = 1 / self.steps[own] if np.all(np.isfinite(self.steps[own])) else self.value[own]
         return observed_order(steps, self.error[own], self.floor)
 
-    @checked
     def advice(self, error: Scalar) -> Advice:
         """What to use for an error that you can live with, in the measure of `distance`.
 
@@ -173,7 +171,6 @@ class WorkPrecision(Result):
             "methods": methods, "points": points,
         })
 
-    @checked
     def to_json(self, indent: int | None = None) -> str:
         """`to_dict` as one JSON object, a string."""
         return json.dumps(self.to_dict(), indent=indent, allow_nan=False)

@@ -10,8 +10,6 @@ from jax.flatten_util import ravel_pytree
 from jax.scipy.special import gammaln
 
 from ...checks import concrete, described, held_in_memory, parameter, passable, refuse, show, whole, within
-from ...entry import checked
-from ...outside import Outside
 from ...results import Result
 from ...types import Count, Number, Pytree, Scalar, Times, VectorField
 from ...variables import Held
@@ -52,7 +50,6 @@ class CaputoRun(Result):
         return "Completed." if self.residual < 1e-8 else "Newton's method has not converged in some step: more steps."
 
 
-@checked
 def caputo(
     field: VectorField, y: Pytree, t1: Scalar, *, order: Scalar, steps: Count = 200, t0: Scalar = 0.0, args: Any = None,
     grading: Scalar | None = None,
@@ -107,7 +104,7 @@ def caputo(
         shapes = jax.tree.map(jnp.shape, y), jax.tree.map(lambda x: getattr(x, "shape", x), got)
         refuse("field", f"a function (t, y, args) that returns what y is, shape {shapes[0]}", f"shape {shapes[1]}")
     t0, t1 = (jnp.asarray(t, float) for t in (t0, t1))
-    return _solved(field, y, t0, t1, order, grading, steps, args, Outside((field, args)))
+    return _solved(field, y, t0, t1, order, grading, steps, args)
 
 
 def _inside(name, order):
@@ -119,7 +116,7 @@ def _inside(name, order):
 
 
 @eqx.filter_jit
-def _solved(field, y, t0, t1, order, grading, steps, args, outside):
+def _solved(field, y, t0, t1, order, grading, steps, args):
     flat, unravel = ravel_pytree(y)
     ends = (jnp.arange(steps + 1) / steps) ** grading * (t1 - t0)
 

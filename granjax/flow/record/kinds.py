@@ -12,7 +12,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...checks import concrete, described, refuse
-from ...entry import checked
 from ...lattice import Lattice
 from ...printing import told
 from ...types import AnyArray, Count, Number, Numbers, Parameter, Pytree, Scalar, StateLike
@@ -102,7 +101,6 @@ def _called(quantity, t, y, lattice):
     return quantity(lattice, y, t=t) if "t" in names else quantity(lattice, y)
 
 
-@checked
 class Peak(Record):
     """Largest value of a quantity over the run, elementwise, found between steps.
 
@@ -136,7 +134,6 @@ class Peak(Record):
         return jax.lax.cond(jnp.any(higher(q, near, best)), refined, lambda: best)
 
 
-@checked
 class Lowest(Peak):
     """Smallest value of a quantity over the run, elementwise, found between steps as `Peak` finds the largest.
 
@@ -159,7 +156,6 @@ class Lowest(Peak):
         return -carried
 
 
-@checked
 class PeakTime(Peak):
     """When a quantity is the largest, elementwise, found between steps as `Peak` finds how large: the first of equals.
 
@@ -186,7 +182,6 @@ class PeakTime(Peak):
         return carried[1]
 
 
-@checked
 class Arrival(Record):
     """First time at which a quantity reaches a threshold from below, elementwise, found between steps; NaN if never.
 
@@ -253,7 +248,6 @@ class Arrival(Record):
         return jax.lax.stop_gradient(self._threshold(carried[1]) - carried[1])
 
 
-@checked
 class Integral(Record):
     """Integral of a quantity over time, elementwise, by Gauss and Lobatto's rule on the samples of each step.
 
@@ -277,7 +271,6 @@ class Integral(Record):
         return carried + (step * mean(q)).astype(carried.dtype)
 
 
-@checked
 class AtEnds(Record):
     """Smallest value of a quantity at the ends of steps, elementwise: cheap, and not refined between steps.
 

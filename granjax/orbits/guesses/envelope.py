@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...checks import one_of, refuse
-from ...entry import checked
 from ...lattice import Lattice, State
 from ...laws import taylor
 from ...linear import bands
@@ -41,7 +40,6 @@ class Edge(NamedTuple):
     __repr__ = told
 
 
-@checked
 def cell_of(lattice: Lattice) -> tuple | None:
     """(mass, K2, K3, K4) of the unit cell of a chain of next neighbours, (P,) each, or `None` where it is none.
 
@@ -70,7 +68,6 @@ def cell_of(lattice: Lattice) -> tuple | None:
     return mass, *(np.broadcast_to(x, (size,)) for x in parts)
 
 
-@checked
 def edges_beside(lattice: Lattice, omega: Scalar) -> list[Edge]:
     """The edges of the gap that holds omega, as `Edge`s; none inside a band or where there is no unit cell.
 
@@ -104,7 +101,6 @@ def _at_symmetry(k):
     return near if abs(k - near) < SAME_K else float(k)
 
 
-@checked
 def supports_bright(edge: Edge) -> bool:
     """Whether a bright breather leaves this edge into the gap: focusing, and its frequency shifts that way.
 
@@ -118,7 +114,6 @@ def supports_bright(edge: Edge) -> bool:
     return bool(c.focusing) and (float(c.nu3_force) > 0) == edge.above
 
 
-@checked
 def edge_of(lattice: Lattice, omega: Scalar, kind: str) -> Scalar:
     """Frequency of the edge from which the bright or dark breathers at omega come.
 
@@ -135,7 +130,6 @@ def edge_of(lattice: Lattice, omega: Scalar, kind: str) -> Scalar:
     return min(found, key=lambda edge: abs(edge - omega)) if found else omega
 
 
-@checked
 def bright_guess(lattice: Lattice, omega: Scalar, centre: Scalar | None = None) -> State:
     """The envelope's bright breather of a chain at a frequency in a gap, `State` at rest.
 
@@ -157,7 +151,6 @@ def bright_guess(lattice: Lattice, omega: Scalar, centre: Scalar | None = None) 
     return _state(lattice, nls.bright_profile, edge.coefficients, omega, centre)
 
 
-@checked
 def dark_guess(lattice: Lattice, omega: Scalar, centre: Scalar | None = None) -> State:
     """The envelope's dark breather below the highest edge of a band, `State` at rest, N bonds wide.
 
@@ -220,7 +213,6 @@ def _size(lattice):
     return next(iter(lattice.sites.values()))[0] if lattice.fields else lattice.sites[0]
 
 
-@checked
 def refuse_bright(lattice: Lattice, omega: Scalar) -> None:
     """Say why a chain has no bright breather at a frequency.
 

@@ -10,7 +10,6 @@ from jax.flatten_util import ravel_pytree
 from scipy.optimize import brentq
 
 from ...checks import positive, refuse
-from ...entry import checked
 from ...flow import Flow
 from ...lattice import Lattice, State, spread_mass
 from ...newton import newton
@@ -38,7 +37,6 @@ STRETCH, DEGREES = 1.01, (1.2, 5.0)
 BESIDE = 3
 
 
-@checked
 def single_site(
     lattice: Lattice, omega: Scalar, sites: Site | Sequence[Site], *, amplitudes: Sequence[Scalar] | None = None,
     field: str | None = None,

@@ -5,7 +5,6 @@ from collections.abc import Sequence
 import jax.numpy as jnp
 
 from ...checks import non_negative, parameter, positive, whole
-from ...entry import checked
 from ...lattice import Lattice
 from ...laws import Law, Linear
 from ...strains import Shift
@@ -16,7 +15,6 @@ from .build import Motion, built, grounded, laws_of
 from .cells import DIAMOND, SAWTOOTH, SSH, STUB
 
 
-@checked
 def ssh(
     cells: Count, k1: Parameter = 1.0, k2: Parameter = 2.0, *, mass: Parameter = 1.0,
     law: Sequence[Law] | None = None, boundary: str = "fixed", ground: Scalar | None = None,
@@ -49,7 +47,6 @@ def ssh(
 GOLDEN = (5**0.5 - 1) / 2
 
 
-@checked
 def aubry_andre(
     sites: Count, modulation: Scalar = 1.0, *, ratio: Scalar = GOLDEN, phase: Scalar = 0.0, stiffness: Scalar = 1.0,
     ground: Scalar = 2.0, mass: Scalar = 1.0, law: Law | None = None, on_site: Law | None = None,
@@ -88,7 +85,6 @@ def aubry_andre(
     return Lattice(positive("mass", mass, "A bead needs a mass."), terms, sites=count, units=units)
 
 
-@checked
 def sawtooth(
     cells: Count, stiffness: Parameter = 1.0, *, tooth: Scalar | None = None, mass: Parameter = 1.0,
     law: Sequence[Law] | None = None, boundary: str = "periodic", ground: Scalar = 0.0, equal: bool = True,
@@ -121,7 +117,6 @@ def sawtooth(
     return _chain(SAWTOOTH, cells, laws, mass, boundary, ground, on_site, equal, units)
 
 
-@checked
 def stub(
     cells: Count, stiffness: Parameter | Sequence[Parameter] = 1.0, *, mass: Parameter = 1.0,
     law: Sequence[Law] | None = None,
@@ -144,7 +139,6 @@ def stub(
     return _chain(STUB, cells, laws_of(STUB, law, stiffness, 1, 0.0), mass, boundary, ground, on_site, equal, units)
 
 
-@checked
 def diamond(
     cells: Count, stiffness: Parameter | Sequence[Parameter] = 1.0, *, mass: Parameter = 1.0,
     law: Sequence[Law] | None = None,

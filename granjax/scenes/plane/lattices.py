@@ -3,7 +3,6 @@
 from collections.abc import Callable, Sequence
 
 from ...checks import positive, whole
-from ...entry import checked
 from ...lattice import Lattice
 from ...laws import Law, Linear
 from ...types import Count, Parameter, Scalar
@@ -12,7 +11,6 @@ from .build import SPHERE, Motion, built, grounded, laws_of, motion_of
 from .cells import HONEYCOMB, KAGOME, LIEB, QUADRUPOLE, SQUARE, TRIANGULAR
 
 
-@checked
 def square(
     n: Count, m: Count | None = None, *, mass: Parameter = 1.0,
     stiffness: Parameter | Sequence[Parameter] = 1.0, exponent: Parameter = 1.0,
@@ -65,7 +63,6 @@ def square(
                   out_of_plane, rotation, tangential, inertia, units, ground, on_site)
 
 
-@checked
 def triangular(
     n: Count, m: Count | None = None, *, mass: Parameter = 1.0,
     stiffness: Parameter | Sequence[Parameter] = 1.0, exponent: Parameter = 1.0,
@@ -92,7 +89,6 @@ def triangular(
                   out_of_plane, rotation, tangential, inertia, units, ground, on_site)
 
 
-@checked
 def hexagon(
     rings: Count, *, mass: Parameter = 1.0, stiffness: Parameter | Sequence[Parameter] = 1.0, exponent: Parameter = 1.0,
     precompression: Parameter = 0.0, law: Law | Sequence[Law] | None = None, spacing: Scalar = 1.0,
@@ -115,7 +111,6 @@ def hexagon(
                   out_of_plane, rotation, tangential, inertia, units, ground, on_site)
 
 
-@checked
 def honeycomb(
     n: Count, m: Count | None = None, *, mass: Parameter | dict[str, Parameter] = 1.0,
     stiffness: Parameter | Sequence[Parameter] = 1.0,
@@ -142,7 +137,6 @@ def honeycomb(
                   out_of_plane, rotation, tangential, inertia, units, ground, on_site)
 
 
-@checked
 def kagome(
     n: Count, m: Count | None = None, *, mass: Parameter | dict[str, Parameter] = 1.0,
     stiffness: Parameter | Sequence[Parameter] = 1.0,
@@ -170,7 +164,6 @@ def kagome(
                   out_of_plane, rotation, tangential, inertia, units, ground, on_site)
 
 
-@checked
 def lieb(
     n: Count, m: Count | None = None, *, mass: Parameter | dict[str, Parameter] = 1.0,
     stiffness: Parameter | Sequence[Parameter] = 1.0,
@@ -198,7 +191,6 @@ def lieb(
                   out_of_plane, rotation, tangential, inertia, units, ground, on_site, equal and out_of_plane)
 
 
-@checked
 def quadrupole(
     n: Count, m: Count | None = None, k1: Scalar = 1.0, k2: Scalar = 2.0, *,
     mass: Parameter | dict[str, Parameter] = 1.0, boundary: str | Sequence[str] = "fixed", ground: Scalar = 0.0,

@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...checks import concrete, held_in_memory, one_of, parameter, refuse, whole
-from ...entry import checked
 from ...lattice import Lattice
 from ...laws import Law
 from ...strains import WALL, Pairs
@@ -57,7 +56,6 @@ class _Guides(NamedTuple):
         return Lattice(mass, tuple(terms), sites=None if np.ndim(mass) else total, positions=positions, units=units)
 
 
-@checked
 def junction(
     stem: Count, branches: Sequence[Count], *, angles: Sequence | None = None, mass: Parameter = 1.0,
     stiffness: Parameter = 1.0, exponent: Parameter = 1.5, precompression: Parameter = 0.0, boundary: str = "fixed",
@@ -123,7 +121,6 @@ def _positions(stem, counts, angles):
     return np.concatenate(places)
 
 
-@checked
 def network(
     nodes: Parameter | dict[str, Parameter], edges: Sequence, beads: Count | Sequence[Count] = 10, *,
     mass: Parameter = 1.0, stiffness: Parameter = 1.0, exponent: Parameter = 1.5, precompression: Parameter = 0.0,

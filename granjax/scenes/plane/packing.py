@@ -3,7 +3,6 @@
 from collections.abc import Callable, Sequence
 
 from ...checks import one_of, plain_zero, positive, refuse
-from ...entry import checked
 from ...lattice import Lattice
 from ...laws import Hertz, Linear
 from ...materials import Material, bead_mass, hertz_coefficient, named
@@ -15,7 +14,6 @@ from .cells import HONEYCOMB, KAGOME, SQUARE, TRIANGULAR
 ARRANGEMENTS = {"hexagonal": TRIANGULAR, "square": SQUARE, "honeycomb": HONEYCOMB, "kagome": KAGOME}
 
 
-@checked
 def packing(
     material: str | Material, radius: Scalar, n: Count, m: Count | None = None, precompression: Scalar = 0.0, *,
     arrangement: str = "hexagonal", rotation: bool = False, boundary: str | Sequence[str] = "fixed",

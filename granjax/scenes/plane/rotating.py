@@ -3,7 +3,6 @@
 import jax.numpy as jnp
 
 from ...checks import non_negative, one_of, plain_zero, whole
-from ...entry import checked
 from ...lattice import Lattice
 from ...laws import Law, Linear
 from ...strains import BOUNDARIES
@@ -13,7 +12,6 @@ from .build import SPHERE, built, laws_of, motion_of
 from .cells import CHAIN
 
 
-@checked
 def rotating_chain(
     sites: Count, *, mass: Parameter = 1.0, stiffness: Parameter = 1.0, exponent: Parameter = 1.5,
     precompression: Scalar = 0.01, law: Law | None = None, tangential: Scalar | Law | None = None,

@@ -6,7 +6,6 @@ import numpy as np
 from jaxtyping import Float
 
 from ...checks import held_in_memory, refuse, whole, within
-from ...entry import checked
 from ...types import Parameter, Scalar
 from .lanes import LANES, checked_ratios, peak_forces
 
@@ -16,7 +15,6 @@ MARGIN = 12
 FIT_WIDTH = 0.01
 
 
-@checked
 def contact_forces(
     ratios: Parameter, contacts: Parameter, *, progress: bool = False
 ) -> Float[np.ndarray, "contacts n"]:
@@ -45,7 +43,6 @@ def contact_forces(
     return peak_forces(ratios, beads, "free", bonds, 1.5 * beads + 10, progress)
 
 
-@checked
 def decay_rate(
     ratios: Parameter, contacts: Sequence[int] = (200, 600), *, progress: bool = False
 ) -> Float[np.ndarray, " n"]:
@@ -83,7 +80,6 @@ def _pair(contacts):
     return contacts
 
 
-@checked
 def anti_resonance(
     low: Scalar, high: Scalar, *, contacts: Sequence[int] = (200, 600), progress: bool = False
 ) -> float:

@@ -7,7 +7,6 @@ import numpy as np
 from jaxtyping import Float
 
 from ...checks import held_in_memory, positive, refuse, tolerance, whole
-from ...entry import checked
 from ...results import Held, Result
 from ...types import Count, Parameter, Scalar
 from .decay import decay_rate
@@ -93,7 +92,6 @@ def _run_time(beads):
     return 1.5 * beads + 10
 
 
-@checked
 def transmission(
     ratios: Parameter, beads: Count = 101, *, run_time: Scalar | None = None, progress: bool = False
 ) -> Transmission:
@@ -142,7 +140,6 @@ def _wall_forces(ratios, beads, run_time, progress):
     return peak_forces(ratios, beads, "fixed", (beads,), run_time, progress)[0]
 
 
-@checked
 def refine(sweep: Transmission, *, accuracy: Scalar = 1e-4, progress: bool = False) -> Extrema:
     """Local extrema of a transmission over the mass ratio, by search between the neighbours of the grid's.
 

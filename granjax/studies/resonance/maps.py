@@ -10,7 +10,6 @@ import numpy as np
 from jaxtyping import Float
 
 from ...checks import described, held_in_memory, one_of, positive, refuse, whole
-from ...entry import checked
 from ...flow import Peak, simulate
 from ...lattice import Lattice
 from ...laws import Hertz
@@ -88,7 +87,6 @@ class ResonanceMap(Result):
 Cell = Callable[[Any, Any], Any]
 
 
-@checked
 def resonance_map(
     kind: str | Cell, first: Parameter, second: Parameter, *, cells: tuple[int, int] = (8, 20),
     names: tuple[str, str] | None = None, progress: bool = False,

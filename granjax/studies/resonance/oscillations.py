@@ -10,7 +10,6 @@ import numpy as np
 from jaxtyping import Float
 
 from ...checks import held_in_memory, refuse, whole
-from ...entry import checked
 from ...flow import simulate
 from ...programs import wait
 from ...results import Held, Result
@@ -51,7 +50,6 @@ class Oscillations(Result):
                 f"neighbours are squeezed, at {len(self.count)} mass ratios.")
 
 
-@checked
 def oscillations(ratios: Parameter, *, bead: Count = 41) -> Oscillations:
     """Swings of a light bead during the squeeze by the leading pulse, in a long dimer chain struck at its heavy end.
 
@@ -94,7 +92,6 @@ def _program(beads, bead):
     return strains
 
 
-@checked
 def squeeze_count(left: Parameter, right: Parameter) -> float:
     """Swings of a bead between its neighbours while these are squeezed, from the compressions of its two contacts.
 

@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Float
 
 from ...checks import described, held_in_memory, parameter, positive, refuse, whole
-from ...entry import checked
 from ...lattice import Lattice, State
 from ...laws import Law
 from ...results import Held, Result
@@ -81,17 +80,14 @@ class CellWave(Result):
     # how far the core reaches, beyond which there is the ripple alone
     _core: float = eqx.field(static=True, default=0.0)
 
-    @checked
     def strain(self, xi: Parameter, bond: Count = 0) -> Float[np.ndarray, "..."]:
         """Compression [m] at places xi = n - c t, of any shape, as contact `bond` of the cell sees it."""
         return self._at(self.strains, xi, whole("bond", bond))
 
-    @checked
     def velocity(self, xi: Parameter, site: Count = 0) -> Float[np.ndarray, "..."]:
         """Velocity [m/s] at places xi = n - c t, of any shape, as bead `site` of the cell sees it."""
         return self._at(self.velocities, xi, whole("site", site))
 
-    @checked
     def state(self, sites: Count, centre: Scalar | None = None) -> State:
         """Displacements and velocities of a chain of so many sites, the wave's xi = 0 at contact `centre`.
 
@@ -141,7 +137,6 @@ def swinging(velocities, xi, speed, resonator):
     return np.fft.ifft(inner, axis=1).real, np.fft.ifft(stretch, axis=1).real
 
 
-@checked
 def cell_wave(
     law: Law | Lattice, masses: Parameter | None = None, *, speed: Scalar, resonator: Resonator | None = None,
     throw: bool = True,
@@ -253,7 +248,6 @@ def _in_vacuum(law, given, speed, resonator, throw):
                    "given.")
 
 
-@checked
 def tail_free(
     cell: Callable[[Any], Any], low: Scalar, high: Scalar, *, speed: Scalar, throw: bool = True,
 ) -> CellWave:

@@ -5,7 +5,6 @@ import jax
 import numpy as np
 
 from ...checks import positive, whole
-from ...entry import checked
 from ...printing import told
 from ...types import Count, Number, Parameter, Scalar
 
@@ -26,16 +25,13 @@ class Resonator(eqx.Module):
     stiffness: jax.Array
     __repr__ = told
 
-    @checked
     def __init__(self, mass: Parameter, stiffness: Parameter):
         self.mass, self.stiffness = positive("mass", mass), positive("stiffness", stiffness)
 
-    @checked
     def swing(self, mass: Number = 1.0) -> Number:
         """Angular frequency [rad/s] at which a free bead of mass m and its resonator swing against each other."""
         return (self.stiffness * (1 / self.mass + 1 / mass)) ** 0.5
 
-    @checked
     def tail_free(self, speed: Scalar, mass: Scalar = 1.0) -> Number:
         """The stiffness [N/m] nearest to its own at which a wave of this speed leaves no resonator swinging."""
         speed = positive("speed", speed)
@@ -43,7 +39,6 @@ class Resonator(eqx.Module):
         return tail_free_stiffness(speed, self.mass, mass, int(n))
 
 
-@checked
 def tail_free_stiffness(speed: Number, resonator_mass: Number, mass: Number = 1.0, count: Count = 1) -> Number:
     r"""Stiffness of resonators that swing `count` times, exactly, while a wave of speed c runs on by one bead.
 

@@ -9,7 +9,6 @@ import numpy as np
 
 from ...checks import positive, refuse, show, traced
 from ...laws import Law
-from ...outside import Outside
 from ...profiles.start import ASTRAY, petviashvili
 from .guess import from_struck, peak, pulse, struck
 from .system import MOST, Box, Chain, Solved, fourier, heaviness, newton, newton_with, response
@@ -33,7 +32,7 @@ SILENT = 1e-11
 
 
 @eqx.filter_jit
-def _forces(law, e, outside):
+def _forces(law, e):
     def both(e):
         return jax.jvp(law.force, (e,), (jnp.ones_like(e),))
 
@@ -42,13 +41,12 @@ def _forces(law, e, outside):
 
 def elementwise(law: Law, P: int, order: int, unit: float):
     """NumPy's force (order 0) or slope (1) of a law over a unit: (P, X) to (P, X)."""
-    outside = Outside(law)
 
     def of(e):
         width = next((n for n in COLUMNS if n >= e.shape[1]), -(-e.shape[1] // COLUMNS[-1]) * COLUMNS[-1])
         padded = np.zeros((P, width))
         padded[:, : e.shape[1]] = e
-        return np.asarray(_forces(law, padded, outside)[order])[:, : e.shape[1]] / unit
+        return np.asarray(_forces(law, padded)[order])[:, : e.shape[1]] / unit
 
     return of
 
