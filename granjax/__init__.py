@@ -111,7 +111,7 @@ Measurements and design
     smooth_peak         a maximum that differentiates
 Sweeps
     sweep               a function of parameters over a grid, a list or a random design; kept, resumed, on many machines
-    sweeps              designs (`paired`, `random`), `read` of a store, what `sweep` returns
+    sweeps              designs of a sweep: `paired`, `random`
 Theory and studies
     theory              closed forms: envelopes (nls), Toda, KdV, compactons, elliptic functions, shocks, Stokes waves
     travelling          solitary waves, and waves of dimers and of beads with resonators; collisions, reflection

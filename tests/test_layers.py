@@ -8,7 +8,7 @@ import granjax
 ROOT = Path(granjax.__file__).parent
 
 FLOORS = (
-    {"checks", "files", "printing", "tuning", "types", "outside"},
+    {"checks", "files", "printing", "tuning", "types"},
     {"entry", "programs", "variables"},
     {"split_system", "units"},
     {"results"},

@@ -1,4 +1,4 @@
-"""Pictures and tables of sweeps: one to three parameters, lists, words, failed lanes, units; made by hand."""
+"""Pictures of sweeps: one to three parameters, lists, words, failed lanes, units; made by hand."""
 
 import matplotlib
 
@@ -10,7 +10,6 @@ import pytest  # noqa: E402
 import xarray  # noqa: E402
 
 import granjax as gx  # noqa: E402
-from granjax.sweeps.table import table  # noqa: E402
 
 RATIOS, LOADS = np.linspace(0.1, 1.0, 7), np.geomspace(1.0, 1000.0, 4)
 FAILED = "The motion left the law's domain."
@@ -147,7 +146,6 @@ def test_what_is_still_to_come_is_a_gap_and_no_failure():
     data["reason"] = data.reason.astype("U40")
     data["reason"][:, 3] = "not computed yet"
     assert legend(gx.plots.sweep(data)) == ["failed: 1 of 28"]
-    assert table(data).endswith("28 lanes, 1 of them failed, 7 not computed yet: 8 more rows.")
 
 
 BAD = [
@@ -171,25 +169,3 @@ BAD = [
 def test_what_cannot_be_drawn_meets_a_sentence(call, sentence):
     with pytest.raises(ValueError, match=sentence):
         call()
-
-
-def test_a_table_has_units_and_the_reasons_of_what_failed():
-    text = table(one())
-    head, *rows = text.splitlines()
-    assert head.split() == ["ratio", "verdict", "peak_force", "[N]", "multipliers"]
-    assert rows[0].split()[:3] == ["0.1", "stable", "0.001"]
-    assert rows[6].endswith(FAILED) and rows[6].split()[0] == "0.4" and rows[7] == "7 lanes, 1 of them failed."
-    assert "shape" not in text
-
-
-def test_a_long_table_is_shortened_with_the_count():
-    text = table(two(), rows=4)
-    assert text.splitlines()[3].split() == ["..."] * 3
-    assert text.endswith("28 lanes, 1 of them failed: 23 more rows.")
-    # a parameter of the list is a column
-    assert table(listed("speed", "drop"), rows=2).splitlines()[0].split() == [
-        "speed", "[mm/s]", "drop", "[mm/s]", "peak", "[scaled]", "done"]
-    with pytest.raises(ValueError, match="rows: expected a whole number not below 2"):
-        table(two(), rows=1)
-    with pytest.raises(ValueError, match="data: expected a sweep"):
-        table(3.0)

@@ -32,7 +32,7 @@ def breather(ratio):
     orbit = gx.breathers.breather(chain, 0.988 * (3 / ratio) ** 0.5)
     return {"energy": orbit.energy, "verdict": orbit.floquet().verdict}
 
-data = gx.sweep(breather, {"ratio": np.linspace(0.3, 0.6, 64)}, store="breathers.nc")
+data = gx.sweep(breather, {"ratio": np.linspace(0.3, 0.6, 64)}, store="breathers.zarr")
 gx.plots.save(gx.plots.sweep(data, "energy", bands="verdict"), "breathers.png")
 """
 
@@ -96,14 +96,12 @@ def test_radii_of_a_crystal(folder):
     at = data.isel(first=-1, second=1)
     alone = space["transmitted"](float(at.first), float(at.second))
     assert float(at.transmitted) == pytest.approx(float(alone), rel=1e-3)
-    lattice, state = data.scene(first=float(at.first), second=float(at.second))
-    assert float(lattice.mass[1] / lattice.mass[0]) == pytest.approx((float(at.first) / 9.5e-3) ** 3)
 
 
 def check_breathers(space, folder):
     """The sweep, of which what failed says why: near 0.6 the gap is too narrow for a breather in 21 beads."""
     data = space["data"]
-    assert (folder / "breathers.nc").is_file() and (folder / "breathers.png").stat().st_size > 5000
+    assert (folder / "breathers.zarr").is_dir() and (folder / "breathers.png").stat().st_size > 5000
     good = (data.reason == "").values
     assert np.isfinite(data.energy.values[good]).all() and set(data.verdict.values[good]) <= {"stable", "unstable"}
     assert all(str(why).startswith("Not localised") for why in data.reason.values[~good])

@@ -1,8 +1,16 @@
-"""Sweeps: the same numbers as one scene after another, whatever way they are computed."""
+"""Sweeps: the same numbers as one scene after another, kept, resumed, on executors that die."""
 
+import json
+import multiprocessing
+import os
 import random
+import signal
+import subprocess
+import sys
+import time
 import warnings
 from collections import namedtuple
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 
 import jax
 import jax.numpy as jnp
@@ -11,11 +19,11 @@ import pytest
 import xarray
 
 import granjax as gx
-from granjax.flow.lifted import lifting, scene_of
-from granjax.sweeps.plan import planned
+from granjax.sweeps.function import program
 from granjax.sweeps.points import points_of
 
 FORCE = gx.Peak(gx.measures.contact_force)
+RATIOS = np.linspace(0.2, 1.0, 9)
 
 
 def wall(ratio, beads=7):
@@ -24,91 +32,151 @@ def wall(ratio, beads=7):
     return {"wall": run.recorded["force"][-1], "speed": run.final.v[0]}
 
 
+def squared(x, y=0.0):
+    return {"z": x**2 + y}
+
+
+def in_python(x):
+    return {"z": float(x) ** 2, "word": "small" if x < 2 else "large"}
+
+
 def sweep(function, parameters, **keywords):
     return gx.sweep(function, parameters, progress=False, **keywords)
 
 
-RATIOS = np.linspace(0.2, 1.0, 9)
-
-
 @pytest.fixture(scope="module")
-def walls():
-    return sweep(wall, {"ratio": RATIOS, "beads": [7, 5]}, units={"wall": "N", "ratio": "1"})
+def walls(tmp_path_factory):
+    store = tmp_path_factory.mktemp("walls") / "walls.zarr"
+    parameters = {"ratio": RATIOS, "beads": [7, 5]}
+    return sweep(wall, parameters, units={"wall": "N", "ratio": "1"}, store=store, chunk=4), store
 
 
-def how_of(function, parameters):
-    return planned(function, points_of(parameters), None, None).how
+# ------------------------------------------------------------------------------------------------ what is computed
 
 
-@pytest.mark.study
 def test_lanes_are_what_single_runs_give(walls):
-    assert how_of(wall, {"ratio": RATIOS, "beads": [7, 5]})[:2] == ("lanes", ("beads",))
+    data, _ = walls
     for beads in (5, 7):
         for ratio in RATIOS[::4]:
-            here, one = walls.sel(ratio=ratio, beads=beads), wall(float(ratio), beads)
+            here, one = data.sel(ratio=ratio, beads=beads), wall(float(ratio), beads)
             assert float(here.wall) == pytest.approx(float(one["wall"]), rel=1e-9)
             assert float(here.speed) == pytest.approx(float(one["speed"]), rel=1e-9, abs=1e-12)
-    assert walls.sizes == {"ratio": 9, "beads": 2} and (walls.reason == "").all()
+    assert data.sizes == {"ratio": 9, "beads": 2} and (data.reason == "").all()
 
 
 def test_it_is_a_dataset_with_units_and_its_origin(walls):
-    assert isinstance(walls, xarray.Dataset) and walls.wall.attrs["units"] == "N"
-    assert walls.ratio.attrs["units"] == "1" and list(walls.data_vars) == ["wall", "speed", "reason"]
-    assert {"granjax", "jax", "numpy", "commit", "cite", "outcome", "function", "scene"} <= walls.attrs.keys()
-    assert "7 sites" in walls.attrs["scene"] or "7" in walls.attrs["scene"]
-    assert walls.outcome == "18 lanes over ratio (9), beads (2)."
-    plain = walls.to_xarray()
-    assert type(plain) is xarray.Dataset and plain.attrs == walls.attrs
-    assert all(plain[name].identical(walls[name]) for name in walls.variables)
-    assert "wall [N]" in walls.table(4)
+    data, store = walls
+    assert type(data) is xarray.Dataset and data.wall.units == "N" and data.ratio.units == "1"
+    assert list(data.data_vars) == ["wall", "speed", "reason"]
+    assert {"granjax", "jax", "numpy", "function"} <= data.attrs.keys()
+    assert data.outcome == "18 points over ratio (9), beads (2)."
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = xarray.open_zarr(store).load()
+    assert set(found.variables) == set(data.variables) and found.wall.identical(data.wall)
+    assert (found.reason.values.astype(object) == "").all() and found.attrs["function"] == "wall"
 
 
 @pytest.mark.slow
-def test_a_lane_is_run_again(walls):
-    scene = walls.scene(ratio=RATIOS[3] * (1 + 1e-13), beads=5)
-    lattice, state = scene
-    assert lattice.shape == (5,) and scene.t1 == 12.0 and "dimer" not in repr(scene)
-    run = scene.run(save_at=13)
-    assert run.us.shape == (13, 5)
-    assert float(run.recorded["force"][-1]) == pytest.approx(float(walls.wall.sel(ratio=RATIOS[3], beads=5)), rel=1e-9)
-    assert float(walls.scene(ratio=0.33, beads=7).lattice.mass[1]) == 0.33
-    with pytest.raises(ValueError, match="beads: expected a value of each parameter"):
-        walls.scene(ratio=0.5)
-    with pytest.raises(ValueError, match="Did you mean 'ratio'"):
-        walls.scene(ration=0.5, beads=5)
-    with pytest.raises(ValueError, match="made of another by xarray"):
-        walls.isel(ratio=0).scene(beads=5)
+def test_chunks_and_executors_agree(walls):
+    data, _ = walls
+    with ThreadPoolExecutor(2) as executor:
+        other = sweep(wall, {"ratio": RATIOS, "beads": [7]}, chunk=4, executor=executor)
+    assert np.array_equal(other.wall, data.wall.sel(beads=[7]))
+    alone = sweep(wall, {"ratio": RATIOS, "beads": [7]}, chunk=9)
+    np.testing.assert_allclose(alone.wall, data.wall.sel(beads=[7]), rtol=1e-9)
+
+
+def test_functions_that_hold_python_are_called_point_by_point():
+    data = sweep(in_python, {"x": [1.0, 2.0, 3.0]})
+    assert data.z.values.tolist() == [1.0, 4.0, 9.0] and data.word.values.tolist() == ["small", "large", "large"]
+    data = sweep(lambda F0, kind: {"kind": kind, "cut": float(F0) ** 0.5}, {"F0": [1.0, 64.0], "kind": ["a", "bb"]})
+    assert data.kind_found.values.tolist() == [["a", "bb"]] * 2 and data.cut.sel(F0=64.0, kind="a") == 8.0
+
+
+def test_words_and_sizes_are_programs_of_their_own():
+    function = lambda x, kind, n: {"y": x * {"one": 1, "two": 2}[kind] + jnp.ones(n).sum(), "same": kind}
+    parameters = {"kind": ["two", "one"], "x": [1.0, 2.0, 3.0], "n": [3, 2]}
+    data = sweep(function, parameters)
+    assert program.__wrapped__ and data.y.sel(kind="two", x=3.0, n=2) == 8.0 and data.same[0, 0, 0] == "two"
+    listed = sweep(function, [{"kind": k, "x": x, "n": n} for k in ("two", "one") for x in (1.0, 2.0) for n in (3, 2)])
+    assert listed.y.values.tolist() == [5, 4, 7, 6, 4, 3, 5, 4]
+
+
+def test_designs():
+    pairs = sweep(lambda x, y: x - y, gx.sweeps.paired({"x": [1.0, 2.0, 3.0], "y": [4.0, 3.0, 2.0]}))
+    rows = sweep(lambda p: p["x"] - p["y"], [{"x": 1.0, "y": 4.0}, {"x": 2.0, "y": 3.0}, {"x": 3.0, "y": 2.0}])
+    assert pairs.value.values.tolist() == [-3.0, -1.0, 1.0] == rows.value.values.tolist()
+    assert pairs.value.dims == ("lane",) and pairs.x.dims == ("lane",)
+    same = sweep(squared, gx.sweeps.paired({"x": [2.0, 2.0], "y": [1.0, 1.0]}))
+    assert same.z.values.tolist() == [5.0, 5.0]
+    points = gx.sweeps.random({"a": (0.1, 1.0), "b": (1.0, 1e4, "log"), "n": (2, 5)}, 64, seed=3)
+    again = gx.sweeps.random({"a": (0.1, 1.0), "b": (1.0, 1e4, "log"), "n": (2, 5)}, 64, seed=3)
+    a, b, n = points.axes.values()
+    assert all(np.array_equal(x, y) for x, y in zip(points.axes.values(), again.axes.values()))
+    assert (np.histogram(a, 4, (0.1, 1.0))[0] == 16).all() and (np.histogram(np.log10(b), 4, (0, 4))[0] == 16).all()
+    assert set(n.tolist()) == {2, 3, 4, 5} and n.dtype.kind == "i"
+    assert sweep(lambda a, b, n: a, points).value.shape == (64,)
+    assert sweep(lambda x, scale=2.0: scale * x, {"x": [1.0, 2.0]}).value.values.tolist() == [2.0, 4.0]
 
 
 @pytest.mark.slow
-def test_runs_within_have_their_lanes_last():
-    """The compiled program is that of one lattice with lanes last, to the last bit."""
-    def peak(ratio):
-        chain = gx.scenes.dimer(7, ratio=ratio)
-        return gx.simulate(chain, gx.states.impact(chain), 12.0, record={"force": FORCE}).recorded["force"]
+def test_results_become_their_variables(tmp_path):
+    def whole(ratio):
+        chain = gx.scenes.dimer(4, ratio=ratio)
+        return gx.simulate(chain, gx.states.impact(chain), 2.0, step=0.01, save_at=3)
 
-    @jax.jit
-    def by_hand(ratios):
-        chains = jax.vmap(lambda ratio: gx.scenes.dimer(7, ratio=ratio), out_axes=-1)(ratios)
-        return gx.simulate(chains, gx.states.impact(chains), 12.0, record={"force": FORCE}).recorded["force"]
+    data = sweep(whole, {"ratio": [0.5, 0.9]}, store=tmp_path / "whole.zarr")
+    assert data.u.dims == ("ratio", "time", "site") and data.u.shape == (2, 3, 4)
+    assert (data.completed == 1).all() and data.solver.values.tolist() == ["SRKN11b"] * 2
+    one = whole(0.9)
+    np.testing.assert_allclose(data.u[1], one.us, rtol=1e-9, atol=1e-12)
+    Pair = namedtuple("Pair", "modes, multipliers")
+    data = sweep(lambda x: Pair(jnp.arange(3.0) * x, jnp.exp(1j * x)), {"x": [0.0, np.pi]}, store=tmp_path / "c.zarr")
+    np.testing.assert_allclose(data.multipliers, [1, -1], atol=1e-15)
+    assert data.modes.dims == ("x", "modes_0")
 
-    def lifted(ratios):
-        with lifting():
-            return jax.vmap(peak)(ratios)
 
-    ratios = jnp.asarray(RATIOS)
-    np.testing.assert_allclose(jax.jit(lifted)(ratios), by_hand(ratios).T, rtol=1e-14)
+@pytest.mark.slow
+def test_records_have_errors_and_laws_of_ones_own_keep_lanes_apart():
+    class Cubic(gx.Law):
+        k: jax.Array
+
+        def force(self, e):
+            return e + self.k * e**3
+
+        def energy(self, e):
+            return e**2 / 2 + self.k * e**4 / 4
+
+    def made(k):
+        return gx.Lattice(1.0, (gx.Bond(gx.Shift(1, "fixed"), Cubic(k)), gx.Damping(0.1)), sites=4)
+
+    def over(k):
+        chain = made(k)
+        # the largest of all sites: behind them it would be that of all lanes
+        record = {"top": gx.Peak(lambda t, y, lattice: jnp.max(y.u)), "part": gx.Peak(lambda t, y, l: y.v / y.v.std())}
+        run = gx.simulate(chain, gx.states.impact(chain), 3.0, step=0.01, record=record)
+        return {"top": run.recorded["top"], "part": run.recorded["part"], "error": run.record_error["top"]}
+
+    data = sweep(over, {"k": [0.5, 1.0, 2.0]})
+    for k in (0.5, 2.0):
+        one = over(k)
+        np.testing.assert_allclose(data.top.sel(k=k), one["top"], rtol=1e-9)
+        np.testing.assert_allclose(data.part.sel(k=k), one["part"], rtol=1e-7)
+        assert 0 < data.error.sel(k=k) < 1e-3
+
+
+# ------------------------------------------------------------------------------------------------ what fails
 
 
 @pytest.mark.slow
 def test_a_lane_that_goes_wrong_says_why_and_the_others_stand():
     def softening(K3):
         chain = gx.Lattice(1.0, gx.Bond(gx.Shift(1, "fixed"), gx.Polynomial(1.0, K3, 0.0)), sites=7)
-        run = gx.simulate(chain, gx.states.impact(chain), 30.0, step=0.1, record={"force": FORCE})
-        return jnp.where(run.completed, run.recorded["force"][0], 1e9)
+        return gx.simulate(chain, gx.states.impact(chain), 30.0, step=0.1, record={"force": FORCE}).recorded["force"][0]
 
     data = sweep(softening, {"K3": [0.1, 0.2, 3.0, 0.25]})
-    assert data.reason.values.tolist()[2].startswith("The state is not finite") and (data.reason != "").sum() == 1
+    assert str(data.reason[2].values).startswith("The state is not finite") and (data.reason != "").sum() == 1
     assert np.isnan(data.softening[2]) and (data.softening[[0, 1, 3]] < 2).all()
     assert "K3 = 3" in data.outcome and "1 marked" in data.outcome
     alone = sweep(softening, {"K3": [0.1, 0.2, 0.25]})
@@ -116,7 +184,14 @@ def test_a_lane_that_goes_wrong_says_why_and_the_others_stand():
 
 
 @pytest.mark.slow
-def test_a_lane_that_is_refused_says_why():
+def test_runs_that_stop_and_scenes_that_are_refused_say_why():
+    def stopped(ratio):
+        chain = gx.scenes.dimer(5, ratio=ratio)
+        run = gx.simulate(chain, gx.states.impact(chain), 6.0, tolerance=1e-8, max_steps=100, record={"force": FORCE})
+        return run.recorded["force"].max()
+
+    data = sweep(stopped, {"ratio": [0.01, 1.0]})
+    assert "Stopped after" in str(data.reason[0].values) and np.isnan(data.stopped[0]) and data.stopped[1] > 0
     data = sweep(wall, {"ratio": [0.5, 1.5, 0.7]})
     assert "ratio: expected numbers in (0, 1], got 1.5" in str(data.reason[1].values)
     assert np.isfinite(data.wall[[0, 2]]).all() and np.isnan(data.wall[1])
@@ -129,235 +204,40 @@ def test_a_lane_that_is_refused_says_why():
     assert "steps of" in str(data.reason[1].values) and data.reason[0] == ""
 
 
-def test_where_every_lane_fails_it_is_raised():
-    with pytest.raises(RuntimeError, match="^Every lane failed. The first: ratio: expected numbers"):
+def test_what_is_not_finite_is_named_and_where_all_fails_it_is_raised():
+    data = sweep(lambda x: {"a": 2 * x, "b": jnp.stack([x, jnp.log(x)])}, {"x": [-1.0, 1.0]})
+    assert data.reason.values.tolist() == ["Not finite: b.", ""] and data.a.values.tolist() == [-2.0, 2.0]
+    data = sweep(lambda x: {"y": np.ones(int(x))}, {"x": [2.0, 3.0]})
+    assert "Return the same names and shapes" in str(data.reason[1].values) and np.isnan(data.y[1]).all()
+    with pytest.raises(RuntimeError, match="^Every point failed. The first: ratio: expected numbers"):
         sweep(wall, {"ratio": [1.5, 2.5]})
     with pytest.raises(RuntimeError, match="NameError: name 'missing' is not defined"):
         sweep(lambda x: missing * x, {"x": [1.0, 2.0]})  # noqa: F821
 
 
-def test_what_is_not_finite_is_named():
-    data = sweep(lambda x: {"a": 1 / x, "b": jnp.stack([x, jnp.log(x)])}, {"x": [-1.0, 1.0, 0.0]})
-    assert data.reason.values.tolist() == ["Not finite: b.", "", "Not finite: a, b."]
-    assert data.a.values.tolist() == [-1.0, 1.0, np.inf] and data.b.shape == (3, 2)
-
-
-@pytest.mark.slow
-def test_ways_of_computing_agree():
-    parameters = {"ratio": RATIOS, "beads": [7]}
-    each = sweep(wall, parameters, lanes=False)
-    chunks = sweep(wall, parameters, chunk=4, devices=1)
-    devices = sweep(wall, parameters, devices=jax.devices())
-    for other in (chunks, devices):
-        np.testing.assert_allclose(other.wall, each.wall, rtol=1e-9)
-        np.testing.assert_allclose(other.speed, each.speed, rtol=1e-8, atol=1e-11)
-
-
-@pytest.mark.study
-def test_records_have_errors_within_lanes():
-    def peak(ratio):
-        chain = gx.scenes.dimer(5, ratio=ratio)
-        run = gx.simulate(chain, gx.states.impact(chain), 6.0, record={"force": FORCE})
-        return {"force": run.recorded["force"][-1], "force_error": run.record_error["force"][-1]}
-
-    assert how_of(peak, {"ratio": RATIOS})[:3] == ("lanes", (), True)
-    data = sweep(peak, {"ratio": [0.4, 0.8]})
-    fine = [gx.simulate(c, gx.states.impact(c), 6.0, tolerance=1e-12, record={"force": FORCE}).recorded["force"][-1]
-            for c in (gx.scenes.dimer(5, ratio=0.4), gx.scenes.dimer(5, ratio=0.8))]
-    assert (np.abs(data.force - np.array(fine)) <= data.force_error).all() and (data.force_error < 1e-3).all()
-
-
-@pytest.mark.slow
-def test_adaptive_runs_have_steps_of_their_own():
-    def peak(ratio):
-        chain = gx.scenes.dimer(5, ratio=ratio)
-        run = gx.simulate(chain, gx.states.impact(chain), 6.0, tolerance=1e-8, record={"force": FORCE})
-        return {"force": run.recorded["force"], "steps": run.stats["steps"]}
-
-    data, one = sweep(peak, {"ratio": [0.1, 0.8]}), peak(0.8)
-    assert data.steps[0] > data.steps[1] == int(one["steps"]) and data.force.dims == ("ratio", "force_0")
-    np.testing.assert_allclose(data.force[1], one["force"], rtol=1e-12)
-
-
-@pytest.mark.slow
-def test_a_law_of_ones_own_and_times_of_a_lane():
-    class Cubic(gx.Law):
-        k: jax.Array
-
-        def force(self, e):
-            return e + self.k * e**3
-
-        def energy(self, e):
-            return e**2 / 2 + self.k * e**4 / 4
-
-    def over(k):
-        chain = gx.Lattice(1.0, (gx.Bond(gx.Shift(1, "fixed"), Cubic(k)), gx.Damping(0.1)), sites=4)
-        return gx.simulate(chain, gx.states.impact(chain), 3.0 / k, step=0.01).final.u
-
-    data = sweep(over, {"k": [0.5, 1.0, 2.0]})
-    for k in (0.5, 2.0):
-        np.testing.assert_allclose(data.over.sel(k=k), over(jnp.asarray(k)), rtol=1e-9)
-
-
-def test_what_cannot_be_traced_is_called_lane_by_lane():
-    def gap(F0, kind):
-        chain = gx.scenes.dimer(6, ratio=0.5, precompression=F0, boundary="free")
-        bands = gx.linear.bands(chain) if kind == "bands" else None
-        return {"kind": kind, "many": bands is not None, "cut": float(F0) ** (1 / 6) * 2}
-
-    assert how_of(gap, {"F0": [1.0], "kind": ["bands", "none"]}).kind == "each"
-    data = sweep(gap, {"F0": [1.0, 64.0], "kind": ["bands", "none"]})
-    assert data.kind_found.values.tolist() == [["bands", "none"]] * 2 and data.many.dtype == bool
-    assert data.cut.sel(F0=64.0, kind="none") == 4.0
-    with pytest.raises(ValueError, match="lanes: expected None or False"):
-        sweep(gap, {"F0": [1.0], "kind": ["bands"]}, lanes=True)
-
-
-@pytest.mark.slow
-def test_results_become_their_variables():
-    def whole(ratio):
-        chain = gx.scenes.dimer(4, ratio=ratio)
-        return gx.simulate(chain, gx.states.impact(chain), 2.0, step=0.01, save_at=3)
-
-    Pair = namedtuple("Pair", "modes, multipliers")
-    data = sweep(whole, {"ratio": [0.5, 0.9]})
-    assert data.u.dims == ("ratio", "time", "site") and data.time.values.tolist() == [0.0, 1.0, 2.0]
-    assert (data.completed == 1).all() and data.solver.values.tolist() == ["SRKN11b"] * 2
-    each = sweep(whole, {"ratio": [0.5, 0.9]}, lanes=False)
-    np.testing.assert_allclose(each.u, data.u, rtol=1e-9, atol=1e-12)
-    assert each.outcome.startswith("2 lanes") and each.u.attrs == data.u.attrs
-    data = sweep(lambda x: Pair(jnp.arange(3.0) * x, jnp.exp(1j * x)), {"x": [0.0, np.pi]})
-    np.testing.assert_allclose(data.multipliers_real, [1, -1], rtol=1e-15)
-    assert data.multipliers_imag.shape == (2,) and data.modes.dims == ("x", "modes_0")
-
-
-def test_arrays_of_several_lengths_are_filled_up():
-    data = sweep(lambda n, x: jnp.arange(n) * x, {"n": [2, 4], "x": [1.0, 2.0]})
-    assert data.value.shape == (2, 2, 4) and np.isnan(data.value.sel(n=2)[:, 2:]).all()
-    assert data.value.sel(n=4, x=2.0).values.tolist() == [0.0, 2.0, 4.0, 6.0] and (data.reason == "").all()
-
-
-def test_designs():
-    pairs = sweep(lambda x, y: x - y, gx.sweeps.paired({"x": [1.0, 2.0, 3.0], "y": [4.0, 3.0, 2.0]}))
-    rows = sweep(lambda p: p["x"] - p["y"], [{"x": 1.0, "y": 4.0}, {"x": 2.0, "y": 3.0}, {"x": 3.0, "y": 2.0}])
-    assert pairs.value.values.tolist() == [-3.0, -1.0, 1.0] == rows.value.values.tolist()
-    assert pairs.value.dims == ("lane",) and pairs.x.dims == ("lane",)
-    points = gx.sweeps.random({"a": (0.1, 1.0), "b": (1.0, 1e4, "log"), "n": (2, 5)}, 64, seed=3)
-    again = gx.sweeps.random({"a": (0.1, 1.0), "b": (1.0, 1e4, "log"), "n": (2, 5)}, 64, seed=3)
-    a, b, n = points.axes.values()
-    assert all(np.array_equal(x, y) for x, y in zip(points.axes.values(), again.axes.values()))
-    assert (np.histogram(a, 4, (0.1, 1.0))[0] == 16).all() and (np.histogram(np.log10(b), 4, (0, 4))[0] == 16).all()
-    assert set(n.tolist()) == {2, 3, 4, 5} and n.dtype.kind == "i"
-
-
-@pytest.mark.parametrize("parameters, said", [
-    ({}, "names and values"), ({"x": []}, r"parameters\['x'\]: expected a row"), ({"x": 1.0}, "a row of numbers"),
-    ({"x": [np.nan]}, "finite numbers"), ({"x": [[1.0]]}, "row"), ({"lane": [1.0]}, "other names"),
-    ({"a b": [1.0]}, "names that a function"), ([{"x": 1.0}, {"y": 1.0}], "x in every dict"),
-    ({"x": [object()]}, "row"),
+@pytest.mark.parametrize("go, said", [
+    (lambda: points_of({}), "names and values"), (lambda: points_of({"x": []}), r"parameters\['x'\]: expected a row"),
+    (lambda: points_of({"x": [np.nan]}), "finite numbers"), (lambda: points_of({"lane": [1.0]}), "other names"),
+    (lambda: points_of({"a b": [1.0]}), "names that a function"),
+    (lambda: points_of([{"x": 1.0}, {"y": 1.0}]), "x in every dict"),
+    (lambda: gx.sweeps.random({"x": (1.0, 0.5)}, 4), "low below high"),
+    (lambda: gx.sweeps.random({"x": (0.0, 1.0, "lin")}, 4), "log"),
+    (lambda: sweep(lambda x, z: x, {"x": [1.0], "y": [1.0]}), "function: expected a function of x, y, or of one dict"),
+    (lambda: sweep(squared, {"x": [1.0]}, executor=4), "executor: expected an executor"),
+    (lambda: sweep(squared, {"x": [1.0]}, executor=ProcessPoolExecutor(1, multiprocessing.get_context("fork"))),
+     "spawn"),
 ])
-def test_bad_parameters_meet_a_sentence(parameters, said):
+def test_mistakes_meet_a_sentence(go, said):
     with pytest.raises(ValueError, match=said):
-        sweep(lambda x: x, parameters)
-
-
-@pytest.mark.parametrize("bounds, said", [
-    ({"x": (1.0, 0.5)}, "low below high"), ({"x": (0.0, 1.0, "log")}, "above zero|positive|x"), ({}, "name"),
-    ({"x": (0.0, 1.0, "lin")}, "log"), ({"x": (0.0, np.inf)}, "finite"),
-])
-def test_bad_bounds_meet_a_sentence(bounds, said):
-    with pytest.raises(ValueError, match=said):
-        gx.sweeps.random(bounds, 4)
-
-
-def test_bad_functions_meet_a_sentence():
-    with pytest.raises(ValueError, match="function: expected a function of x, y, or of one dict"):
-        sweep(lambda x, z: x, {"x": [1.0], "y": [1.0]})
-    with pytest.raises(RuntimeError, match="one that returns numbers or words"):
-        sweep(lambda x: None, {"x": [1.0, 2.0]})
-    with pytest.raises(ValueError, match=r"units\['x'\]: expected a string"):
-        sweep(lambda x: x, {"x": [1.0]}, units={"x": 3})
-    with pytest.raises(ValueError, match="devices: expected"):
-        sweep(lambda x: x, {"x": [1.0]}, devices=0)
-
-
-def test_what_a_sweep_is_not_for_is_told():
-    with pytest.raises(RuntimeError, match="given a dict of all; called 'ratio' it is given numbers"):
-        sweep(lambda r: 2 * r, {"ratio": [0.5, 0.6]})
-    with pytest.raises(ValueError, match="reads numbers that are known, got scale, which is traced"):
-        jax.grad(lambda scale: sweep(lambda x: x * scale, {"x": [1.0, 2.0]}).value.values.sum())(2.0)
-    with pytest.raises(ValueError, match=r"parameters\['x'\]: expected a row of numbers or words, got a traced"):
-        jax.jit(lambda x: sweep(lambda x: x, {"x": x}).value.values)(jnp.arange(3.0))
-
-
-def test_parameters_are_known_by_name_and_have_defaults():
-    assert sweep(lambda x, scale=2.0: scale * x, {"x": [1.0, 2.0]}).value.values.tolist() == [2.0, 4.0]
-    assert sweep(lambda **p: p["x"] + p["y"], {"x": [1.0], "y": [2.0]}).value.item() == 3.0
-
-
-def test_a_scene_is_asked_for_without_a_run():
-    lattice, state, t1, keywords = scene_of(wall, 0.5)
-    assert lattice.shape == (7,) and t1 == 12.0 and keywords["step"] == 0.02
-    assert scene_of(lambda: 3.0) is None
-
-
-def test_stiff_lanes_come_first_and_shapes_are_chunks():
-    plan = planned(wall, points_of({"ratio": [1.0, 0.2, 0.6]}), None, None)
-    assert plan.order is None  # a given step costs every lane the same
-
-    def own_step(ratio):
-        chain = gx.scenes.dimer(7, ratio=ratio)
-        return gx.simulate(chain, gx.states.impact(chain), 12.0).final.v[0]
-
-    plan = planned(own_step, points_of({"ratio": [1.0, 0.2, 0.6]}), None, None)
-    assert plan.order.tolist() == [1, 2, 0] and plan.chunk == 8
-    assert planned(own_step, points_of({"ratio": np.linspace(0.1, 1, 1000)}), None, None).chunk == 64
-
-
-def test_no_warning_is_left(walls):
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        sweep(wall, {"ratio": RATIOS, "beads": [7, 5]})
-
-
-@pytest.mark.slow
-def test_many_lanes_are_kept_in_one_file(tmp_path):
-    """More parameters than an attribute of a netCDF file holds, and a list that the function reads."""
-    shifts = [0.1 * i for i in range(5000)]
-
-    def shifted(x, y):
-        return {"sum": x + y + shifts[3], "reason": x}
-
-    points = gx.sweeps.random({"x": (0.0, 1.0), "y": (0.0, 1.0)}, 5000)
-    data = sweep(shifted, points, store=tmp_path / "many.nc")
-    again = sweep(shifted, points, store=tmp_path / "many.nc")
-    assert again.identical(data) and (data.reason == "").all() and (data.reason_found == data.x).all()
-    with pytest.raises(ValueError, match=r"x: 5000 values, .*, the store has 5000 values"):
-        sweep(shifted, gx.sweeps.random({"x": (0.0, 1.0), "y": (0.0, 1.0)}, 5000, seed=1), store=tmp_path / "many.nc")
-    shifts[3] = 7.0
-    with pytest.raises(ValueError, match="function: it reads shifts = 5000 values"):
-        sweep(shifted, points, store=tmp_path / "many.nc")
+        go()
 
 
 RNG = np.random.default_rng(1)
-
-
-def _disordered(k, masses):
-    chain = gx.Lattice(masses, gx.Bond(gx.Shift(1, "fixed"), gx.Hertz(k, 1.0)))
-    return {"v": gx.simulate(chain, gx.states.impact(chain), 1.0, step=0.1).final.v[0]}
-
-
-def _seeded(k):
-    np.random.seed(3)
-    return {"v": k * np.random.rand()}
-
-
 DRAWS = {
-    "masses of the global state": lambda k: _disordered(k, 1 + 0.1 * np.random.rand(4)),
+    "the global state": lambda k: {"v": k * jnp.asarray(1 + 0.1 * np.random.rand(4))},
     "a generator of its own": lambda k: {"v": k * np.random.default_rng().normal(size=3)},
     "a generator from outside": lambda k: {"v": k * RNG.normal()},
     "Python's": lambda k: {"v": k + random.gauss(0.0, 1.0)},
-    "a place": lambda k: {"v": jnp.arange(1e6).at[random.randrange(10**6)].set(k).sum()},
     "within a loop": lambda k: {"v": jax.lax.fori_loop(0, 3, lambda i, x: x + np.random.rand() * k, 0.0)},
     "beside what is traced": lambda k: {"v": k, "noise": np.random.rand()},
     "a JAX key": lambda k: {"v": k * jax.random.normal(jax.random.key(np.random.randint(2**31)))},
@@ -365,40 +245,197 @@ DRAWS = {
 
 
 @pytest.mark.parametrize("draw", DRAWS)
-def test_random_numbers_that_lanes_would_share_are_refused(draw):
-    for _ in range(2):  # and again, when the function is known
-        with pytest.raises(ValueError, match=r"function: .*jax.random.key\(seed\).* lanes=False"):
-            gx.sweep(DRAWS[draw], {"k": [1.0, 2.0, 3.0]}, progress=False)
+def test_random_numbers_that_points_would_share_are_refused(draw):
+    with pytest.raises(ValueError, match=r"function: .*jax.random.normal\(jax.random.key\(seed\)"):
+        sweep(DRAWS[draw], {"k": [1.0, 2.0, 3.0]})
 
 
-def test_random_numbers_of_a_lane_s_own():
-    """Drawn anew for each lane that is called by itself, and the same in every process from a parameter `seed`."""
-    data = gx.sweep(DRAWS["Python's"], {"k": [1.0, 1.0, 1.0]}, lanes=False, progress=False)
-    assert len(set(data.v.values.tolist())) == 3
-    data = gx.sweep(lambda k: {"v": float(k) * np.random.rand()}, {"k": [1.0, 1.0]}, progress=False)
-    assert data.v.values[0] != data.v.values[1]
-    seeds = [0, 1, 5]
-    data = gx.sweep(lambda seed: {"v": jax.random.normal(jax.random.key(seed))}, {"seed": seeds}, progress=False)
-    assert data.v.values.tolist() == [float(jax.random.normal(jax.random.key(seed))) for seed in seeds]
+def test_random_numbers_from_a_seed():
+    data = sweep(lambda seed: {"v": jax.random.normal(jax.random.key(seed))}, {"seed": [0, 1, 5]})
+    assert data.v.values.tolist() == [float(jax.random.normal(jax.random.key(seed))) for seed in (0, 1, 5)]
+    fixed = sweep(lambda k: {"v": k * jnp.asarray(np.random.default_rng(0).random(4))}, {"k": [1.0, 2.0]})
+    np.testing.assert_allclose(fixed.v[1], 2 * np.random.default_rng(0).random(4), rtol=1e-15)
+
+
+# ------------------------------------------------------------------------------------------------ stores
+
+
+def test_another_sweep_is_refused_and_a_changed_source_warns(tmp_path):
+    store = tmp_path / "map.zarr"
+    first = sweep(squared, {"x": [1.0, 2.0]}, store=store)
+    assert sweep(squared, {"x": [1.0, 2.0]}, store=str(store)).identical(first)
+    with pytest.raises(ValueError, match=r"which holds x 1, 2 instead of 1, 3\. Give another store"):
+        sweep(squared, {"x": [1.0, 3.0]}, store=store)
+    with pytest.raises(ValueError, match="the parameters x instead of x, y"):
+        sweep(squared, {"x": [1.0], "y": [2.0]}, store=store)
+    with pytest.raises(ValueError, match=r"chunk \[2\] instead of \[1\]"):
+        sweep(squared, {"x": [1.0, 2.0]}, store=store, chunk=1)
+    with pytest.warns(UserWarning, match="source of the function has changed"):
+        assert sweep(lambda x: {"z": 2 * x}, {"x": [1.0, 2.0]}, store=store).z.values.tolist() == [1.0, 4.0]
+    xarray.Dataset({"a": ("x", [1.0])}).to_zarr(tmp_path / "other.zarr", zarr_format=2)
+    (tmp_path / "file").write_text("x")
+    for other in ("other.zarr", "file"):
+        with pytest.raises(ValueError, match="store: expected a new path"):
+            sweep(squared, {"x": [1.0]}, store=tmp_path / other)
+    assert float(xarray.open_zarr(tmp_path / "other.zarr").a[0]) == 1.0
+
+
+def test_a_store_may_be_a_url():
+    parameters = {"x": np.arange(5.0), "y": [1.0, 2.0]}
+    data = sweep(squared, parameters, store="memory://swept.zarr", chunk=4)
+    assert np.array_equal(data.z, np.arange(5.0)[:, None] ** 2 + [1.0, 2.0])
+    again = sweep(squared, parameters, store="memory://swept.zarr")
+    assert again.identical(data)
+
+
+def test_an_unfinished_store_is_begun_again(tmp_path):
+    import zarr
+
+    attributes = {"sweep": json.dumps({"chunk": [1], "parameters": {"x": [1.0]}, "design": "grid"}), "source": ""}
+    group = zarr.open_group(tmp_path / "a.zarr", mode="w", zarr_format=2, attributes=attributes)
+    group.create_array("z", shape=(3,), dtype=float)
+    zarr.open_group(tmp_path / "b.zarr", mode="w", zarr_format=2)
+    for name in ("a.zarr", "b.zarr"):
+        assert sweep(squared, {"x": [1.0, 2.0]}, store=tmp_path / name, chunk=1).z.values.tolist() == [1.0, 4.0]
+
+
+KILLED = """
+import sys, time
+import numpy as np
+import granjax as gx
+import jax.numpy as jnp
+
+def slow(a, b):
+    time.sleep(0.05)
+    return {{"z": np.sin(float(a) * b), "w": np.cos(np.arange(3.0) * float(b))}}
+
+gx.sweep(slow, {{"a": np.arange(1.0, 13.0), "b": [0.5, 1.0]}}, store=sys.argv[1], chunk=2, progress=False)
+"""
 
 
 @pytest.mark.slow
-def test_equal_draws_are_no_draws():
-    fixed = lambda k: _disordered(k, 1 + 0.1 * np.random.default_rng(0).random(4))
-    data = gx.sweep(fixed, {"k": [1.0, 2.0]}, progress=False)
-    np.testing.assert_allclose(data.v.values, [float(fixed(k)["v"]) for k in (1.0, 2.0)], rtol=1e-12)
-    data = gx.sweep(_seeded, {"k": [1.0, 2.0]}, progress=False)
-    np.testing.assert_allclose(data.v.values, np.random.RandomState(3).rand() * np.array([1.0, 2.0]), rtol=1e-12)
+def test_killed_six_times_and_resumed_to_the_same_bits(tmp_path):
+    script = tmp_path / "script.py"
+    script.write_text(KILLED.format())
+    call = [sys.executable, str(script)]
+    subprocess.run([*call, str(tmp_path / "whole.zarr")], check=True)
+    store, draw, kills = tmp_path / "killed.zarr", random.Random(0), 0
+    while kills < 6:
+        process = subprocess.Popen([*call, str(store)])
+        begin = time.monotonic()
+        while process.poll() is None and not store.exists():
+            time.sleep(0.01)
+        if kills:
+            time.sleep(3.0 if time.monotonic() - begin < 0.5 else 0.0)
+        time.sleep(draw.uniform(0.0, 0.25))
+        process.kill()
+        assert process.wait() == -signal.SIGKILL
+        kills += 1
+        if store.exists() and (store / ".zmetadata").exists():
+            there = xarray.open_zarr(store).reason.values.astype(object)
+            assert kills == 6 or (there == "not computed yet").any()
+    subprocess.run([*call, str(store)], check=True)
+    whole, resumed = (xarray.open_zarr(x).load() for x in (tmp_path / "whole.zarr", store))
+    assert whole.drop_attrs().identical(resumed.drop_attrs()) and (resumed.reason.values.astype(object) == "").all()
 
 
-def test_what_computes_the_same_each_time_is_looked_for_once():
+@pytest.mark.slow
+def test_memory_is_flat(tmp_path):
+    code = """
+import resource, sys
+import numpy as np
+import granjax as gx
+import jax.numpy as jnp
+count = int(sys.argv[1])
+data = gx.sweep(lambda x: {"y": x * jnp.arange(2.0**12)}, {"x": np.arange(count) / count}, store=sys.argv[2], chunk=64,
+                progress=False)
+assert float(data.y[count // 2, 2]) == 1.0
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+"""
+    used = [int(subprocess.run([sys.executable, "-c", code, str(n), str(tmp_path / f"{n}.zarr")], check=True, text=True,
+                               capture_output=True).stdout) for n in (512, 8192)]
+    # kilobytes; all values of the long one are 268 MB
+    assert used[1] - used[0] < 100_000
+
+
+# ------------------------------------------------------------------------------------------------ executors that die
+
+
+def dying(x, marker):
+    """Ends its process at x = 3, once."""
+    if float(x) == 3.0 and not os.path.exists(str(marker)):
+        open(str(marker), "w").close()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return {"z": float(x) ** 2}
+
+
+@pytest.mark.slow
+def test_a_process_that_is_killed_is_told_and_a_rerun_goes_on(tmp_path):
+    parameters = {"x": np.arange(6.0), "marker": [str(tmp_path / "marker")]}
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(1, spawn) as executor:
+        with pytest.raises(RuntimeError, match="A process of the executor died.*call again"):
+            sweep(dying, parameters, store=tmp_path / "s.zarr", chunk=1, executor=executor)
+    there = xarray.open_zarr(tmp_path / "s.zarr")
+    assert 0 < np.isfinite(there.z).sum() < 6
+    with ProcessPoolExecutor(2, spawn) as executor:
+        data = sweep(dying, parameters, store=tmp_path / "s.zarr", executor=executor)
+    assert data.z[:, 0].values.tolist() == [0.0, 1.0, 4.0, 9.0, 16.0, 25.0] and (data.reason == "").all()
+
+
+@pytest.mark.slow
+def test_a_worker_of_dask_is_killed_and_the_sweep_goes_on(tmp_path):
+    distributed = pytest.importorskip("distributed")
+    parameters = {"x": np.arange(6.0), "marker": [str(tmp_path / "marker")]}
+    with distributed.LocalCluster(2, threads_per_worker=1, dashboard_address=None, host="127.0.0.1") as cluster:
+        with distributed.Client(cluster) as client:
+            data = sweep(dying, parameters, chunk=1, executor=client)
+            again = sweep(wall, {"ratio": RATIOS[:4]}, chunk=2, executor=client.get_executor())
+    assert (tmp_path / "marker").exists() and (data.reason == "").all()
+    assert data.z[:, 0].values.tolist() == [0.0, 1.0, 4.0, 9.0, 16.0, 25.0]
+    assert np.array_equal(again.wall, sweep(wall, {"ratio": RATIOS[:4]}, chunk=2).wall)
+
+
+def test_a_program_is_traced_once():
     calls = []
 
     def counted(k):
         calls.append(k)
         return {"v": 2 * k}
 
-    gx.sweep(counted, {"k": [1.0, 2.0]}, chunk=2, progress=False)
+    sweep(counted, {"k": [1.0, 2.0]}, chunk=2)
     first = len(calls)
-    gx.sweep(counted, {"k": [3.0, 4.0]}, chunk=2, progress=False)
-    assert len(calls) - first <= first - 2
+    sweep(counted, {"k": [3.0, 4.0]}, chunk=2)
+    # what is refused is looked for at both ends
+    assert len(calls) - first <= 2
+
+
+@pytest.mark.slow
+def test_a_batch_of_simulate_has_its_lanes_last():
+    """`jax.vmap` of runs is one lattice with lanes last, to the last bit; derivatives are those of single runs."""
+    def peak(ratio):
+        chain = gx.scenes.dimer(7, ratio=ratio)
+        return gx.simulate(chain, gx.states.impact(chain), 12.0, record={"force": FORCE}).recorded["force"]
+
+    @jax.jit
+    def by_hand(ratios):
+        chains = jax.vmap(lambda ratio: gx.scenes.dimer(7, ratio=ratio), out_axes=-1)(ratios)
+        return gx.simulate(chains, gx.states.impact(chains), 12.0, record={"force": FORCE}).recorded["force"]
+
+    ratios = jnp.asarray(RATIOS)
+    np.testing.assert_allclose(jax.jit(jax.vmap(peak))(ratios), by_hand(ratios).T, rtol=1e-14)
+
+    def last(ratio, velocity):
+        chain = gx.scenes.dimer(5, ratio=ratio, precompression=1.0)
+        return gx.simulate(chain, gx.states.impact(chain, velocity=velocity), 4.0, step=0.05).final.v[2]
+
+    few, speeds = jnp.asarray([0.4, 0.8]), jnp.asarray([0.5, 1.0, 2.0])
+    grid = jax.vmap(jax.vmap(last, (None, 0)), (0, None))(few, speeds)
+    np.testing.assert_allclose(grid, [[last(float(r), float(v)) for v in speeds] for r in few], rtol=1e-9)
+    slope = jax.grad(last)(0.4, 1.0)
+    for found in (jax.jacfwd(last)(0.4, 1.0), jax.vmap(jax.grad(last), (0, None))(few, 1.0)[0],
+                  jax.grad(lambda r: jax.vmap(last, (0, None))(r, 1.0).sum())(few)[0]):
+        assert float(found) == pytest.approx(float(slope), rel=1e-9)
+    step = 1e-4
+    second = (jax.grad(last)(0.4 + step, 1.0) - jax.grad(last)(0.4 - step, 1.0)) / (2 * step)
+    assert float(jax.hessian(last)(0.4, 1.0)) == pytest.approx(float(second), rel=1e-5)

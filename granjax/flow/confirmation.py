@@ -14,8 +14,8 @@ from ..checks import refuse, traced
 from ..lattice import vector_field
 from ..programs import joined, parted
 from ..types import Flags
+from .batching import batched
 from .control import tighter
-from .integrate import integrate
 from .march import march
 
 # a run with records is confirmed by a tolerance so many times smaller; or by steps so many times shorter, the second
@@ -75,7 +75,7 @@ class Confirmation(eqx.Module):
             dt = dt / jnp.where(jnp.any(opened), *SHORTER[::-1]).astype(dt.dtype)
         tolerance = None if tolerance is None else tighter(tolerance, TIGHTER, lattice.dtype)
         rest = solver, diffrax.ForwardMode(), None, False, False, False
-        go = integrate if traced((arrays, opened)) else march
+        go = partial(batched, own_step=False) if traced((arrays, opened)) else march
         finer = go(lattice, state, t0, t1, dt, tolerance, None, records, *rest)
         order, lanes = min(solver.order(diffrax.ODETerm(vector_field)), 2), len(lattice.lanes)
         good = completed & finer.completed

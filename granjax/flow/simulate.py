@@ -14,12 +14,12 @@ from ..checks import refuse, show, traced, whole
 from ..lattice import Lattice, State
 from ..programs import shared_size, wait
 from ..types import Count, Parameter, Scalar, StateLike
+from .batching import TRACED_STEPS, batched, without_the_lost
 from .confirmation import Confirmation
 from .dispatch import facts
 from .inputs import checked_records, checked_save_at, checked_state, checked_times, held_frames
 from .integrate import integrate
 from .lanes import apart
-from .lifted import lift
 from .march import in_pieces, march, refuse_endless
 from .meeting import meeting, passing
 from .memory import with_memory
@@ -29,8 +29,6 @@ from .record import Record
 from .reversible import Reversible, checked_reversible, refuse_forward_mode, reversible
 from .run import COMPLETED, NOT_FINITE, STEP_TOO_SMALL, Run, named
 
-# bounds a traced run whose number of steps is not known; a bound that is not reached costs nothing
-TRACED_STEPS = 2**24
 SAVED_STEPS = 2**16
 # a contact that kept more than this part of how far it came, at the ends of steps, did not open between them: at the
 # default step it may dip by 1/32 of that, and what is more covers the error of the run; with dips looked for
@@ -39,6 +37,7 @@ NEAR, FAR, DIPPED = 0.25, 1.0, 0.01
 COARSE = 1.5
 # built once: making a module takes longer than a short run
 _ADJOINTS = (diffrax.DirectAdjoint, diffrax.ForwardMode, diffrax.RecursiveCheckpointAdjoint)
+_LANES_LAST = (diffrax.DirectAdjoint, diffrax.ForwardMode)
 _FORWARD, _BOTH_MODES = diffrax.ForwardMode(), diffrax.DirectAdjoint()
 
 KEYWORDS = ("t0", "solver", "step", "tolerance", "save_at", "record", "adjoint", "progress", "throw", "max_steps")
@@ -103,10 +102,7 @@ def simulate(
     >>> round(float(run.final.v[0]), 4)
     -0.0711
     """
-    above = lift()
     given = t0, solver, step, tolerance, save_at, record, adjoint, progress, throw, max_steps
-    if above is not None:
-        return above(simulate, lattice, state, t1, dict(zip(KEYWORDS, given)))
     if facts(lattice).remembers:
         return with_memory(lattice, state, t1, dict(zip(KEYWORDS, given)))
     state = checked_state(lattice, state)
@@ -148,8 +144,11 @@ def simulate(
     try:
         # its derivative is asked for where something is traced
         if backwards is None or not (unknown or traced(backwards)):
-            go = integrate if unknown else march
-            run = go(lattice, state, *span, dt, tolerance, save_ts, *rest)
+            arguments = lattice, state, *span, dt, tolerance, save_ts, *rest
+            if unknown and not progress and isinstance(adjoint, _LANES_LAST):
+                run = batched(*arguments, own_step=step is None)
+            else:
+                run = (integrate if unknown else march)(*arguments)
         else:
             run = reversible((lattice, state, backwards), span, dt, save_ts, solver, limit, progress)
             wait(run.code)
@@ -164,8 +163,12 @@ def simulate(
         run = march(lattice, state, *span, dt, tolerance, save_ts, *rest)
     zone = _zone(lattice, dt, step, tolerance, unknown, dips)
     run = named(run, type(solver).__name__, choice, remark, zone, lattice._mark)
+    if unknown and throw is None:
+        run = without_the_lost(run, lattice.lanes)
     if records:
-        confirmation = Confirmation.of(lattice, state, *span, dt, tolerance, records, solver)
+        # lanes of `jax.vmap` may have had a shorter step than their own
+        taken = run.stats["step"] if unknown and tolerance is None else dt
+        confirmation = Confirmation.of(lattice, state, *span, taken, tolerance, records, solver)
         object.__setattr__(run, "_confirmation", confirmation)
     if isinstance(run.code, jax.core.Tracer):
         return run

@@ -1,42 +1,246 @@
-"""The user's function: how it is called, and what it returns as columns of numbers and words."""
+"""The swept function: compiled for many points at a time where it can be, else called for one after another."""
 
 import inspect
+import itertools
+import pickle
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any
+from functools import lru_cache
+from typing import Any, NamedTuple
 
+import equinox as eqx
+import jax
 import numpy as np
+from jax.typing import ArrayLike
 
 from ..checks import described, refuse
 from ..results import Result
 
-# the axis of lanes in the files of results
-LANE = "lane"
+# what a point is told whose results do not fit those of others
+ODD = "The function returned shapes {} here, but {} before. Return the same names and shapes."
+# failed points of a chunk that are computed again alone, for what their errors say
+ASKED = 4
+# attributes of a result that say nothing of its numbers
+KNOWN = ("granjax", "jax", "result", "units", "cite", "commit")
+DRAWS = (
+    "It is compiled once for many points, which would share what NumPy's or Python's random draws. Draw from a "
+    "parameter: jax.random.normal(jax.random.key(seed), shape), with a seed for each point."
+)
+
+
+class Task(NamedTuple):
+    """How points are computed: a pickled function, whether it takes names or one dict, how many points together.
+
+    `static`: parameters that are no arrays in the compiled program; `None` for a function that holds Python. `shared`:
+    those that have one value for all points, such as the time at which all runs end.
+    """
+
+    function: bytes
+    keywords: bool
+    static: tuple[str, ...] | None
+    shared: tuple[str, ...]
+    width: int
+
+
+class Chunk(NamedTuple):
+    """Results of n points: {name: (n, ...)}, a reason for each, "" where it did not fail, {name: dims and units}."""
+
+    columns: dict[str, np.ndarray]
+    reasons: np.ndarray
+    told: dict[str, dict]
 
 
 def by_keywords(function: Callable, names: tuple[str, ...]) -> bool:
-    """Whether a function takes parameters by their names, else all of them as one dict.
-
-    **Raises** ValueError where it takes neither.
-    """
+    """Whether a function takes parameters by their names, else all of them as one dict."""
     try:
-        signature = inspect.signature(function)
+        wanted = inspect.signature(function).parameters.values()
     except (TypeError, ValueError):
         return True
-    wanted = signature.parameters
-    free = any(p.kind is p.VAR_KEYWORD for p in wanted.values())
-    plain = [n for n, p in wanted.items() if p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)]
-    needed = [n for n in plain if wanted[n].default is inspect.Parameter.empty]
-    if set(needed) <= set(names) and (free or set(names) <= set(plain)):
+    free = any(p.kind is p.VAR_KEYWORD for p in wanted)
+    plain = [p for p in wanted if p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)]
+    needed, known = {p.name for p in plain if p.default is p.empty}, {p.name for p in plain}
+    if needed <= set(names) and (free or set(names) <= known):
         return True
-    if len(needed) == 1 and needed[0] not in names or not needed and len(plain) == 1 and plain[0] not in names:
+    if len(needed) == 1 and not needed & set(names):
         return False
-    refuse("function", f"a function of {', '.join(names)}, or of one dict with these",
-           f"{getattr(function, '__name__', 'one')}({', '.join(plain)})", "Parameters are given by their names.")
+    got = f"{getattr(function, '__name__', 'one')}({', '.join(p.name for p in plain)})"
+    remedy = "Parameters are given by their names."
+    refuse("function", f"a function of {', '.join(names)}, or of one dict with these", got, remedy)
 
 
-def call(function: Callable, values: Mapping[str, Any], keywords: bool) -> Any:
-    """What the function returns for one lane."""
-    return function(**values) if keywords else function(dict(values))
+def packed(function: Callable) -> bytes:
+    """The function as bytes, by cloudpickle where that is installed: it takes lambdas and functions of notebooks."""
+    try:
+        import cloudpickle as by
+    except ImportError:
+        by = pickle
+    try:
+        return by.dumps(function)
+    except Exception as error:
+        remedy = "pip install 'granjax[cluster]' sends lambdas; open files and locks within the function."
+        refuse("function", "one that can be sent to another process", f"one that cannot ({error})", remedy)
+
+
+# a process keeps it, so that it compiles once
+unpacked = lru_cache(maxsize=8)(pickle.loads)
+
+
+def computed(task: Task, function: Callable | None, values: dict[str, np.ndarray]) -> Chunk:
+    """The results at some points (n,); `function`: that of the task, `None` in another process."""
+    function = unpacked(task.function) if function is None else function
+    count = len(next(iter(values.values())))
+    rows, reasons = [None] * count, np.full(count, "", object)
+    points = [{name: x[i].item() for name, x in values.items()} for i in range(count)]
+    together = []
+    if task.static is not None:
+        refused = _refused(function, task.keywords, values, points)
+        reasons[list(refused)] = list(refused.values())
+        together = np.setdiff1d(np.arange(count), list(refused))
+        _by_program(task, function, values, points, together, rows)
+    asked = 0
+    for i in range(count):
+        if rows[i] is None and not reasons[i]:
+            rows[i], reasons[i] = _alone(function, task.keywords, points[i])
+        elif rows[i] is not None and _not_finite(rows[i]):
+            reasons[i] = _not_finite(rows[i])
+            if (asked := asked + 1) <= ASKED:
+                said = _alone(function, task.keywords, points[i])
+                rows[i], reasons[i] = (None, said[1]) if said[0] is None else (rows[i], reasons[i])
+    return _stacked(rows, reasons)
+
+
+def _by_program(task, function, values, points, together, rows):
+    """Fill `rows` of the points `together` by compiled programs, one for each value of static parameters."""
+    key = lambda i: tuple(points[i][name] for name in task.static)
+    for _, group in itertools.groupby(sorted(together, key=key), key):
+        group = list(group)
+        try:
+            known = tuple((name, points[group[0]][name]) for name in task.static)
+            run, rest, order = program(function, task.keywords, known, task.shared, kinds(values))
+        except Exception:
+            continue
+        size = min(task.width, 1 << (len(group) - 1).bit_length())
+        filled = group + group[-1:] * (size - len(group))
+        arrays = {name: x[0] if name in task.shared else x[filled] for name, x in values.items()
+                  if name not in task.static}
+        found = jax.device_get(run(np.arange(size), arrays))
+        for row, i in enumerate(group):
+            whole = eqx.combine(jax.tree.map(lambda x, row=row: x[row], found), rest)
+            rows[i] = columns({name: whole[name] for name in order} if order else whole, name_of(function))
+
+
+def kinds(values: dict[str, np.ndarray]) -> tuple:
+    """What of the parameters' arrays a program depends on."""
+    return tuple((name, x.dtype.str) for name, x in values.items())
+
+
+@lru_cache(maxsize=64)
+def program(function: Callable, keywords: bool, static: tuple, shared: tuple, kinds: tuple) -> tuple:
+    """A compiled function of many points, what it returns that is no array, and the order of the names.
+
+    **Raises** what tracing does, and ValueError for a function that computes something else when it is traced again.
+    """
+    kept, known = [], dict(static)
+
+    def one(values):
+        found = call(function, known | values, keywords)
+        arrays, rest = eqx.partition(found, eqx.is_array)
+        kept[:] = [rest, tuple(found) if isinstance(found, Mapping) else ()]
+        return arrays
+
+    def numbers():
+        shapes = {name: jax.ShapeDtypeStruct((), kind) for name, kind in kinds if name not in known}
+        # as another function each time, or JAX would not trace it again
+        traced = jax.make_jaxpr(lambda values: one(values))(shapes)
+        return [*_numbers(traced), *_numbers(jax.tree.leaves(kept[0]))]
+
+    if numbers() != numbers():
+        refuse("function", "one that computes the same each time", "other numbers when it is called again", DRAWS)
+    axes = {name: None if name in shared else 0 for name, _ in kinds if name not in known}
+    # the numbers of the points, which nothing reads, are mapped where all parameters are shared or static
+    return jax.jit(jax.vmap(lambda _, values: one(values), (0, axes))), *kept
+
+
+def _numbers(x):
+    """The numbers that are written into a traced program and into programs within it, in order."""
+    if isinstance(x, (tuple, list)):
+        for part in x:
+            yield from _numbers(part)
+    elif hasattr(x, "consts"):
+        yield from _numbers([*x.consts, x.jaxpr])
+    elif hasattr(x, "eqns"):
+        for equation in x.eqns:
+            yield equation.primitive.name
+            yield from _numbers([*equation.invars, *equation.params.values()])
+    elif hasattr(x, "val"):
+        yield from _numbers([x.val])
+    elif isinstance(x, ArrayLike) and not isinstance(x, jax.core.Tracer):
+        yield np.asarray(x).tobytes()
+
+
+def _refused(function, keywords, values, points):
+    """{point: sentence} of those whose scenes are refused, which a compiled program does not notice.
+
+    It is looked for at the ends of each parameter first, and where one of these is, at every point.
+    """
+    numbers = [x for x in values.values() if x.dtype.kind != "U"]
+    ends = sorted({int(pick(x)) for x in numbers for pick in (np.argmin, np.argmax)})
+    found = {i: _refusal(function, keywords, points[i]) for i in ends}
+    if any(found.values()):
+        found = {i: _refusal(function, keywords, point) for i, point in enumerate(points)}
+    return {i: said for i, said in found.items() if said}
+
+
+def _refusal(function, keywords, point):
+    """What is said of numbers that are known, without anything being computed."""
+    try:
+        jax.make_jaxpr(lambda: eqx.filter(call(function, point, keywords), eqx.is_array))()
+    except ValueError as error:
+        return said(error)
+    except Exception:
+        pass
+    return ""
+
+
+def _alone(function, keywords, point):
+    """The columns of one point, `None` where it raises, and why it failed."""
+    try:
+        row = columns(call(function, point, keywords), name_of(function))
+    except Exception as error:
+        return None, said(error)
+    return row, _not_finite(row)
+
+
+def call(function: Callable, point: Mapping[str, Any], keywords: bool) -> Any:
+    """What the function returns at one point."""
+    return function(**point) if keywords else function(dict(point))
+
+
+def said(error: BaseException) -> str:
+    """An error in a line."""
+    text = " ".join(str(error).split())[:400]
+    return text if isinstance(error, (ValueError, RuntimeError)) and text else f"{type(error).__name__}: {text}"
+
+
+def _not_finite(row):
+    bad = [name for name, (x, _) in row.items() if x.dtype.kind in "fc" and not np.isfinite(x).all()]
+    return f"Not finite: {', '.join(bad[:4])}{', ...' if len(bad) > 4 else ''}." if bad else ""
+
+
+def _stacked(rows, reasons):
+    """The rows of points as a `Chunk`: NaN, or "", for those that failed or whose names or shapes are others."""
+    first = next((row for row in rows if row), {})
+    empty = {name: ("", object) if x.dtype.kind == "U" else (np.nan, x.dtype) for name, (x, _) in first.items()}
+    found = {name: np.full((len(rows), *x.shape), *empty[name]) for name, (x, _) in first.items()}
+    for i, row in enumerate(rows):
+        if row is None:
+            continue
+        shapes, wanted = ({name: x.shape for name, (x, _) in r.items()} for r in (row, first))
+        if shapes != wanted:
+            reasons[i] = ODD.format(shapes, wanted)
+            continue
+        for name, (x, _) in row.items():
+            found[name][i] = x
+    return Chunk(found, reasons, {name: told for name, (_, told) in first.items()})
 
 
 def name_of(function: Callable) -> str:
@@ -45,113 +249,45 @@ def name_of(function: Callable) -> str:
     return name if name.isidentifier() else "value"
 
 
-def columns(value: Any, name: str, lanes: int | None) -> dict[str, tuple[np.ndarray, dict]]:
-    """{name: (array, what is known of it)} of what a function returned.
+def columns(value: Any, name: str) -> dict[str, tuple[np.ndarray, dict]]:
+    """{name: (array, its dims and units)} of what a function returned at one point; numbers as floats.
 
-    `lanes`: how many lanes lead every array in it; `None` for those of one lane, which have no such axis.
-    **Raises** ValueError for what is no number, word, array, dict or result.
+    **Raises** ValueError for what is no number, word, array, dict of them or result.
     """
     found = {}
-    for key, x, told in _entries(value, "", lanes):
-        key = key or name
-        if key in found:
-            refuse("function", "results of different names", f"two of {key!r}")
-        if x.dtype.kind == "c":
-            found |= {f"{key}_real": (x.real, told), f"{key}_imag": (x.imag, told)}
-        else:
-            found[key] = x, told
+    for key, x, told in _entries(value, ""):
+        x = np.asarray(x)
+        if x.dtype.kind not in "biufcU":
+            got = f"{key or 'one'} of {described(value)}"
+            refuse("function", "one that returns numbers, words, arrays, dicts of them or results", got)
+        found[key or name] = (x if x.dtype.kind in "fcU" else x.astype(float)), told
     if not found:
         refuse("function", "one that returns numbers or words", f"one that returns {described(value)}")
     return found
 
 
-def _entries(value, name, lanes) -> Iterator[tuple[str, np.ndarray, dict]]:
-    if hasattr(value, "_asdict"):
-        value = value._asdict()
-    if isinstance(value, Mapping):
+def _entries(value, name) -> Iterator[tuple[str, Any, dict]]:
+    value = value._asdict() if hasattr(value, "_asdict") else value
+    value = value.to_xarray() if isinstance(value, Result) else value
+    if isinstance(value, Mapping) and not hasattr(value, "data_vars"):
         for key, x in value.items():
-            yield from _entries(x, f"{name}_{key}".replace("/", "_") if name else str(key).replace("/", "_"), lanes)
-    elif isinstance(value, Result):
-        yield from _of_dataset(value.to_xarray(), name, lanes)
+            yield from _entries(x, f"{name}_{key}" if name else str(key))
     elif hasattr(value, "data_vars"):
-        yield from _of_dataset(value, name, lanes)
-    elif hasattr(value, "dims") and hasattr(value, "attrs"):
-        yield from _of_dataset(value.to_dataset(name=name or value.name or "value"), "", lanes)
-    elif isinstance(value, (tuple, list)) and not _plain(value):
+        for key, x in value.variables.items():
+            if x.dtype.kind != "O" and key not in ("site", "component", "field"):
+                yield f"{name}_{key}" if name else key, x.values, {"dims": list(x.dims), **_units(x)}
+        for key, x in value.attrs.items():
+            if isinstance(x, (bool, int, float, str, np.number)) and key not in KNOWN and not key.endswith("_units"):
+                told = {"units": value.attrs[f"{key}_units"]} if f"{key}_units" in value.attrs else {}
+                yield f"{name}_{key}" if name else key, x, told
+    elif hasattr(value, "dims"):
+        yield name or str(value.name or ""), value.values, {"dims": list(value.dims), **_units(value)}
+    elif isinstance(value, (tuple, list)) and not all(np.ndim(x) == 0 for x in value):
         for i, x in enumerate(value):
-            yield from _entries(x, f"{name or 'value'}_{i}", lanes)
+            yield from _entries(x, f"{name or 'value'}_{i}")
     elif value is not None:
-        x = np.asarray(value)
-        if x.dtype.kind not in "biufcU":
-            refuse("function", "one that returns numbers, words, arrays, dicts or results of granjax",
-                   f"{name or 'one'} of {described(value)}")
-        if lanes is not None and x.shape[:1] != (lanes,):
-            x = np.broadcast_to(x, (lanes, *x.shape))
-        yield name, x, {}
+        yield name, value, {}
 
 
-def _plain(value):
-    """Whether a list is one of numbers or words, which is an array."""
-    return bool(value) and all(isinstance(x, (bool, int, float, complex, str, np.generic)) for x in value)
-
-
-def _of_dataset(data, name, lanes):
-    """Variables of a dataset, and the numbers and words among its attributes."""
-    prefix = f"{name}_" if name else ""
-    for key, x in data.variables.items():
-        if key in data.dims and x.dims == (key,) and key in (LANE, "site", "component", "field"):
-            continue
-        values, dims = x.values, [d for d in x.dims if d != LANE]
-        if values.dtype.kind not in "biufcU":
-            values = values.astype(str)
-        if lanes is not None:
-            own = np.moveaxis(values, x.dims.index(LANE), 0) if LANE in x.dims else values
-            values = own if LANE in x.dims else np.broadcast_to(own, (lanes, *own.shape))
-        yield f"{prefix}{key}", values, {"dims": dims} | {k: u for k, u in x.attrs.items() if isinstance(u, str)}
-    for key, x in data.attrs.items():
-        # of all lanes together
-        shared = lanes is not None and key == "outcome"
-        known = shared or key in ("granjax", "jax", "result", "units") or key.endswith("_units")
-        if not known and isinstance(x, (bool, int, float, str, np.number)):
-            told = {"units": data.attrs[f"{key}_units"]} if f"{key}_units" in data.attrs else {}
-            x = np.asarray(x)
-            yield f"{prefix}{key}", x if lanes is None else np.broadcast_to(x, (lanes, *x.shape)), {"dims": [], **told}
-
-
-def stacked(parts: list[dict[str, tuple[np.ndarray, dict]] | None]) -> tuple[dict[str, np.ndarray], dict[str, dict]]:
-    """Columns of lanes one by one, `None` for a lane without any: missing numbers are NaN, missing words empty.
-
-    Arrays of several lengths are filled up likewise.
-    """
-    names = list(dict.fromkeys(name for part in parts if part for name in part))
-    found, told = {}, {}
-    for name in names:
-        lanes = [part[name][0] if part and name in part else None for part in parts]
-        told[name] = next(part[name][1] for part in parts if part and name in part)
-        found[name] = joined([None if x is None else x[None] for x in lanes], [1] * len(lanes))
-    return found, told
-
-
-def joined(parts: list[np.ndarray | None], counts: list[int]) -> np.ndarray:
-    """Arrays (lanes, ...) one behind another, `None` for so many lanes without one.
-
-    Where some are missing or shorter than others NaN stands, for words "".
-    """
-    there = [x for x in parts if x is not None]
-    axes = max(x.ndim for x in there)
-    there = [x.reshape(x.shape + (1,) * (axes - x.ndim)) for x in there]
-    own = tuple(max(x.shape[k] for x in there) for k in range(1, axes))
-    kind = np.result_type(*there) if len({x.dtype.kind == "U" for x in there}) == 1 else np.dtype(str)
-    whole = len(there) == len(parts) and all(x.shape[1:] == own for x in there)
-    if not whole and kind.kind in "biu":
-        kind = np.dtype(float)
-    if kind.kind == "U":
-        kind = max((x.astype(str).dtype for x in there), key=lambda dtype: dtype.itemsize)
-    out = np.full((sum(counts), *own), "" if kind.kind == "U" else np.nan if kind.kind in "fc" else 0, kind)
-    place, left = 0, iter(there)
-    for x, count in zip(parts, counts):
-        if x is not None:
-            x = next(left)
-            out[(slice(place, place + count), *(slice(n) for n in x.shape[1:]))] = x
-        place += count
-    return out
+def _units(x):
+    return {"units": x.attrs["units"]} if "units" in x.attrs else {}

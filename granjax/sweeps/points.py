@@ -6,7 +6,6 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from ..checks import described, is_whole, positive, refuse, whole
-from ..entry import checked
 from ..printing import called, numbers
 from ..types import Count, Seed, Values
 
@@ -73,7 +72,6 @@ def points_of(parameters: Parameters) -> Points:
     return paired({name: [row[name] for row in rows] for name in rows[0]})
 
 
-@checked
 def paired(parameters: dict[str, Values]) -> Points:
     """Lists side by side: the first lane has the first value of each, and so on; a row of a table is a lane.
 
@@ -94,7 +92,6 @@ def paired(parameters: dict[str, Values]) -> Points:
     return Points(axes, "list")
 
 
-@checked
 def random(bounds: dict[str, tuple], count: Count, *, seed: Seed = 0) -> Points:
     """A random design: `count` lanes, spread more evenly between bounds than chance does (scrambled Sobol points).
 

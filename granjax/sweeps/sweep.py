@@ -1,41 +1,43 @@
 """`sweep`: a function of parameters over all their values."""
 
+import inspect
+import itertools
+import json
+import math
 import os
+import subprocess
 import sys
-import warnings
-from collections.abc import Callable, Sequence
-from concurrent.futures import Executor
-from contextlib import closing
+from collections.abc import Callable
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, ThreadPoolExecutor, wait
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
+import xarray
 
-from ..checks import refuse, whole
-from ..entry import checked
+from ..checks import described, refuse, whole
 from ..programs import bar
 from ..types import Count
-from .chunk import LOST
-from .dataset import assembled
-from .executors import checked_executor, completed
-from .function import by_keywords
-from .identity import function_identity
-from .plan import parts_of, plan_of, planned
-from .points import Parameters, Points, points_of
-from .result import Sweep, known
-from .store import Store
-from .task import EACH, Task
+from . import function as own
+from .points import Parameters, points_of
+from .store import Store, Target, opened
+
+# points of a chunk: as many fit a core's cache, and no more chunks than that many
+LEAST, MOST, CHUNKS = 64, 256, 16
+# chunks of a function that holds Python, of which each is kept as soon as it is done
+KEPT = 256
+# chunks that are given to each worker, and workers where an executor does not say how many it has
+AHEAD, WORKERS = 2, 16
 
 
-@checked
 def sweep(
     function: Callable[..., Any], parameters: Parameters, *, store: str | Path | None = None,
-    chunk: Count | None = None, executor: Executor | Count | None = None,
-    devices: Count | Sequence[Any] | None = None, progress: bool = True, units: dict[str, str] | None = None,
-    lanes: bool | None = None,
-) -> Sweep:
-    r"""A function of parameters at all of their values, on every core; kept on disk and resumed where `store` is given.
+    chunk: Count | None = None, executor: Any = None, progress: bool = True,
+    units: dict[str, str] | None = None,
+) -> xarray.Dataset:
+    r"""Compute a function of parameters at all of their values; kept and resumed where `store` is given.
 
         def pulse(ratio):
             chain = gx.scenes.dimer(11, ratio=ratio)
@@ -43,36 +45,32 @@ def sweep(
             run = gx.simulate(chain, gx.states.impact(chain), 25.0, record={"force": force})
             return {"wall": run.recorded["force"][-1]}
 
-        data = gx.sweep(pulse, {"ratio": [0.2, 0.4, 0.6, 0.8, 1.0]}, store="wall.nc")
+        data = gx.sweep(pulse, {"ratio": [0.2, 0.4, 0.6, 0.8, 1.0]}, store="wall.zarr")
         gx.plots.sweep(data, "wall")
 
     **Arguments:**
 
     - `function`: of the parameters by their names, or of one dict of them; pure, for a single scene: it draws random
       numbers by `jax.random`, from a parameter `seed`. It returns a number, a word, an array, a dict of such, or a
-      result of granjax. What can be traced is compiled for many lanes at a time, and its runs have their lanes last;
-      parameters that are words stay as they are, and whole numbers where they decide a size. All else (breathers, fits,
-      shocks) is called for one lane after another; NumPy's random numbers are drawn anew for each there, and are others
-      when the sweep is resumed or repeated.
+      result of granjax, always of the same names and shapes. What can be traced is compiled for many points at a
+      time, and its runs have their lanes last; words stay as they are, and whole numbers where they decide a size. A
+      function that holds Python (breathers, fits, shocks) is called for one point after another.
     - `parameters`: {name: values}, all combinations of numbers or words; `gx.sweeps.paired` for lists side by side, or
       a list of dicts; `gx.sweeps.random` for a random design.
-    - `store`: a path. NAME.nc is written at the end, and what is done until then kept in the folder NAME.nc.chunks;
-      another path is a folder. The same call resumes after any interruption; a store of another sweep is refused.
-    - `chunk`: lanes at a time, which share their default step, that of the stiffest; `None`: as many as fit a core's
-      cache, 64 at most, one of what is called lane by lane. Results depend on it by rounding and the error of steps.
-    - `executor`: any of `concurrent.futures` (processes, a Dask cluster's), or so many processes of one's own; a worker
-      that dies loses the chunk that it was at, which is tried again. `None`: threads in this process.
-    - `devices`: so many threads, or devices of JAX; `None`: every core, one where the function is called lane by lane.
+    - `store`: a folder, or a URL that fsspec knows (`"s3://bucket/map.zarr"`), for a zarr store, which
+      `xarray.open_zarr` reads at any time. The same call resumes after any interruption.
+    - `chunk`: points at a time, which share their default step, that of the stiffest; `None`: 64 to 256, or that of the
+      store. Results depend on it by rounding and the error of steps.
+    - `executor`: any of `concurrent.futures`, or a Dask client. `None`: threads, one a core, for what is compiled.
     - `progress`: a bar with the time left, after two seconds. `units`: {name: unit} of parameters and results.
-    - `lanes`: `False` calls the function lane by lane, `True` refuses where it cannot be compiled.
 
-    A lane that is refused, raises, does not complete or gives what is not finite is marked in `reason`; the others
-    stand. Costs are predicted from the bound on the stiffness: the longest lanes come first, alike ones together. The
-    function has no derivative through a sweep: take it within, or `gx.derivative`.
+    A point that is refused, raises, does not complete or gives what is not finite has a sentence in `reason` and NaN;
+    the others stand.
 
-    **Returns:** `Sweep`, an `xarray.Dataset`. **Raises** ValueError for parameters that the function does not take,
-    for a compiled function that computes something else when it is traced again, as one that draws random numbers of
-    NumPy does, and for a store that is not this sweep's; RuntimeError where every lane failed.
+    **Returns:** an `xarray.Dataset` over the parameters, with units, and the versions, the commit and an `outcome` as
+    attributes. **Raises** ValueError for parameters that the function does not take, for one that computes something
+    else when it is called again, and for a store of another sweep; RuntimeError where every point failed, or a process
+    of the executor died.
 
     **Example:**
 
@@ -83,163 +81,139 @@ def sweep(
     >>> data.v.values.round(4)
     array([-0.1827, -0.0711])
     """
-    checked_executor(executor)
+    executor = executor.get_executor() if hasattr(executor, "get_executor") else executor
+    if executor is not None and not isinstance(executor, Executor):
+        remedy = "Give a concurrent.futures.Executor or a Dask client, or None for threads."
+        refuse("executor", "an executor", described(executor), remedy)
+    if getattr(getattr(executor, "_mp_context", None), "get_start_method", str)() == "fork":
+        remedy = 'Give ProcessPoolExecutor(N, multiprocessing.get_context("spawn")).'
+        refuse("executor", "processes that start afresh", "forked ones, which JAX's threads do not survive", remedy)
     points = points_of(parameters)
-    told = function_identity(function)
-    units = _units(units)
-    chunk = None if chunk is None else whole("chunk", chunk, 1)
-    plan = planned(function, points, lanes, chunk)
-    if lanes and plan.how.kind == EACH:
-        refuse("lanes", "None or False for this function", "True", "It cannot be compiled: it is called lane by lane.")
-    identity = _identity(told, points, plan, units)
-    if store is None:
-        return known(_computed(function, points, units, identity, None, executor, devices, progress), function, points)
-    kept = Store(store, identity)
-    try:
-        if chunk is not None and kept.identity["chunk"] != chunk:
-            refuse("chunk", f"{kept.identity['chunk']}, with which the store was begun", str(chunk))
-        data = kept.result
-        if data is None:
-            data = _computed(function, points, units, kept.identity, kept, executor, devices, progress)
-    finally:
-        kept.close()
-    return known(data, function, points)
+    keywords = own.by_keywords(function, tuple(points.axes))
+    shared = tuple(name for name, x in points.axes.items() if points.count > 1 and (x == x[0]).all())
+    static = _static(function, keywords, points, shared)
+    root = None if store is None else os.fspath(store).removeprefix("file://")
+    shape = _chunk(root, chunk, points, static)
+    cuts = [range(0, n, size) for n, size in zip(points.shape, shape)]
+    blocks = [tuple(slice(i, min(i + size, n)) for i, size, n in zip(at, shape, points.shape))
+              for at in itertools.product(*cuts)]
+    identity = {"parameters": {name: x.tolist() for name, x in points.axes.items()}, "design": points.design,
+                "chunk": list(shape)}
+    arguments = points, shape, blocks, dict(units or {}), _attributes(function)
+    target = Target(*arguments) if root is None else Store(root, identity, _source(function), *arguments)
+    task = own.Task(b"" if executor is None else own.packed(function), keywords, static, shared, chunk or math.prod(shape))
+    todo = [i for i in range(len(blocks)) if not target.done[i]]
+    lanes = np.arange(points.count).reshape(points.shape)
+    done = points.count - sum(lanes[blocks[i]].size for i in todo)
+    values = {i: points.values(lanes[blocks[i]].ravel()) for i in todo}
+    with bar(points.count, "point", "sweep", progress, done) as shown:
+        for i, found in _results(task, function, executor, values):
+            target.put(i, found)
+            shown.update(lanes[blocks[i]].size)
+    if not target.arrays:
+        raise RuntimeError(f"Every point failed. The first: {target.waiting[0][1].reasons[0]}")
+    data = target.dataset()
+    return data.assign_attrs(outcome=_outcome(points, data.reason.values.ravel()))
 
 
-def _computed(function, points, units, identity, kept, executor, devices, progress):
-    """The dataset, of chunks that are kept and those that are to come."""
-    plan = plan_of(identity)
-    parts = parts_of(points, plan)
-    task = Task(function, tuple(points.axes), plan.how, min(plan.chunk, max(map(len, parts))))
-    found = {} if kept is None else kept.chunks(list(map(len, parts)))
-    remarks = [] if kept is None else kept.remarks
-    for remark in remarks:
-        warnings.warn(remark, stacklevel=4)
-    threads = _threads(devices, plan)
-    count = threads if isinstance(threads, int) else len(threads)
-    work = task if isinstance(threads, int) or executor is not None else _OnDevices(task, threads)
-    todo = [(n, _values(points, plan, part)) for n, part in enumerate(parts) if n not in found]
-    lost = False
-    done = sum(len(parts[n]) for n in found)
-    shown = bar(points.count, "lane", "sweep", progress, done)
-    with shown, closing(completed(work, todo, executor, count)) as results:
-        for number, chunk in results:
-            lost = lost or LOST in chunk.told
-            if kept is not None and LOST not in chunk.told:
-                kept.write(number, chunk)
-            found[number] = chunk
-            shown.update(len(parts[number]))
-    failed = [reason for chunk in found.values() for reason in chunk.reasons]
-    if all(failed) and not any(_any_number(chunk) for chunk in found.values()):
-        raise RuntimeError(f"Every lane failed. The first: {failed[0]}{_hint(function, points)}")
-    data = assembled(found, parts, points, units, identity, remarks)
-    if kept is not None and not lost:
-        kept.finish(data)
-    return data
-
-
-def _hint(function, points):
-    """What helps who has taken one dict of parameters for the only one of them."""
-    if by_keywords(function, tuple(points.axes)) or len(points.axes) > 1:
-        return ""
-    name = next(iter(points.axes))
-    return f" (Its argument is no parameter, so it is given a dict of all; called {name!r} it is given numbers.)"
-
-
-def _any_number(chunk):
-    return any(x.size and (x.dtype.kind not in "fU" or x.dtype.kind == "f" and np.isfinite(x).any()
-                           or x.dtype.kind == "U" and (x != "").any()) for x in chunk.columns.values())
-
-
-def _units(units):
-    units = {} if units is None else dict(units)
-    for name, unit in units.items():
-        if not isinstance(name, str) or not isinstance(unit, str):
-            refuse("units", "{name: unit}, both words", f"{name!r}: {unit!r}")
-    return units
-
-
-def _identity(told, points, plan, units):
-    versions = {"granjax": sys.modules["granjax"].__version__, "jax": jax.__version__, "numpy": np.__version__,
-                "python": "{}.{}".format(*sys.version_info)}
-    return {
-        "format": 1, "function": told, "design": points.design,
-        "parameters": {name: {"values": x.tolist(), "dtype": str(x.dtype), "units": units.get(name, "")}
-                       for name, x in points.axes.items()},
-        "how": {name: list(x) if isinstance(x, tuple) else x for name, x in plan.how._asdict().items()},
-        "chunk": int(plan.chunk), "order": None if plan.order is None else plan.order.tolist(),
-        "scene": plan.scene, "float": str(jax.numpy.zeros(0).dtype), "platform": jax.default_backend(),
-        "versions": versions,
-    }
-
-
-def _values(points, plan, part):
-    values = points.values(part)
-    if set(part.tolist()) & set(plan.how.apart):
-        values[""] = np.ones(len(part), bool)
-    return values
-
-
-def _threads(devices, plan):
-    """How many threads, or a tuple of devices."""
-    if devices is None:
-        if plan.how.kind == EACH:
-            return 1
-        return _cores() if jax.default_backend() == "cpu" else tuple(jax.devices())
-    if isinstance(devices, (int, np.integer)):
-        return whole("devices", devices, 1)
-    if not devices or not all(isinstance(device, jax.Device) for device in devices):
-        refuse("devices", "a whole number of threads, or devices of JAX", repr(devices)[:80], "Such as jax.devices().")
-    return tuple(devices)
-
-
-def _cores():
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-class _OnDevices:
-    """A task on whichever of some devices is free."""
-
-    def __init__(self, task, devices):
-        import queue
-
-        self.task, self.free = task, queue.SimpleQueue()
-        for device in devices:
-            self.free.put(device)
-
-    def __call__(self, values):
-        device = self.free.get()
+def _static(function, keywords, points, shared):
+    """The parameters that are no arrays in a compiled program; `None` where the function holds Python."""
+    words = tuple(name for name, x in points.axes.items() if x.dtype.kind == "U")
+    sizes = tuple(name for name, x in points.axes.items() if x.dtype.kind in "Uiub")
+    first = {name: x[:1] for name, x in points.axes.items()}
+    for static in dict.fromkeys((words, sizes)):
+        known = tuple((name, first[name][0].item()) for name in static)
         try:
-            with jax.default_device(device):
-                return self.task(values)
-        finally:
-            self.free.put(device)
+            own.program(function, keywords, known, shared, own.kinds(first))
+            return static
+        except Exception as error:
+            if own.DRAWS in str(error):
+                raise
+    return None
 
 
-@checked
-def read(store: str | Path) -> Sweep:
-    """What a store holds so far: `Sweep`, with the reason "not computed yet" where a lane is to come.
+def _chunk(root, chunk, points, static):
+    """The points of a chunk along each axis of the design."""
+    there = None if root is None else opened(root)
+    if chunk is None and there is not None and "sweep" in there.attrs:
+        kept = json.loads(there.attrs["sweep"])["chunk"]
+        if len(kept) == len(points.shape):
+            return tuple(kept)
+    if chunk is None:
+        room = -(-points.count // KEPT) if static is None else min(max(points.count // CHUNKS, LEAST), MOST)
+    else:
+        room = whole("chunk", chunk, 1)
+    shape = []
+    for name, n in zip(reversed(points.dims), reversed(points.shape)):
+        # a program for each value of a static parameter
+        size = 1 if name in (static or ()) else min(n, room) if chunk else -(-n // -(-n // room))
+        shape.insert(0, size)
+        room = max(room // size, 1)
+    return tuple(shape)
 
-    It does not know the function. **Raises** ValueError for what is no store of a sweep, or is damaged.
 
-    **Example:**
-
-    >>> data = gx.sweep(lambda x: {"y": x**2}, {"x": [1.0, 2.0, 3.0]}, store="squares.nc")
-    >>> gx.sweeps.read("squares.nc").y.values
-    array([1., 4., 9.])
-    """
-    kept = Store.opened(store)
-    if kept.result is not None:
-        return known(kept.result, None, None)
-    identity = kept.identity
+def _results(task, function, executor, values):
+    """(number, chunk) as they are finished; what has not begun is taken back when something goes wrong."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    mine = executor is None
+    if mine and (task.static is None or min(cores, len(values)) < 2 or jax.default_backend() != "cpu"):
+        yield from ((i, own.computed(task, function, x)) for i, x in values.items())
+        return
+    executor = ThreadPoolExecutor(cores) if mine else executor
+    flying, left = {}, iter(values.items())
     try:
-        axes = {name: np.array(x["values"], x["dtype"]) for name, x in identity["parameters"].items()}
-        points, plan = Points(axes, identity["design"]), plan_of(identity)
-        parts = parts_of(points, plan)
-        units = {name: x["units"] for name, x in identity["parameters"].items() if x["units"]}
-        found = kept.chunks(list(map(len, parts)))
-        return known(assembled(found, parts, points, units, identity, kept.remarks), None, None)
-    except (TypeError, ValueError, LookupError, AttributeError, OverflowError, MemoryError) as error:
-        if str(error).startswith("store: "):
-            raise
-        refuse("store", "the store of a sweep", f"{str(store)!r}, which contradicts itself ({error})")
+        while True:
+            room = AHEAD * getattr(executor, "_max_workers", WORKERS) - len(flying)
+            for i, x in itertools.islice(left, max(room, 0)):
+                flying[executor.submit(own.computed, task, function if mine else None, x)] = i
+            if not flying:
+                return
+            for future in wait(flying, return_when=FIRST_COMPLETED).done:
+                yield flying.pop(future), future.result()
+    except BrokenExecutor as error:
+        raise RuntimeError(
+            "A process of the executor died, and the sweep stopped. What was finished is in the store, if there is "
+            "one: make a new executor and call again. If no process has begun, put the call under "
+            '`if __name__ == "__main__":`.') from error
+    finally:
+        for future in flying:
+            future.cancel()
+        if mine:
+            executor.shutdown(wait=False, cancel_futures=True)
+
+
+def _source(function):
+    try:
+        return inspect.getsource(function)
+    except (OSError, TypeError):
+        return ""
+
+
+def _attributes(function):
+    versions = {"granjax": sys.modules["granjax"].__version__, "jax": jax.__version__, "numpy": np.__version__}
+    commit = _commit()
+    return {"function": own.name_of(function), **versions, **({"commit": commit} if commit else {})}
+
+
+def _commit():
+    """The commit of the package, "" where that is not known."""
+    try:
+        told = json.loads(metadata.distribution("granjax").read_text("direct_url.json") or "{}")
+        if "vcs_info" in told:
+            return told["vcs_info"]["commit_id"]
+        root = Path(__file__).parents[2]
+        command = ["git", "-C", str(root), "rev-parse", "HEAD"]
+        return subprocess.check_output(command, text=True).strip() if (root / ".git").exists() else ""
+    except (metadata.PackageNotFoundError, OSError, subprocess.SubprocessError):
+        return ""
+
+
+def _outcome(points, reasons):
+    over = ", ".join(f"{name} ({len(x)})" for name, x in points.axes.items())
+    said = f"{points.count} point{'s' * (points.count != 1)} over {over}"
+    bad = np.flatnonzero(reasons != "")
+    if not bad.size:
+        return f"{said}."
+    at = ", ".join(f"{name} = {x:.6g}" if isinstance(x, float) else f"{name} = {x}"
+                   for name, x in points.at(int(bad[0])).items())
+    return f"{said}; {bad.size} marked, the first at {at}: {reasons[bad[0]]}"
