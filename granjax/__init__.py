@@ -117,7 +117,6 @@ Theory and studies
     travelling          solitary waves, and waves of dimers and of beads with resonators; collisions, reflection
     shocks              dispersive shocks: strain steps, velocity shocks, pistons, impacts
     Resonator           a mass on a spring in every bead
-    studies             a rectifier, dark and bright breathers, as they were made
     resonance           transmission of dimers over their mass ratio
     reproduce           figures of a review, each with a number
 Pictures and files
@@ -209,7 +208,7 @@ _LAZY = {
     name: f".{name}" for name in (
         "breathers", "continuation", "driven", "first_order", "floquet", "forced",
         "fractional", "identify", "kinks", "linear", "materials", "measures", "newton",
-        "orbits", "plots", "scenes", "shocks", "states", "studies", "sweeps",
+        "orbits", "plots", "scenes", "shocks", "states", "sweeps",
         "theory", "topology", "travelling",
     )
 } | {"reproduce": ".studies.reproduce", "resonance": ".studies.resonance"}
@@ -221,9 +220,9 @@ _WITHIN = {
 __all__ = [
     "Arrival", "Bond", "Breaks", "BrilliantovContact", "CaputoDamping", "CaputoRun", "Damping", "Dashpot", "Derivative",
     "Design", "Drag", "Drive", "Equilibrium", "Fit", "Flow", "Harmonic", "Hertz", "Integral", "KahanLi8", "Lattice",
-    "Law", "Linear", "LongRange", "Lowest", "Modulated", "Network", "OnSite", "Pairs", "Peak", "PeakTime", "PlasticContact",
-    "PlasticLaw", "Polynomial", "PowerLaw", "RKN1210", "RKN86", "Record", "Resonator", "Result", "Reversible", "Run",
-    "RunWithMemory", "SRKN11b", "SRKN14a", "SRKN6b", "Shift", "Sine", "SofroniouSpaletta10", "Spline", "Square",
+    "Law", "Linear", "LongRange", "Lowest", "Modulated", "Network", "OnSite", "Pairs", "Peak", "PeakTime",
+    "PlasticContact", "PlasticLaw", "Polynomial", "PowerLaw", "RKN1210", "RKN86", "Record", "Resonator", "Result", "Reversible",
+    "Run", "RunWithMemory", "SRKN11b", "SRKN14a", "SRKN6b", "Shift", "Sine", "SofroniouSpaletta10", "Spline", "Square",
     "State", "StrainMap", "Stretch", "Term", "Thornton", "Toda", "Traces", "Units", "VelocityVerlet", "ViscousContact",
     "Wall", "WaltonBraun", "WorkPrecision", "Yielding", "caputo", "clear", "derivative", "design", "equilibrium",
     "explore", "fit", "laws", "simulate", "smooth_peak", "solvers", "strains", "sweep", "terms", "tune", "vector_field",
