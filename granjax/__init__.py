@@ -119,7 +119,6 @@ Theory and studies
     Resonator           a mass on a spring in every bead
     studies             a rectifier, dark and bright breathers, as they were made
     resonance           transmission of dimers over their mass ratio
-    reproduce           figures of a review, each with a number
 Pictures and files
     plots               pictures of all of it, with units
     explore             sliders and a map that follows them, in a notebook
@@ -211,7 +210,7 @@ _LAZY = {
         "orbits", "plots", "scenes", "shocks", "states", "studies", "sweeps",
         "theory", "topology", "travelling",
     )
-} | {"reproduce": ".studies.reproduce", "resonance": ".studies.resonance"}
+} | {"resonance": ".studies.resonance"}
 _WITHIN = {
     "Equilibrium": ".equilibria", "Resonator": ".travelling", "equilibrium": ".equilibria", "explore": ".notebook",
     "sweep": ".sweeps",

@@ -464,9 +464,8 @@ WITHIN = {
                      "plots.films", "plots.plane", "plots.shocks", "plots.travelling"),
                     "drawn by NumPy; `plots`"),
     **dict.fromkeys(("lattice.split", "lattice.tangents", "lattice.blocks", "split_system"), "`simulate`"),
-    **dict.fromkeys(("studies.bright_breather", "studies.dark_breather", "studies.reproduce.registry",
-                     "studies.reproduce.making", "studies.resonance.decay", "studies.resonance.finite",
-                     "studies.resonance.maps", "studies.resonance.oscillations"),
+    **dict.fromkeys(("studies.bright_breather", "studies.dark_breather", "studies.resonance.decay",
+                     "studies.resonance.finite", "studies.resonance.maps", "studies.resonance.oscillations"),
                     "studies of minutes, made of what is called here"),
 }
 UNCALLED = {

@@ -1,7 +1,4 @@
-"""Studies that stand on the library: experiments on driven chains, the resonance of a dimer, the review's figures.
-
-`gx.resonance` and `gx.reproduce` name the folders here too.
-"""
+"""Studies that stand on the library: experiments on driven chains, the resonance of a dimer (`gx.resonance`)."""
 
 from .bright_breather import BrightBreather, bright_by_instability
 from .bullet import SoundBullet, sound_bullet
