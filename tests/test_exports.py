@@ -197,7 +197,6 @@ MAKERS = {
     "SpaceTime": lambda: gx.shocks.SpaceTime(
         np.arange(2.0), np.arange(3), np.ones((2, 3)), 1.5, 0.1, state(), 0.1, np.ones(()), "It ran.", "velocity",
         **OTHER),
-    "Made": lambda: gx.reproduce.Made("fig", 1.0, 1.0, 0.1, None, 2.0, {"eps": 0.5}, None, None, "", "Agrees."),
 }
 made = functools.cache(lambda name: MAKERS[name]())
 
