@@ -1,5 +1,6 @@
 """Pages of what is stored: the gallery with its pictures and numbers, the review's figures, notebooks."""
 
+import ast
 import json
 import shutil
 import sys
@@ -7,8 +8,6 @@ from pathlib import Path
 
 from PIL import Image
 from reference import keep
-
-import granjax as gx
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE / "gallery"))
@@ -35,7 +34,7 @@ def write(docs: Path) -> None:
     pages = {f"{name}.md": _page(one, made[name]) for name, one in known.items()}
     keep(docs / "gallery", {"index.md": _sheet(known), **pages})
     (docs / "gallery" / "sheet.txt").write_text("\n".join(sheet(known, "/gallery/", "###")))
-    (docs / "figures" / "index.md").write_text(_figures(json.loads((docs / "figures" / "made.json").read_text())))
+    (docs / "review" / "index.md").write_text(_review(json.loads((docs / "review" / "made.json").read_text())))
     _notebooks(docs)
 
 
@@ -89,24 +88,22 @@ def _begin(one):
     return head.count("\n") + 2
 
 
-def _figures(made):
+def _review(made):
+    """The scripts of the review's figures, with their pictures and numbers."""
     lines = [
         "# The review's figures", "",
-        "The sixteen figures of *Dynamics of Nonlinear Lattices* (C. Chong and P. G. Kevrekidis), each computed anew,",
-        "with one number beside what is expected of it. `granjax reproduce fig2.2` makes one, `--all --check` all.",
-        "", "```{contents}", ":local:", ":depth: 1", "```", "",
+        "The sixteen figures of *Dynamics of Nonlinear Lattices* (C. Chong and P. G. Kevrekidis), each",
+        "computed anew by a script of its own, with its numbers beside what is expected of them.",
+        "`python docs/review/fig2_2.py` makes one, `python docs/review/all.py` all of them, and with",
+        "`--check` it only compares the numbers.", "", "```{contents}", ":local:", ":depth: 1", "```", "",
     ]
-    for label, figure in gx.reproduce.figures().items():
-        lines += [
-            f"## {label}: {figure.title}", "", figure.caption.replace("<", r"\<").replace("*", r"\*"), "",
-            f"```{{image}} {label}.webp", f":alt: {figure.title}", "```", "",
-            f"**{figure.quantity}:** {made[label]['number']:.10g}; {figure.expected:.10g} expected, within "
-            f"{figure.tolerance:.2g} ({figure.source}); {made[label]['seconds']:.0f} s.", "",
-        ]
-        if figure.chosen:
-            rows = ((name, f"{c.value} {c.unit}".strip(), c.about) for name, c in figure.chosen.items())
-            chosen = "; ".join(f"`{name}` = {value} ({about})" for name, value, about in rows)
-            lines += [f"Chosen here, as the review does not say: {chosen}.", ""]
+    for name, rows in made.items():
+        code = (HERE / "review" / f"{name}.py").read_text()
+        title, _, words = ast.get_docstring(ast.parse(code)).partition(".\n\n")
+        lines += [f"## {title}", "", words, "", f"```{{image}} {name}.webp", f":alt: {title}", "```", ""]
+        lines += ["| | computed | expected | within |", "|---|---|---|---|"]
+        lines += ["| {} | {:.10g} | {:.10g} | {:.2g} |".format(*row) for row in rows]
+        lines += ["", f":::{{dropdown}} {name}.py", f"```{{literalinclude}} {name}.py", "```", ":::", ""]
     return "\n".join(lines)
 
 

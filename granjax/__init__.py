@@ -117,9 +117,7 @@ Theory and studies
     travelling          solitary waves, and waves of dimers and of beads with resonators; collisions, reflection
     shocks              dispersive shocks: strain steps, velocity shocks, pistons, impacts
     Resonator           a mass on a spring in every bead
-    studies             a rectifier, dark and bright breathers, as they were made
     resonance           transmission of dimers over their mass ratio
-    reproduce           figures of a review, each with a number
 Pictures and files
     plots               pictures of all of it, with units
     explore             sliders and a map that follows them, in a notebook
@@ -209,10 +207,10 @@ _LAZY = {
     name: f".{name}" for name in (
         "breathers", "continuation", "driven", "first_order", "floquet", "forced",
         "fractional", "identify", "kinks", "linear", "materials", "measures", "newton",
-        "orbits", "plots", "scenes", "shocks", "states", "studies", "sweeps",
+        "orbits", "plots", "scenes", "shocks", "states", "sweeps",
         "theory", "topology", "travelling",
     )
-} | {"reproduce": ".studies.reproduce", "resonance": ".studies.resonance"}
+} | {"resonance": ".studies.resonance"}
 _WITHIN = {
     "Equilibrium": ".equilibria", "Resonator": ".travelling", "equilibrium": ".equilibria", "explore": ".notebook",
     "sweep": ".sweeps",
@@ -221,13 +219,13 @@ _WITHIN = {
 __all__ = [
     "Arrival", "Bond", "Breaks", "BrilliantovContact", "CaputoDamping", "CaputoRun", "Damping", "Dashpot", "Derivative",
     "Design", "Drag", "Drive", "Equilibrium", "Fit", "Flow", "Harmonic", "Hertz", "Integral", "KahanLi8", "Lattice",
-    "Law", "Linear", "LongRange", "Lowest", "Modulated", "Network", "OnSite", "Pairs", "Peak", "PeakTime", "PlasticContact",
-    "PlasticLaw", "Polynomial", "PowerLaw", "RKN1210", "RKN86", "Record", "Resonator", "Result", "Reversible", "Run",
-    "RunWithMemory", "SRKN11b", "SRKN14a", "SRKN6b", "Shift", "Sine", "SofroniouSpaletta10", "Spline", "Square",
-    "State", "StrainMap", "Stretch", "Term", "Thornton", "Toda", "Traces", "Units", "VelocityVerlet", "ViscousContact",
-    "Wall", "WaltonBraun", "WorkPrecision", "Yielding", "caputo", "clear", "derivative", "design", "equilibrium",
-    "explore", "fit", "laws", "simulate", "smooth_peak", "solvers", "strains", "sweep", "terms", "tune", "vector_field",
-    "work_precision", *_LAZY,
+    "Law", "Linear", "LongRange", "Lowest", "Modulated", "Network", "OnSite", "Pairs", "Peak", "PeakTime",
+    "PlasticContact", "PlasticLaw", "Polynomial", "PowerLaw", "RKN1210", "RKN86", "Record", "Resonator", "Result",
+    "Reversible", "Run", "RunWithMemory", "SRKN11b", "SRKN14a", "SRKN6b", "Shift", "Sine", "SofroniouSpaletta10",
+    "Spline", "Square", "State", "StrainMap", "Stretch", "Term", "Thornton", "Toda", "Traces", "Units",
+    "VelocityVerlet", "ViscousContact", "Wall", "WaltonBraun", "WorkPrecision", "Yielding", "caputo", "clear",
+    "derivative", "design", "equilibrium", "explore", "fit", "laws", "simulate", "smooth_peak", "solvers", "strains",
+    "sweep", "terms", "tune", "vector_field", "work_precision", *_LAZY,
 ]
 
 

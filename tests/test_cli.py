@@ -16,7 +16,7 @@ import pytest
 import xarray as xr
 
 import granjax as gx
-from granjax.cli import main, pages
+from granjax.cli import main, output
 from granjax.cli.commands import _parser
 
 SMALL = ["resonance", "--beads", "11", "--ratios", "12"]
@@ -110,9 +110,7 @@ def page_named_in(text):
         (["resonance", "--out", "FILE/folder"], "--out: expected a folder that can be made"),
         (["resonance", "--bead-count", "2"], "unrecognized arguments"),
         (["sing"], "invalid choice: 'sing'"),
-        (["reproduce"], "FIGURE: expected labels of figures, or --all, got neither."),
-        (["reproduce", "fig1.33"], "Did you mean"),
-        (["reproduce", "fig1.3", "--set", "sites"], "--set: expected NAME=VALUE"),
+        (["reproduce"], "invalid choice: 'reproduce'"),
     ],
 )
 def test_bad_input_is_one_sentence_and_code_2(arguments, message, tmp_path, capsys):
@@ -144,7 +142,7 @@ def test_a_computation_that_fails_is_code_1(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(gx.resonance, "transmission", fail)
     assert main([*SMALL, "--out", str(tmp_path)]) == 1
     said = capsys.readouterr().err
-    assert "granjax: It did not complete." in said and page_named_in(said) == pages.OUTCOMES
+    assert "granjax: It did not complete." in said and page_named_in(said) == output.OUTCOMES
 
 
 def test_version_and_help(capsys):
@@ -153,11 +151,7 @@ def test_version_and_help(capsys):
     assert stop.value.code == 0
     assert capsys.readouterr().out == f"granjax {gx.__version__}\n"
     assert main([]) == 0
-    out = capsys.readouterr().out
-    assert "resonance" in out and "reproduce" in out
-
-
-COMMANDS = ("resonance", "reproduce")
+    assert "resonance" in capsys.readouterr().out
 
 
 def help_of(monkeypatch, capsys, *command):
@@ -174,71 +168,28 @@ def test_help_is_one_screenful_with_an_example_of_every_command(monkeypatch, cap
     lines = help_of(monkeypatch, capsys)
     assert len(lines) <= 40
     examples = [shlex.split(line) for line in lines if line.startswith(" " * 10 + "        granjax ")]
-    assert [example[1] for example in examples] == list(COMMANDS)
-    assert all(f"  {name} " in "\n".join(lines) for name in COMMANDS)
-    assert page_named_in("\n".join(lines)) == pages.START
+    assert [example[1] for example in examples] == ["resonance"]
+    assert page_named_in("\n".join(lines)) == output.START
 
 
-@pytest.mark.parametrize("name", COMMANDS)
-def test_help_of_a_command_ends_with_examples_and_a_page(name, monkeypatch, capsys):
-    lines = help_of(monkeypatch, capsys, name)
-    assert page_named_in(lines[-1]) in titles()
+def test_help_of_the_command_ends_with_examples_and_a_page(monkeypatch, capsys):
+    lines = help_of(monkeypatch, capsys, "resonance")
+    assert page_named_in(lines[-1]) == output.START
     examples = lines[lines.index("examples:") + 1 : -2]
     assert 1 <= len(examples) <= 2
     for line in examples:
-        arguments = _parser().parse_args(shlex.split(line)[1:])
-        assert arguments.page == page_named_in(lines[-1])
+        assert _parser().parse_args(shlex.split(line)[1:]).command
 
 
 def test_pages_that_are_named_exist():
-    named = {title for name, title in vars(pages).items() if name.isupper()}
-    assert len(named) == 2 and named <= titles()
+    assert {output.START, output.OUTCOMES} <= titles()
 
 
 def test_an_error_names_the_page_that_explains_it(capsys):
-    cases = {("resonance", "--beads", "x"): pages.START, ("sing",): pages.START}
+    cases = {("resonance", "--beads", "x"): output.START, ("sing",): output.START}
     for arguments, page in cases.items():
         assert main([*arguments]) == 2
         assert page_named_in(capsys.readouterr().err) == page, arguments
-
-
-def test_reproduce_lists_the_figures(capsys):
-    assert main(["reproduce", "--list"]) == 0
-    assert gx.reproduce.listing() in capsys.readouterr().out
-
-
-class Outcome:
-    """Stands for a result of `reproduce.run`."""
-
-    def __init__(self, passed, failure=""):
-        self.passed, self.failure = passed, failure
-
-    def __str__(self):
-        return f"figure, passed: {self.passed}"
-
-
-@pytest.mark.parametrize(
-    "arguments, asked, outcome, code",
-    [
-        (["fig1.3"], (["fig1.3"], ".", False), Outcome(None), 0),
-        (["--all", "--check"], (None, None, True), Outcome(True), 0),
-        (["fig1.3", "--check", "--out", "X"], (["fig1.3"], "X", True), Outcome(False), 1),
-        (["fig1.3"], (["fig1.3"], ".", False), Outcome(None, "It failed."), 1),
-    ],
-)
-def test_reproduce_passes_its_arguments_on(arguments, asked, outcome, code, monkeypatch, capsys):
-    seen = []
-
-    def run(labels, out, check, plots, overrides):
-        seen.append((labels, out, check))
-        assert plots is gx.plots
-        assert overrides == {"sites": "9"}
-        return [outcome]
-
-    monkeypatch.setattr(gx.reproduce, "one_by_one", run)
-    assert main(["reproduce", *arguments, "--set", "sites=9"]) == code
-    assert seen == [asked]
-    assert str(outcome) in capsys.readouterr().out
 
 
 COMMAND = """

@@ -273,12 +273,6 @@ def own_make(omega):
 own_period = lambda omega: 2 * jnp.pi / omega
 
 
-@also("rectifier", STUDY)
-def _(seed):
-    gx.studies.rectifier(np.array([1e-8, 2e-8]) * (1 + 0.1 * seed), sites=6, periods=60, damping_time=2e-4)
-    gx.studies.rectifier_branch(1e-8, 2e-8 * (1 + 0.1 * seed), sites=6, damping_time=2e-4, arclength=1.0)
-
-
 @also("spectra", SLOW)
 def _(seed):
     rng = rng_of(seed)
@@ -415,15 +409,6 @@ def dimer(chi):
     return gx.first_order.DNLS(2, 1.0, chi, boundary="fixed")
 
 
-@also("spreading", STUDY)
-def _(seed):
-    gx.studies.spreading(light_and_heavy, 20.0, samples=4, seed=4 * seed, frames=24, chunk=4, progress=False)
-
-
-def light_and_heavy(seed):
-    return gx.scenes.disordered(60, 0.3, seed, law=gx.Linear)
-
-
 @also("caputo", SLOW)
 def _(seed):
     f = 1 + 0.1 * seed
@@ -464,9 +449,8 @@ WITHIN = {
                      "plots.films", "plots.plane", "plots.shocks", "plots.travelling"),
                     "drawn by NumPy; `plots`"),
     **dict.fromkeys(("lattice.split", "lattice.tangents", "lattice.blocks", "split_system"), "`simulate`"),
-    **dict.fromkeys(("studies.bright_breather", "studies.dark_breather", "studies.reproduce.registry",
-                     "studies.reproduce.making", "studies.resonance.decay", "studies.resonance.finite",
-                     "studies.resonance.maps", "studies.resonance.oscillations"),
+    **dict.fromkeys(("studies.resonance.decay", "studies.resonance.finite", "studies.resonance.maps",
+                     "studies.resonance.oscillations"),
                     "studies of minutes, made of what is called here"),
 }
 UNCALLED = {

@@ -684,13 +684,6 @@ def _(s):
     return state(gx.states.radial_impact(s.lattice, s.speed(0.3), s.m(1.5)))
 
 
-@row("sound_bullet", slow=(struck_hexagon,))
-def _(s):
-    found = gx.studies.sound_bullet(s.lattice, [3, 40], 45, s.s(12.0), force=s.newton(0.1), duration=s.s(4.0),
-                                    direction=[1.0, 0.5])
-    return fields_of(found), found.gain, About(found.gain_error)
-
-
 @row("slip_ratio", slow=(crystal_of_beads,))
 def _(s):
     return gx.measures.slip_ratio(s.lattice, s.state)
@@ -1307,36 +1300,6 @@ def _(s):
     return [speed(found.up.response), energy(found.up.energy), found.up.multiple, found.outcome]
 
 
-@row("two_way", slow=(closed,))
-def _(s):
-    found = gx.studies.two_way(s.lattice, s.m(np.array([1e-3, 2e-3])), s.hertz(0.8), damping=s.hertz(0.25), steps=48)
-    left, right = (Of(x, 1, 0, 0) for x in (found.from_left, found.from_right))
-    return left, right, About(Of(found.from_left_error, 1, 0, 0)), found.amplitudes.shape
-
-
-def walled(rng, w):
-    """A law of one's own between walls."""
-    own = gx.Lattice(masses(rng, PLAIN), gx.Bond(gx.Shift(1, "fixed"), Squeeze(near(rng, 1.0), near(rng, 0.5))))
-    return gx.scenes.scaled(own, units=w.units).lattice
-
-
-def signals(s):
-    return {"damping": s.hertz(0.25), "settling": s.s(30.0), "watch": s.s(30.0)}
-
-
-@row("truth_table", slow=(walled,))
-def _(s):
-    found = gx.studies.truth_table(s.lattice, s.m(np.array([0.05, 0.1])), s.hertz(np.array([0.8, 1.1])), **signals(s))
-    return fields_of(found), speed([x for gate in ("OR", "AND", "XOR") for x in found.thresholds(gate) or ()])
-
-
-@row("switch", slow=(closed,))
-def _(s):
-    controls = s.m(np.array([0.0, 0.05, 0.1]))
-    found = gx.studies.switch(s.lattice, (s.m(0.05), s.hertz(0.8)), controls, s.hertz(1.1), **signals(s))
-    return fields_of(found), found.contrast, length([found.threshold, found.threshold_error])
-
-
 # public, with a lattice among the arguments, and not in the table
 ELSEWHERE = {
     "FloquetBands.state": "`floquet_bands`", "FlatBands.state": "`flat_bands`",
@@ -1348,7 +1311,6 @@ ELSEWHERE = {
     "Record.value": "`simulate`", "Problem.state": "`fit`", "return_error": "rounding alone; `fit` and `Reversible`",
     "cell_of": "`bright_guess`", "edges_beside": "`bright_guess`", "edge_of": "`breather`",
     "steps_per_period": "`settle`, `sweep`",
-    "dark_by_interference": "an experiment in SI: its numbers are of one laboratory",
 }
 
 
@@ -1365,8 +1327,8 @@ def test_every_public_function_that_takes_a_lattice_is_in_the_table():
 LONG = {"breather", "simulate", "simulate_tolerance", "frequency_bound", "fit", "fit_from_zero", "family",
         "forced_orbit", "forced_branch", "settle", "sweep", "lyapunov"}
 LONGER = {"law_power law", "law_polynomial", "law_spline", "law_network", "physics_informed", "two_way",
-          "wall_modulus", "wave_family", "wave_orbit", "solitary_wave", "sound_bullet", "work_precision",
-          "forced_branch", "fit_gradient", "fit_windows", "fit_from_zero", "switch", "truth_table", "compare",
+          "wall_modulus", "wave_family", "wave_orbit", "solitary_wave", "work_precision",
+          "forced_branch", "fit_gradient", "fit_windows", "fit_from_zero", "compare",
           "leading", "family", "anticontinuous"}
 
 

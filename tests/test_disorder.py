@@ -10,10 +10,9 @@ matplotlib.use("Agg")
 
 import numpy as np  # noqa: E402
 import pytest
+from gallery import left_by
 
 import granjax as gx
-from granjax import studies
-from granjax.studies.spreading import _exponents
 
 N = 8
 disordered = gx.scenes.disordered
@@ -196,103 +195,97 @@ def test_lattices_without_such_waves_are_refused(lattice, sentence):
 
 # how energy spreads: one program for the ordered chain and the strongly disordered one
 SPREAD, T1 = 0.9, 80.0
+TIMES = T1 * np.geomspace(1 / 64, 1, 24)
 
 
 def ordered_or_not(seed):
     return disordered(260, jnp.where(seed < 1000, 0.0, SPREAD), seed, law=gx.Linear, distribution="binary")
 
 
-def own(lattice):
-    """A kick of one's own, three times as hard: in a linear chain that does not matter."""
-    return gx.State(lattice.zeros(), lattice.zeros().at[130].set(3.0))
-
-
 @functools.cache
 def spread(seed=1000, samples=64, **keywords):
-    common = dict(step=0.3, frames=24, chunk=32, progress=False, kick=own)
-    return gx.studies.spreading(ordered_or_not, T1, samples=samples, seed=seed, **common | keywords)
+    seeds = seed + np.arange(samples)
+    return left_by("superdiffusion").moments(ordered_or_not, seeds, TIMES, 0.3, chunk=32, **keywords)
+
+
+def told(of, samples, window=(T1 / 8, T1), times=TIMES):
+    """A number of the samples' mean by the name of the script's function, and its standard error."""
+    device = left_by("superdiffusion")
+    return device.fitted(getattr(device, of) if isinstance(of, str) else of, times, samples, window)
 
 
 @pytest.mark.slow
 def test_energy_spreads_freely_in_the_ordered_chain():
     found = spread(0, 32)
-    assert found.exponent.value == pytest.approx(2, abs=0.005) and found.verdict == "converged"
+    assert told("slope", found)[0] == pytest.approx(2, abs=0.005)
+    change, uncertain = told("drift", found)
+    assert abs(change) + 2 * uncertain < 0.075
     # every wave at its own speed, cos(k/2), of equal shares: half of t^2
-    assert found.moment[-1] == pytest.approx(T1**2 / 2, rel=0.01)
-    assert found.reached < 1e-12 and found.energy_error < 1e-4 and found.lost == 0
-    assert "32 samples of 260 sites, 10 < t < 80" in found.outcome
+    assert found.mean(0)[-1] == pytest.approx(T1**2 / 2, rel=0.01)
 
 
 @pytest.mark.slow
 def test_disorder_slows_it_down_to_three_halves():
     found = spread()
-    assert found.samples == 64 and found.exponent.value < 1.75 and found.local_exponent[-1] < 1.65
+    exponent, error = told("slope", found)
+    assert len(found) == 64 and exponent < 1.75 and told("slope", found, (TIMES[-4], T1))[0] < 1.65
     # the bootstrap says what the scatter between halves of the samples says
-    one, two = (np.polyfit(np.log(found.times[12:]), np.log(half.mean(0)[12:]), 1)[0]
-                for half in (found.moments[:32], found.moments[32:]))
-    assert abs(one - two) < 4 * 2 * found.exponent.error
-    later = found.within((20.0, T1))
-    assert later.window == (20.0, T1) and later.exponent.value < found.exponent.value
+    one, two = (np.polyfit(np.log(TIMES[12:]), np.log(half.mean(0)[12:]), 1)[0] for half in (found[:32], found[32:]))
+    assert abs(one - two) < 4 * 2 * error
+    assert told("slope", found, (20.0, T1))[0] < exponent
 
 
 @pytest.mark.slow
 def test_energy_that_reaches_the_ends_is_refused():
-    with pytest.raises(RuntimeError, match="Waves have reached the ends of 260 sites"):
-        spread(0, 32, kick="displacement", site=10)
-    told = spread(0, 32, kick="displacement", site=10, throw=False)
-    assert told.reached > 1e-4 and "HAVE REACHED THE ENDS" in told.outcome
+    with pytest.raises(AssertionError, match="waves have reached the ends"):
+        spread(0, 32, displaced=True, site=10)
+
+
+def beside_constant(x, y):
+    """gamma of A t^gamma + B over x = log t, by least squares of relative deviations; a fit for each row of y."""
+    grid = np.linspace(0.02, 3.0, 597)
+    rows = np.atleast_2d(y)
+    weight = 1 / rows[0]
+    basis = np.stack([np.exp(grid[:, None] * (x - x[-1])), np.ones((len(grid), len(x)))], -1) * weight[:, None]
+    basis = np.linalg.qr(basis)[0]
+    seen = np.einsum("gka,dk->gda", basis, rows * weight)
+    found = grid[(((rows * weight) ** 2).sum(1) - (seen**2).sum(-1)).argmin(0)]
+    return found if np.ndim(y) > 1 else found[0]
 
 
 @pytest.mark.study
 def test_a_thousand_samples():
     """After a kick of momentum 3/2; after a displacement 1/2 beside a constant, while the plain slope still falls."""
-    def many(sites, spread, kick, t1, step):
+    def many(sites, spread, displaced, t1, step):
         def chain(seed):
             return disordered(sites, spread, seed, law=gx.Linear, distribution="binary")
 
-        return gx.studies.spreading(chain, t1, samples=1000, kick=kick, step=step)
+        times = t1 * np.geomspace(1 / 64, 1, 40)
+        found = left_by("superdiffusion").moments(
+            chain, np.arange(1000), times, step, displaced=displaced, chunk=100)
+        return found, times
 
-    kicked = many(2300, 0.7, "velocity", 1000.0, 0.5)
-    assert kicked.verdict == "converged" and abs(kicked.exponent.value - 1.5) < 0.04 and kicked.exponent.error < 0.005
-    displaced = many(2740, 0.9, "displacement", 1200.0, 0.3)
-    assert displaced.verdict == "drifting" and displaced.local_exponent[-1] < 0.66
-    late = displaced.within((300.0, 1200.0)).beside_constant
-    assert abs(late.value - 0.5) < 2 * late.error < 0.1
-
-
-@pytest.mark.parametrize("call, sentence", [
-    (lambda: gx.studies.spreading(lambda seed: 3.0, 10.0, samples=2), "scene: expected a function of a seed"),
-    (lambda: gx.studies.spreading(ordered_or_not, 10.0, kick="both"), "kick: expected one of"),
-    (lambda: gx.studies.spreading(ordered_or_not, 10.0, samples=1), "samples: expected a whole number not below 2"),
-    (lambda: gx.studies.spreading(ordered_or_not, 10.0, window=(1.0, 1.1)), "window: expected .from, to. with 8"),
-    (lambda: gx.studies.spreading(ordered_or_not, 10.0, window=3.0), "window: expected .from, to. with 8"),
-    (lambda: gx.studies.spreading(ordered_or_not, 10.0, amplitude=0.0), "amplitude: expected a number that is not"),
-    (lambda: gx.studies.spreading(ordered_or_not, 10.0, site=300), "site: expected a site from 0 to 259"),
-])
-def test_studies_refused(call, sentence):
-    with pytest.raises(ValueError, match=sentence):
-        call()
+    found, times = many(2300, 0.7, False, 1000.0, 0.5)
+    window = (1000 / 8, 1000.0)
+    (exponent, error), (change, uncertain) = (told(of, found, window, times) for of in ("slope", "drift"))
+    assert abs(change) + 2 * uncertain <= 0.075 and abs(exponent - 1.5) < 0.04 and error < 0.005
+    found, times = many(2740, 0.9, True, 1200.0, 0.3)
+    change, uncertain = told("drift", found, (150.0, 1200.0), times)
+    assert abs(change) - 2 * uncertain > 0.075
+    assert told("slope", found, (times[-4], 1200.0), times)[0] < 0.66
+    late, error = told(beside_constant, found, (300.0, 1200.0), times)
+    assert abs(late - 0.5) < 2 * error < 0.1
 
 
-def test_exponents_beside_a_constant_and_their_picture():
+def test_an_exponent_beside_a_constant():
     """Of numbers: 5 sqrt(t) - 3 with noise drifts, and is 1/2 beside a constant."""
     t = np.geomspace(1.0, 64.0, 40)
     noise = np.random.default_rng(3).normal(size=(500, 40))
-    moments = (5 * np.sqrt(t) - 3) * (1 + 0.02 * noise)
-    found = studies.Spreading(t, moments, np.ones((500, 40)) + 0.01 * np.abs(noise), (2.0, 64.0), sites=9, reached=0.0,
-                              energy_error=0.0, lost=0, **_exponents(t, moments, np.exp(0.01 * noise), (2.0, 64.0)))
-    assert found.verdict == "drifting" and found.exponent.value > 0.6
-    assert abs(found.beside_constant.value - 0.5) < 3 * found.beside_constant.error < 0.1
-    assert "beside a constant t^(0.5" in found.outcome
-    ax = gx.plots.spreading(found)
-    assert ax.get_xscale() == ax.get_yscale() == "log" and "second moment" in ax.get_ylabel()
-    np.testing.assert_allclose(ax.lines[0].get_ydata(), found.moment)
-    np.testing.assert_allclose(ax.child_axes[0].lines[0].get_ydata(), found.local_exponent)
-    assert "drifting" in ax.get_legend().get_texts()[0].get_text()
-    assert gx.plots.spreading(found, ax) is ax and len(ax.child_axes) == 1
-    assert "participation" in gx.plots.spreading(found, measure="participation").get_ylabel()
-    with pytest.raises(ValueError, match="found: expected what gx.studies.spreading returns"):
-        gx.plots.spreading(3)
+    found = (5 * np.sqrt(t) - 3) * (1 + 0.02 * noise)
+    change, uncertain = told("drift", found, (2.0, 64.0), t)
+    assert abs(change) - 2 * uncertain > 0.075 and told("slope", found, (2.0, 64.0), t)[0] > 0.6
+    value, error = told(beside_constant, found, (2.0, 64.0), t)
+    assert abs(value - 0.5) < 3 * error < 0.1
 
 
 def decay(mass, k, c, s, g, omega):

@@ -15,7 +15,7 @@ from scipy.io import loadmat
 from test_vocabulary import NAMES, public
 
 import granjax as gx
-from granjax import identify, linear, measures, studies
+from granjax import identify, linear, measures
 from granjax.continuation import continuation
 from granjax.identify.regression import Coefficient
 from granjax.newton import newton
@@ -129,7 +129,6 @@ MAKERS = {
     "Equilibrium": lambda: gx.equilibrium(chain()), "Backbone": lambda: gx.breathers.backbone(chain(), -1),
     "FrontDecay": lambda: gx.measures.front_decay(gx.scenes.square(9), np.ones((9, 9)), (0, 0), direction=[1.0, 0.0]),
     "RadialProfile": lambda: gx.measures.radial_profile(gx.scenes.square(5), np.ones((3, 5, 5))),
-    "SoundBullet": lambda: studies.SoundBullet(*np.arange(1.0, 22.0).reshape(7, 3), 1.0, 0.1, **OTHER),
     "Dispersion": lambda: linear.dispersion(ring(), np.linspace(0.1, 3.0, 4)),
     "PathBands": lambda: linear.path(ring(), "GX", 4), "FlatBands": lambda: linear.flat_bands(gx.scenes.stub(8)),
     "ZoneMap": lambda: linear.zone_map(gx.scenes.square(5, boundary="periodic"), 8),
@@ -176,19 +175,6 @@ MAKERS = {
         np.array(0), ("r[0]", "r[1]")),
     "Lyapunov": lambda: gx.driven.Lyapunov(np.ones(2), np.ones(2), np.ones((6, 2)), state(), "chaotic", "It is."),
     "Advice": lambda: Advice(1e-3, "SRKN6b", "step", 0.1, 1e-4, 0.01, 100.0, np.nan, np.nan, gx.SRKN6b()),
-    "BrightBreather": lambda: studies.BrightBreather(
-        np.ones(6), np.ones(6, int), np.ones(6), 0.6, 5e3, (4e3, 6e3), 2, np.ones(9), 0.1, 3, chain(), state(), "So."),
-    "DarkBreather": lambda: studies.DarkBreather(
-        settled(), chain(), 1.0, 2.0, np.ones(N), np.ones(N + 1), 1.0, 0.5, 3.0, -0.9, np.ones((6, N))),
-    "Rectifier": lambda: studies.Rectifier(
-        np.ones(3), sweep(), sweep(), 1.0, np.inf, np.ones(3), np.ones(3), 1.0, 2.0, 3.0),
-    "Switch": lambda: studies.Switch(np.arange(1.0, 4.0), *np.arange(1.0, 13.0).reshape(4, 3), **OTHER),
-    "TruthTable": lambda: studies.TruthTable(
-        np.array([[0, 0], [0, 1], [1, 0], [1, 1]]), np.arange(4.0), np.full(4, 0.1), *np.ones((2, 2)), **OTHER),
-    "TwoWay": lambda: studies.TwoWay(np.ones(3), 1.0, *np.ones((4, 3)), **OTHER),
-    "Spreading": lambda: studies.Spreading(
-        T, *np.ones((2, 5, 33)), (0.5, 2.0), *[studies.Exponent(1.5, 0.1, 0.1, 0.1)] * 3, *np.ones((2, 33)),
-        sites=N, reached=0.0, energy_error=0.1, lost=0),
     "CellWave": lambda: gx.travelling.cell_wave(gx.Hertz(), [1.0], speed=1.0),
     "Oscillations": lambda: Oscillations(np.ones(3), np.ones(3), 41),
     "ResonanceMap": lambda: ResonanceMap(
@@ -211,7 +197,6 @@ MAKERS = {
     "SpaceTime": lambda: gx.shocks.SpaceTime(
         np.arange(2.0), np.arange(3), np.ones((2, 3)), 1.5, 0.1, state(), 0.1, np.ones(()), "It ran.", "velocity",
         **OTHER),
-    "Made": lambda: gx.reproduce.Made("fig", 1.0, 1.0, 0.1, None, 2.0, {"eps": 0.5}, None, None, "", "Agrees."),
 }
 made = functools.cache(lambda name: MAKERS[name]())
 

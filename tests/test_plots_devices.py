@@ -1,6 +1,5 @@
-"""Pictures of devices, states of rest and what evolves show the numbers of their results, with units."""
+"""Pictures of states of rest and what evolves show the numbers of their results, with units."""
 
-import dataclasses
 from types import SimpleNamespace
 
 import matplotlib
@@ -13,11 +12,6 @@ import pytest  # noqa: E402
 
 import granjax as gx  # noqa: E402
 from granjax import plots  # noqa: E402
-from granjax.studies import Switch, TruthTable, TwoWay  # noqa: E402
-from granjax.units.names import mark_of  # noqa: E402
-
-SI = {"_mark": np.full((), mark_of("SI"))}
-ROWS = np.array([[0, 0], [0, 1], [1, 0], [1, 1]])
 
 
 @pytest.fixture(autouse=True)
@@ -26,72 +20,8 @@ def closed():
     plt.close("all")
 
 
-def gate(output):
-    output = np.array(output)
-    return TruthTable(ROWS, output, 0.01 * output, np.full(2, 1e-7), np.array([6e4, 5e4]), **SI)
-
-
-def controlled():
-    output, alone = np.array([1e-6, 4e-5, 8e-5, 2e-4]), np.array([0.0, 1e-6, 2e-6, 4e-6])
-    return Switch(np.array([0.0, 5e-8, 1e-7, 2e-7]), output, np.full(4, 2e-6), alone, 0.1 * alone, **SI)
-
-
 def labels(ax):
     return ax.get_xlabel(), ax.get_ylabel()
-
-
-def test_a_truth_table_shades_the_thresholds_of_each_gate():
-    ax = plots.truth_table(gate([0.0, 1e-6, 2e-6, 1e-4]))
-    np.testing.assert_allclose([bar.get_height() for bar in ax.containers[0]], [0, 1, 2, 100])
-    assert labels(ax) == ("signals that are on (inputs)", "rms velocity (µm/s)")
-    assert [tick.get_text() for tick in ax.get_xticklabels()] == ["00", "01", "10", "11"]
-    shaded = {text.get_text(): patch.get_bbox() for text, patch in zip(ax.texts, ax.patches[4:])}
-    # above the largest of what is off, below the least of what is on, errors off
-    assert shaded.keys() == {"OR", "AND"}
-    assert (shaded["AND"].y0, shaded["AND"].y1) == pytest.approx((2.02, 99.0))
-    assert shaded["OR"].y1 == pytest.approx(0.99)
-    ax = plots.truth_table(gate([0.0, 1e-6, 2e-6, 0.5e-6]), units="mm/s")
-    assert [text.get_text() for text in ax.texts] == ["OR", "XOR"] and labels(ax)[1] == "rms velocity (mm/s)"
-
-
-def test_a_switch_has_its_curves_and_the_bracket_of_its_threshold():
-    found = controlled()
-    ax = plots.switch(found)
-    assert labels(ax) == ("control amplitude (nm)", "rms velocity (µm/s)") and ax.get_yscale() == "log"
-    (line, _, _), (alone, _, _) = ax.containers
-    np.testing.assert_allclose(line.get_ydata(), 1e6 * found.output)
-    np.testing.assert_allclose(alone.get_xdata(), [0, 50, 100, 200])
-    (band,) = ax.patches
-    assert (band.get_bbox().x0, band.get_bbox().x1) == pytest.approx((100, 200))
-    # open from the first control on: nothing is shaded
-    ax = plots.switch(dataclasses.replace(found, output=np.full(4, 1e-4)))
-    assert not ax.patches
-
-
-def test_a_rectifier_has_rings_where_nothing_repeats_and_the_onset():
-    way = lambda power, multiple: SimpleNamespace(up=SimpleNamespace(response=power, multiple=np.array(multiple)))
-    near, far = way(np.array([1e-12, 5e-3, 8e-3]), [1, 0, 0]), way(np.full(3, 1e-15), [1, 1, 1])
-    found = SimpleNamespace(amplitudes=np.array([1e-7, 2e-7, 3e-7]), near=near, far=far, threshold_near=1.77e-7,
-                            threshold_far=np.inf, units="SI")
-    onset = SimpleNamespace(kind="Neimark-Sacker", p=1.79e-7)
-    orbits = SimpleNamespace(bifurcations=[SimpleNamespace(kind="Fold", p=1e-7), onset], units="SI")
-    ax = plots.rectifier(found, orbits=orbits, units=("um", "W"))
-    assert labels(ax) == ("drive amplitude (µm)", "transmitted power (W)")
-    left, rings, right, none, settled, marked = ax.lines
-    np.testing.assert_allclose(left.get_ydata(), near.up.response)
-    np.testing.assert_allclose(rings.get_xdata(), [0.2, 0.3])
-    assert not len(none.get_xdata()) and right.get_ydata()[0] == 1e-15
-    assert settled.get_xdata()[0] == pytest.approx(0.177) and marked.get_xdata()[0] == pytest.approx(0.179)
-
-
-def test_both_ways_and_the_error_of_their_difference():
-    a, left = np.array([1e-10, 1e-9]), np.array([1e-5, 1e-4])
-    found = TwoWay(a, 5e4, left, left * (1 - np.array([1e-6, 1e-4])), 1e-9 * left, 1e-9 * left, **SI)
-    both, apart = plots.two_way(found)
-    assert labels(both) == ("drive amplitude (nm)", "force on the wall at rest (µN)")
-    np.testing.assert_allclose(both.lines[1].get_ydata(), 1e6 * found.from_right)
-    np.testing.assert_allclose(apart.lines[0].get_ydata(), found.asymmetry)
-    np.testing.assert_allclose(apart.collections[0].get_paths()[0].vertices[:, 1].max(), found.asymmetry_error.max())
 
 
 @pytest.fixture(scope="module")
@@ -166,7 +96,7 @@ def test_a_breather_of_a_k_gap_beside_its_linear_waves():
 
 
 @pytest.mark.parametrize("plot", [
-    plots.truth_table, plots.switch, plots.rectifier, plots.two_way, plots.kink, plots.equilibrium, plots.evolution,
+    plots.kink, plots.equilibrium, plots.evolution,
     plots.gap_breather,
 ])
 def test_what_is_no_such_result_is_refused(plot):

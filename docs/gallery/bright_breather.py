@@ -8,7 +8,7 @@ modulationally unstable, breaks up, and leaves a breather whose frequency has su
 :number: least share of the energy that the fullest tenth of the beads holds, last third of 300 free periods
 :expected: 0.75
 :within: 0.25
-:source: more than half of it; Boechler, Theocharis, Job, Kevrekidis, Porter, Daraio, Phys. Rev. Lett. 104, 244302 (2010)
+:source: more than half of it; Boechler, Theocharis, Job, Kevrekidis, Porter, Daraio, PRL 104, 244302 (2010)
 """
 import jax.numpy as jnp
 import matplotlib.pyplot as plt

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 HERE = Path(__file__).parent
 PICTURES, MADE = HERE / "pictures", HERE / "made.json"
-MOST_LINES = 25
+MOST_LINES = 80
 FIELDS = ("systems", "part", "number", "expected", "within", "source")
 
 

@@ -2,7 +2,7 @@
 
 Sines in the gap of a chain under load do not pass. Two of them together do: the contacts make their difference in
 frequency, which lies in the band. So a threshold on what comes out reads "both": AND; and one signal switches the
-other. Signals in the band pass each by itself: OR. Errors: what half the step and the halves of the watch change.
+other. Signals in the band pass each by itself: OR.
 
 :systems: switch and logic gates
 :part: Devices
@@ -37,7 +37,7 @@ def last_squared(t, y, lattice):
 
 
 def outputs(chain, amplitudes, omegas):
-    """Give the rms velocity of the last bead in both halves of the watch, (2, rows), and over it, with its error."""
+    """Rms velocity of the last bead in both halves of the watch, and over it, with what half the step changes too."""
     still = gx.driven.driven_chain(chain, 0.0, 1.0, ends="left", damping=1 / 1.75e-3)
     wall = lambda a, w: eqx.tree_at(lambda c: c.terms[-2].motion, still, Signals(a, w))
     lanes = jax.vmap(wall, out_axes=-1)(amplitudes, omegas)
@@ -67,13 +67,12 @@ assert ((output[OR] > 1e-4) == rows.any(1)).all() and low[OR][1:].min() > 5e-4
 assert (high[alone][1:] < 0.04 * output[on][1:]).all() and low[on][8] > 250 * high[on][0]
 half = output[on][8] / 2 + np.array([-1, 1]) * error[on][8] / 2
 assert high[on][4] < half[0] and low[on][5] > half[1] and abs(controls[4:6].mean() - 1.125e-7) < 1e-12
-
-figure, axes = plt.subplots(1, 2, figsize=(7.0, 3.2), layout="constrained")
+axes = plt.subplots(1, 2, figsize=(7.0, 3.2), layout="constrained")[1]
 for place, part, name in ((-0.2, AND, "in the gap"), (0.2, OR, "in the band")):
     y, e = 1e3 * output[part], 1e3 * error[part]
     axes[0].bar(np.arange(4) + place, y, 0.4, yerr=np.minimum(e, 0.99 * y), label=name)
-axes[0].set_xticks(np.arange(4), ["00", "01", "10", "11"])
-axes[0].set(yscale="log", ylim=(1e-5, 10), xlabel="signals that are on", ylabel="output (mm/s)")
+axes[0].set(xticks=range(4), xticklabels=["00", "01", "10", "11"], yscale="log", ylim=(1e-5, 10))
+axes[0].set(xlabel="signals that are on", ylabel="output (mm/s)")
 for part, name in ((on, "signal and control"), (alone, "control alone")):
     axes[1].semilogy(1e9 * controls[1:], 1e3 * output[part][1:], "o-", label=name)
 axes[1].set(xlabel="control (nm)", ylabel="output (mm/s)")

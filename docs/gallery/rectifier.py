@@ -46,17 +46,15 @@ apart = np.abs(np.array(left) / right - 1)
 number = float(np.log10(apart[2] / apart[1]))
 assert apart[0] < 1e-8
 
-# twenty beads: the power that the far half dissipates, and the periodic orbits from the defect's side
-long, modes = with_defect(20)
-omega = 0.98 * modes[-1]
-period = 2 * np.pi / omega
-
 
 def power(beyond, lattice, u, v, t):
+    """What the beads beyond dissipate in the mean."""
     return jnp.mean(jnp.sum((lattice.mass * v * v)[:, beyond], 1)) / 1.75e-3
 
 
-drives = np.linspace(0.05e-6, 0.35e-6, 7)
+long, modes = with_defect(20)
+omega = 0.98 * modes[-1]
+period, drives = 2 * np.pi / omega, np.linspace(0.05e-6, 0.35e-6, 7)
 how = {"down": False, "jump": 0.5, "accuracy": 0.01, "periods": 1500, "watch": 60}
 near, far = (
     gx.driven.sweep(partial(driven, long, omega, end), drives, period, response=partial(power, beyond), **how).up
@@ -69,7 +67,6 @@ assert onset.kind == "Neimark-Sacker" and abs(onset.p / 0.17919e-6 - 1) < 1e-4
 # settling finds it too, from the other side all repeats; milliwatts against femtowatts
 assert abs(ceased / onset.p - 1) < 0.02 and (far.multiple == 1).all() and modes[-2] < omega < modes[-1]
 assert near.response[-2:].min() > 1e-4 and far.response.max() < 1e-13
-
 axes = plt.subplots(1, 2, figsize=(7.0, 3.2), layout="constrained")[1]
 axes[0].loglog(1e9 * amplitudes, apart, "o", label="left against right")
 axes[0].loglog(1e9 * amplitudes, apart[2] * (amplitudes / 1e-9) ** 2, "k:", label="$a^2$")

@@ -1,4 +1,4 @@
-"""The command line: `granjax resonance`, `granjax reproduce`."""
+"""The command line: `granjax resonance`."""
 
 from .commands import command, main
 from .output import UNREAD

@@ -1,8 +1,9 @@
-"""The command line: `granjax resonance`, `granjax reproduce`.
+"""The command line: `granjax resonance`.
 
-Results go to standard output, everything else to standard error, or to standard output where that is closed. Exit
-codes: 0; 1 where a computation failed, a figure disagrees or a result could not be written to its place; 2 for input
-that cannot be meant, with a sentence; 130 where it was interrupted; 141 where nobody reads standard output any more.
+Results go to standard output, everything else to standard error, or to standard output where
+that is closed. Exit codes: 0; 1 where a computation failed or a result could not be written to its
+place; 2 for input that cannot be meant, with a sentence; 130 where it was interrupted; 141 where
+nobody reads standard output any more.
 """
 
 import argparse
@@ -13,29 +14,24 @@ from typing import NoReturn
 
 import granjax as gx
 
-from ..checks import refuse
 from ..tuning import keep_compiled
-from .output import UNREAD, complain, say
-from .pages import OUTCOMES, START, closing, pointed, see
+from .output import OUTCOMES, START, complain, pointed, say, see
 from .resonance import add_resonance
 
 ABOUT = """
 Simulates nonlinear lattices: granular crystals, FPUT, Toda and magnetic chains,
 crystals in the plane. In Python `import granjax as gx` has all of it; from here
-you compute a known curve, a published figure.
+you compute a known curve.
 """.strip()
 # the exit code of a process that Ctrl-C ended
 INTERRUPTED = 130
 COMMANDS = f"""
-commands, each with an example:
+one command, with an example:
   resonance   how much of a pulse a struck dimer chain lets through to a wall,
               over its mass ratio, with its resonances
                   granjax resonance --out results
-  reproduce   figures of Chong and Kevrekidis, Dynamics of Nonlinear Lattices,
-              each with a number to check
-                  granjax reproduce fig1.3
 
-granjax COMMAND --help says more of each. {see(START)}
+granjax resonance --help says more. {see(START)}
 """.strip()
 
 
@@ -51,10 +47,8 @@ def command() -> NoReturn:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command; `argv` without the program's name, `None` for that of the process. Returns the exit code."""
-    page = START
     try:
         arguments, extra = _parser().parse_known_args(argv)
-        page = arguments.page
         if extra:
             raise ValueError(f"unrecognized arguments: {' '.join(extra)}.")
         if arguments.command is None:
@@ -62,7 +56,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         _prepare(not arguments.no_cache)
         return arguments.command(arguments)
     except ValueError as error:
-        return complain(pointed(error, page), 2)
+        return complain(pointed(error, START), 2)
     except OSError as error:
         return complain(error, 2)
     except RuntimeError as error:
@@ -76,7 +70,7 @@ class _Parser(argparse.ArgumentParser):
         super().__init__(*arguments, formatter_class=argparse.RawDescriptionHelpFormatter, **keywords)
 
     def error(self, message):
-        raise ValueError(f"{message}. {see(self.get_default('page')).rstrip('.')}, or {self.prog} --help.")
+        raise ValueError(f"{message}. {see(START).rstrip('.')}, or {self.prog} --help.")
 
 
 def _parser():
@@ -87,28 +81,8 @@ def _parser():
         "--no-cache", action="store_true",
         help="compile anew; otherwise programs are kept in your cache folder (or in the folder GRANJAX_CACHE)",
     )
-    parser.set_defaults(command=None, page=START)
-    commands = parser.add_subparsers(prog="granjax", metavar="COMMAND", help=argparse.SUPPRESS)
-
-    add_resonance(commands)
-
-    text = "Figures of Chong and Kevrekidis, Dynamics of Nonlinear Lattices:\npicture, data, one number to check."
-    reproduce = commands.add_parser(
-        "reproduce", description=text,
-        epilog=closing(START, "granjax reproduce --list", "granjax reproduce fig1.3 --check --set sites=120"),
-    )
-    reproduce.add_argument("figures", nargs="*", metavar="FIGURE", help="labels such as fig2.2")
-    reproduce.add_argument("--list", action="store_true", help="list the figures and stop")
-    reproduce.add_argument("--all", action="store_true", help="all figures")
-    reproduce.add_argument("--check", action="store_true", help="compare the numbers; exit code 1 where one disagrees")
-    reproduce.add_argument(
-        "--out", metavar="DIR", help="folder for pictures and data (default: current folder; none with --check)"
-    )
-    reproduce.add_argument(
-        "--set", action="append", default=[], metavar="NAME=VALUE", help="another value of a chosen parameter"
-    )
-    reproduce.set_defaults(command=_reproduce, page=START)
-
+    parser.set_defaults(command=None)
+    add_resonance(parser.add_subparsers(prog="granjax", metavar="COMMAND", help=argparse.SUPPRESS))
     return parser
 
 
@@ -134,31 +108,3 @@ def _prepare(cache):
 def _cores():
     """Cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def _reproduce(arguments):
-    if arguments.list:
-        return say(gx.reproduce.listing())
-    if bool(arguments.figures) == arguments.all:
-        refuse("FIGURE", "labels of figures, or --all", "both" if arguments.all else "neither", "--list shows them.")
-    out = arguments.out
-    if out is None and not arguments.check:
-        out = "."
-    results = gx.reproduce.one_by_one(
-        arguments.figures or None, out, arguments.check, gx.plots, dict(map(_setting, arguments.set))
-    )
-    code = 0
-    for result in results:
-        wrong = result.failure or arguments.check and result.passed is False
-        said = say(str(result))
-        if said == UNREAD:
-            return said
-        code = code or said or int(bool(wrong))
-    return code
-
-
-def _setting(text):
-    name, equals, value = text.partition("=")
-    if not name or not equals or not value:
-        refuse("--set", "NAME=VALUE", repr(text))
-    return name, value

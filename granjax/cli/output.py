@@ -10,6 +10,21 @@ from ..files import reason, write
 # as of a process that a closed pipe ends
 UNREAD = 141
 
+# pages of the documentation by their titles, which hold for an installed package too: what help and errors name
+START = "Start here"
+OUTCOMES = "Errors, outcomes and verdicts"
+
+
+def see(title: str) -> str:
+    """The sentence that names a page."""
+    return f"See the page '{title}'."
+
+
+def pointed(error: object, title: str) -> str:
+    """An error that names a page: its own, or the one given."""
+    said = str(error).rstrip()
+    return said if "See the page '" in said else f"{said}{'' if said.endswith(('.', '!', '?')) else '.'} {see(title)}"
+
 
 def complain(error: object, code: int = 0) -> int:
     """The exit code; the sentence goes to standard error, or to standard output where that is closed."""

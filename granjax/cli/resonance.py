@@ -10,8 +10,7 @@ import granjax as gx
 
 from ..checks import whole
 from ..files import folder, netcdf, target
-from .output import keep, say
-from .pages import START, closing
+from .output import START, keep, say, see
 
 LEAST_RATIOS = 3
 LOWEST_RATIO = 0.05
@@ -24,10 +23,8 @@ DEFINITION = (
 def add_resonance(commands: Any) -> None:
     """The command's part of the parser."""
     text = "Transmission of a struck dimer chain to a wall over the mass ratio:\npicture, data, resonances."
-    parser = commands.add_parser(
-        "resonance", description=text,
-        epilog=closing(START, "granjax resonance", "granjax resonance --beads 41 --ratios 50 --out short.png"),
-    )
+    examples = "examples:\n  granjax resonance\n  granjax resonance --beads 41 --ratios 50 --out short.png"
+    parser = commands.add_parser("resonance", description=text, epilog=f"{examples}\n\n{see(START)}")
     parser.add_argument("--beads", type=int, default=101, help="beads of the chain, 3 or more (default: 101)")
     parser.add_argument(
         "--ratios", type=int, default=200, metavar="N",
@@ -38,7 +35,7 @@ def add_resonance(commands: Any) -> None:
         help="folder for resonance.png and resonance.nc, or a path ending in .png or .nc for other names",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of a table")
-    parser.set_defaults(command=resonance, page=START)
+    parser.set_defaults(command=resonance)
 
 
 def resonance(arguments: argparse.Namespace) -> int:

@@ -125,7 +125,7 @@ def localisation_length(lattice: Lattice, omega: Parameter) -> LocalisationLengt
                "Waves to the left and to the right differ: simulate the chain, driven at one end.")
     if least is not None and not least > 0:
         refuse("lattice", "bonds with a stiffness at rest", f"one of stiffness {show(least)}",
-               "A sonic vacuum has no linear waves: give precompression > 0, or see gx.studies.spreading.")
+               "A sonic vacuum has no linear waves: give precompression > 0, or see gx.measures.second_moment.")
     samples = int(np.prod(lattice.lanes, dtype=int))
     shape = omega.shape
     return LocalisationLength(omega, gamma.reshape(shape), error.reshape(shape), sites, samples)

@@ -16,7 +16,6 @@ be told apart by colour-blind eyes.
 
 from .cells import cell_wave, resonance_map
 from .curves import profile, transmission
-from .devices import rectifier, sound_bullet, switch, truth_table, two_way
 from .evolutions import evolution, gap_breather
 from .films import film
 from .fits import corner, fit, law, planar
@@ -26,7 +25,6 @@ from .plane import bands, beads, radial_profile, zone
 from .precision import work_precision
 from .rest import equilibrium, kink
 from .shocks import modulation, shock, shock_core, shock_map
-from .spreading import spreading
 from .style import COLOURS, drawn, figure, save, style
 from .sweeps import sweep
 from .travelling import front, reflection, wave, wave_errors, wave_family
@@ -35,8 +33,8 @@ from .waves import dispersion, floquet_bands
 __all__ = [
     "COLOURS", "bands", "beads", "branch", "breather", "cell_wave", "corner", "dispersion", "drawn", "equilibrium",
     "evolution", "figure", "film", "fit", "floquet_bands", "floquet_circle", "front", "gap_breather", "hysteresis",
-    "kink", "law", "modulation", "planar", "profile", "radial_profile", "rectifier", "reflection", "resonance_map",
-    "save", "shock", "shock_core", "shock_map", "sound_bullet", "space_time", "spreading", "strain_map", "style",
-    "sweep", "switch", "traces", "transmission", "truth_table", "two_way", "wave", "wave_errors", "wave_family",
+    "kink", "law", "modulation", "planar", "profile", "radial_profile", "reflection", "resonance_map",
+    "save", "shock", "shock_core", "shock_map", "space_time", "strain_map", "style",
+    "sweep", "traces", "transmission", "wave", "wave_errors", "wave_family",
     "work_precision", "zone",
 ]

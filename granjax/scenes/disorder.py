@@ -45,8 +45,8 @@ def disordered(
     - `mass`: m; the others as in `monomer`. `units`: what the numbers are counted in, `"scaled"` or `"SI"`.
 
     **Returns:** a `Lattice`; equal seeds give equal chains. Strong precompression is nearly linear (waves localise),
-    F0 = 0 the sonic vacuum (they do not): `gx.linear.localisation_length`, `gx.studies.spreading`. In SI from a
-    material: `gx.scenes.beads(material, radii)`.
+    F0 = 0 the sonic vacuum (they do not): `gx.linear.localisation_length`, `gx.measures.second_moment`. In SI
+    from a material: `gx.scenes.beads(material, radii)`.
     **Raises** ValueError for a spread outside [0, 1), another distribution, correlation or disorder, a seed that is
     neither whole number nor key, radii without Hertz contacts, positions without F0 or with a `law`, and as `monomer`
     does.
