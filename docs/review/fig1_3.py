@@ -1,7 +1,7 @@
 """Fig. 1.3: space-time evolution of the exact travelling wave, strain, c = 1.
 
-The fixed point of phi = tent * phi^(3/2) set on a Hertz chain of 90 beads without precompression (A
-= m = 1), and its profile after it has run along 60 contacts. It has to keep the speed and the
+The fixed point of phi = tent * phi^(3/2) set on a Hertz chain of 90 beads without precompression,
+A = m = 1, and its profile after it has run along 60 contacts. It has to keep the speed and the
 profile that it was computed for.
 """
 
@@ -26,19 +26,17 @@ def make():
     wave = gx.travelling.solitary_wave(gx.Hertz(), speed=1.0)
     chain = gx.scenes.monomer(BEADS, boundary="free")
     passed = gx.Arrival(strain, float(wave.strain(0.5)))
-    run = gx.simulate(
-        chain,
+    start, options = (
         wave.state(BEADS, centre=START),
-        float(TRAVEL),
-        tolerance=1e-11,
-        save_at=4 * TRAVEL + 1,
-        record={"passed": passed},
+        {"save_at": 4 * TRAVEL + 1, "tolerance": 1e-11},
     )
+    run = gx.simulate(chain, start, float(TRAVEL), record={"passed": passed}, **options)
     strains = np.asarray(gx.measures.along(gx.measures.strain, chain, run))
 
     canvas = plt.figure(figsize=(9.2, 3.8), layout="constrained")
     left, right = canvas.subplots(1, 2, width_ratios=(1.15, 1))
-    gx.plots.space_time(strains, left, ts=run.ts, label="strain", site_label="contact $n$")
+    options = {"label": "strain", "site_label": "contact $n$", "units": "scaled"}
+    gx.plots.space_time(strains, left, ts=run.ts, **options)
     left.set_title("Strain of every contact")
     end, last, xi = START + TRAVEL, strains[-1], np.linspace(-6, 6, 385)
     gx.plots.profile(
@@ -57,19 +55,12 @@ def make():
     n = np.arange(START + 1, end)
     slowness = np.polyfit(n, np.asarray(run.recorded["passed"])[n], 1)[0]
     rising, falling = last[end - 3 : end + 1], last[end : end + 4][::-1]
+    ahead, behind = abs(falling - KNOWN).max(), abs(rising - KNOWN).max()
     return {
         "speed [contacts/time]": (1 / slowness, 1.0, 1e-9),
-        "strain ahead of the crest less the exact one, at most": (
-            np.abs(falling - KNOWN).max(),
-            0.0,
-            1e-10,
-        ),
-        "strain behind the crest less the exact one, at most": (
-            np.abs(rising - KNOWN).max(),
-            0.0,
-            1e-10,
-        ),
-        "strain that is left behind, at most": (np.abs(last[: end - 5]).max(), 0.0, 1e-10),
+        "strain ahead of the crest less the exact one, at most": (ahead, 0.0, 1e-10),
+        "strain behind the crest less the exact one, at most": (behind, 0.0, 1e-10),
+        "strain that is left behind, at most": (abs(last[: end - 5]).max(), 0.0, 1e-10),
     }
 
 
