@@ -23,19 +23,19 @@ import subprocess
 import sys
 import time
 from concurrent.futures import ProcessPoolExecutor
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 
 import jax
 import numpy as np
 
 import granjax as gx
-from granjax.sweeps.executors import completed
-from granjax.sweeps.task import LANES, How, Task
 from granjax.work_precision import machine
 
 HERE = Path(__file__).parent
 BEADS, TIME, BATCH = 101, 400.0, 64
+# points of a chunk of the sweeps
+SIZE = 256
 SWEPT = (512, 1024, 2048, 4096)
 LOW, HIGH = 0.1, 1.0
 # lanes of a chunk, 5 s or more, and chunks of a round
@@ -103,11 +103,11 @@ def cost(lanes, t1):
         small.append((time.process_time() - begin) / (BEADS * batch.lanes[0] * forces) * 1e9)
 
     small_batch()
-    gx.sweep(function, {"ratio": ratios[:BATCH]}, progress=False)  # compiles, as the batch before
+    gx.sweep(function, {"ratio": ratios[:SIZE]}, progress=False, chunk=SIZE)  # compiles, as the batch before
     for _ in range(3):
         small_batch()
     begin, cpu = time.perf_counter(), time.process_time()
-    data = gx.sweep(function, {"ratio": ratios}, progress=False)
+    data = gx.sweep(function, {"ratio": ratios}, progress=False, chunk=SIZE)
     times = time.perf_counter() - begin, time.process_time() - cpu
     for _ in range(3):
         small_batch()
@@ -116,20 +116,6 @@ def cost(lanes, t1):
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1e6 if sys.platform == "darwin" else 1e3)
     return {"lanes": lanes, "seconds": times[0], "processor_seconds": times[1], "nanoseconds": own, "batch": wanted,
             "ratio": own / wanted, "megabytes": peak}
-
-
-class Timed:
-    """A task, with the seconds that pass where it is computed, and those of the processor."""
-
-    def __init__(self, task):
-        self.task = task
-
-    def __call__(self, values):
-        begin, used = time.perf_counter(), time.process_time()
-        chunk = self.task(values)
-        seconds = {"seconds": time.perf_counter() - begin, "processor": time.process_time() - used}
-        own = {name: np.full(len(chunk.reasons), x) for name, x in seconds.items()}
-        return chunk._replace(columns={**chunk.columns, **own})
 
 
 def busy(_):
@@ -147,14 +133,26 @@ def gain_of_busy(one, two):
     return times[0] / times[1]
 
 
+def timed(ratio, copy, t1):
+    """A pulse that is called by itself, with the seconds that pass and those of the processor."""
+    begin, used = time.perf_counter(), time.process_time()
+    jax.block_until_ready(_lanes(t1)(np.linspace(LOW, HIGH, int(ratio))))
+    return {"seconds": time.perf_counter() - begin, "processor": time.process_time() - used}
+
+
+@lru_cache
+def _lanes(t1):
+    return jax.jit(jax.vmap(partial(pulse, t1=t1)))
+
+
 def workers(options):
     """Two workers against one, of processes and of a cluster, by turns."""
     import distributed
 
     lanes, t1, rounds = (8, 4.0, 1) if options.quick else (CHUNK, TIME, options.rounds)
-    task = Timed(Task(partial(pulse, t1=t1), ("ratio",), How(LANES), lanes))
     # alike, so that no worker has more to do than another
-    chunks = [(k, {"ratio": np.linspace(LOW, HIGH, lanes)}) for k in range(CHUNKS)]
+    points = {"ratio": [float(lanes)], "copy": np.arange(float(CHUNKS))}
+    function = partial(timed, t1=t1)
     context, found = multiprocessing.get_context("spawn"), {}
     with contextlib.ExitStack() as stack:
         one, two = (stack.enter_context(ProcessPoolExecutor(n, context)) for n in (1, 2))
@@ -164,10 +162,10 @@ def workers(options):
         first = client.get_executor(workers=[next(iter(client.nthreads()))])
         pairs = {"processes": (one, two), "cluster": (first, client.get_executor())}
         for executor in (one, two, first, client.get_executor()):  # starts, compiles
-            walled(task, [(k, {"ratio": values["ratio"][:1]}) for k, values in chunks], executor)
+            walled(function, points, executor)
         turns, free = [], []
         for _ in range(rounds):
-            turns.append({name: [walled(task, chunks, x) for x in pair] for name, pair in pairs.items()})
+            turns.append({name: [walled(function, points, x) for x in pair] for name, pair in pairs.items()})
             free.append(gain_of_busy(one, two))
     for name in pairs:
         own = [turn[name] for turn in turns]
@@ -181,14 +179,11 @@ def workers(options):
     return found
 
 
-def walled(task, chunks, executor):
+def walled(function, points, executor):
     """Seconds that pass, those that the chunks take, and those of the processor in them."""
     begin = time.perf_counter()
-    found = dict(completed(task, chunks, executor))
-    passed = time.perf_counter() - begin
-    if len(found) < len(chunks) or any(any(chunk.reasons) for chunk in found.values()):
-        raise RuntimeError(f"chunks failed: {[chunk.reasons for chunk in found.values()]}")
-    return passed, *(sum(float(chunk.columns[x][0]) for chunk in found.values()) for x in ("seconds", "processor"))
+    data = gx.sweep(function, points, chunk=1, executor=executor, progress=False)
+    return time.perf_counter() - begin, float(data.seconds.sum()), float(data.processor.sum())
 
 
 def drawn(result):

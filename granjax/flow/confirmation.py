@@ -74,7 +74,7 @@ class Confirmation(eqx.Module):
         if dt is not None:
             dt = dt / jnp.where(jnp.any(opened), *SHORTER[::-1]).astype(dt.dtype)
         tolerance = None if tolerance is None else tighter(tolerance, TIGHTER, lattice.dtype)
-        rest = solver, diffrax.ForwardMode(), None, False, False, False
+        rest = solver, diffrax.ForwardMode(), None, False, False, False, False
         go = partial(batched, own_step=False) if traced((arrays, opened)) else march
         finer = go(lattice, state, t0, t1, dt, tolerance, None, records, *rest)
         order, lanes = min(solver.order(diffrax.ODETerm(vector_field)), 2), len(lattice.lanes)

@@ -77,7 +77,11 @@ def simulate(
       `RecursiveCheckpointAdjoint` (reverse mode alone, cheaper there); or `Reversible()` (reverse mode alone, memory
       independent of the number of steps, for scenes that integrate back to where they came from).
     - `progress`: a progress bar. `throw`: raise where the run, or a lane of it, does not complete; `None` does so
-      outside of transformations. `max_steps`: the most steps of an adaptive or traced run, of each lane.
+      outside of transformations, and under one makes the numbers of such a run, or lane, NaN. `max_steps`: the most
+      steps of an adaptive or traced run, of each lane.
+
+    Under `jax.vmap` lanes are put last, and share the default step of the stiffest, as those of a batch do. What is
+    differentiated keeps its lanes in front, each with its own step.
 
     A derivative is that of the discrete steps. Where a force has a kink (a slope that jumps: a bilinear spring, an
     exponent 1) it converges with the first power of the step, erratically, and at the default step tens of per cent

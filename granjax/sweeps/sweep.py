@@ -101,7 +101,8 @@ def sweep(
                 "chunk": list(shape)}
     arguments = points, shape, blocks, dict(units or {}), _attributes(function)
     target = Target(*arguments) if root is None else Store(root, identity, _source(function), *arguments)
-    task = own.Task(b"" if executor is None else own.packed(function), keywords, static, shared, chunk or math.prod(shape))
+    sent = b"" if executor is None else own.packed(function)
+    task = own.Task(sent, keywords, static, shared, chunk or math.prod(shape))
     todo = [i for i in range(len(blocks)) if not target.done[i]]
     lanes = np.arange(points.count).reshape(points.shape)
     done = points.count - sum(lanes[blocks[i]].size for i in todo)
