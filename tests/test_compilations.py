@@ -449,8 +449,8 @@ WITHIN = {
                      "plots.films", "plots.plane", "plots.shocks", "plots.travelling"),
                     "drawn by NumPy; `plots`"),
     **dict.fromkeys(("lattice.split", "lattice.tangents", "lattice.blocks", "split_system"), "`simulate`"),
-    **dict.fromkeys(("studies.resonance.decay", "studies.resonance.finite", "studies.resonance.maps",
-                     "studies.resonance.oscillations"),
+    **dict.fromkeys(("resonance.decay", "resonance.finite", "resonance.maps",
+                     "resonance.oscillations"),
                     "studies of minutes, made of what is called here"),
 }
 UNCALLED = {

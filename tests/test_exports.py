@@ -21,7 +21,7 @@ from granjax.identify.regression import Coefficient
 from granjax.newton import newton
 from granjax.orbits.sweep import Jump, Sweep, Way
 from granjax.results import Held, Result
-from granjax.studies.resonance import Extrema, Oscillations, ResonanceMap, Transmission
+from granjax.resonance import Extrema, Oscillations, ResonanceMap, Transmission
 from granjax.theory import nls
 from granjax.work_precision import Ladder
 from granjax.work_precision.advice import Advice
