@@ -20,8 +20,8 @@ from granjax.continuation import continuation
 from granjax.identify.regression import Coefficient
 from granjax.newton import newton
 from granjax.orbits.sweep import Jump, Sweep, Way
-from granjax.results import Held, Result
 from granjax.resonance import Extrema, Oscillations, ResonanceMap, Transmission
+from granjax.results import Held, Result
 from granjax.theory import nls
 from granjax.work_precision import Ladder
 from granjax.work_precision.advice import Advice
