@@ -469,9 +469,8 @@ UNCALLED = {
     "growth_rate": "`coefficients`", "bright_profile": "`dark_profile`",
     "closed_forms": "`solitary_wave`, formulas", "distance": "`compare`", "stability": "`Wave.floquet`",
     "medium_of": "`solitary_wave`", "wave_of": "`solitary_wave`",
-    "steps_per_period": "`settle`",
     "planar_ode": "NumPy and SciPy", "power_law_mean": "a formula",
-    "largest": "`settle`, NumPy", "linearised": "`fit`; of lattices `linear_frequency`",
+    "linearised": "`fit`; of lattices `linear_frequency`",
 }
 
 

@@ -1310,7 +1310,6 @@ ELSEWHERE = {
     "in_blocks": "the same for long chains",
     "Record.value": "`simulate`", "Problem.state": "`fit`", "return_error": "rounding alone; `fit` and `Reversible`",
     "cell_of": "`bright_guess`", "edges_beside": "`bright_guess`", "edge_of": "`breather`",
-    "steps_per_period": "`settle`, `sweep`",
 }
 
 
@@ -1326,7 +1325,7 @@ def test_every_public_function_that_takes_a_lattice_is_in_the_table():
 # rows of several compiled programs; of orbits `bright_guess` and `single_site` always run
 LONG = {"breather", "simulate", "simulate_tolerance", "frequency_bound", "fit", "fit_from_zero", "family",
         "forced_orbit", "forced_branch", "settle", "sweep", "lyapunov"}
-LONGER = {"law_power law", "law_polynomial", "law_spline", "law_network", "physics_informed", "two_way",
+LONGER = {"law_power law", "law_polynomial", "law_spline", "law_network", "physics_informed",
           "wall_modulus", "wave_family", "wave_orbit", "solitary_wave", "work_precision",
           "forced_branch", "fit_gradient", "fit_windows", "fit_from_zero", "compare",
           "leading", "family", "anticontinuous"}

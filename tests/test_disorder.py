@@ -249,7 +249,10 @@ def beside_constant(x, y):
     basis = np.stack([np.exp(grid[:, None] * (x - x[-1])), np.ones((len(grid), len(x)))], -1) * weight[:, None]
     basis = np.linalg.qr(basis)[0]
     seen = np.einsum("gka,dk->gda", basis, rows * weight)
-    found = grid[(((rows * weight) ** 2).sum(1) - (seen**2).sum(-1)).argmin(0)]
+    left = ((rows * weight) ** 2).sum(1) - (seen**2).sum(-1)
+    least = np.clip(left.argmin(0), 1, len(grid) - 2)
+    before, here, after = (left[least + k, np.arange(len(rows))] for k in (-1, 0, 1))
+    found = grid[least] + (grid[1] - grid[0]) * (before - after) / (2 * (before - 2 * here + after))
     return found if np.ndim(y) > 1 else found[0]
 
 
