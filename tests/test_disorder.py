@@ -222,6 +222,12 @@ def test_energy_spreads_freely_in_the_ordered_chain():
     assert abs(change) + 2 * uncertain < 0.075
     # every wave at its own speed, cos(k/2), of equal shares: half of t^2
     assert found.mean(0)[-1] == pytest.approx(T1**2 / 2, rel=0.01)
+    chain = ordered_or_not(0)
+    kick = chain.zeros().at[130].set(1.0)
+    run = gx.simulate(chain, gx.State(chain.zeros(), kick), T1, step=0.3, solver=gx.SRKN6b())
+    share = np.asarray(gx.measures.site_energy(chain, run.final))
+    ends = (share[0] + share[-1]) / share.sum() * 130**2 / found.mean(0)[-1]
+    assert ends < 1e-12 and run.energy_error < 1e-4
 
 
 @pytest.mark.slow
