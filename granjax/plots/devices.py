@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
 from ..units import UnitsOrWords
-from .arrays import having, numbers
+from .arrays import numbers
 from .quantities import Axis, drawn_in, scaled_by, units_of, units_of_both
 from .style import COLOURS, FAINT, AxesOrNone, axes_or_new, colour, several_axes
 
@@ -25,7 +25,6 @@ def truth_table(found: Any, ax: AxesOrNone = None, *, units: UnitsOrWords = None
     `output`, `output_error` (rows,) and `thresholds(gate)`. `units`: `"mm/s"`, as in `granjax.plots`.
 
     **Returns:** the Axes; the outputs are `ax.containers[0]`, the shaded bands are the thresholds' ranges.
-    **Raises** ValueError for a record without these.
 
     **Example:**
 
@@ -36,7 +35,6 @@ def truth_table(found: Any, ax: AxesOrNone = None, *, units: UnitsOrWords = None
     >>> [label.get_text() for label in gx.plots.truth_table(found).get_xticklabels()]
     ['00', '01', '10', '11']
     """
-    having("found", found, "the result of gx.studies.truth_table", "inputs", "output", "output_error", "thresholds")
     inputs, output = numbers("found.inputs", found.inputs, 2), numbers("found.output", found.output, 1)
     error = numbers("found.output_error", found.output_error, 1)
     (by,) = drawn_in(units, units_of(found), Axis(VELOCITY, output, "m/s"))
@@ -66,7 +64,7 @@ def switch(found: Any, ax: AxesOrNone = None, *, units: UnitsOrWords = None) -> 
     `output_error`, `alone`, `alone_error` (P,), `threshold` and `threshold_error`. `units`: `("nm", "mm/s")`, as in
     `granjax.plots`.
 
-    **Returns:** the Axes; the two curves are `ax.containers`. **Raises** ValueError for a record without these.
+    **Returns:** the Axes; the two curves are `ax.containers`.
 
     **Example:**
 
@@ -77,8 +75,6 @@ def switch(found: Any, ax: AxesOrNone = None, *, units: UnitsOrWords = None) -> 
     >>> len(gx.plots.switch(found).containers)  # with the signal and without
     2
     """
-    having("found", found, "the result of gx.studies.switch", "amplitudes", "output", "output_error", "alone",
-           "alone_error", "threshold", "threshold_error")
     x = numbers("found.amplitudes", found.amplitudes, 1)
     curves = [[numbers(f"found.{name}{end}", getattr(found, name + end), 1) for end in ("", "_error")]
               for name in ("output", "alone")]
@@ -106,7 +102,7 @@ def rectifier(found: Any, ax: AxesOrNone = None, *, orbits: Any = None, units: U
     of `gx.studies.rectifier_branch`, whose Neimark-Sacker bifurcations are marked. `units`: `("um", "mW")`, as in
     `granjax.plots`.
 
-    **Returns:** the Axes; the two curves are `ax.lines[0]` and `[2]`. **Raises** ValueError for a record without these.
+    **Returns:** the Axes; the two curves are `ax.lines[0]` and `[2]`.
 
     **Example:**
 
@@ -118,8 +114,6 @@ def rectifier(found: Any, ax: AxesOrNone = None, *, orbits: Any = None, units: U
     >>> gx.plots.rectifier(found).get_ylabel()
     'transmitted power'
     """
-    having("found", found, "the result of gx.studies.rectifier", "amplitudes", "near", "far", "threshold_near",
-           "threshold_far")
     x = numbers("found.amplitudes", found.amplitudes, 1)
     ways = [(numbers(f"found.{name}.up.response", getattr(found, name).up.response, 1),
              np.asarray(getattr(found, name).up.multiple) == 0) for name in ("near", "far")]
@@ -149,7 +143,7 @@ def sound_bullet(found: Any, ax: AxesOrNone = None) -> Axes:
 
     **Arguments:** `found`: a `SoundBullet`, the result of `gx.studies.sound_bullet`, or anything with `gain`,
     `gain_error`, `bound`, `alone` (N,) and `at_once`. **Returns:** the Axes; the gain is `ax.containers[0]`, what
-    pulses could add up to `ax.lines[-2]`. **Raises** ValueError for a record without these.
+    pulses could add up to `ax.lines[-2]`.
 
     **Example:**
 
@@ -159,7 +153,6 @@ def sound_bullet(found: Any, ax: AxesOrNone = None) -> Axes:
     >>> gx.plots.sound_bullet(found).get_ylabel()
     'gain at the focus'
     """
-    having("found", found, "the result of gx.studies.sound_bullet", "gain", "gain_error", "bound", "alone", "at_once")
     gain, error, bound, alone = (numbers(f"found.{name}", getattr(found, name), 1)
                                  for name in ("gain", "gain_error", "bound", "alone"))
     count = 1 + np.arange(len(gain))
@@ -187,7 +180,6 @@ def two_way(
     `("nm", "mN")`, as in `granjax.plots`.
 
     **Returns:** the two Axes, (2,) or as given; the error of the difference is shaded.
-    **Raises** ValueError for a record without these.
 
     **Example:**
 
@@ -199,7 +191,6 @@ def two_way(
     ['force on the wall at rest', 'asymmetry']
     """
     names = "amplitudes", "from_left", "from_right", "asymmetry", "asymmetry_error"
-    having("found", found, "the result of gx.studies.two_way", *names)
     x, left, right, apart, error = (numbers(f"found.{name}", getattr(found, name), 1) for name in names)
     by_x, by_y = drawn_in(units, units_of(found), Axis(DRIVE, x, "m"), Axis("force on the wall at rest", left, "N"))
     x = scaled_by(x, by_x.factor)

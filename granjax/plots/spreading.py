@@ -7,7 +7,6 @@ from matplotlib.axes import Axes
 
 from ..checks import one_of
 from ..units import UnitsOrWords
-from .arrays import having
 from .quantities import Axis, drawn_in, scaled_by, units_of
 from .style import COLOURS, FAINT, AxesOrNone, axes_or_new
 
@@ -31,7 +30,6 @@ def spreading(
     time, as in `granjax.plots`.
 
     **Returns:** the Axes; the curve and the fit are `ax.lines`, the inset `ax.child_axes[0]`.
-    **Raises** ValueError for what is no such result.
 
     **Example:**
 
@@ -44,8 +42,6 @@ def spreading(
     'log'
     """
     one_of("measure", measure, tuple(MEASURES))
-    fields = "times", "window", "exponent", "local_exponent", measure
-    having("found", found, "what gx.studies.spreading returns", *fields)
     y_label, name = MEASURES[measure]
     values, error, fit = (np.asarray(getattr(found, measure)), np.asarray(getattr(found, f"{measure}_error")),
                           getattr(found, name))
