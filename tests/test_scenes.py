@@ -421,7 +421,6 @@ def loaded():
     (lambda: scenes.scaled(scenes.toda(5)), "lattice: expected a Hertz or PowerLaw contact"),
     (lambda: scenes.scaled(loaded(), -1.0), "velocity: expected numbers above zero"),
     (lambda: scenes.scaled(loaded(), 1.0, units=scenes.Units()), "units: expected Units"),
-    (lambda: scenes.scaled(3), "lattice: expected a Lattice"),
     (lambda: scenes.monomer(10**12), "sites: expected at most"),
     (lambda: scenes.monomer(10**20), "sites: expected a whole number, got .* 64 bits"),
     (lambda: scenes.monomer(9, boundary=np.array(["fixed"])), "boundary: expected a string, got an array of strings"),
