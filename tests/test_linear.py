@@ -544,7 +544,6 @@ MODULATED = Lattice(np.ones(8), Modulated(Bond(Shift(1), Linear(1.0)), Function(
 DEFECT = springs(np.where(np.arange(12) == 0, 2.0, 1.0), 1.0, "periodic")
 
 REFUSALS = {
-    "no lattice": (lambda: linear.normal_modes(3.0), "lattice: expected a Lattice"),
     "disorder": (lambda: linear.dispersion(DISORDER, 1.0), "repeats along axis 0.*normal_modes"),
     "defect of a ring": (lambda: linear.bands(DEFECT), "repeats along axis 0"),
     "batch": (lambda: linear.bands(BATCH), "in_axes=-1"),
@@ -574,12 +573,6 @@ def test_refusals(name):
     call, message = REFUSALS[name]
     with pytest.raises(ValueError, match=message):
         call()
-
-
-@pytest.mark.slow
-def test_gaps_inside_a_transformation_are_refused():
-    with pytest.raises(ValueError, match="gaps: expected edges that are known"):
-        jax.jit(lambda K: linear.bands(springs(np.ones(8), K), cell=1).gaps)(1.0)
 
 
 @pytest.mark.parametrize("make", [lambda: gx.scenes.monomer(8), lambda: gx.scenes.beads("PTFE", 5e-3, cells=8),

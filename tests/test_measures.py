@@ -448,18 +448,16 @@ BAD = {
     "frames": (lambda: measures.arrival_times(TS[:5], Q, 0.5), "q: expected 5 frames"),
     "fraction": (lambda: measures.arrival_times(TS, Q, fraction=2.0), "fraction: expected"),
     "by": (lambda: measures.front_speed(TS, Q, by="peek"), "Did you mean 'peak'"),
-    "sites": (lambda: measures.front_speed(TS, Q, sites=[3, 8]), "sites: expected indices"),
-    "one site": (lambda: measures.front_speed(TS, Q, sites=[3]), "sites: expected at least two"),
+    "sites": (lambda: measures.front_speed(TS, Q, sites=[3, 8]), "sites: expected two indices or more"),
+    "one site": (lambda: measures.front_speed(TS, Q, sites=[3]), "sites: expected two indices or more"),
     "NaN": (lambda: measures.peak_times(TS, np.full((10, 8), np.nan)), "q: expected finite"),
     "dt": (lambda: measures.spectrum(Q, 0.0), "dt: expected numbers above zero"),
     "window name": (lambda: measures.spectrum(Q, 0.1, time_window="han"), "Did you mean 'hann'"),
     "one row": (lambda: measures.spectrum(Q[:, 0], 0.1), "us: expected"),
     "long window": (lambda: measures.spectrogram(Q, 0.1, 5.0), "window and dt: expected a window of 4 to"),
     "hop": (lambda: measures.spectrogram(Q, 0.1, 0.5, hop=0.01), "hop and dt: expected"),
-    "bead": (lambda: measures.velocity_trace(TS, Q, 8, sampling=100.0), "bead: expected an index"),
     "sampling": (lambda: measures.velocity_trace(TS, Q, 1, sampling=0.5), "sampling: expected"),
     "noise": (lambda: measures.velocity_trace(TS, Q, 1, sampling=50.0, noise=-1.0), "noise: expected"),
-    "no run": (lambda: measures.along(measures.energy, chain(8), REST), "run: expected"),
 }
 
 
@@ -481,8 +479,6 @@ def test_a_time_is_one_or_one_a_lane_and_what_is_not_read_is_looked_at():
         measures.front_speed(ts, q, threshold=np.ones(2))
     with pytest.raises(ValueError, match="fraction: expected numbers in"):
         measures.front_speed(ts, q, fraction=2.0)
-    with pytest.raises(ValueError, match="sampling: expected at most"):
-        measures.velocity_trace(ts, q, 0, sampling=1e300)
 
 
 @pytest.mark.parametrize("boundary", ["fixed", "free", "periodic"])

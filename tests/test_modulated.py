@@ -208,7 +208,6 @@ def test_derivatives():
     (lambda s: floquet_bands(s, K, PERIOD / 2), "period: expected one after which the stiffness repeats"),
     (lambda s: floquet_bands(s, K, PERIOD * 1.0001), "period: expected one after which the"),
     (lambda s: floquet_bands(s, K, -1.0), "period"),
-    (lambda s: floquet_bands(s, [], PERIOD), "k: expected at least one"),
     (lambda s: floquet_bands(s, 1.0, PERIOD).gaps, "gaps: expected a chain, and several"),
     (lambda s: floquet_bands(s, K, PERIOD).state(s, wave=7), "wave: expected a whole number within"),
     (lambda s: floquet_bands(s, K, PERIOD, cell=5), "cell: expected a divisor of 12"),

@@ -128,11 +128,10 @@ def test_a_map_of_zeros_and_one_of_gaps(ax):
 BAD_MAPS = [
     (dict(scale="logarithmic"), "scale.*'log'"),
     (dict(quantity="w"), "quantity.*'u', 'v'"),
-    (dict(quantity=np.zeros((3, 5))), "7 frames"),
-    (dict(quantity=np.zeros((7, 5, 2))), r"frames of sites.*lane"),
-    (dict(ts=[0.0, 1.0]), "ts.*7 numbers"),
+    (dict(quantity=np.zeros((7, 5, 2))), "frames of sites"),
+    (dict(ts=[0.0, 1.0]), "ts.*7 rising numbers"),
     (dict(ts=np.zeros(7)), "rising"),
-    (dict(sites=np.arange(4.0)), "sites.*5 numbers"),
+    (dict(sites=np.arange(4.0)), "sites.*5 rising numbers"),
     (dict(scale="log", floor=0.0), "floor"),
     (dict(limit=-1.0), "limit"),
 ]
@@ -144,15 +143,9 @@ def test_bad_maps_are_refused(ax, record, options, message):
         plots.space_time(record, ax, **options)
 
 
-def test_an_array_of_another_rank_or_kind_is_refused(ax):
+def test_an_array_of_another_rank_is_refused(ax):
     with pytest.raises(ValueError, match=r"shape \(T, N\)"):
         plots.space_time(np.zeros(4), ax)
-    with pytest.raises(ValueError, match="run_or_array"):
-        plots.space_time("v", ax)
-    with pytest.raises(ValueError, match="at least one frame"):
-        plots.space_time(np.zeros((0, 3)), ax)
-    with pytest.raises(ValueError, match="beside an array"):
-        plots.space_time(np.zeros((2, 3)), ax, quantity="u")
 
 
 def test_named_fields_are_refused_by_name(ax, record):
@@ -187,8 +180,7 @@ def test_traces_laid_over_each_other_have_a_legend(ax, record):
 
 
 @pytest.mark.parametrize("options, message", [
-    (dict(sites=[5]), "indices within -5 ... 4"), (dict(sites=[0.5]), "site indices"), (dict(offset=-1.0), "offset"),
-    (dict(sites=[0], labels=["a", "b"]), "1 names"), (dict(sites=[]), "site indices"),
+    (dict(offset=-1.0), "offset"),
 ])
 def test_bad_traces_are_refused(ax, record, options, message):
     with pytest.raises(ValueError, match=message):
@@ -216,8 +208,7 @@ def test_a_profile_without_inset(ax):
 
 @pytest.mark.parametrize("arguments, options, message", [
     (([0, 1], [0.0]), {}, "one value per place"), (([0, 1], [0.0, 1.0]), dict(inset="semilog"), "'log', 'none'"),
-    (([0, 1], [0.0, 1.0]), dict(points=([0], [1, 2])), "as many values"),
-    (([0, 1], [0.0, 1.0]), dict(labels=["a", "b"]), "1 names"), (([0, 1], [0.0, 1.0]), dict(floor=0.0), "floor"),
+    (([0, 1], [0.0, 1.0]), dict(floor=0.0), "floor"),
 ])
 def test_bad_profiles_are_refused(ax, arguments, options, message):
     with pytest.raises(ValueError, match=message):
@@ -236,7 +227,7 @@ def test_transmission_is_drawn_over_rising_ratios(ax):
 
 
 @pytest.mark.parametrize("arguments, message", [
-    (([0.5, 1.5], [1.0, 1.0]), "mass_ratio"), (([0.5, 0.7], [1.0]), "one value per mass ratio"),
+    (([0.5, 1.5], [1.0, 1.0]), "mass_ratio"),
 ])
 def test_bad_transmission_is_refused(ax, arguments, message):
     with pytest.raises(ValueError, match=message):
@@ -289,11 +280,7 @@ def test_bands_of_a_larger_cell_are_repeated_over_the_zone_of_the_sites(ax):
 
 
 @pytest.mark.parametrize("curve, spectrum, message", [
-    ("omega", None, "gx.linear.dispersion"),
     (Curve(np.zeros((3, 2)), np.zeros((3, 1)), (1, 1)), None, r"k of shape \(K,\)"),
-    (Curve(np.arange(3.0), np.ones((3, 1)), (1,)), "power", "gx.measures.spectrum"),
-    (Curve(np.arange(3.0), np.ones((3, 1)), (1,)),
-     gx.measures.spectra.Spectrum(np.arange(2.0), np.arange(3.0), np.ones((3, 2))), "wave numbers by frequencies"),
     (Curve(np.arange(3.0), np.ones((3, 1)), (1,)),
      gx.measures.spectra.Spectrum(np.arange(2.0), np.arange(3.0), np.zeros((2, 3))), "some power"),
 ])
@@ -331,12 +318,10 @@ def test_whatever_a_plot_returns_is_saved(tmp_path):
     for k, made in enumerate((figure, axes, axes[0], [*axes], ([axes[0]], [axes[1]]), {"left": axes[0]}, part,
                               axes[0].lines)):
         assert plots.save(made, tmp_path / f"{k}.pdf", dpi=50).read_bytes().startswith(b"%PDF")
-    for made in (None, [], "a", [axes[0], part], axes[0].plot, plt.Line2D([0], [0]), [figure, None]):
-        with pytest.raises(ValueError, match="made: expected"):
-            plots.save(made, tmp_path / "none.png")
-    for dpi in (1e308, 2**62, 0):
-        with pytest.raises(ValueError, match="dpi: expected"):
-            plots.save(figure, tmp_path / "none.png", dpi=dpi)
+    with pytest.raises(ValueError, match="made: expected Axes of one figure"):
+        plots.save([axes[0], part], tmp_path / "none.png")
+    with pytest.raises(ValueError, match="dpi: expected"):
+        plots.save(figure, tmp_path / "none.png", dpi=0)
     film = FuncAnimation(figure, lambda k: axes[0].plot([0, k]), frames=2)
     assert plots.save(film, tmp_path / "film.gif", dpi=20).read_bytes().startswith(b"GIF8")
     with pytest.raises(ValueError, match="path: expected one of '.gif'"):
@@ -362,7 +347,3 @@ def test_waves_of_a_cell_and_maps_of_resonances():
     ax = gx.plots.resonance_map(found, marks=1)
     assert ax.lines[0].get_xydata().tolist() == [[0.4, 0.5]] and "mass ratio" in ax.get_xlabel()
     np.testing.assert_array_equal(np.ma.filled(ax.collections[0].get_array(), np.nan).reshape(2, 3), rate.T)
-    with pytest.raises(ValueError, match="record: expected a map of resonances"):
-        gx.plots.resonance_map(wave)
-    with pytest.raises(ValueError, match="wave: expected a wave of a cell"):
-        gx.plots.cell_wave(found)

@@ -93,12 +93,3 @@ def test_a_breather_of_a_k_gap_beside_its_linear_waves():
     np.testing.assert_allclose(energy[:3], up[:3])
     np.testing.assert_allclose(energy[2:], down[2:])
     assert labels(ax) == ("time (s)", "energy (J)")
-
-
-@pytest.mark.parametrize("plot", [
-    plots.kink, plots.equilibrium, plots.evolution,
-    plots.gap_breather,
-])
-def test_what_is_no_such_result_is_refused(plot):
-    with pytest.raises(ValueError, match="expected the result of gx"):
-        plot(3)

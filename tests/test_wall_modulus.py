@@ -81,7 +81,6 @@ def test_noise_and_an_unknown_velocity_of_impact():
     ("lattice: expected no contact with a wall at its left end, got one",
      {"side": "left", "lattice": gx.Lattice(CHAIN.mass, (*CHAIN.terms, gx.Wall(gx.Hertz(), "left")), sites=N)}),
     ("lattice: expected no contact with a wall", {"lattice": gx.scenes.beads(STEEL, RADIUS, cells=N)}),
-    ("lattice: expected a Lattice", {"lattice": lambda others: 7}),
 ])
 def test_what_cannot_be_meant_is_refused(message, keywords):
     given = {"lattice": CHAIN, "start": 3e9, "material": STEEL, "radius": RADIUS, **keywords}
