@@ -77,7 +77,7 @@ def leading(
     2.718282
     """
     tolerance = checked_tolerance("tolerance", tolerance)
-    count, period, state = whole("count", count, 1), one_period(lattice, period), checked_state(lattice, state)
+    period, state = one_period(lattice, period), checked_state(lattice, state)
     checked_period(lattice, state, t0, period)
     steps = default_steps(lattice, period) if steps is None else whole("steps", steps, 1)
     flow = Flow(jnp.asarray(steps), fixed_step_solver(lattice, solver, KahanLi8()))
