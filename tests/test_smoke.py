@@ -13,7 +13,6 @@ import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-import scipy.io
 import xarray as xr
 
 import granjax as gx

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import concrete, described, positive, refuse, traced
+from ..checks import concrete, positive, refuse, traced
 from ..lattice import Lattice
 from ..laws import Law
 from ..printing import told
@@ -154,6 +154,4 @@ def one_number(argument: str, x: Any) -> float | None:
     value = concrete(jax.lax.stop_gradient(jnp.asarray(x, float)))
     if value is None:
         refuse(argument, "a number that is known", "one that jax.jit or jax.vmap traces", "Keep it out of them.")
-    if not np.isfinite(value):
-        refuse(argument, "a finite number", described(x))
     return float(value)
