@@ -95,7 +95,6 @@ BAD = (
     ("a grid beyond memory", lambda: gx.Lattice(1.0, BOND, sites=(10**7, 10**7)), "GB of memory"),
     ("threshold nan", lambda: gx.Arrival(lambda t, y, lattice: y.u, NAN), "threshold"),
     ("linearised about another shape", lambda: gx.lattice.linearised(LINEAR, 0.0, np.zeros(5)), "u"),
-    ("envelopes of unlike shapes", lambda: gx.theory.nls.bright(np.ones(3), np.ones(2), 1.0, 1.0, 1.0), "X and T"),
     ("harmonic", lambda: gx.Harmonic(NAN, 1.0), "amplitude"),
     ("wall side", lambda: gx.Wall(HERTZ, "rigth"), "Did you mean 'right'?"),
     ("wall support", lambda: gx.Wall(HERTZ, support=-1.0), "support"),

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import broadcast, positive, within
+from ..checks import positive, within
 from ..printing import told
 from .chain_wave import _numbers
 from .elliptic_integrals import _K, _sloped
@@ -73,11 +73,9 @@ def _places(n, t, phase, **others):
     return n, t, rest[0] if given else None
 
 
-def _modulus_of(m, **others):
+def _modulus_of(m):
     """m in [0, 1], which broadcasts with all else."""
-    m = within("m", m, 0, 1, remedy="It is 0 at the trailing edge and 1 at the leading edge.")
-    broadcast(m=m, **others)
-    return m
+    return within("m", m, 0, 1, remedy="It is 0 at the trailing edge and 1 at the leading edge.")
 
 
 def _turn(phase, m1, c):
