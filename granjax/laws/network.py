@@ -4,7 +4,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ..checks import held_in_memory, parameter, positive, refuse, whole
+from ..checks import parameter, positive, refuse
 from ..types import Count, Parameter
 from .base import Law, checked_preload
 
@@ -53,8 +53,6 @@ class Network(Law):
         self, width: Count = 8, strain: Parameter = 1.0, force: Parameter = 1.0, monotone: bool = True,
         parameters: Parameter | None = None, preload: Parameter = 0.0,
     ):
-        width = whole("width", width, 1)
-        held_in_memory("width", width, 1 << 10, "units")
         self.strain, self.scale = positive("strain", strain), positive("force", force)
         self.monotone = bool(monotone)
         parameters = _start(width, self.monotone) if parameters is None else parameter("parameters", parameters)

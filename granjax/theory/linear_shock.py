@@ -30,8 +30,6 @@ __all__ = ["strain_step", "velocity_step"]
 # sites beyond the front, of its widths w t^{1/3} and alone, where J_{2n}(2wt) is below rounding
 WIDTHS, MORE = 8.0, 24
 LEAST = 64
-# arrays of a transform, for the memory that it takes
-ARRAYS = 64
 
 
 def velocity_step(n: Parameter, t: Parameter, c: Parameter, K2: Parameter = 1.0, mass: Parameter = 1.0) -> Numbers:
