@@ -84,8 +84,8 @@ def newton(residual: Callable[[Any, Any], Any], guess: Parameter, args: Any = No
     - `throw`: raise where it does not converge; `None` does so outside of transformations.
     - `finish`: from a root that converged take the step that the derivative there gives, which costs nothing more.
 
-    **Returns:** `Root`, with the best iterate. **Raises** ValueError for complex or masked numbers, a tolerance that is
-    infinite or below zero; RuntimeError where `throw` and it did not converge: the sentence says how far it came.
+    **Returns:** `Root`, with the best iterate. **Raises** ValueError for a guess that is no row of numbers, a tolerance
+    that is infinite or below zero; RuntimeError where `throw` and it did not converge: the sentence says how far it came.
 
     **Example:**
 

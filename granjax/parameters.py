@@ -29,7 +29,7 @@ class Coordinates(eqx.Module):
 
     **Arguments:** `start`: dict from name to a number or an array. `bounds`: dict from name to (low, high), numbers or
     arrays, `None` for no bound; names that are left out are free.
-    **Raises** ValueError for an empty dict, a bound of no parameter, or a start that is not inside of its bounds.
+    **Raises** ValueError for a bound of no parameter, or a start that is not inside of its bounds.
     """
 
     start: dict[str, Numbers]

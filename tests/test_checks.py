@@ -91,7 +91,6 @@ BAD = (
     ("terms of none", lambda: chain(BOND, None), "terms[1]"),
     ("a lattice beyond memory", lambda: chain(BOND, mass=1.0, sites=10**14), "GB of memory"),
     ("a grid beyond memory", lambda: gx.Lattice(1.0, BOND, sites=(10**7, 10**7)), "GB of memory"),
-    ("threshold nan", lambda: gx.Arrival(lambda t, y, lattice: y.u, NAN), "threshold"),
     ("linearised about another shape", lambda: gx.lattice.linearised(LINEAR, 0.0, np.zeros(5)), "u"),
     ("harmonic", lambda: gx.Harmonic(NAN, 1.0), "amplitude"),
     ("wall side", lambda: gx.Wall(HERTZ, "rigth"), "Did you mean 'right'?"),

@@ -117,7 +117,7 @@ def evolve(
 
     **Returns:** `Evolution`; its picture is `gx.plots.evolution`, and its `outcome` says how well it is known. It
     differentiates in both modes in the start and in the numbers of the equation: then the step must be given.
-    **Raises** ValueError for another shape, numbers not finite, times out of order, a step that is not above zero.
+    **Raises** ValueError for another shape, times out of order, a step that is not above zero.
 
     **Example:**
 

@@ -77,7 +77,7 @@ def derivative(function: Callable[[Any, Any], Any], x: Pytree, step: Scalar) -> 
     each new one compiles anew. `x`: parameters, a tree of floating numbers. `step` [s]: the longest, such as
     `run.stats["step"]` of a run at the default one; the others go down to its half.
 
-    **Returns:** `Derivative`. **Raises** ValueError for a step <= 0 or a function that takes no step.
+    **Returns:** `Derivative`. **Raises** ValueError for a step <= 0 or complex numbers.
 
     **Example:**
 

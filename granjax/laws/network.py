@@ -29,7 +29,7 @@ class Network(Law):
     occur; `monotone`; `parameters`: the free numbers, (3 width + 1,) or (3 width + 1, bonds), in the order p, b, q, r,
     `None` for the start (`Network(...).parameters` reads them); `preload`: F0 >= 0 [N], the force at equilibrium.
 
-    Typical: 4 to 16 units. **Raises** ValueError for e_s, F_s <= 0, no unit, F0 < 0, or parameters of another length.
+    Typical: 4 to 16 units. **Raises** ValueError for e_s, F_s <= 0, F0 < 0, or parameters of another length.
     Source: G. Cybenko, Math. Control Signals Systems 2, 303 (1989).
 
     **Example:**

@@ -33,7 +33,7 @@ def driven_chain(
 
     **Returns:** a `Lattice`; its bond is where it was, walls follow after all other terms, left then right.
     **Raises** ValueError for a lattice that is no chain with one bond to fixed walls, another term that reaches a
-    wall, an unknown or repeated end, or as many phases as do not fit.
+    wall, an unknown end, or as many phases as do not fit.
     Typical: a = 0.05 ... 0.5 d0, omega near a band edge, gamma = 0.01 ... 0.1 in scaled units (200/s for steel beads).
 
     **Example:**
@@ -43,8 +43,6 @@ def driven_chain(
     [0.1]
     """
     ends = tuple(one_of("ends", end, SIDES) for end in ((ends,) if isinstance(ends, str) else ends))
-    if not ends or len(set(ends)) != len(ends):
-        refuse("ends", "'left', 'right' or both", repr(ends))
     phases = phase if isinstance(phase, (tuple, list)) else (phase,) * len(ends)
     if len(phases) != len(ends):
         refuse("phase", f"a number, or {len(ends)}, one for each of {ends}", repr(phase))

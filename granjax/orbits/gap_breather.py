@@ -106,8 +106,8 @@ def k_gap_breather(
 
     **Returns:** `GapBreather` (`gx.plots.gap_breather`). What radiates into other waves stays out of the wave and shows
     in `stray`.
-    **Raises** ValueError for a k outside every k-gap, a lattice that is no ring for it or is linear, a batch, traced
-    values (it is a search), and a motion that never comes back (damped, or with contacts that open for good).
+    **Raises** ValueError for a k outside every k-gap, a lattice that is no ring for it or is linear, a batch,
+    and a motion that never comes back (damped, or with contacts that open for good).
     Source: Chong, Kim, Wallace, Daraio, Phys. Rev. Res. 6, 023045 (2024).
 
     **Example:**

@@ -11,8 +11,8 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Complex, Float
 from scipy.sparse.linalg import ArpackError, ArpackNoConvergence, LinearOperator, eigs
 
-from ..checks import refuse, whole
 from ..checks import tolerance as checked_tolerance
+from ..checks import whole
 from ..flow import Flow
 from ..lattice import Lattice
 from ..printing import told
@@ -84,8 +84,6 @@ def leading(
     times = jnp.asarray(float(t0)), jnp.asarray(period)
     scale = weights(structure(lattice).mass, period)
     size = len(scale)
-    if count > size - 2:
-        refuse("count", f"at most {size - 2}, two below the size", repr(count), "gx.floquet.floquet gives them all.")
     fine, coarse = (
         scale * np.asarray(_end(eqx.tree_at(lambda f: f.steps, flow, jnp.asarray(n)), state, *times, lattice))
         for n in (steps, max(steps // 2, 1)))

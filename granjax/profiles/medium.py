@@ -77,9 +77,7 @@ def medium_of(law: Law | Lattice, mass: Scalar = 1.0) -> Medium:
         law, origin = law_between(lattice, wanted), lattice.origin
         mass = single("law", "masses", lattice.mass)
     else:
-        origin, mass = {}, positive("mass", mass)
-        if mass.shape:
-            refuse("mass", "one number", f"shape {mass.shape}", "All sites are alike.")
+        origin, mass = {}, single("mass", "masses", positive("mass", mass))
     law = jax.tree.map(lambda x: single("law", "parameters", x) if eqx.is_inexact_array(x) else x, law)
     return Medium(law, mass, origin)
 

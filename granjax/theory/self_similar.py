@@ -66,7 +66,7 @@ class ShockWave(NamedTuple):
 
 
 def _places(n, t, phase, **others):
-    """Places, times above zero and phases where they are given, as arrays that broadcast with all else."""
+    """Places, times above zero and phases where they are given, as arrays."""
     t = positive("t", t, "Before that nothing has moved: a shock is spread over n/t.")
     given = {} if phase is None else {"phase": phase}
     n, t, *rest = _numbers(n=n, t=t, **given, **others)
@@ -74,7 +74,7 @@ def _places(n, t, phase, **others):
 
 
 def _modulus_of(m):
-    """m in [0, 1], which broadcasts with all else."""
+    """m in [0, 1]."""
     return within("m", m, 0, 1, remedy="It is 0 at the trailing edge and 1 at the leading edge.")
 
 
