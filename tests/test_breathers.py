@@ -115,7 +115,6 @@ def test_newton_that_fails_says_how_far_it_came():
     (lambda: gx.breathers.breather(dimer(25), 0.985 * OMEGA2, (np.ones(24), np.zeros(24))), r"guess.u: .*\(25,\)"),
     (lambda: gx.breathers.family(gx.Lattice(np.ones(4), (gx.Bond(gx.Shift(1), gx.Linear()), gx.Damping(0.1)))),
      "positions alone, got Damping"),
-    (lambda: gx.breathers.family(dimer(25), mode=60), "a mode that oscillates, of 25"),
 ])
 def test_what_does_not_exist_is_refused_with_the_reason(ask, words):
     with pytest.raises(ValueError, match=words):

@@ -295,7 +295,6 @@ def test_the_modulated_wave_of_kdv():
     (lambda: toda.velocity_shock(-0.1), "^c: expected .*pulled apart"),
     (lambda: toda.velocity_shock(0.1, strength=-1.0, rate=-1.0), "^c: expected .*pulled apart"),
     (lambda: toda.modulation(1.1, 0.5), r"^m: expected numbers in \[0, 1\]"),
-    (lambda: toda.modulus(np.ones(3), np.full(2, 0.5)), "expected shapes that broadcast"),
     (lambda: toda.shock_wave(1.0, 0.0, 0.5), "^t: expected numbers above zero"),
 ])
 def test_what_is_no_shock_is_refused(call, said):

@@ -422,7 +422,6 @@ REFUSED = [
     (lambda: gx.travelling.periodic_wave(gx.Toda(), 8.0, speed=0.9), "one above that of small waves of this length"),
     (lambda: gx.travelling.periodic_wave(gx.Hertz(), 8.0, amplitude=0.1), "the law is stiff"),
     (lambda: gx.travelling.periodic_wave(gx.Linear(), 8.0, amplitude=0.1), "not linear"),
-    (lambda: gx.travelling.family(gx.Hertz(), speed=1.0), "one for each wave"),
     (lambda: solitary_wave(gx.Hertz(1.0, 1.0), speed=1.225).floquet(), "more than 200"),
     (lambda: solitary_wave(jax.vmap(lambda m: gx.scenes.monomer(9, mass=m), out_axes=-1)(jnp.ones(2)), speed=1.0),
      "a batch"),
