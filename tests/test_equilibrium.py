@@ -137,16 +137,6 @@ def test_the_plane():
 
 
 @pytest.mark.slow
-def test_in_si_as_in_scaled_numbers():
-    chain = gx.scenes.magnets(5, -3.0, boundary="free", stiffness=2e-7, spacing=0.03, mass=0.01, units="SI")
-    plain = gx.scenes.magnets(5, -3.0, boundary="free")
-    found, scaled = gx.equilibrium(chain), gx.equilibrium(plain)
-    np.testing.assert_allclose(found.ends, 2e-7 * 0.03**-3 * np.asarray(scaled.ends), rtol=1e-12)
-    np.testing.assert_allclose(found.stiffness, 2e-7 * 0.03**-4 * scaled.stiffness, rtol=1e-9)
-    assert found.verdict == scaled.verdict == "stable" and " N " in f"{found.outcome} "
-
-
-@pytest.mark.slow
 def test_lanes_by_vmap():
     stiffness = jnp.asarray([1.0, 2.0, 4.0])
     batch = jax.vmap(lambda A: gx.scenes.monomer(5, stiffness=A, precompression=1.0), out_axes=-1)(stiffness)

@@ -173,22 +173,6 @@ def test_what_is_no_breather_is_not_on_the_branch():
     assert same.verdict[-1] == "unstable" and same.bifurcations == ()
 
 
-@pytest.mark.slow
-def test_breathers_in_si_and_of_a_force_of_one_s_own(over_coupling):
-    kg, metre, second = 2e-3, 1e-5, 1e-4
-    units = gx.Units(kg, metre, second)
-
-    def scene(c):
-        k = kg / second**2
-        law = gx.Polynomial(k, 0.0, k / metre**2)
-        return gx.scenes.klein_gordon(9, c * k, law=law, mass=kg).counted_in("SI")
-
-    br = gx.breathers.anticontinuous(scene, 0.1, OMEGA / second)
-    np.testing.assert_allclose(br.u / metre, over_coupling.u, atol=1e-9)
-    np.testing.assert_allclose(br.energy / float(units.energy), over_coupling.energy, rtol=1e-9)
-    assert br.to_xarray().energy.attrs["units"] == "J"
-
-
 def test_what_has_no_such_limit_is_refused():
     for scene, coupling, omega, words in (
         (hard, 0.1, 0.9, "omega"), (hard, 0.0, OMEGA, "coupling"), (lambda c: 1.0, 0.1, OMEGA, "make|scene"),
