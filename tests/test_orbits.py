@@ -371,21 +371,3 @@ def test_a_guess_that_falls_to_rest_is_no_orbit():
         orbit(RING, guess, 0.7, symmetry=Translation(1))
     found = orbit(RING, guess, 0.7, symmetry=Translation(1), throw=False)
     assert not found.converged and np.abs(found.state.u).max() < 1e-9
-
-
-@pytest.mark.slow
-def test_a_second_call_compiles_nothing(caplog):
-    n, k = np.arange(6), np.pi / 3
-    guess = gx.State(0.25 * np.cos(k * n), 0.25 * np.sin(k * n))
-    chain = gx.scenes.fput(5, alpha=0.0, beta=1.0)
-    still = gx.State(0.3 * (-1.0) ** np.arange(5), np.zeros(5))
-
-    def each(stretch):
-        wave = orbit(RING, guess, 1.02 * stretch, symmetry=Translation(1))
-        b = gx.breathers.breather(chain, 2.05 * stretch, still, check=False)
-        return wave.floquet(steps=32), b.floquet(steps=32), b.energy, b.run()
-
-    each(1.0)
-    with jax.log_compiles(), caplog.at_level("WARNING"):
-        each(1.001)
-    assert not [record for record in caplog.records if "Compiling" in record.getMessage()]
