@@ -234,14 +234,12 @@ def test_refusals():
     lanes = jax.vmap(lambda chi: DNLS(N, 1.0, chi), out_axes=-1)(jnp.ones(2))
     for make, words in (
         (lambda: DNLS(N, order=0.0), r"order: expected numbers in \(0, 1\]"),
-        (lambda: DNLS(N, order=1.2), "order"), (lambda: DNLS(2), "dimer is two sites"),
+        (lambda: DNLS(2), "dimer is two sites"),
         (lambda: DNLS(N, order=0.5, kernel=np.ones(2)), "kernel: expected a kernel, or an order"),
         (lambda: DNLS(N, potential=np.ones(4)), r"potential: .*\(9,\)"), (lambda: DpS(N, exponent=1.0), "exponent"),
         (lambda: evolve(ring, np.ones(4), 1.0), r"psi: expected shape \(9,\)"),
-        (lambda: evolve(lanes, np.ones(N), 1.0), "psi: .*lanes"), (lambda: DNLS(2**62), "sites"),
-        (lambda: evolve(ring, PSI, 1.0, save_at=2**62), "save_at"),
-        (lambda: evolve(ring, np.ones(N), 0.0), "t1"), (lambda: evolve(ring, np.full(N, np.nan), 1.0), "psi"),
-        (lambda: evolve(ring, PSI, 1.0, step=0.0), "step"), (lambda: evolve(ring, PSI, 1.0, save_at=[2.0]), "save_at"),
+        (lambda: evolve(lanes, np.ones(N), 1.0), "psi: .*lanes"),
+        (lambda: evolve(ring, PSI, 1.0, save_at=[2.0]), "save_at"),
         (lambda: evolve(DpS(N), PSI, 1.0, solver=SplitStep()), "solver: .*DpS"),
         (lambda: gx.Flow(5, field=field)(PSI, 0.0, 1.0, ring), "solver: .*SplitStep"),
         (lambda: gx.Flow(5, SplitStep(), field).derivative(PSI, 0.0, 1.0, ring), "complex"),

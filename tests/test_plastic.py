@@ -148,8 +148,7 @@ def test_what_needs_the_present_alone_refuses():
     chain = gx.Lattice(1.0, gx.PlasticContact(WALLS, gx.WaltonBraun(1.0, 2.0), 0.1), sites=4)
     rest = gx.State(chain.zeros(), chain.zeros())
     for call in (
-        lambda: gx.vector_field(0.0, rest, chain), lambda: gx.Flow(4)(rest, 0.0, 1.0, chain),
-        lambda: gx.linear.normal_modes(chain), lambda: gx.linear.dispersion(chain, [0.1]),
+        lambda: gx.Flow(4)(rest, 0.0, 1.0, chain), lambda: gx.linear.normal_modes(chain),
         lambda: gx.floquet.floquet(chain, rest, 1.0), lambda: gx.breathers.family(chain),
         lambda: gx.states.impact(chain) and gx.simulate(gx.Lattice(
             1.0, gx.Modulated(chain.terms[0], gx.Harmonic(0.1, 1.0, mean=1.0)), sites=4), rest, 1.0),
@@ -157,10 +156,8 @@ def test_what_needs_the_present_alone_refuses():
         with pytest.raises(ValueError, match="remember|memory"):
             call()
     for how in ({"solver": gx.SRKN11b()}, {"record": {"a": gx.Peak(lambda t, y, lattice: y.u)}},
-                {"adjoint": gx.Reversible()}, {"save_at": "steps"}, {"tolerance": 1e-30}):
+                {"adjoint": gx.Reversible()}, {"save_at": "steps"}):
         with pytest.raises(ValueError, match=next(iter(how))):
             gx.simulate(chain, rest, 1.0, **how)
-    for wrong, said in ((lambda: gx.WaltonBraun(2.0, 1.0), "unloading"), (lambda: gx.Thornton(1.0, 0.0), "yield"),
-                        (lambda: gx.PlasticContact(WALLS, gx.WaltonBraun(1.0, 2.0), 0.1, 0.05), "largest")):
-        with pytest.raises(ValueError, match=said):
-            wrong()
+    with pytest.raises(ValueError, match="unloading"):
+        gx.WaltonBraun(2.0, 1.0)
