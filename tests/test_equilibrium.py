@@ -136,17 +136,6 @@ def test_the_plane():
     np.testing.assert_array_equal(found.loads[1:3, 1:3], loads[1:3, 1:3])
 
 
-@pytest.mark.slow
-def test_lanes_by_vmap():
-    stiffness = jnp.asarray([1.0, 2.0, 4.0])
-    batch = jax.vmap(lambda A: gx.scenes.monomer(5, stiffness=A, precompression=1.0), out_axes=-1)(stiffness)
-    found = jax.vmap(lambda lattice: gx.equilibrium(lattice, loads=jnp.full(5, 0.02)).state.u, in_axes=-1,
-                     out_axes=-1)(batch)
-    for lane, A in enumerate(stiffness):
-        alone = gx.equilibrium(gx.scenes.monomer(5, stiffness=A, precompression=1.0), loads=jnp.full(5, 0.02))
-        np.testing.assert_allclose(found[:, lane], alone.state.u, rtol=1e-11)
-
-
 def test_refusals():
     with pytest.raises(ValueError, match="apart"):
         gx.equilibrium(gx.scenes.magnets(N, P), guess=jnp.zeros(N).at[3].set(3.0))
