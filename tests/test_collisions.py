@@ -14,8 +14,6 @@ import granjax as gx  # noqa: E402
 from granjax import plots  # noqa: E402
 from granjax.travelling import collide, reflect, solitary_wave  # noqa: E402
 
-K = 1.0, 0.5
-
 
 def toda(k, way=1, law=None):
     return solitary_wave(gx.Toda() if law is None else law, speed=way * np.sinh(k) / k)

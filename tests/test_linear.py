@@ -14,7 +14,7 @@ from granjax.scenes import dimer, monomer
 from granjax.strains import Pairs, Shift, Stretch
 from granjax.terms import Bond, Damping, Dashpot, Drive, Function, Harmonic, Modulated, OnSite, Term, Wall
 
-K_POINT, M_POINT = (2 * np.pi / 3, 4 * np.pi / 3), (np.pi, 0.0)
+K_POINT = 2 * np.pi / 3, 4 * np.pi / 3
 WAVES = np.linspace(-3.1, 3.1, 11)
 MOVING = np.arange(11) != 5
 MASS = 2.957949

@@ -11,8 +11,6 @@ from granjax.driven import driven_chain
 from granjax.forced import forced_branch, forced_orbit
 from granjax.orbits.scales import nonlinear_length
 
-BREATHERS = [name for name in LATTICES if not name.startswith("forced")]
-
 
 def ask(known, **keywords):
     guess = gx.State(jnp.asarray(known.u), jnp.asarray(known.v))
