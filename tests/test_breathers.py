@@ -108,7 +108,6 @@ def test_newton_that_fails_says_how_far_it_came():
     (lambda: gx.breathers.breather(dimer(25), 0.99), r"n = 1: "),
     (lambda: gx.breathers.breather(gx.scenes.pattern(24, (1.0, 3.2), precompression=1.0), 0.985), r"n = 2: .* 1\.97 "),
     (lambda: gx.breathers.breather(monomer(24), 1.0, "dark"), r"dark.*n = 2"),
-    (lambda: gx.breathers.breather(monomer(24), -1.0), "above zero"),
     (lambda: gx.breathers.breather(monomer(24), 2.5, "brigth"), "bright"),
     (lambda: gx.breathers.family(gx.scenes.monomer(8), until=1.0), "sonic vacuum"),
     (lambda: gx.floquet.leading(gx.scenes.monomer(8), [np.ones(8), np.zeros(8)], 1.0), "sonic vacuum"),

@@ -109,7 +109,7 @@ def test_a_damped_oscillator_is_its_laplace_transform():
 
 
 @pytest.mark.study
-def test_lanes_units_frames_and_both_modes_of_derivatives():
+def test_lanes_frames_and_both_modes_of_derivatives():
     orders = jnp.array([0.3, 0.5, 0.8])
     batch = jax.vmap(damped, out_axes=-1)(orders)
     run = gx.simulate(batch, gx.State(np.ones((2, 3)), np.zeros((2, 3))), 4.0, step=0.02, save_at=[1.013, 4.0])
@@ -121,22 +121,13 @@ def test_lanes_units_frames_and_both_modes_of_derivatives():
 
     forward, reverse = jax.jvp(end, (RATE,), (1.0,))[1], jax.grad(end)(RATE)
     assert abs(forward - reverse) < 1e-12 and abs(forward - (end(RATE + 1e-4) - end(RATE - 1e-4)) / 2e-4) < 1e-6
-    units = gx.Units(3e-4, 2e-3, 7e-6)
-    found = []
-    for u in (gx.Units(), units):
-        lattice = gx.Lattice(1.0 / u.mass, (
-            gx.Bond(gx.Shift(1, "fixed"), gx.Hertz(1.0 / u.of(1, -1.5, 0), 0.5 / u.force)),
-            gx.CaputoDamping(RATE / u.of(1, -1, 0.4), 0.4), gx.Damping(0.1 * u.time)), sites=4)
-        run = gx.simulate(lattice, gx.states.impact(lattice, velocity=0.4 / u.velocity), 5.0 / u.time)
-        found.append(run.final.u * u.length)
-    assert np.allclose(*found, rtol=1e-10) and "history" in run.choice
+    assert "history" in run.choice
 
 
 def test_what_cannot_be_meant_is_refused():
     lattice = damped(0.5)
     for call, said in (
         (lambda: gx.caputo(relax, 1.0, 1.0, order=1.0), "order"),
-        (lambda: gx.caputo(relax, 1.0, 1.0, order=0), "order"),
         (lambda: gx.caputo(relax, 1.0, 1.0, order=0.5, steps=7), "steps"),
         (lambda: gx.caputo(relax, 1.0, -1.0, order=0.5), "t1"), (lambda: gx.caputo(relax, 1j, 1.0, order=0.5), "y"),
         (lambda: gx.caputo(relax, np.array([np.nan]), 1.0, order=0.5), "y"),

@@ -62,19 +62,6 @@ def test_dimers_at_anti_resonances(known):
         assert wave.energy == pytest.approx(float(gx.measures.energy(lattice, wave.state(140, 60.3))), rel=1e-12)
 
 
-@pytest.mark.slow
-def test_the_ratio_does_not_depend_on_speed_or_units():
-    # steel beads of 9.53 mm
-    law, heavy = gx.Hertz(9.8e9), 0.0283
-    wave = travelling.tail_free(lambda r: (law, [heavy, r * heavy]), 0.33, 0.36, speed=3.1e4)
-    scaled = travelling.tail_free(dimer, 0.33, 0.36, speed=2.7)
-    assert wave.parameter == pytest.approx(scaled.parameter, rel=1e-11)
-    # F = A e^(3/2): strains as (m c^2/A)^2
-    length = (heavy * 3.1e4**2 / 9.8e9) ** 2
-    assert wave.amplitude / length == pytest.approx(scaled.amplitude / 2.7**4, rel=1e-9)
-    assert wave.energy / (heavy * 3.1e4**2 * length**2) == pytest.approx(scaled.energy / 2.7**10, rel=1e-10)
-
-
 @pytest.mark.study
 def test_a_chain_knows_its_cell_and_its_units():
     chain = gx.scenes.beads(["steel 316", "aluminium 6061-T6"], 9.525e-3, 20.0, cells=8)
@@ -331,9 +318,6 @@ def test_beyond_its_box_the_ripple_is_its_own(law, masses, speed):
     (lambda: travelling.cell_wave(gx.Hertz(), [1.0, 0.5], speed=1.0), "masses: expected a ratio at which a wave"),
     (lambda: travelling.cell_wave(gx.Hertz(), [1.0, 0.35], speed=1.0), "the nearest is 0.34284578"),
     (lambda: travelling.cell_wave(TODA, [1.0, 0.5], speed=1.0), "speed: expected supersonic"),
-    (lambda: travelling.cell_wave(TODA, [1.0, 0.5], speed=-1.0), "speed: expected numbers above zero"),
-    (lambda: travelling.cell_wave(TODA, [1.0, -0.5], speed=2.0), "masses: expected numbers above zero"),
-    (lambda: travelling.cell_wave(TODA, [[1.0, 0.5]], speed=2.0), "masses: expected one row"),
     (lambda: travelling.cell_wave(gx.Hertz([1.0, 2.0, 3.0]), [1.0, 0.5], speed=2.0), "law: expected parameters"),
     (lambda: travelling.cell_wave(gx.Hertz(), [1.0, 0.5, 0.5], speed=1.0), "masses: expected one or two sites"),
     (lambda: travelling.cell_wave(gx.Hertz([1.0, 2.0], [0.0, 1.0]), [1.0, 1.0], speed=2.0), "law: expected a stiff"),
@@ -344,8 +328,6 @@ def test_beyond_its_box_the_ripple_is_its_own(law, masses, speed):
     (lambda: travelling.solitary_wave(gx.Hertz(), speed=1.0, resonator=gx.Resonator(0.1, 3.0)),
      "resonator: expected a stiffness of 3.588947054"),
     (lambda: travelling.solitary_wave(gx.Hertz(), energy=1.0, resonator=gx.Resonator(0.1, 3.0)), "energy: expected a"),
-    (lambda: gx.Resonator(0.0, 1.0), "mass: expected numbers above zero"),
-    (lambda: travelling.tail_free_stiffness(0.0, 0.1), "speed: expected numbers above zero"),
 ])
 def test_bad_input_is_refused(call, said):
     with pytest.raises(ValueError, match=re.escape(said)):

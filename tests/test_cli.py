@@ -181,17 +181,6 @@ def test_help_of_the_command_ends_with_examples_and_a_page(monkeypatch, capsys):
         assert _parser().parse_args(shlex.split(line)[1:]).command
 
 
-def test_pages_that_are_named_exist():
-    assert {output.START, output.OUTCOMES} <= titles()
-
-
-def test_an_error_names_the_page_that_explains_it(capsys):
-    cases = {("resonance", "--beads", "x"): output.START, ("sing",): output.START}
-    for arguments, page in cases.items():
-        assert main([*arguments]) == 2
-        assert page_named_in(capsys.readouterr().err) == page, arguments
-
-
 COMMAND = """
 import sys
 from granjax.cli import command

@@ -169,8 +169,6 @@ def test_smooth_peak():
 def test_refusals():
     with pytest.raises(ValueError, match="objective: expected a function that gives one real number"):
         design(lambda p: p["x"], {"x": np.ones(2)})
-    with pytest.raises(ValueError, match="mode: expected one of"):
-        design(bowl, {"x": 1.0}, mode="backward")
     with pytest.raises(ValueError, match="x: expected a start below its bound"):
         design(bowl, {"x": 1.0}, bounds={"x": (0, 1)})
 

@@ -130,27 +130,6 @@ def test_the_place_is_looked_at_before_anything_is_computed(out, tmp_path, capsy
     assert line.startswith("granjax: --out: expected")
 
 
-def test_a_full_disk_costs_no_table(tmp_path, capsys, computed):
-    assert main([*ARGUMENTS, "--out", str(tmp_path)]) == 0
-    whole = capsys.readouterr().out
-    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
-    with full_disk():
-        assert main([*ARGUMENTS, "--out", str(tmp_path)]) == 1
-    captured = capsys.readouterr()
-    assert captured.out == "".join(line for line in whole.splitlines(True) if not line.startswith("Written"))
-    assert [f"resonance{end}' could not be written (File too large)" in line
-            for end, line in zip((".nc", ".png"), complaints(captured), strict=True)] == [True, True]
-    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
-
-
-def test_two_commands_write_one_file(tmp_path, capsys, computed):
-    assert main([*ARGUMENTS, "--out", str(tmp_path)]) == 0
-    with xr.open_dataset(tmp_path / "resonance.nc", engine="h5netcdf"):
-        assert main([*ARGUMENTS, "--out", str(tmp_path)]) == 0
-    assert names(tmp_path) == ["resonance.nc", "resonance.png"]
-    assert not complaints(capsys.readouterr())
-
-
 @pytest.mark.parametrize("error, code, said", [
     (BrokenPipeError(32, "Broken pipe"), UNREAD, []),
     (OSError(28, "No space left on device"), 1,
@@ -167,16 +146,3 @@ def test_standard_output_that_takes_nothing(error, code, said, tmp_path, capsys,
     assert main([*ARGUMENTS, "--out", str(tmp_path)]) == code
     assert names(tmp_path) == ["resonance.nc", "resonance.png"], "the files are there all the same"
     assert complaints(capsys.readouterr()) == said
-
-
-def test_standard_streams_that_are_not_there(tmp_path, capsys, computed):
-    stdout = sys.stdout
-    computed.setattr(sys, "stdout", None)
-    assert main([*ARGUMENTS, "--out", str(tmp_path)]) == 1
-    assert complaints(capsys.readouterr()) == ["granjax: standard output is closed: results are not printed"]
-    computed.setattr(sys, "stdout", stdout)
-    computed.setattr(sys, "stderr", None)
-    assert main(["resonance", "--beads", "2"]) == 2
-    assert "--beads: expected" in capsys.readouterr().out
-
-

@@ -15,55 +15,6 @@ from granjax.flow import dispatch
 N = 7
 
 
-def _force(t, y, lattice):
-    return gx.measures.contact_force(lattice, y)
-
-
-CALLS = {
-    "step": dict(step=0.1),
-    "default": {},
-    "tolerance": dict(tolerance=1e-6),
-    "frames": dict(step=0.1, save_at=5),
-    "record": dict(step=0.1, record={"peak": gx.Peak(_force)}),
-}
-
-
-@pytest.fixture
-def compilations():
-    """A list that grows by one with every program that XLA compiles."""
-    seen = []
-
-    def listen(event, duration, **_):
-        if event.endswith("backend_compile_duration"):
-            seen.append(duration)
-
-    jax.monitoring.register_event_duration_secs_listener(listen)
-    yield seen
-    # JAX offers no public way to take one listener away; it only sees its own list
-    seen.append(None)
-
-
-def _scene(stiffness, velocity):
-    chain = gx.scenes.monomer(N, stiffness=stiffness, precompression=0.3)
-    return chain, gx.states.impact(chain, velocity=velocity)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", [pytest.param(x, marks=() if x == "default" else pytest.mark.slow) for x in CALLS])
-def test_equal_shapes_compile_once(name, compilations):
-    options = CALLS[name]
-    scenes = [_scene(1.0, 1.0), _scene(1.3, 0.7)]
-    gx.simulate(*scenes[0], 2.0, **options)
-    first = len(compilations)
-    assert first > 0, "the listener counts nothing"
-    other = {key: 0.7 * value if key in ("step", "tolerance") else value for key, value in options.items()}
-    for scene in scenes:
-        for t1 in (2.0, 3.1):
-            for keywords in (options, other):
-                gx.simulate(*scene, t1, **keywords)
-    assert len(compilations) == first, "a call of equal shapes compiled again"
-
-
 def test_compiled_takes_any_pytree_and_traces_once():
     traces = []
 

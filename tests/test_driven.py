@@ -82,8 +82,6 @@ def test_walls_touch_the_beads_of_a_cell_and_not_what_is_in_them():
 
 @pytest.mark.parametrize("chain, keywords, word", [
     (gx.scenes.monomer(4, boundary="free"), {}, "boundary='fixed'"),
-    (gx.scenes.monomer(4), {"ends": "top"}, "ends"),
-    (gx.scenes.monomer(4), {"phase": (0.0,)}, "phase"),
     (gx.Lattice(np.ones(4), (gx.Bond(gx.Shift(1), gx.Hertz()), gx.Bond(gx.Shift(2), gx.Linear()))), {}, "terms\\[1\\]"),
     (gx.Lattice(np.ones(4), (gx.Bond(gx.Shift(1), gx.Hertz()), gx.Dashpot(gx.Shift(1), 1.0))), {}, "Dashpot"),
 ])
@@ -292,29 +290,6 @@ def test_neither_a_steep_flank_nor_slow_settling_is_a_jump(values, damping):
         assert np.all(np.abs(way.response - speed) <= way.response_error) and np.all(way.response_error < 0.02 * speed)
 
 
-@pytest.mark.slow
-def test_a_second_sweep_compiles_nothing_and_follows_what_its_scene_reads():
-    traced, numbers = [], {"damping": 0.3}
-
-    def make(w):
-        traced.append(w)
-        return duffing(0.01, w, damping=numbers["damping"])
-
-    def run():
-        return driven.sweep(make, [0.95, 1.01], over, periods=200, down=False, accuracy=0.1).up.response
-
-    def over(w):
-        return 2 * jnp.pi / w
-
-    first, counts = run(), [len(traced)]
-    for _ in range(2):
-        np.testing.assert_array_equal(run(), first)
-        counts.append(len(traced))
-    assert counts[1] - counts[0] == counts[2] - counts[1] == 2  # the scenes at its ends alone
-    numbers["damping"] = 0.4
-    assert (run() < first).all()
-
-
 @pytest.mark.study
 def test_what_has_settled_states_its_error_where_contacts_open():
     chain = gx.scenes.monomer(4, precompression=0.05**1.5)
@@ -328,18 +303,6 @@ def test_what_has_settled_states_its_error_where_contacts_open():
     assert np.all(np.abs(found.state.u - true.state.u) <= found.state_error.u) and found.state_error.u.max() < 1e-5
     assert found.energy_error < 1e-6 < found.energy and found.amplitude_error.max() < 1e-3 * found.amplitude.max()
     assert np.isnan(settled(24, periods=8).energy_error)
-
-
-def test_settling_with_another_period_compiles_nothing(caplog):
-    def each(stretch):
-        w = 1.3 * stretch
-        driven.settle(duffing(0.01, w, damping=0.3), state(duffing(0.01, w)), 2 * np.pi / w, steps=32, tolerance=1e-8)
-        driven.lyapunov(duffing(0.01, w), state(duffing(0.01, w)), 2 * np.pi / w, steps=32, periods=10, transient=0)
-
-    each(1.0)
-    with jax.log_compiles(), caplog.at_level("WARNING"):
-        each(1.001)
-    assert not [record for record in caplog.records if "Compiling" in record.getMessage()]
 
 
 # ------------------------------------------------------------------------------------------------------------- lyapunov

@@ -136,27 +136,6 @@ def test_the_plane():
     np.testing.assert_array_equal(found.loads[1:3, 1:3], loads[1:3, 1:3])
 
 
-@pytest.mark.slow
-def test_in_si_as_in_scaled_numbers():
-    chain = gx.scenes.magnets(5, -3.0, boundary="free", stiffness=2e-7, spacing=0.03, mass=0.01, units="SI")
-    plain = gx.scenes.magnets(5, -3.0, boundary="free")
-    found, scaled = gx.equilibrium(chain), gx.equilibrium(plain)
-    np.testing.assert_allclose(found.ends, 2e-7 * 0.03**-3 * np.asarray(scaled.ends), rtol=1e-12)
-    np.testing.assert_allclose(found.stiffness, 2e-7 * 0.03**-4 * scaled.stiffness, rtol=1e-9)
-    assert found.verdict == scaled.verdict == "stable" and " N " in f"{found.outcome} "
-
-
-@pytest.mark.slow
-def test_lanes_by_vmap():
-    stiffness = jnp.asarray([1.0, 2.0, 4.0])
-    batch = jax.vmap(lambda A: gx.scenes.monomer(5, stiffness=A, precompression=1.0), out_axes=-1)(stiffness)
-    found = jax.vmap(lambda lattice: gx.equilibrium(lattice, loads=jnp.full(5, 0.02)).state.u, in_axes=-1,
-                     out_axes=-1)(batch)
-    for lane, A in enumerate(stiffness):
-        alone = gx.equilibrium(gx.scenes.monomer(5, stiffness=A, precompression=1.0), loads=jnp.full(5, 0.02))
-        np.testing.assert_allclose(found[:, lane], alone.state.u, rtol=1e-11)
-
-
 def test_refusals():
     with pytest.raises(ValueError, match="apart"):
         gx.equilibrium(gx.scenes.magnets(N, P), guess=jnp.zeros(N).at[3].set(3.0))

@@ -234,7 +234,7 @@ def test_refusals():
     lanes = jax.vmap(lambda chi: DNLS(N, 1.0, chi), out_axes=-1)(jnp.ones(2))
     for make, words in (
         (lambda: DNLS(N, order=0.0), r"order: expected numbers in \(0, 1\]"),
-        (lambda: DNLS(N, order=1.2), "order"), (lambda: DNLS(2), "dimer is two sites"),
+        (lambda: DNLS(2), "dimer is two sites"),
         (lambda: DNLS(N, order=0.5, kernel=np.ones(2)), "kernel: expected a kernel, or an order"),
         (lambda: DNLS(N, potential=np.ones(4)), r"potential: .*\(9,\)"), (lambda: DpS(N, exponent=1.0), "exponent"),
         (lambda: evolve(ring, np.ones(4), 1.0), r"psi: expected shape \(9,\)"),

@@ -1,6 +1,6 @@
 """The first script of a new user: beads of steel and aluminium from radii and a load, in SI from end to end.
 
-No number of it is scaled, and none is a tolerance. The same study of the scaled chain, converted, gives the same.
+No number of it is scaled, and none is a tolerance.
 """
 
 from typing import NamedTuple
@@ -51,29 +51,6 @@ def script():
     return Study(waves, gap, family, branch, sweep)
 
 
-def scaled_script(units):
-    """The same with every number in other units; frequencies are given and found in those."""
-    chain = gx.scenes.beads(["aluminium 6061-T6", "steel 316"] * 3 + ["aluminium 6061-T6"], RADIUS, LOAD,
-                            boundary="free")
-    chain = gx.scenes.scaled(chain, units=units).lattice
-    waves = gx.linear.dispersion(chain, WAVES)
-    (gap,) = gx.linear.bands(chain).gaps
-    family = gx.breathers.family(chain, until=0.99 * gap[1])
-    pair = gx.scenes.scaled(gx.scenes.beads(["steel 316", "aluminium 6061-T6"], RADIUS, LOAD), units=units).lattice
-    amplitude, damping = 60e-9 / units.length, 1000.0 * units.time
-
-    def shaken(frequency):
-        return gx.driven.driven_chain(pair, amplitude, 2 * jnp.pi * frequency, damping=damping)
-
-    def period(frequency):
-        return 1 / frequency
-
-    hertz = float(units.time)
-    branch = gx.forced.forced_branch(shaken, 4480.0 * hertz, 3950.0 * hertz, period=period)
-    sweep = gx.driven.sweep(shaken, np.array([3990.0, 4030.0, 4070.0]) * hertz, period)
-    return Study(waves, gap, family, branch, sweep)
-
-
 def by_hand():
     """Bands in kHz, omega^2 = K (s -+ sqrt(s^2 - 4 sin^2(k/2)/(m M))), s = 1/m + 1/M, K = 3/2 A^(2/3) F0^(1/3)."""
     bodies = [gx.materials.material(name) for name in ("aluminium 6061-T6", "steel 316")]
@@ -104,28 +81,3 @@ def test_a_new_user_s_script_in_si(si):
     assert "orbit, unstable" in [line.get_label() for line in diagram.lines]
     for ax in (diagram, gx.plots.branch(si.family)[0]):
         plt.close(ax.figure)
-
-
-def test_it_is_the_scaled_computation(si):
-    pair = gx.scenes.beads(["steel 316", "aluminium 6061-T6"], RADIUS, LOAD)
-    units = gx.scenes.scaled(pair).units
-    found = scaled_script(units)
-
-    def same(a, b, unit, size=None):
-        b = np.asarray(b) * float(unit)
-        np.testing.assert_allclose(a, b, rtol=0, atol=1e-9 * float(np.abs(b).max()))
-
-    same(si.waves.omega, found.waves.omega, units.omega)
-    same(si.gap, found.gap, units.omega)
-    for a, b in ((si.family, found.family), (si.branch, found.branch)):
-        same(a.energy, b.energy, units.energy)
-        same(a.states.u, b.states.u, units.length)
-        same(a.states.v, b.states.v, units.velocity)
-        same(a.periods, b.periods, units.time)
-        assert list(a.verdict) == list(b.verdict)
-        assert [x.kind for x in a.bifurcations] == [x.kind for x in b.bifurcations]
-    same([x.p for x in si.branch.bifurcations], [x.p for x in found.branch.bifurcations], units.omega)
-    same(si.sweep.up.response, found.sweep.up.response, units.velocity)
-    same(si.sweep.down.response, found.sweep.down.response, units.velocity)
-    same(si.sweep.hysteresis, found.sweep.hysteresis, units.omega)
-    assert np.array_equal(si.sweep.up.periods, found.sweep.up.periods)

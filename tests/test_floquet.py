@@ -246,27 +246,6 @@ def test_any_vector_field_has_multipliers():
 # units --------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.study
-def test_errors_defects_and_vectors_do_not_depend_on_units():
-    chain = gx.scenes.monomer(3, 28.2e-3, 1.0114e10, precompression=10.0)
-    lattice = gx.driven.driven_chain(chain, 0.05e-6, 2 * np.pi * 7100.0, damping=200.0)
-    units = gx.units.Units(mass=28.2e-3, length=1e-6, time=1.9e-5)
-    scaled = gx.scenes.scaled(lattice, units=units).lattice
-    orbit = forced_orbit(scaled, 1 / 7100.0 / units.time, steps=32)
-    one = orbit.floquet(steps=64)
-    two = floquet(lattice, units.state_to_si(orbit.state), 1 / 7100.0, steps=64)
-    # before, the one was known to 3e-9 and the other to 0.4
-    assert one.verdict == two.verdict == "stable" and one.outcome == two.outcome and two.error.max() < 1e-6
-    np.testing.assert_allclose(two.multipliers, one.multipliers, rtol=0, atol=1e-11)
-    np.testing.assert_allclose(two.error, one.error, rtol=1e-2)
-    assert two.step_error == pytest.approx(one.step_error, rel=1e-2)
-    assert one.defect < 1e-13 and two.defect < 1e-13
-    size = np.abs(two.vectors[:3]), np.abs(two.vectors[3:]) * units.time
-    np.testing.assert_allclose(np.concatenate(size), np.abs(one.vectors), rtol=1e-6)
-    lengths = weights(np.ones(3), one.period)[:, None] * one.vectors
-    np.testing.assert_allclose(np.linalg.norm(lengths, axis=0), 1, rtol=1e-12)
-
-
 def test_lanes_are_not_taken_for_one_lattice():
     lanes = jax.vmap(lambda r: gx.scenes.dimer(4, r, precompression=1.0), out_axes=-1)(jnp.array([0.4, 0.7]))
     for ask in (floquet, leading):

@@ -117,12 +117,9 @@ def test_a_plane_wave_turns_with_the_symbol_s_frequency_in_si():
 def test_refusals():
     for make, words in (
         (lambda: scenes.fractional(N, 0.0), r"order: expected numbers in \(0, 1\]"),
-        (lambda: scenes.fractional(N, 1.5), "order"), (lambda: scenes.fractional(N, [0.5, 0.6]), "order: .*jax.vmap"),
-        (lambda: scenes.fractional_fput(N, -0.5), "order"), (lambda: scenes.fractional_sine_gordon(N, np.nan), "order"),
-        (lambda: scenes.fractional(2, 0.5), "sites"), (lambda: scenes.fractional_sine_gordon(N, 0.5, -1.0), "coupling"),
+        (lambda: scenes.fractional(N, [0.5, 0.6]), "order: .*jax.vmap"),
         (lambda: scenes.fractional_fput(N, nonlinear="some"), "nonlinear"),
         (lambda: scenes.fractional_sine_gordon(N, stiffness=np.ones(N + 1)), r"stiffness: .*\(12,\)"),
-        (lambda: fractional.kernel(0.5, 0), "offsets"),
     ):
         with pytest.raises(ValueError, match=words):
             make()

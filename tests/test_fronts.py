@@ -181,15 +181,9 @@ def test_a_velocity_step_becomes_the_front():
 
 
 @pytest.mark.slow
-def test_numbers_of_other_units_and_of_the_mirror():
+def test_numbers_of_a_lattice_and_of_the_mirror():
     law, behind, ahead, eta = CASES["precompressed"]
-    front, L, M, T = dissipative_front(law, behind, ahead, dashpot=eta, mass=1.3), 1e-4, 1e-3, 1e-6
-    A = M * L / T**2
-    law_si = gx.Hertz(2.5 * A / L**1.5, 0.3 * A)
-    si = dissipative_front(law_si, behind * L, ahead * L, dashpot=eta * M / T, mass=1.3 * M)
-    assert abs(si.speed * T / front.speed - 1) < 1e-12 and abs(si.critical * T / M / front.critical - 1) < 1e-10
-    x = np.linspace(-20, 8, 57)
-    assert np.abs(si.strain(x) / L - front.strain(x)).max() < 1e-12
+    front, x = dissipative_front(law, behind, ahead, dashpot=eta, mass=1.3), np.linspace(-20, 8, 57)
     lattice = gx.Lattice(1.3, gx.Bond(gx.Shift(1, "free"), law), sites=5)
     assert dissipative_front(lattice, behind, ahead, dashpot=eta).strain(0.3) == front.strain(0.3)
     damped = gx.Lattice(1.3, (*lattice.terms, gx.Dashpot(gx.Shift(1, "fixed"), np.full(6, eta))), sites=5)
@@ -228,16 +222,13 @@ def test_a_front_differentiates():
 @pytest.mark.slow
 @pytest.mark.parametrize("call, words", [
     (lambda: dissipative_front(gx.Hertz(), 1.0, dashpot=0.0), "dashpot: expected numbers above zero.*dispersive shock"),
-    (lambda: dissipative_front(gx.Hertz(), dashpot=1.0), "exactly one of them, got none"),
     (lambda: dissipative_front(gx.Hertz(), 1.0, piston=1.0, dashpot=1.0), "got both"),
     (lambda: dissipative_front(gx.Linear(), 1.0, dashpot=1.0), "faster than sound ahead and slower than sound behind"),
     (lambda: dissipative_front(gx.Hertz(), 0.5, 1.0, dashpot=1.0), "spreads out"),
-    (lambda: dissipative_front(gx.Hertz(), 1.0, 1.0, dashpot=1.0), "another strain"),
     (lambda: dissipative_front(gx.Hertz(1.0, 1.0), 1e-6, dashpot=1.0), "a part in"),
     (lambda: dissipative_front(Bump(), 1.0, dashpot=1.0), "crosses it"),
     (lambda: dissipative_front(gx.PowerLaw(1.0, 0.5), 1.0, dashpot=1.0), "spreads out"),
     (lambda: dissipative_front(gx.PowerLaw(1.0, -3.0, 1.0), 1.5, dashpot=1.0), "stiff by finite amounts"),
-    (lambda: dissipative_front(gx.Hertz(), piston=0.0, dashpot=1.0), "piston"),
     (lambda: dissipative_front(gx.Hertz(), piston=-1.0, dashpot=1.0), "piston"),
     (lambda: dissipative_front(gx.Hertz(), 1.0, dashpot=1e-6), "critical"),
     (lambda: dissipative_front(gx.scenes.dimer(5), 1.0, dashpot=1.0), "uniform chain"),

@@ -1,4 +1,3 @@
-import re
 from collections import Counter
 from functools import cache
 
@@ -6,7 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from cases import ALL_LATTICES, MASS_IN_MASS, SAME_LATTICES, assert_ulps, over, random_like, scaled_leaves
+from cases import ALL_LATTICES, SAME_LATTICES, assert_ulps, over, random_like, scaled_leaves
 
 import granjax as gx
 from granjax.laws.real_power import root
@@ -122,15 +121,6 @@ def test_vector_field_has_the_structure_of_the_state(case):
     assert jax.tree.map(jnp.shape, got) == jax.tree.map(jnp.shape, (v, x["a"]))
 
 
-def test_vector_field_is_velocity_and_acceleration():
-    lattice = MASS_IN_MASS
-    u, v = random_like(lattice.template(), 0), random_like(lattice.template(), 1)
-    du, dv = gx.vector_field(T, gx.State(u, v), lattice)
-    assert_ulps(du, v, 0)
-    assert_ulps(dv, lattice.acceleration(T, u, v), 0)
-    assert lattice.fields == ("bead", "resonator") and lattice.sites == {"bead": (6,), "resonator": (6,)}
-
-
 def test_chain_by_hand():
     mass = np.array([1.0, 2.0, 4.0])
     chain = gx.Lattice(mass, (gx.Bond(gx.Shift(1, "fixed"), gx.Hertz(2.0)),))
@@ -165,11 +155,6 @@ def test_unbalanced_shows_what_no_term_holds(terms, want):
     np.testing.assert_allclose(gx.Lattice(np.ones(5), terms).unbalanced(), want, atol=1e-14)
 
 
-def test_a_prestressed_periodic_crystal_is_balanced():
-    lattice = next(case.lattice for case in ALL_LATTICES if case.name == "triangular")
-    np.testing.assert_allclose(lattice.unbalanced(), 0, atol=1e-14)
-
-
 # ------------------------------------------------------------------------------------------ absent terms cost nothing
 
 
@@ -199,12 +184,6 @@ def _is_jaxpr(x):
     return hasattr(x, "eqns") or hasattr(getattr(x, "jaxpr", None), "eqns")
 
 
-def opcodes(f, *args):
-    """How often each operation occurs in the program that XLA has compiled."""
-    text = jax.jit(f).lower(*args).compile().as_text()
-    return Counter(re.findall(r"^\s*(?:ROOT )?\S+ = (?:\([^)]*\)|\S+) ([\w-]+)\(", text, re.M))
-
-
 def _programs():
     mass, u = jnp.linspace(1.0, 2.0, 50), jnp.zeros(50)
     lattice = gx.Lattice(mass, (gx.Bond(gx.Shift(1, "free"), gx.Hertz(1.3)),))
@@ -218,11 +197,3 @@ def _programs():
 def test_the_traced_program_is_the_one_written_by_hand():
     ours, hand, *args = _programs()
     assert primitives(jax.make_jaxpr(ours)(*args).jaxpr) == primitives(jax.make_jaxpr(hand)(*args).jaxpr)
-
-
-def test_the_compiled_program_is_the_one_written_by_hand():
-    ours, hand, *args = _programs()
-    got, want = opcodes(ours, *args), opcodes(hand, *args)
-    # the reading of the text has found the operations; which root there is depends on the processor
-    assert want["shift-right-logical"] + want["sqrt"] >= 1 and want["divide"] == 1
-    assert got == want

@@ -87,14 +87,6 @@ def test_a_localised_guess_that_leads_to_a_wave_is_refused():
         gx.breathers.breather(short, 0.98, bump)
 
 
-@pytest.mark.slow
-def test_a_breather_in_other_units_is_the_same_with_the_same_words(on_a_ring):
-    units = {"mass": 3e-4, "length": 2e-7, "time": 5e-6}
-    other = gx.breathers.breather(soft(**units), 0.8 / 5e-6)
-    np.testing.assert_allclose(np.asarray(other.state.u) / 2e-7, on_a_ring.state.u, rtol=0, atol=1e-9)
-    assert other.remark == on_a_ring.remark
-
-
 @pytest.mark.study
 @pytest.mark.parametrize("omega, sites, signs", [(1.05, 5, None), (1.2, [5, 6], [1, -1])])
 def test_newtons_cradle_has_breathers(omega, sites, signs):
@@ -109,18 +101,6 @@ def test_newtons_cradle_has_breathers(omega, sites, signs):
 
     end = solve_ivp(field, (0, np.pi / omega), np.append(u, 0 * u), "DOP853", rtol=1e-12, atol=1e-16, max_step=0.02)
     assert np.abs(end.y[11:, -1]).max() < 1e-5 * np.abs(u).max()
-
-
-@pytest.mark.slow
-def test_a_site_in_other_units(caplog):
-    for make, omega, sites, signs in ((cradle, 1.2, [5, 6], [1, -1]), (soft, 0.8, 4, None)):
-        one = single_site(make(), omega, sites, amplitudes=signs)
-        lattice = make(mass=3e-4, length=2e-7, time=5e-6)
-        with jax.log_compiles(), caplog.at_level("WARNING"):
-            caplog.clear()
-            other = single_site(lattice, omega / 5e-6, sites, amplitudes=signs)
-            assert "Compiling" not in caplog.text
-        np.testing.assert_allclose(np.asarray(other.u) / 2e-7, one.u, atol=1e-7 * np.abs(one.u).max())
 
 
 @pytest.mark.slow

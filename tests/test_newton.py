@@ -150,19 +150,6 @@ def test_a_given_linearisation_is_used():
                                rtol=0, atol=1e-8)
 
 
-def test_another_number_compiles_nothing_anew():
-    traces = []
-
-    def f(x, a):
-        traces.append(0)
-        return x**2 - a
-
-    newton(f, [1.0], 2.0)
-    once = len(traces)
-    assert newton(f, [1.0], 3.0).x[0] == pytest.approx(3**0.5, abs=1e-10)
-    assert once > 0 and len(traces) == once
-
-
 @pytest.mark.parametrize("bad, named", [
     (dict(tolerance=np.inf), "tolerance"), (dict(tolerance=np.nan), "tolerance"), (dict(tolerance=-1.0), "tolerance"),
 ])

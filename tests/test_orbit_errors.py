@@ -11,8 +11,6 @@ from granjax.driven import driven_chain
 from granjax.forced import forced_branch, forced_orbit
 from granjax.orbits.scales import nonlinear_length
 
-BREATHERS = [name for name in LATTICES if not name.startswith("forced")]
-
 
 def ask(known, **keywords):
     guess = gx.State(jnp.asarray(known.u), jnp.asarray(known.v))
@@ -95,21 +93,6 @@ def test_the_length_at_which_a_lattice_is_no_longer_linear():
     assert nonlinear_length(chain(gx.Polynomial(1.0, 0.0, 1.0)), zigzag) == pytest.approx(6**-0.5 / 2, rel=1e-9)
     assert nonlinear_length(chain(gx.Linear()), zigzag) == np.inf
     assert nonlinear_length(chain(gx.Hertz(1.0)), zigzag) == 0
-
-
-@pytest.mark.study
-@pytest.mark.parametrize("material", ("aluminium 6061-T6", pytest.param("PTFE", marks=pytest.mark.slow)))
-def test_a_family_in_metres_is_the_scaled_one(material):
-    chain = gx.scenes.beads(["steel 440C", material] * 5 + ["steel 440C"], 9.53e-3, 10.0, boundary="free")
-    scaled, units = gx.scenes.scaled(chain)
-    top = float(np.max(gx.linear.normal_modes(chain).omega[5:7]))
-    metres = gx.breathers.family(chain, until=0.96 * top)
-    numbers = gx.breathers.family(scaled, until=0.96 * top * float(units.time))
-    assert len(metres) == len(numbers) > 5 and metres.outcome.startswith("p reached")
-    assert list(metres.verdict) == list(numbers.verdict)
-    np.testing.assert_allclose(metres.omega * float(units.time), numbers.omega, rtol=1e-9)
-    np.testing.assert_allclose(metres.energy / float(units.energy), numbers.energy, atol=1e-9 * numbers.energy.max())
-    np.testing.assert_allclose(metres.u / float(units.length), numbers.u, atol=1e-9 * numbers.amplitude.max())
 
 
 @pytest.mark.study

@@ -107,18 +107,6 @@ def test_noise_gives_its_size_and_error_bars_that_hold():
     assert 0.5 < np.sqrt(np.mean(np.square(off))) < 1.6 and np.abs(off).max() < 4.5
 
 
-def test_nothing_depends_on_units():
-    x, y = solved(0.3)
-    rng = np.random.default_rng(8)
-    y = y + 0.01 * rng.normal(size=len(x))
-    a, b = 2.0**-33, 2.0**11
-    one, other = planar_ode(x, y), planar_ode(b * x - 5 * b, a * y)
-    scale = a / b**2 / a ** np.arange(4)
-    assert np.abs(other.coefficients / scale / one.coefficients - 1).max() < 1e-9
-    assert np.abs(other.errors / scale / one.errors - 1).max() < 1e-9 and abs(other.misfit / a / one.misfit - 1) < 1e-9
-    assert abs(other.homoclinic().crest / a / one.homoclinic().crest - 1) < 1e-9
-
-
 def test_a_phase_plane():
     found = planar_ode(*solved(0.3), degree=2)
     ax = plots.planar(found, units="scaled")
@@ -131,16 +119,10 @@ X = np.linspace(0, 10, 50)
 
 @pytest.mark.parametrize("call, words", [
     (lambda: planar_ode(X, X), "rise and fall"),
-    (lambda: planar_ode(X, np.ones(50)), "all alike"),
     (lambda: planar_ode(X[:4], np.sin(X[:4])), "five or more"),
     (lambda: planar_ode(X[::4], np.sin(X[::4]), degree=9), "points or more"),
     (lambda: planar_ode(X[::-1], np.sin(X)), "increase"),
-    (lambda: planar_ode(X, np.sin(X[:-1])), "as many places"),
-    (lambda: planar_ode([X, X], np.sin(X)), "several of the other"),
-    (lambda: planar_ode(X, np.where(X > 5, np.nan, np.sin(X))), "finite"),
-    (lambda: planar_ode(X, np.sin(X), degree=0), "degree"),
     (lambda: planar_ode(*solved(0.3), degree=2).periodic(crest=2.0), "crest: expected one of a periodic orbit"),
-    (lambda: planar_ode(*solved(0.3), degree=2).periodic(energy=1.0), "energy: expected one of a periodic orbit"),
     (lambda: planar_ode(*solved(0.3), degree=2).periodic(crest=1.2, energy=0.0), "got both"),
 ])
 def test_what_has_no_planar_equation(call, words):

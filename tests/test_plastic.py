@@ -97,21 +97,15 @@ def scene(units):
 
 
 @pytest.mark.study
-def test_a_chain_in_other_units_resumed_and_its_balance():
-    one, other = gx.Units(), gx.Units(3e-4, 2e-3, 7e-6)
-    runs = []
-    for units in (one, other):
-        lattice = scene(units)(0.02)
-        start = gx.states.impact(lattice, velocity=0.4 / units.velocity)
-        run = gx.simulate(lattice, start, 6.0 / units.time, save_at=4)
-        assert run.energy_error < 1e-9 and run.lost[-1] > 0 and run.work[-1] != 0
-        assert np.all(np.diff(run.memory["largest_overlap"], axis=0) >= 0)
-        half = gx.simulate(lattice, start, 3.0 / units.time, save_at=4)
-        on = gx.simulate(half.lattice, half.final, 6.0 / units.time, t0=3.0 / units.time, save_at=4)
-        assert np.allclose(on.final.u, run.final.u, rtol=0, atol=1e-7 * np.abs(run.final.u).max())
-        runs.append((run.final.u * units.length, run.memory["largest_overlap"] * units.length, run.lost * units.energy))
-    for a, b in zip(*runs):
-        assert np.allclose(a, b, rtol=0, atol=1e-7 * np.abs(a).max())
+def test_a_chain_resumed_and_its_balance():
+    lattice = scene(gx.Units())(0.02)
+    start = gx.states.impact(lattice, velocity=0.4)
+    run = gx.simulate(lattice, start, 6.0, save_at=4)
+    assert run.energy_error < 1e-9 and run.lost[-1] > 0 and run.work[-1] != 0
+    assert np.all(np.diff(run.memory["largest_overlap"], axis=0) >= 0)
+    half = gx.simulate(lattice, start, 3.0, save_at=4)
+    on = gx.simulate(half.lattice, half.final, 6.0, t0=3.0, save_at=4)
+    assert np.allclose(on.final.u, run.final.u, rtol=0, atol=1e-7 * np.abs(run.final.u).max())
 
 
 @pytest.mark.slow
@@ -154,8 +148,7 @@ def test_what_needs_the_present_alone_refuses():
     chain = gx.Lattice(1.0, gx.PlasticContact(WALLS, gx.WaltonBraun(1.0, 2.0), 0.1), sites=4)
     rest = gx.State(chain.zeros(), chain.zeros())
     for call in (
-        lambda: gx.vector_field(0.0, rest, chain), lambda: gx.Flow(4)(rest, 0.0, 1.0, chain),
-        lambda: gx.linear.normal_modes(chain), lambda: gx.linear.dispersion(chain, [0.1]),
+        lambda: gx.Flow(4)(rest, 0.0, 1.0, chain), lambda: gx.linear.normal_modes(chain),
         lambda: gx.floquet.floquet(chain, rest, 1.0), lambda: gx.breathers.family(chain),
         lambda: gx.states.impact(chain) and gx.simulate(gx.Lattice(
             1.0, gx.Modulated(chain.terms[0], gx.Harmonic(0.1, 1.0, mean=1.0)), sites=4), rest, 1.0),
@@ -163,10 +156,8 @@ def test_what_needs_the_present_alone_refuses():
         with pytest.raises(ValueError, match="remember|memory"):
             call()
     for how in ({"solver": gx.SRKN11b()}, {"record": {"a": gx.Peak(lambda t, y, lattice: y.u)}},
-                {"adjoint": gx.Reversible()}, {"save_at": "steps"}, {"tolerance": 1e-30}):
+                {"adjoint": gx.Reversible()}, {"save_at": "steps"}):
         with pytest.raises(ValueError, match=next(iter(how))):
             gx.simulate(chain, rest, 1.0, **how)
-    for wrong, said in ((lambda: gx.WaltonBraun(2.0, 1.0), "unloading"), (lambda: gx.Thornton(1.0, 0.0), "yield"),
-                        (lambda: gx.PlasticContact(WALLS, gx.WaltonBraun(1.0, 2.0), 0.1, 0.05), "largest")):
-        with pytest.raises(ValueError, match=said):
-            wrong()
+    with pytest.raises(ValueError, match="unloading"):
+        gx.WaltonBraun(2.0, 1.0)

@@ -84,9 +84,7 @@ def test_errors_over_speed():
 
 @pytest.mark.parametrize(("call", "said"), [
     (lambda toda: plots.wave_family(toda, quantity="mass"), "quantity: expected one of"),
-    (lambda toda: plots.wave(toda, units="kHz"), "kHz"),
     (lambda toda: closed_forms(gx.Hertz(), 1.0), "K2 > 0, got K2 = 0"),
-    (lambda toda: closed_forms(gx.Toda(), np.ones((2, 2))), "one speed or a list"),
     (lambda toda: closed_forms(gx.Toda(), 0.9), "sound"),
 ])
 def test_what_is_refused(toda, call, said):

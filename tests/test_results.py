@@ -128,16 +128,3 @@ def test_a_result_without_an_outcome_cannot_be_made():
 
     with pytest.raises(TypeError, match="outcome"):
         Mute(1.0)
-
-
-@pytest.mark.study
-def test_a_run_is_written_with_its_records_and_statistics(tmp_path):
-    lattice = gx.scenes.monomer(8, precompression=1.0)
-    record = {"peak": gx.Peak(lambda t, y, lattice: gx.measures.contact_force(lattice, y))}
-    run = gx.simulate(lattice, gx.states.impact(lattice, velocity=0.1), 1.0, save_at=4, record=record)
-    data = xr.load_dataset(run.save(tmp_path / "run.nc"))
-    assert data.u.dims == ("time", "site") and data.v.shape == (4, 8)
-    assert data.u.attrs["units"] == data.attrs["units"] == "scaled"
-    assert data.peak.dims == ("peak_0",) and np.array_equal(data.time, run.ts)
-    assert data.attrs["solver"] == "SRKN11b" and data.attrs["stats_steps"] == int(run.stats["steps"])
-    assert data.attrs["contact_opened"] == 0 and data.attrs["outcome"] == run.outcome

@@ -1,7 +1,6 @@
 """Solvers: orders, structure, tables, dense output, and the ways in which they can be run."""
 
 import diffrax
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -529,23 +528,6 @@ def test_lanes_and_vmap(solver, lanes):
 
 
 @pytest.mark.study
-@pair
-def test_adaptive_vmap(solver):
-    # errors of a step well above what rounding, which differs, makes of them
-    def alone(mass):
-        found = solve(
-            solver(), smooth(), 2.0, None, chain(mass),
-            stepsize_controller=diffrax.PIDController(rtol=1e-6, atol=1e-6),
-        )
-        return last(found)
-
-    masses = jnp.asarray([1.0, 1.5])
-    mapped = jax.vmap(alone)(masses)
-    for i, mass in enumerate(masses):
-        assert np.abs(flat(jax.tree.map(lambda x: x[i], mapped)) - flat(alone(mass))).max() < 1e-13
-
-
-@pytest.mark.study
 @each
 def test_float32_stays_float32(solver):
     y = jax.tree.map(lambda x: x.astype(jnp.float32), smooth())
@@ -599,8 +581,3 @@ def test_derivative_is_that_of_finite_differences(solver, options):
     _, slope_here = value(0.0)
     e = 1e-5
     assert abs((value(e)[0] - value(-e)[0]) / (2 * e) - slope_here) < 1e-8 * abs(slope_here)
-
-
-def test_solvers_are_final_and_hashable():
-    for solver in ALL_SOLVERS:
-        assert isinstance(solver(), eqx.Module) and solver() == solver() and hash(solver()) == hash(solver())

@@ -1,4 +1,3 @@
-from types import SimpleNamespace
 
 import diffrax
 import jax
@@ -81,21 +80,6 @@ def test_batches_of_lattices_have_their_own_tangents():
     many = jax.vmap(lambda c: flow.derivative(STATE, 0.0, 1.0, c)[1], in_axes=-1)(lattices)
     one = flow.derivative(STATE, 0.0, 1.0, gx.scenes.dimer(N, ratio=0.7, precompression=1.0))[1]
     np.testing.assert_allclose(many[1], one, rtol=0, atol=1e-13)
-
-
-class Rate:
-    """An object that JAX knows nothing of."""
-
-    def __init__(self, k):
-        self.k = k
-
-
-@pytest.mark.parametrize("kind", [Rate, lambda k: SimpleNamespace(k=k)])
-def test_arguments_that_may_change_are_read_at_each_call(kind):
-    flow, args = gx.Flow(8, diffrax.Dopri8(), lambda t, y, args: -args["of"].k * y), {"of": kind(1.0)}
-    for k in (1.0, 2.0):
-        args["of"].k = k
-        assert float(flow(1.0, 0, 1, args)) == pytest.approx(np.exp(-k), rel=1e-8)
 
 
 @pytest.mark.slow

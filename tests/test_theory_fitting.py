@@ -212,14 +212,10 @@ def test_the_front_of_a_sonic_vacuum_differentiates():
     (GRANULAR, -0.1, {}, "^c: expected a number above zero.*softens in tension.*fan"),
     (gx.PowerLaw(1.0, 0.5, 1.0), 0.1, {}, "^c: expected a number below zero.*softens in compression"),
     (gx.PowerLaw(1.0, 0.5, 1.0), -3.0, {}, "^c: expected a number above -0.4714"),
-    (gx.PowerLaw(1.0, 0.5), 0.1, {}, "^c: expected a number below zero"),
     (gx.Linear(1.0), 0.1, {}, "^law: expected one that stiffens or softens.*linear_shock"),
     (gx.Polynomial(1.0, 1.0, -1.0), 0.3, {}, "^law: expected one that bends one way.*inflection near 0.3"),
-    (gx.Sine(), 0.3, {}, "^c: expected a number below zero"),
-    (gx.Linear(-1.0), 0.1, {}, "^law: expected one of finite stiffness"),
     (gx.Hertz(), 0.1, {"ahead": -0.1}, "^ahead: expected a strain at which the contacts are closed"),
     (gx.Hertz(), -0.1, {}, "without stiffness in tension"),
-    (gx.Hertz(jnp.ones(3), 1.0 + jnp.arange(3)), 0.1, {}, "^law: expected a uniform chain"),
     (gx.scenes.dimer(8, precompression=1.0), 0.1, {}, "^law: expected a uniform chain"),
 ])
 def test_what_makes_no_such_shock_is_refused(law, c, more, said):

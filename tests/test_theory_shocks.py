@@ -288,12 +288,8 @@ def test_the_modulated_wave_of_kdv():
 @pytest.mark.parametrize("call, said", [
     (lambda: kdv.velocity_shock(-0.1, *NORMAL), r"^c: expected .* in \(0, 1\).*a rarefaction"),
     (lambda: kdv.velocity_shock(1.0, *NORMAL), "^c: expected .*no long, weak wave"),
-    (lambda: kdv.modulation(0.5, 0.1, 1.0, 0.0), "^K3: expected numbers other than zero"),
-    (lambda: kdv.shock_wave(1.0, -1.0, 0.1, *NORMAL), "^t: expected numbers above zero"),
-    (lambda: toda.velocity_shock(0.0), "^c: expected .* above zero.*has a rarefaction"),
     (lambda: toda.modulation(0.7, 2.0), r"^m: expected numbers from 1 - 1/C\^2 on"),
     (lambda: toda.velocity_shock(-0.1), "^c: expected .*pulled apart"),
-    (lambda: toda.velocity_shock(0.1, strength=-1.0, rate=-1.0), "^c: expected .*pulled apart"),
     (lambda: toda.modulation(1.1, 0.5), r"^m: expected numbers in \[0, 1\]"),
     (lambda: toda.shock_wave(1.0, 0.0, 0.5), "^t: expected numbers above zero"),
 ])

@@ -231,25 +231,17 @@ def test_what_a_compacton_of_any_powers_leaves():
 
 
 @pytest.mark.parametrize("call, said", [
-    (lambda: toda.soliton(0.0, 0.0, -1.0), "^k: expected numbers above zero"),
-    (lambda: toda.soliton(0.0, 0.0, 400.0), "^k: expected numbers below 348"),
     (lambda: toda.two_solitons(0.0, 0.0, 1.0, 1.0, centre1=0.0, centre2=5.0), "^k1, k2: expected two that differ"),
-    (lambda: toda.phase_shifts(1.0, 1.0), "^k1, k2: expected two that differ"),
     (lambda: toda.wavenumber(speed=0.9), "^speed: expected numbers above 1.0, the speed of sound"),
     (lambda: toda.wavenumber(speed=2.0, energy=1.0), "expected one of these, got speed, energy"),
     (lambda: toda.wavenumber(amplitude=-1.0), "^amplitude: expected strains of the sign"),
     (lambda: toda.soliton(0.0, 0.0, 1.0, strength=1.0, rate=-1.0), "^strength, rate: expected two numbers of one sign"),
-    (lambda: toda.matched(1.0, 0.0), "^K3: expected numbers other than zero"),
     (lambda: toda.matched(0.0, 0.5), "^K2: expected numbers above zero"),
     (lambda: toda.periodic_wave(0.0, 0.0, 1.0, 0.0, 2.0, 3.0), "^E1, E2, E3, E4: expected E1 < E2"),
-    (lambda: toda.lax_eigenvalues(np.ones(4), np.ones(4)), r"^strain: expected shape \(3,\)"),
-    (lambda: kdv.soliton(0.0, 0.0, 1.0, 0.5, speed=0.99), "^speed: expected numbers above 1.0, the speed of sound"),
-    (lambda: kdv.soliton(0.0, 0.0, 1.0, 0.5), "expected one of these, got none"),
     (lambda: kdv.soliton(0.0, 0.0, 1.0, -0.5, amplitude=0.1), "^amplitude: expected strains of the sign of K3"),
     (lambda: kdv.scales(0.0, 0.0), "^K2: expected numbers above zero, got .*without linear stiffness has no sound"),
     (lambda: kdv.cnoidal(0.0, 0.0, 0.2, 0.1, 0.3, 1.0, 0.5), "^r1, r2, r3: expected r1 <= r2"),
     (lambda: compacton.nesterenko(0.0, 1.0), r"^p: expected numbers in \(1"),
-    (lambda: compacton.rosenau_hyman(0.0, 2.0, 0.5), r"^n: expected numbers in \(1"),
 ])
 def test_what_is_no_wave_is_refused(call, said):
     with pytest.raises(ValueError, match=said):

@@ -1,6 +1,5 @@
 """Units by their names, what a lattice and its results are counted in, and the same in every picture."""
 
-from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -103,18 +102,6 @@ def test_a_run_counted_in_other_units(runs):
     assert back.attrs["units"] == back.v.attrs["units"] == "scaled" and back.v.attrs["si_units"] == "m/s"
 
 
-def test_si_beside_the_units_of_a_scaled_run_is_where_it_goes(runs):
-    si, scaled, units = runs
-    for asked in ((units, "SI"), ("SI", units), ("SI", units, "us")):
-        data = scaled.in_units(*asked)
-        np.testing.assert_allclose(data.time, (1e6 if "us" in asked else 1) * si.ts, rtol=1e-12)
-        assert data.attrs["units"] == "SI" and data.time.attrs["units"] == ("us" if "us" in asked else "s")
-    waves = gx.linear.dispersion(gx.scenes.scaled(steel())[0], np.linspace(0, np.pi, 5))
-    drawn = [plots.dispersion(waves, units=x) for x in (units, ("SI", units))]
-    assert drawn[0].get_ylabel() == drawn[1].get_ylabel() == "frequency (kHz)"
-    np.testing.assert_array_equal(drawn[0].lines[0].get_ydata(), drawn[1].lines[0].get_ydata())
-
-
 def test_units_of_what_nobody_has_said_are_refused_or_said():
     spectrum = gx.measures.spectrum(np.eye(8), 0.1)
     for asked in (("kHz",), (gx.Units(time=1e-3),), (gx.Units(time=1e-3), "kHz")):
@@ -199,20 +186,13 @@ def labels(ax):
     return [ax.get_xlabel(), ax.get_ylabel(), *bars]
 
 
-@pytest.mark.parametrize("asked, time, velocity", [
-    (None, "time (µs)", "velocity (mm/s)"), ("ms", "time (ms)", "velocity (mm/s)"),
-    (("s", "m/s"), "time (s)", "velocity (m/s)"), ("SI", "time (µs)", "velocity (mm/s)"),
-    ("units", "time (scaled)", "velocity (scaled)"),
-])
-def test_a_map_in_units(runs, asked, time, velocity):
+def test_a_map_in_si(runs):
     si, scaled, units = runs
-    asked = units if asked == "units" else asked
-    ax = plots.space_time(si, units=asked)
-    assert labels(ax) == ["site", time, velocity]
-    assert labels(plots.traces(si, units=asked, offset=0))[:2] == [time, velocity]
+    ax = plots.space_time(si)
+    assert labels(ax) == ["site", "time (µs)", "velocity (mm/s)"]
+    assert labels(plots.traces(si, offset=0))[:2] == ["time (µs)", "velocity (mm/s)"]
     # the same picture of scaled numbers, by what leads back
-    both = (units,) if asked in (None, "SI") else (units, *np.atleast_1d(asked)) if asked is not units else None
-    other = plots.space_time(scaled, units=both)
+    other = plots.space_time(scaled, units=units)
     assert labels(other) == labels(ax)
     size = np.abs(ax.images[0].get_array()).max()
     np.testing.assert_allclose(other.images[0].get_array(), ax.images[0].get_array(), atol=1e-9 * size)
@@ -228,113 +208,6 @@ def test_frequency_in_cycles_and_in_radians():
         np.testing.assert_allclose(ax.lines[0].get_ydata(), np.asarray(waves.omega)[:, 0] / size, rtol=1e-12)
     with pytest.raises(ValueError, match=r"spectrum: expected one in SI numbers, as the dispersion, got scaled"):
         plots.dispersion(waves, spectrum=gx.measures.spectrum(np.eye(8), 0.1, units="scaled"))
-
-
-def test_a_family_and_a_hysteresis_in_units():
-    family = SimpleNamespace(omega=2 * np.pi * np.array([7e3, 6e3]), energy=np.array([1e-9, 4e-8]), units="SI",
-                             amplitude=np.array([1e-8, 1e-7]), verdict=np.array(["stable", "stable"]))
-    left, right = plots.branch(family, bands=2 * np.pi * np.array([[0.0, 6.5e3]]))
-    assert [labels(left), labels(right)] == [["frequency (kHz)", "energy (nJ)"],
-                                             ["frequency (kHz)", r"amplitude $\max_n |u_n|$ (nm)"]]
-    assert left.patches[0].get_width() == pytest.approx(6.5)
-    ax = plots.hysteresis(([7e3, 8e3], [1e-3, 2e-3], None), units="SI", x_label="frequency", y_label="rms velocity")
-    assert labels(ax) == ["frequency (kHz)", "rms velocity (mm/s)"]
-    np.testing.assert_allclose(ax.lines[0].get_xydata(), [[7.0, 1.0], [8.0, 2.0]])
-    # a label with a unit of its own is drawn as it stands
-    ax = plots.hysteresis(([7.0, 8.0], [1.0, 2.0], None), units="SI", x_label="drive (dB)", y_label="response")
-    assert labels(ax) == ["drive (dB)", "response"] and ax.lines[0].get_xdata()[0] == 7.0
-
-
-def test_curves_and_laws_in_units():
-    x, y = np.arange(4.0), 1e-6 * np.arange(4.0)
-    assert labels(plots.profile(x, y)) == ["site", "strain"]
-    assert labels(plots.profile(x, y, units="scaled")) == ["site", "strain (scaled)"]
-    ax = plots.profile(x, y, units="SI", points=(x, y))
-    assert labels(ax) == ["site", "strain (µm)"]
-    for line in ax.lines:
-        np.testing.assert_allclose(line.get_ydata(), 1e6 * y)
-    ax = plots.law(y, 1e9 * y**1.5, 0 * y, 2e9 * y**1.5, units="SI")
-    assert labels(ax) == ["compression (µm)", "force (N)"] and ax.get_xlim() == pytest.approx((0.0, 3.0))
-    assert labels(plots.transmission([0.3, 0.6], [1.0, 2.0], y_label="peak force", units="SI"))[1] == "peak force (N)"
-
-
-@pytest.mark.parametrize("draw, message", [
-    (lambda: plots.transmission([0.3, 0.6], [1.0, 2.0], units="us"),
-     "None: no label here names a quantity with units, got 'us'"),
-    (lambda: plots.profile(np.arange(3), np.arange(3.0), units="kHz"), r"units of strain \(m\), got 'kHz'"),
-    (lambda: plots.space_time(np.ones((3, 3)), units="uss"), "the name of a unit, got 'uss'. Nearest: 'us'"),
-])
-def test_words_that_no_axis_takes_are_refused(draw, message):
-    with pytest.raises(ValueError, match=f"units: expected {message}"):
-        draw()
-
-
-def test_an_axis_that_nobody_knows_takes_the_word_that_is_left():
-    ax = plots.space_time(np.ones((3, 3)), ts=1e-3 * np.arange(3.0), units=("ms", "mV"), label="signal")
-    assert labels(ax) == ["site", "time (ms)", "signal (mV)"] and ax.images[0].get_array()[0, 0] == 1e3
-
-
-def test_cycles_and_radians_are_not_guessed():
-    ways = [7e3, 8e3], [1.0, 2.0], None
-    for asked in ("kHz", "rad/s"):
-        with pytest.raises(ValueError, match=r"units: expected a label that says what 'parameter' counts, got .*Hz"):
-            plots.hysteresis(ways, units=asked, y_label="rms velocity")
-    for name, size in (("frequency", 1e3), ("angular frequency", 2e3 * np.pi)):
-        ax = plots.hysteresis(ways, units="kHz", x_label=name, y_label="rms velocity")
-        np.testing.assert_allclose(ax.lines[0].get_xdata(), np.array(ways[0]) / size)
-    family = SimpleNamespace(p=np.array([7e3, 8e3]), response=np.ones(2), verdict=np.array([""] * 2), units="scaled")
-    way = SimpleNamespace(response=np.ones(2))
-    sweep = SimpleNamespace(values=np.array([7e3, 8e3]), up=way, down=None, hysteresis=[], units="SI")
-    with pytest.raises(ValueError, match="orbits: expected one in SI numbers, as the sweep, got scaled"):
-        plots.hysteresis(sweep, orbits=family)
-
-
-def test_labels_of_arrays_and_of_speeds_and_periods(runs):
-    si = runs[0]
-    assert labels(plots.space_time(si.us, ts=si.ts, units="SI")) == ["site", "time (µs)", "quantity"]
-    assert labels(plots.space_time(si, quantity="u"))[2].startswith("displacement (")
-    assert labels(plots.traces(si.ts, si.us, offset=0, units=("us", "nm"))) == ["time (µs)", "quantity (nm)"]
-    ax = plots.profile([1e-3, 2e-3], [2e3, 3e3], x_label="period", y_label="group velocity", units="SI")
-    assert labels(ax) == ["period (ms)", "group velocity (1/ms)"]
-
-
-def test_an_orbit_takes_the_same_words_whether_it_is_stable():
-    vectors = np.array([[0.5], [1.0], [2e3], [4e3]])
-    fl = SimpleNamespace(multipliers=np.array([1.5]), vectors=vectors, krein=np.zeros(1), error=np.zeros(1),
-                         expected=0, rate=0.0, period=1e-3)
-    orbit = SimpleNamespace(state=(np.array([1e-6, 2e-6]), np.zeros(2)), units="SI")
-    axes = plots.breather(orbit, fl, units=("um", "us", "mm/s")).ravel()
-    assert [ax.get_ylabel() for ax in axes[2:]] == ["displacement of the mode", "velocity of the mode (1/ms)"]
-    np.testing.assert_allclose(axes[3].lines[-1].get_ydata(), [2.0, 4.0])
-    orbit.units = "scaled"
-    assert plots.breather(orbit, fl).ravel()[3].get_ylabel() == "velocity of the mode (scaled)"
-
-
-def test_data_beside_a_fitted_gain_have_no_unit():
-    raw = gx.Traces([0.0, 1e-3], velocity=np.array([0.5, 1.0]), sites=0, gain="sensitivity")
-    known = gx.Traces([0.0, 1e-3], velocity=np.array([0.5, 1.0]), sites=0)
-    other = gx.Traces([0.0, 1.0], force=[0.0, 1.0], contacts=0, gain=8.0)
-    assert [x.unit for x in (raw, known, other)] == ["", "m/s", ""]
-    both = raw.data, known.data
-    fit = SimpleNamespace(traces=(raw, known), signals=both, residuals=both, units="SI")
-    axes = plots.fit(fit)
-    assert [ax.get_ylabel() for ax in axes[0]] == ["velocity signal", "velocity (m/s)"]
-    assert axes[0, 0].lines[0].get_ydata().tolist() == [0.5, 1.0]
-    assert plots.fit(fit, units=("us", "mV", "mm/s"))[0, 0].get_ylabel() == "velocity signal (mV)"
-
-
-def test_what_is_a_pure_number_takes_no_words_and_parameters_those_that_are_asked_for():
-    fl = SimpleNamespace(multipliers=np.array([1.0]), krein=np.zeros(1), error=np.zeros(1), expected=1, rate=0.0,
-                         period=1.0)
-    assert labels(plots.floquet_circle(fl, units="SI")) == [r"Re $\rho$", r"Im $\rho$"]
-    with pytest.raises(ValueError, match="units: expected None"):
-        plots.floquet_circle(fl, units="us")
-    fit = SimpleNamespace(parameters={"damping_time": 2e-3, "k": 3.0}, names=("damping_time", "k"),
-                          covariance=np.diag([1e-8, 0.01]), units="SI")
-    assert plots.corner(fit)[1, 0].get_xlabel() == r"damping_time ($10^{-3}$)"
-    axes = plots.corner(fit, units="ms", truths={"damping_time": 2.1e-3})
-    assert (axes[1, 0].get_xlabel(), axes[1, 0].get_ylabel()) == ("damping_time (ms)", "k")
-    assert axes[0, 0].get_title(loc="center") == r"2.00 $\pm$ 0.10" and axes[0, 0].lines[-1].get_xdata()[0] == 2.1
 
 
 def test_sites_and_frames_have_whole_ticks():
