@@ -85,7 +85,7 @@ def newton(residual: Callable[[Any, Any], Any], guess: Parameter, args: Any = No
     - `finish`: from a root that converged take the step that the derivative there gives, which costs nothing more.
 
     **Returns:** `Root`, with the best iterate. **Raises** ValueError for a guess that is no row of numbers, a tolerance
-    that is infinite or below zero; RuntimeError where `throw` and it did not converge: the sentence says how far it came.
+    that is infinite or below zero; RuntimeError where `throw` and it did not converge, saying how far it came.
 
     **Example:**
 

@@ -157,10 +157,13 @@ def _start(equation, psi):
     psi = jnp.asarray(psi)
     psi = psi.astype(jnp.result_type(psi, jnp.complex64))
     check_shape(psi, equation)
-    found = jax.eval_shape(equation.gradient, psi)
+    lanes = "Give the start the equation's lanes, last."
+    try:
+        found = jax.eval_shape(equation.gradient, psi)
+    except (TypeError, ValueError) as error:  # JAX's words for shapes that do not fit
+        refuse("psi", "a start that the equation takes", f"shape {psi.shape}: {error}", lanes)
     if found.shape != psi.shape:
-        refuse("psi", f"shape {found.shape}, with the lanes of the equation", f"shape {psi.shape}",
-               "Give the start the equation's lanes, last.")
+        refuse("psi", f"shape {found.shape}, with the lanes of the equation", f"shape {psi.shape}", lanes)
     return psi.astype(found.dtype)
 
 
