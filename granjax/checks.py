@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-LEAST, MOST = -(2**63), 2**63 - 1
+MOST = 2**63 - 1
 BITS = "A whole number has 64 bits."
 PLAIN = (str, int, float, complex, tuple, list, dict)
 
@@ -147,22 +147,6 @@ def within(
     return array
 
 
-def passable(argument: str, tree: Any) -> None:
-    """Refuse leaves of a tree that JAX neither traces nor tells apart: no numbers, and nothing that has a hash."""
-    try:
-        leaves = jax.tree.leaves(tree)
-    except (RecursionError, SystemError):
-        refuse(argument, "a tree of arrays", "a list that holds itself")
-    for leaf in leaves:
-        unmasked(argument, leaf)
-        if isinstance(leaf, (np.ndarray, np.generic, jax.Array)):
-            wrong = letter(leaf) in "OUSMm"
-        else:
-            wrong = isinstance(leaf, (set, bytearray, slice)) or isinstance(leaf, int) and not LEAST <= leaf <= MOST
-        if wrong:
-            refuse(argument, "a tree of arrays and of what has a hash", described(leaf))
-
-
 def broadcast(**arrays: Any) -> None:
     """Refuse arrays, by their names, whose shapes do not broadcast."""
     shapes = {name: np.shape(x) for name, x in arrays.items()}
@@ -221,28 +205,6 @@ def whole(argument: str, x: Any, at_least: int = 0, remedy: str = "") -> int:
         remedy = BITS if isinstance(x, int) and x > MOST else remedy
         refuse(argument, f"a whole number not below {at_least}", described(x), remedy)
     return int(x)
-
-
-def returned(argument: str, tree: Any) -> Any:
-    """What a function of the user's has returned: arrays of numbers, or a tree of some."""
-    numbers = jax.Array, np.ndarray, np.generic, int, float, complex
-    for leaf in jax.tree.leaves(tree) or [None]:
-        if not isinstance(leaf, numbers) or letter(leaf) not in "biufcV":
-            refuse(argument, "a function that returns arrays of numbers", f"one that returns {described(tree)}")
-    return tree
-
-
-def given_by_name(argument: str, function: Callable, parameters: dict, *others: Any) -> Any:
-    """What a function of the user's gives for a dict of parameters; ValueError where it looks for another name."""
-    try:
-        return function(parameters, *others)
-    except KeyError as error:
-        name = error.args[0] if error.args else ""
-        if not isinstance(name, str) or name in parameters:
-            raise
-        remedy = nearest(name, parameters) or "Every parameter has its start."
-        names = ", ".join(map(repr, parameters))
-        refuse(argument, f"a function of a dict with {names}", f"one that looks for {name!r}", remedy)
 
 
 def held_in_memory(argument: str, count: int, each: int = 16, what: str = "sites") -> None:
