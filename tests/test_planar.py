@@ -136,7 +136,7 @@ X = np.linspace(0, 10, 50)
     (lambda: planar_ode(X[::4], np.sin(X[::4]), degree=9), "points or more"),
     (lambda: planar_ode(X[::-1], np.sin(X)), "increase"),
     (lambda: planar_ode(X, np.sin(X[:-1])), "as many places"),
-    (lambda: planar_ode([X, X], np.sin(X)), "several of the other"),
+    (lambda: planar_ode([X, X], np.sin(X)), "one train, or as many"),
     (lambda: planar_ode(X, np.where(X > 5, np.nan, np.sin(X))), "finite"),
     (lambda: planar_ode(X, np.sin(X), degree=0), "degree"),
     (lambda: planar_ode(*solved(0.3), degree=2).periodic(crest=2.0), "crest: expected one of a periodic orbit"),

@@ -153,6 +153,7 @@ BAD = [
     (lambda: gx.plots.sweep(xarray.Dataset({"a": ("x", np.ones(3))})), "data: expected coordinates"),
     (lambda: gx.plots.sweep(two(), lines="rate"), "lines: expected one of 'ratio', 'load'"),
     (lambda: gx.plots.sweep(one(), lines="ratio"), "lines: expected None, but for a grid of two"),
+    (lambda: gx.plots.sweep(two(), bands="verdict"), "bands: expected None"),
     (lambda: gx.plots.sweep(three(), ax=plt.subplots()[1]), "ax: expected None where the picture has 3 panels"),
     (lambda: gx.plots.sweep(two(), units="mm"), "units: expected units of"),
     (lambda: gx.plots.sweep(two(), scale="logarithmic"), "scale: expected one of"),

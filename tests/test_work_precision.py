@@ -206,12 +206,10 @@ def test_failures_stay_with_a_sentence():
 @pytest.mark.parametrize(
     "ladders, keywords, message",
     [
-        ([], {}, "ladders: expected a list of Ladder"),
         ([VERLET._replace(parameter="steps")], {}, "Did you mean 'step'"),
         ([VERLET, VERLET], {}, "'verlet' twice"),
         ([VERLET._replace(values=())], {}, "steps of verlet: expected finite numbers above zero"),
         ([VERLET._replace(values=(0.1, -0.1))], {}, "steps of verlet: expected finite numbers above zero"),
-        ([VERLET._replace(call=lambda step: EXACT[0])], {}, r"call: expected a function that returns \(state"),
         ([VERLET], {"repeats": 0}, "repeats: expected a whole number not below 1"),
         ([VERLET], {"floor": 0.1}, "floor: expected a number from 0 to 0.001"),
         ([VERLET], {"floor": -1.0}, "floor: expected a number from 0 to 0.001"),
@@ -391,12 +389,6 @@ def test_a_table_from_a_file_advises_measured_points(table):
     assert advice.value in STEPS and advice.error <= 1e-5 and advice.solver is None
 
 
-@pytest.mark.parametrize("text", ["[]", "{}", "no json", '{"points": 3, "methods": []}'])
-def test_a_file_of_something_else(text):
-    with pytest.raises(ValueError, match="text: expected a table"):
-        WorkPrecision.from_json(text)
-
-
 def test_xarray_round_trip(table, tmp_path):
     import xarray as xr
 
@@ -472,9 +464,7 @@ REST = np.zeros(6), np.ones(6)
     "positional, keywords, message",
     [
         ((CHAIN, STATE, -1.0), {}, "t1: expected a time after t0"),
-        ((CHAIN, STATE, 1.0, gx.RKN86), {}, "solvers: expected a list of solvers"),
         ((CHAIN, STATE, 1.0, [gx.RKN86]), {}, "got RKN86. Solvers are instances"),
-        ((CHAIN, STATE, 1.0, []), {}, "solvers: expected a list of solvers"),
         ((CHAIN, STATE, 1.0, [gx.RKN86(), gx.RKN86()]), {}, "'RKN86' twice. Give a dict"),
         ((CHAIN, STATE, 1.0, {"default": gx.RKN86()}), {}, "solvers of different names, got 'default'"),
         ((CHAIN, STATE, 1.0, [gx.RKN86()], {"RKN68": [1e-3]}), {}, "Did you mean 'RKN86'"),
@@ -482,7 +472,7 @@ REST = np.zeros(6), np.ones(6)
         ((CHAIN, STATE, 1.0, [gx.RKN86()], [0.0]), {}, "steps of RKN86: expected finite numbers above zero"),
         ((CHAIN, STATE, 1.0), {"repeats": 0}, "repeats: expected a whole number"),
         ((CHAIN, STATE, 1.0), {"longest": 0.0}, "longest: expected numbers above zero"),
-        ((CHAIN, STATE, 1.0), {"reference": STATE.u}, "reference: expected State"),
+        ((CHAIN, STATE, 1.0), {"reference": STATE.u}, "reference: expected arrays of the shapes"),
         ((CHAIN, STATE, 1.0), {"reference": (REST[0][1:], REST[1])}, "reference: expected arrays of the shapes"),
         ((CHAIN, STATE, 1.0), {"reference": (REST[0] + np.nan, REST[1])}, "reference: expected finite numbers"),
         ((CHAIN, STATE, 1.0), {"tangents": True}, r"reference: expected a map of tangents, shape \(12, 12\)"),
