@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .checks import broadcast, concrete, described, positive, real, refuse, within
+from .checks import broadcast, concrete, positive, real, refuse, within
 from .printing import called
 from .types import Number, Parameter
 
@@ -138,8 +138,6 @@ def stack(materials: Sequence[str | Material]) -> Material:
     [8000.0, 2200.0, 8000.0, 2200.0]
     """
     bodies = [named(f"materials[{i}]", m) for i, m in enumerate(materials)]
-    if not bodies or any(jnp.ndim(x) for b in bodies for x in (b.young, b.poisson, b.density)):
-        refuse("materials", "at least one, none of them stacked already", described(materials))
     young, poisson, density = (jnp.stack([getattr(b, n) for b in bodies]) for n in ("young", "poisson", "density"))
     placed = Material("mixed", jnp.ones(len(bodies)), 0.0, 1.0, "; ".join(dict.fromkeys(b.source for b in bodies)))
     return eqx.tree_at(lambda m: (m.young, m.poisson, m.density), placed, (young, poisson, density))

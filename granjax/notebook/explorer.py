@@ -120,7 +120,7 @@ class Explorer:
         """Set some sliders at once. **Raises** ValueError for a slider that is not there, a value beyond its ends."""
         for name, x in values.items():
             span = self._scenery.ranges[one_of("slider", name, self.sliders)]
-            if not (isinstance(x, (int, float, np.number)) and span.low <= x <= span.high):
+            if not span.low <= x <= span.high:
                 refuse(name, f"a number from {show(span.low)} to {show(span.high)}", described(x))
         self._held = True
         try:

@@ -124,8 +124,6 @@ class Scenery:
         lattice = self._scene.make(**values)
         paired = isinstance(lattice, (tuple, list)) and len(lattice) == 2
         lattice, state = lattice if paired else (lattice, None)
-        if not isinstance(lattice, Lattice):
-            refuse("scene", "a function that returns a Lattice, or a pair of it and a State", described(lattice))
         if lattice.lanes:
             refuse("scene", "one lattice at a time", f"one of {lattice.lanes} lanes", "A slider moves through them.")
         if state is None and self._state is None:

@@ -69,15 +69,10 @@ def movable(scene: Lattice | Callable, given: Mapping[str, Any]) -> Movable:
 
 def _of_function(scene, given):
     """The function, its parameters by name, and whether it is the user's own."""
-    try:
-        found = inspect.signature(scene).parameters.values()
-    except (TypeError, ValueError):
-        found = ()
+    found = inspect.signature(scene).parameters.values()
     known = {p.name: p for p in found if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)}
     every = any(p.kind is p.VAR_KEYWORD for p in found)
     alone = [p for p in known.values() if p.default is p.empty]
-    if any(p.kind is p.POSITIONAL_ONLY for p in found) or not (known or every):
-        refuse("scene", "a function of named numbers", described(scene), "Such as lambda ratio, load: ....")
     if len(known) == len(alone) == 1 and given and alone[0].name not in {*given, RATIO, PRECOMPRESSION}:
         return lambda **values: scene(values), {}, True  # of one dict
     for name in given:
@@ -159,9 +154,7 @@ def about(value: float) -> Slider:
 def _ranged(name, x, default, count):
     """The slider of a range that was given."""
     log = len(x) == 3 and x[2] == "log"
-    if len(x) != 2 and not log:
-        refuse(name, "a range (low, high) or (low, high, 'log'), or one value", described(x))
-    low, high = (float(end) for end in real(name, x[:2]))
+    low, high = (float(end) for end in real(name, x[: 2 if log else None]))
     if not (math.isfinite(low) and math.isfinite(high) and low < high) or log and low <= 0:
         refuse(name, f"two finite numbers, the lower one first{' and above zero' if log else ''}", described(x))
     if all(map(is_whole, x[:2])) and (count or is_whole(default)):

@@ -15,7 +15,7 @@ from .sweep_fields import edges_of, field_of, name_axis, places, with_lines
 
 SCALES = ("linear", "log")
 # values of an own axis that are lines of one picture, values of a parameter that are panels, words with a colour each
-LINES, PANELS, WORDS = 8, 16, len(COLOURS)
+PANELS, WORDS = 16, len(COLOURS)
 GAP = "0.85"
 # letters in a row of a legend, and of what stands before each label
 ROW, HANDLE = 64, 6
@@ -60,6 +60,8 @@ def sweep(
     count = len(field.parameters)
     if lines is not None:
         field = with_lines(field, lines)
+    if bands is not None and (count != 1 or not field.grid):
+        refuse("bands", "None, but for a line over one parameter of a grid", repr(bands))
     if field.values.ndim > field.failed.ndim and count > 1:
         refuse("name", "a variable with one value per lane, where several parameters vary", repr(field.name),
                f"Pick one: data.isel({field.name}_0=0).")

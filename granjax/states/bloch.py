@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import concrete, parameter, positive, refuse, show, traced, whole
+from ..checks import concrete, one_of, parameter, positive, refuse, show, traced, whole
 from ..lattice import Lattice, State
 from ..linear.cell import by_sites, unit_cell
 from ..linear.stiffness import grid, unpack
@@ -88,10 +88,8 @@ def _point(k, vectors, axes):
     """Phases per cell (axes,)."""
     if isinstance(k, str):
         known = named_points(vectors, axes)
-        if k not in known:
-            refuse("k", f"phases per cell, or a name among {sorted(known)}", repr(k))
-        return known[k]
-    k = np.atleast_1d(np.asarray(concrete(parameter("k", k)), float))
+        return known[one_of("k", k, known)]
+    k = np.atleast_1d(np.asarray(parameter("k", k), float))
     if k.shape != (axes,):
         refuse("k", f"{axes} phases, one per axis of the lattice", f"shape {k.shape}")
     return k
@@ -114,7 +112,7 @@ def _chosen(band, size):
     if band is None:
         return None
     numbers = [whole("band", b, 0) for b in (band if isinstance(band, tuple) else (band,))]
-    if not numbers or len(set(numbers)) < len(numbers) or max(numbers) >= size:
+    if len(set(numbers)) < len(numbers) or max(numbers) >= size:
         refuse("band", f"whole numbers below {size}, each once", repr(band), "Bands are counted from 0.")
     return tuple(numbers)
 
@@ -141,8 +139,6 @@ def _polarisation(found, k, bands, given, scale):
 
 def _given_polarisation(found, given):
     names = sorted(found.fields) if found.fields else None
-    if names is not None and (not isinstance(given, dict) or set(given) != set(names)):
-        refuse("polarisation", f"a dict of {names}", repr(type(given).__name__))
     vector = () if found.dimension is None else (found.dimension,)
     wanted = found.cell + vector
     parts = []

@@ -1,8 +1,9 @@
 """Which field and which site a state speaks of, checked against the lattice."""
 
+import operator
 from typing import Any
 
-from ..checks import concrete, is_whole, one_of, parameter, refuse, show
+from ..checks import concrete, one_of, parameter, refuse, show
 from ..lattice import Lattice
 
 
@@ -24,13 +25,10 @@ def site_of(lattice: Lattice, site: Any, field: str | None) -> tuple[int, ...]:
     """A site's index as a tuple, in range."""
     shape = lattice.sites if field is None else lattice.sites[field]
     index = tuple(site) if isinstance(site, (tuple, list)) else (site,)
-    if not all(map(is_whole, index)) or len(index) != len(shape):
-        one = "a whole number" if len(shape) == 1 else f"{len(shape)} whole numbers, one per axis"
-        refuse("site", one, repr(site), "Sites are counted from 0, negative ones from the end.")
-    if any(not -n <= i < n for i, n in zip(index, shape)):
+    if len(index) != len(shape) or any(not -n <= i < n for i, n in zip(index, shape)):
         ranges = ", ".join(f"{-n} ... {n - 1}" for n in shape)
-        refuse("site", f"an index within {ranges}", repr(site), f"The lattice has {shape} sites.")
-    return tuple(int(i) for i in index)
+        refuse("site", f"an index for each axis, within {ranges}", repr(site), "Sites are counted from 0.")
+    return tuple(map(operator.index, index))
 
 
 def chain_only(lattice: Lattice, what: str) -> int:

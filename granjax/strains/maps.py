@@ -9,7 +9,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import refuse
 from ..types import Displacements, Number, Numbers
 from ..units import Dimensional
 
@@ -257,6 +256,5 @@ def checked_fields(fields: str | Sequence[str] | None):
         return None
     if isinstance(fields, str):
         return fields, fields
-    if len(fields) != 2:
-        refuse("fields", "a name, or the names of tail and head", repr(fields), 'Write fields=("bead", "resonator").')
-    return tuple(fields)
+    tail, head = fields
+    return tail, head

@@ -56,7 +56,7 @@ class Pairs(TwoEnds):
             least = (max(least),) * 2
         given = least if sites is None else tuple(sites) if isinstance(sites, (tuple, list)) else (sites,) * 2
         given = tuple(whole("sites", g) for g in given)
-        if len(given) != 2 or any(g < n for g, n in zip(given, least)):
+        if any(g < n for g, n in zip(given, least)):
             refuse("sites", f"at least {max(least)}, the largest index and one", repr(sites))
         self.sites = given
 
@@ -104,10 +104,7 @@ def _over(weight, x):
 
 
 def _indices(name, x):
-    try:
-        x = np.asarray(x)
-    except ValueError:
-        refuse(name, "a list of site indices (-1 for a wall)", repr(x))
+    x = np.asarray(x)
     if x.ndim != 1 or x.size == 0 or x.dtype.kind not in "iu" or x.min() < WALL:
         refuse(name, "a list of site indices (-1 for a wall)", np.array2string(x, threshold=6))
     return tuple(int(i) for i in x)

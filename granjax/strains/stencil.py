@@ -177,12 +177,7 @@ class Stencil(_Grid):
     boundary: tuple[str, ...] = eqx.field(static=True)
 
     def __init__(self, parts: Sequence, boundary: str | Sequence[str] = "fixed"):
-        parts = tuple(parts) if isinstance(parts, (tuple, list)) else ()
-        if not parts or any(not isinstance(p, (tuple, list)) or len(p) != 3 for p in parts):
-            refuse("parts", "triples (field, offset, weight)", repr(parts), 'Write [("u", 0, 1.0), ("u", 1, -1.0)].')
         self.fields = tuple(field for field, _, _ in parts)
-        if any(f is not None for f in self.fields) and not all(isinstance(f, str) for f in self.fields):
-            refuse("parts", "names of fields, or None in every part", repr(self.fields))
         self.offsets = tuple(_offsets(offset) for _, offset, _ in parts)
         if len({len(offset) for offset in self.offsets}) > 1:
             refuse("parts", "offsets of one length, a number per axis", repr(self.offsets))

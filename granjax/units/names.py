@@ -141,8 +141,6 @@ class Counted(NamedTuple):
     def size(self, unit: Named) -> float:
         """Size of a quantity's unit in SI, of numbers that are scaled by a `Units`."""
         size = np.asarray(self.sizes.of(*(float(x) for x in unit.dimension[:3])))
-        if size.ndim:
-            refuse("units", "a Units of single numbers", f"one of {size.shape} lanes", "Pick one of them.")
         return float(size)
 
     def word(self, dimension: Sequence[Fraction]) -> Named | None:
@@ -192,11 +190,10 @@ def settled(units: UnitsOrWords, said: str | None, argument: str = "units") -> C
 def asked_for(units: UnitsOrWords, argument: str = "units") -> tuple[str | None, Units | None, list[Named]]:
     """("SI" or "scaled", a `Units`, the units that are named) of what somebody asks for."""
     every = [] if units is None else [units] if isinstance(units, (str, Units)) else list(units)
-    known = all(isinstance(x, (str, Units)) for x in every)
-    kinds = [x for x in every if isinstance(x, str) and x in (SI, SCALED)] if known else None
-    if kinds is None or len(kinds) > 1 or sum(isinstance(x, Units) for x in every) > 1:
+    kinds = [x for x in every if isinstance(x, str) and x in (SI, SCALED)]
+    if len(kinds) > 1 or sum(isinstance(x, Units) for x in every) > 1:
         refuse(argument, "words such as 'us', ('kHz', 'mm/s'), 'SI' or 'scaled', and one Units at most", repr(units))
-    words = [named_unit(argument, x) for x in every if isinstance(x, str) and x not in kinds]
+    words = [named_unit(argument, x) for x in every if not isinstance(x, Units) and x not in kinds]
     for i, word in enumerate(words):
         for other in words[:i]:
             if word.dimension == other.dimension:

@@ -51,8 +51,6 @@ class Ladder(NamedTuple):
 
 def checked_ladders(ladders: Sequence[Ladder]) -> tuple[Ladder, ...]:
     """The ladders as a tuple. **Raises** ValueError for none, two of one name, values that cannot be meant."""
-    if not len(ladders):
-        refuse("ladders", "a list of Ladder(name, parameter, values, call)", "none")
     for i, ladder in enumerate(ladders):
         one_of(f"ladders[{i}].parameter", ladder.parameter, PARAMETERS)
     names = [ladder.name for ladder in ladders]
@@ -93,8 +91,6 @@ def once(call: Callable, value: float) -> Called:
     except (ValueError, RuntimeError) as error:
         return Called(None, np.nan, np.nan, time.perf_counter() - start, str(error))
     seconds = time.perf_counter() - start
-    if not isinstance(result, tuple) or len(result) not in (2, 3):
-        refuse("call", "a function that returns (state, evaluations) or (state, evaluations, steps)", repr(result)[:60])
     state, *counts = result
     evaluations, steps = (*counts, None, None)[:2]
     return Called(state, _count(evaluations), _count(steps), seconds, "")

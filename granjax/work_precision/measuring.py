@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..checks import held_in_memory, refuse, whole
+from ..checks import refuse, whole
 from ..types import Count, Pytree, Scalar
 from .ladder import ASYMPTOTIC, Ladder, checked_ladders, distance, in_turns, once, warmed
 from .table import DRAWN, LARGEST_FLOOR, WorkPrecision
@@ -48,7 +48,6 @@ def measure(
     a state of other shapes than the reference.
     """
     ladders, repeats = checked_ladders(ladders), whole("repeats", repeats, 1)
-    held_in_memory("repeats", repeats, 8, "times of a call")
     if floor < 0 or floor > LARGEST_FLOOR:
         remedy = "A reference of that uncertainty tells nothing; end the run earlier."
         refuse("floor", f"a number from 0 to {LARGEST_FLOOR:g}, or NaN where it is not known", f"{floor:g}", remedy)

@@ -121,8 +121,6 @@ def _given(reference, uncertainty, state, tangents):
     size = sum(x.size for x in jax.tree.leaves(state))
     if tangents and np.shape(reference) != (size, size):
         refuse("reference", f"a map of tangents, shape {(size, size)}", f"shape {np.shape(reference)}")
-    if not tangents and (not isinstance(reference, tuple | list) or len(reference) != 2):
-        refuse("reference", "State(u, v) or a pair (u, v)", repr(type(reference).__name__))
     reference = np.asarray(reference) if tangents else tuple(reference)
     if not math.isfinite(distance(np.zeros((size, size)) if tangents else state, reference)):
         refuse("reference", "finite numbers", "some that are not", "Look for NaN or infinity.")

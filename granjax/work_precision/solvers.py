@@ -61,8 +61,6 @@ def checked_solvers(solvers: diffrax.AbstractSolver | Sequence | Mapping | None,
         return sensible_solvers(lattice)
     if isinstance(solvers, diffrax.AbstractSolver):
         solvers = [solvers]
-    if not isinstance(solvers, list | tuple | dict) or not solvers:
-        refuse("solvers", "a list of solvers, such as [gx.SRKN11b(), gx.RKN86()]", repr(solvers)[:60])
     named = solvers.items() if isinstance(solvers, dict) else [(None, solver) for solver in solvers]
     found = {}
     for name, solver in named:
