@@ -112,7 +112,7 @@ Measurements and design
 Sweeps
     sweep               a function of parameters over a grid, a list or a random design; kept, resumed, on many machines
     sweeps              designs of a sweep: `paired`, `random`
-Theory and studies
+Theory
     theory              closed forms: envelopes (nls), Toda, KdV, compactons, elliptic functions, shocks, Stokes waves
     travelling          solitary waves, and waves of dimers and of beads with resonators; collisions, reflection
     shocks              dispersive shocks: strain steps, velocity shocks, pistons, impacts
@@ -207,10 +207,10 @@ _LAZY = {
     name: f".{name}" for name in (
         "breathers", "continuation", "driven", "first_order", "floquet", "forced",
         "fractional", "identify", "kinks", "linear", "materials", "measures", "newton",
-        "orbits", "plots", "scenes", "shocks", "states", "sweeps",
+        "orbits", "plots", "resonance", "scenes", "shocks", "states", "sweeps",
         "theory", "topology", "travelling",
     )
-} | {"resonance": ".studies.resonance"}
+}
 _WITHIN = {
     "Equilibrium": ".equilibria", "Resonator": ".travelling", "equilibrium": ".equilibria", "explore": ".notebook",
     "sweep": ".sweeps",

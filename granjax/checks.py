@@ -15,7 +15,6 @@ import numpy as np
 
 LEAST, MOST = -(2**63), 2**63 - 1
 BITS = "A whole number has 64 bits."
-DIGITS = 60
 PLAIN = (str, int, float, complex, tuple, list, dict)
 
 
@@ -48,33 +47,15 @@ def show(x: Any) -> str:
     return np.array2string(x, threshold=6, edgeitems=2, precision=6) if x.ndim else repr(x.item())
 
 
-class _Short(reprlib.Repr):
-    """`repr` of what may be anything: short, and never an error."""
-
-    def __init__(self):
-        super().__init__()
-        self.maxother = self.maxstring = DIGITS
-
-    def repr_int(self, x, level):
-        return repr(x) if x.bit_length() < 3 * DIGITS else f"a whole number of {int(x.bit_length() * 0.30103)} digits"
-
-    def repr_instance(self, x, level):
-        return described(x) if isinstance(x, (np.ndarray, jax.Array)) else super().repr_instance(x, level)
-
-
-_short = _Short()
-
-
 def described(x: Any) -> str:
     """What was given, in a few words."""
     if isinstance(x, jax.core.Tracer):
         return f"a traced value of type {x.dtype} and shape {x.shape}"
     if isinstance(x, (np.ndarray, jax.Array)):
-        kind = {"O": "objects", "U": "strings", "S": "bytes"}.get(letter(x), x.dtype)
-        return f"an array of {kind}, shape {x.shape}" if np.ndim(x) or letter(x) not in "fiub" else f"{x}, an array"
+        return f"an array of {x.dtype}, shape {x.shape}" if np.ndim(x) else f"{x}, an array"
     if isinstance(x, type):
         return f"the class {x.__name__}"
-    text = " ".join(_short.repr(x).split())
+    text = reprlib.repr(x)
     return text if isinstance(x, (*PLAIN, type(None))) else f"{text} of type {type(x).__name__}"
 
 
@@ -217,18 +198,6 @@ def nearest(name: str, options: Iterable, most: int = 1) -> str:
     lowered = {str(option).lower(): option for option in options}
     near = [lowered[n] for n in difflib.get_close_matches(name.lower(), lowered, n=most, cutoff=0.6)]
     return f"Did you mean {' or '.join(map(repr, near))}?" if near else ""
-
-
-def unexpected(function: Callable, name: str, options: Iterable[str]) -> NoReturn:
-    """Raise Python's TypeError for a keyword that a function does not take.
-
-    The sentence names the keyword that is nearest to it, as Python 3.13 does, and all of them where none is near.
-    """
-    options = [option for option in options if option != "self"]
-    every = f"Its keywords are {', '.join(options)}." if options else "It takes no keywords."
-    called = function.__qualname__.removesuffix(".__init__")
-    remedy = nearest(name, options) or every
-    raise TypeError(f"{called}() got an unexpected keyword argument {name!r}. {remedy}") from None
 
 
 def one_of(argument: str, name: Any, options: Iterable) -> Any:

@@ -8,7 +8,6 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from .checks import described, held_in_memory, refuse
 from .types import AnyArray, Scalar
 
 CONVERGED, STALLED, SPENT, NOT_FINITE, NO_GRADIENT, NO_START = range(6)
@@ -43,14 +42,6 @@ class _Place(eqx.Module):
     gradient: Float[AnyArray, " P"]
     step: Float[AnyArray, " P"]
     state: object
-
-
-def checked_optimiser(optimiser: object) -> object:
-    """An optimiser of optax, or `None`."""
-    methods = (getattr(optimiser, name, None) for name in ("init", "update"))
-    if optimiser is not None and not all(map(callable, methods)):
-        refuse("optimiser", "an optimiser of optax, or None", described(optimiser), "Such as optax.adam(0.1).")
-    return optimiser
 
 
 def descend(
@@ -106,7 +97,6 @@ def descend(
         place = jax.tree.map(lambda new, old: jnp.where(accepted, new, old), onward, place)
         return place, part, tried + 1, i + accepted, best, largest, start, code, values, norms
 
-    held_in_memory("max_steps", max_steps, 32, "steps")
     none = jnp.full(max_steps + 1, jnp.nan)
     place = _Place(zero, jnp.inf, zero, zero, optimiser.init(zero))
     carry = (place, 1.0, 0, 0, (jnp.inf, zero), 0.0, zero, -1, none, none)

@@ -10,9 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Integer
 
-from .checks import described, given_by_name, held_in_memory, one_of, parameter, refuse, whole, within
+from .checks import described, one_of, parameter, refuse, within
 from .checks import tolerance as checked_tolerance
-from .descent import CONVERGED, NO_GRADIENT, NO_START, NOT_FINITE, SPENT, STALLED, checked_optimiser, descend
+from .descent import CONVERGED, NO_GRADIENT, NO_START, NOT_FINITE, SPENT, STALLED, descend
 from .parameters import Bounds, Coordinates
 from .results import Held, Result
 from .types import AnyArray, Count, Numbers, Parameter, Scalar
@@ -128,8 +128,7 @@ def design(
     """
     coordinates = Coordinates(start, bounds)
     mode = one_of("mode", mode or MODES[coordinates.size > FEW], MODES)
-    max_steps = whole("max_steps", max_steps, 1)
-    optimiser, tolerance = checked_optimiser(optimiser), jnp.asarray(checked_tolerance("tolerance", tolerance))
+    tolerance = jnp.asarray(checked_tolerance("tolerance", tolerance))
     if coordinates.sizeless:
         coordinates = coordinates.sized(*_first(objective, coordinates, mode))
     ends = [_solve(objective, start, optimiser, max_steps, tolerance, bool(maximise), mode)
@@ -157,12 +156,7 @@ def smooth_peak(values: Parameter, power: Scalar = 40, axis: int | tuple[int, ..
     2.9672
     """
     values = jnp.maximum(parameter("values", values), 0)
-    if not values.size:
-        refuse("values", "at least one number", f"shape {values.shape}")
     power = within("power", power, 1, np.inf, open_low=True, open_high=True)
-    axes, ndim = () if axis is None else axis if isinstance(axis, tuple) else (axis,), values.ndim
-    if not all(-ndim <= one < ndim for one in axes) or len({one % ndim for one in axes}) < len(axes):
-        refuse("axis", f"axes of the values, shape {values.shape}, each once", described(axis))
     return _peak(values, power, axis)
 
 
@@ -181,17 +175,9 @@ def _others(coordinates, bounds, starts, seed):
     if starts is None:
         return []
     if isinstance(starts, (list, tuple)):
-        own = []
-        for i, start in enumerate(starts):
-            if sorted(start) != sorted(coordinates.start):
-                refuse(f"starts[{i}]", f"a dict of {sorted(coordinates.start)}", described(start))
-            full = {name: jnp.broadcast_to(parameter(f"starts[{i}][{name!r}]", start[name]), x.shape)
-                    for name, x in coordinates.start.items()}
-            own.append(Coordinates(full, bounds))
-        return own
-    starts = whole("starts", starts, 0)
-    held_in_memory("starts", starts, 64 * coordinates.size, "starts")
-    draws = np.random.default_rng(whole("seed", seed)).normal(size=(starts, coordinates.size))
+        return [Coordinates({name: jnp.broadcast_to(start[name], x.shape) for name, x in coordinates.start.items()},
+                            bounds) for start in starts]
+    draws = np.random.default_rng(seed).normal(size=(starts, coordinates.size))
     return [Coordinates(coordinates.parameters(jnp.asarray(x)), bounds) for x in draws]
 
 
@@ -203,8 +189,7 @@ def _listed(names, which):
 def _with_gradient(objective, coordinates, maximise, mode):
     """The cost of free coordinates, less is better, and its value with the gradient by the mode."""
     def cost(x):
-        value = given_by_name("objective", objective, coordinates.parameters(x))
-        value = jnp.asarray(value)
+        value = jnp.asarray(objective(coordinates.parameters(x)))
         if value.ndim or not jnp.issubdtype(value.dtype, jnp.floating):
             remedy = "Reduce it, such as by .sum() or smooth_peak."
             refuse("objective", "a function that gives one real number", f"one that gives {described(value)}", remedy)

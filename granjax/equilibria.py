@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from .checks import is_whole, one_of, refuse, traced, whole
+from .checks import one_of, refuse, traced
 from .lattice import Lattice, State
 from .lattice.model import check_shape as _check_shape
 from .newton import newton
@@ -173,7 +173,6 @@ def equilibrium(
     >>> rest.state.u.round(4)
     Array([0.5, 1. , 0.5], dtype=float64)
     """
-    max_steps = whole("max_steps", max_steps, 1)
     problem = _posed(_still(lattice), hold, loads, guess)
     if problem.guess.size > DENSE:
         return _result(problem, problem.guess, None, f"More than {DENSE} displacements are not solved for.", throw)
@@ -321,9 +320,9 @@ def _chosen(lattice, hold):
     sites = min(s.shape[0] for s in jax.tree.leaves(lattice.template()))
     flags = np.zeros(sum(s.size for s in jax.tree.leaves(lattice.template())), bool)
     for site in hold:
-        if not is_whole(site) or not -sites <= site < sites:
+        if not -sites <= site < sites:
             refuse("hold", f"{', '.join(map(repr, HOLDS))}, or sites from 0 to {sites - 1}", repr(hold))
-        flags |= _slab(lattice, 0, int(site))
+        flags |= _slab(lattice, 0, site)
     return flags
 
 

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .checks import parameter, refuse, traced
+from .checks import refuse
 from .lattice import Lattice, State, spread_mass
 from .newton import newton
 from .results import STATE, Held, Result
@@ -112,7 +112,7 @@ def kink(lattice: Lattice, right: Scalar, left: Scalar = 0.0, *, centre: Scalar 
     """
     left, right, scale = _checked_wells(lattice, right, left)
     n = np.arange(lattice.sites[0])
-    middle = (len(n) - 1) // 2 + 0.5 if centre is None else float(parameter("centre", centre))
+    middle = (len(n) - 1) // 2 + 0.5 if centre is None else centre
     if not 0 < middle < len(n) - 1:
         refuse("centre", f"a place between the first and the last of {len(n)} sites", f"{middle:g}")
     middle = round(2 * middle) / 2
@@ -188,12 +188,12 @@ def moving(
     9.0434
     """
     rest = kink(lattice, right, left)
-    speed, top = float(parameter("velocity", velocity)), _long_waves(lattice, float(left))
+    speed, top = float(velocity), _long_waves(lattice, float(left))
     if not abs(speed) < top:
         refuse("velocity", f"a speed below {top:.6g}, that of long waves", f"{speed:g}")
     n = np.arange(lattice.sites[0])
     middle = (len(n) - 1) // 2 + 0.5
-    begin = middle if centre is None else float(parameter("centre", centre))
+    begin = middle if centre is None else centre
     stretch = 1 / np.sqrt(1 - (speed / top) ** 2)
     profile, slope = _profile(np.asarray(rest.state.u), stretch * (n - begin) + middle, float(left), float(right))
     return State(jnp.asarray(profile, lattice.dtype), jnp.asarray(-speed * stretch * slope, lattice.dtype))
@@ -304,15 +304,13 @@ def _told(lattice, problem, x, left):
 
 def _checked_wells(lattice, right, left):
     """(left, right, the largest force between them), of a chain in which both are wells."""
-    if traced((lattice, right, left)):
-        refuse("lattice", "numbers known before tracing", "traced ones", "A kink has no derivative here.")
     if lattice.lanes:
         refuse("lattice", "one lattice", f"a batch with lanes {lattice.lanes}", "Ask for one lane at a time.")
     if isinstance(lattice.template(), dict) or lattice.dimension is not None or lattice.axes != 1:
         refuse("lattice", "one chain of scalar displacements", f"one of shape {lattice.shape}")
     if not lattice.conserves:
         refuse("lattice", "forces that depend on positions alone", ", ".join(lattice.unkept()))
-    left, right = (float(parameter(name, x)) for name, x in (("left", left), ("right", right)))
+    left, right = float(left), float(right)
     if left == right:
         refuse("right", "another well than the left one", f"{right:g}")
     forces = np.asarray(_uniform(lattice, jnp.linspace(left, right, WAY)))

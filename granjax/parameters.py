@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from .checks import concrete, described, one_of, parameter, refuse, show
+from .checks import concrete, one_of, parameter, refuse, show
 from .printing import told
 from .types import AnyArray, Numbers, Parameter, Scalar
 
@@ -29,7 +29,7 @@ class Coordinates(eqx.Module):
 
     **Arguments:** `start`: dict from name to a number or an array. `bounds`: dict from name to (low, high), numbers or
     arrays, `None` for no bound; names that are left out are free.
-    **Raises** ValueError for an empty dict, a bound of no parameter, or a start that is not inside of its bounds.
+    **Raises** ValueError for a bound of no parameter, or a start that is not inside of its bounds.
     """
 
     start: dict[str, Numbers]
@@ -40,8 +40,6 @@ class Coordinates(eqx.Module):
     __repr__ = told
 
     def __init__(self, start: dict[str, Parameter], bounds: Bounds = None):
-        if not start:
-            refuse("start", 'a dict from names to numbers, such as {"stiffness": 1.0}', "an empty one")
         bounds = {} if bounds is None else bounds
         for name in bounds:
             one_of("bounds", name, tuple(start))
@@ -145,8 +143,6 @@ def _scale(value):
 def _interval(name, value, bounds):
     if bounds is None:
         return None, None
-    if len(bounds) != 2:
-        refuse(f"bounds[{name!r}]", "a pair (low, high), None for no bound", described(bounds))
     low, high = (None if bound is None else parameter(f"bounds[{name!r}]", bound) for bound in bounds)
     at = concrete(value)
     for bound, side, inside in ((low, "above", np.greater), (high, "below", np.less)):

@@ -88,9 +88,6 @@ def _waves_of(lattice, cell, axes=None):
             kinds = {1: "a chain", 2: "a lattice of the plane"}
             refuse("lattice", kinds[axes], f"one with {len(found.cell)} axes")
         return _Waves(found.dynamical_matrix, len(found.cell), found.mass.size, _closed(found.mass.dtype))
-    if not callable(lattice):
-        refuse("lattice", "a Lattice, or a function from k (axes,) to a Hermitian matrix",
-               f"a {type(lattice).__name__}")
     shape = jax.eval_shape(lattice, jnp.zeros(axes or 1))
     return _Waves(lattice, axes or 1, shape.shape[0], _closed(shape.dtype))
 

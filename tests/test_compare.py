@@ -84,7 +84,7 @@ def test_where_the_data_do_not_decide_and_where_no_model_describes_them():
 
 
 @pytest.mark.parametrize("bad, word", [
-    (dict(models={}), "models"), (dict(options={"c": {}}), "options"),
+    (dict(options={"c": {}}), "options"),
     (dict(level=0.0), "level"),
 ])
 def test_bad_input_is_refused(bad, word):

@@ -171,8 +171,6 @@ def test_refusals():
         design(lambda p: p["x"], {"x": np.ones(2)})
     with pytest.raises(ValueError, match="x: expected a start below its bound"):
         design(bowl, {"x": 1.0}, bounds={"x": (0, 1)})
-    with pytest.raises(ValueError, match=r"starts\[0\]: expected a dict"):
-        design(bowl, {"x": 1.0}, starts=[{"y": 1.0}])
 
 
 @pytest.mark.study

@@ -47,7 +47,7 @@ SMALL, LARGE = Sample(np.arange(3.0)), Sample(np.random.default_rng(0).normal(si
 @pytest.fixture
 def computed(monkeypatch):
     """`granjax resonance` without its computation."""
-    from granjax.studies.resonance.finite import Extrema, Transmission
+    from granjax.resonance.finite import Extrema, Transmission
 
     ratios = np.linspace(0.05, 1, 13)[1:]
     sweep = Transmission(ratios, ratios, ratios, 1.0, 11, 20.0)

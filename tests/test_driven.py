@@ -82,7 +82,6 @@ def test_walls_touch_the_beads_of_a_cell_and_not_what_is_in_them():
 
 @pytest.mark.parametrize("chain, keywords, word", [
     (gx.scenes.monomer(4, boundary="free"), {}, "boundary='fixed'"),
-    (gx.scenes.monomer(4), {"ends": ("left", "left")}, "both"),
     (gx.Lattice(np.ones(4), (gx.Bond(gx.Shift(1), gx.Hertz()), gx.Bond(gx.Shift(2), gx.Linear()))), {}, "terms\\[1\\]"),
     (gx.Lattice(np.ones(4), (gx.Bond(gx.Shift(1), gx.Hertz()), gx.Dashpot(gx.Shift(1), 1.0))), {}, "Dashpot"),
 ])

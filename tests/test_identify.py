@@ -338,7 +338,7 @@ def test_agrees_with_pysindy(hertz):
 
 
 @pytest.mark.parametrize("bad, word", [
-    (dict(candidates={}), "candidates"), (dict(threshold=0.999), "Lower it"), 
+    (dict(threshold=0.999), "Lower it"), (dict(threshold=-1.0), "threshold"),
     (dict(accelerations=np.zeros((5, N))), "accelerations"), (dict(accelerations=None), "twelve times"),
     (dict(candidates={"v": LIBRARY["v"]}, vs=np.zeros((5, N))), "Leave it out"),
 ])

@@ -23,7 +23,7 @@ FLOORS = (
     {"orbits"},
     {"topology", "breathers", "driven", "floquet", "forced", "kinks", "shocks", "travelling"},
     {"sweeps", "fit", "design", "work_precision"},
-    {"identify", "studies"},
+    {"identify", "resonance"},
 )
 FLOOR = {name: level for level, names in enumerate(FLOORS) for name in names}
 # the face, and what stands on it: the command line, notebooks

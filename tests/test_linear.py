@@ -506,12 +506,6 @@ def test_refusals(name):
         call()
 
 
-@pytest.mark.slow
-def test_gaps_inside_a_transformation_are_refused():
-    with pytest.raises(ValueError, match="gaps: expected edges that are known"):
-        jax.jit(lambda K: linear.bands(springs(np.ones(8), K), cell=1).gaps)(1.0)
-
-
 @pytest.mark.parametrize("make", [lambda: gx.scenes.monomer(8), lambda: gx.scenes.beads("PTFE", 5e-3, cells=8),
                                   lambda: gx.scenes.monomer(8, exponent=2.5, boundary="periodic")])
 def test_bands_of_a_sonic_vacuum_say_so(make):

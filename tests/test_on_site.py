@@ -172,7 +172,7 @@ def test_what_is_no_breather_is_not_on_the_branch():
 
 def test_what_has_no_such_limit_is_refused():
     for scene, coupling, omega, words in (
-        (hard, 0.1, 0.9, "omega"), (hard, 0.0, OMEGA, "coupling"), (lambda c: 1.0, 0.1, OMEGA, "make|scene"),
+        (hard, 0.1, 0.9, "omega"), (hard, 0.0, OMEGA, "coupling"),
         (lambda c: gx.scenes.klein_gordon(9, 0.1 + c), 0.1, OMEGA, "do not feel each other"),
         (lambda c: gx.scenes.klein_gordon(9, c, beta=-1.0), 0.1, 1.0, "omega"),
     ):

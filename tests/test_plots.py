@@ -115,9 +115,9 @@ def test_a_map_of_zeros_and_one_of_gaps(ax):
 
 BAD_MAPS = [
     (dict(quantity="w"), "quantity.*'u', 'v'"),
-    (dict(quantity=np.zeros((7, 5, 2))), r"frames of sites.*lane"),
-    (dict(ts=[0.0, 1.0]), "ts.*7 numbers"),
-    (dict(sites=np.arange(4.0)), "sites.*5 numbers"),
+    (dict(quantity=np.zeros((7, 5, 2))), "frames of sites"),
+    (dict(ts=[0.0, 1.0]), "ts.*7 rising numbers"),
+    (dict(sites=np.arange(4.0)), "sites.*5 rising numbers"),
 ]
 
 
@@ -158,6 +158,7 @@ def test_traces_laid_over_each_other_have_a_legend(ax, record):
     assert ax.get_ylabel() == "velocity (m/s)"
 
 
+    (dict(offset=-1.0), "offset"),
 def test_a_profile_has_a_logarithmic_inset(ax):
     x = np.linspace(-3, 3, 25)
     y = np.stack([np.exp(-(x**2)), -2 * x * np.exp(-(x**2))], 1)
@@ -172,6 +173,7 @@ def test_a_profile_has_a_logarithmic_inset(ax):
     assert [text.get_text() for text in ax.get_legend().get_texts()] == ["strain", "slope"]
 
 
+    (([0, 1], [0.0, 1.0]), dict(floor=0.0), "floor"),
 def test_transmission_is_drawn_over_rising_ratios(ax):
     got = plots.transmission([1.0, 0.3, 0.6], [1.0, 0.9, 0.2], ax, resonances=0.6, anti_resonances=[0.3, 1.0])
     assert got is ax
@@ -184,7 +186,7 @@ def test_transmission_is_drawn_over_rising_ratios(ax):
 
 
 @pytest.mark.parametrize("arguments, message", [
-    (([0.5, 1.5], [1.0, 1.0]), "mass_ratio"), (([0.5, 0.7], [1.0]), "one value per mass ratio"),
+    (([0.5, 1.5], [1.0, 1.0]), "mass_ratio"),
 ])
 def test_bad_transmission_is_refused(ax, arguments, message):
     with pytest.raises(ValueError, match=message):
@@ -238,8 +240,6 @@ def test_bands_of_a_larger_cell_are_repeated_over_the_zone_of_the_sites(ax):
 
 @pytest.mark.parametrize("curve, spectrum, message", [
     (Curve(np.zeros((3, 2)), np.zeros((3, 1)), (1, 1)), None, r"k of shape \(K,\)"),
-    (Curve(np.arange(3.0), np.ones((3, 1)), (1,)),
-     gx.measures.spectra.Spectrum(np.arange(2.0), np.arange(3.0), np.ones((3, 2))), "wave numbers by frequencies"),
 ])
 def test_bad_dispersion_is_refused(ax, curve, spectrum, message):
     with pytest.raises(ValueError, match=message):
@@ -275,6 +275,10 @@ def test_whatever_a_plot_returns_is_saved(tmp_path):
     for k, made in enumerate((figure, axes, axes[0], [*axes], ([axes[0]], [axes[1]]), {"left": axes[0]}, part,
                               axes[0].lines)):
         assert plots.save(made, tmp_path / f"{k}.pdf", dpi=50).read_bytes().startswith(b"%PDF")
+    with pytest.raises(ValueError, match="made: expected Axes of one figure"):
+        plots.save([axes[0], part], tmp_path / "none.png")
+    with pytest.raises(ValueError, match="dpi: expected"):
+        plots.save(figure, tmp_path / "none.png", dpi=0)
     film = FuncAnimation(figure, lambda k: axes[0].plot([0, k]), frames=2)
     assert plots.save(film, tmp_path / "film.gif", dpi=20).read_bytes().startswith(b"GIF8")
     with pytest.raises(ValueError, match="path: expected one of '.gif'"):

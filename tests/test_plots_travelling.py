@@ -83,7 +83,6 @@ def test_errors_over_speed():
 
 
 @pytest.mark.parametrize(("call", "said"), [
-    (lambda toda: plots.wave(toda, beside={"x": np.ones(3)}), r"strains at wave_record.xi, shape \(257,\), got shape"),
     (lambda toda: plots.wave_family(toda, quantity="mass"), "quantity: expected one of"),
     (lambda toda: closed_forms(gx.Hertz(), 1.0), "K2 > 0, got K2 = 0"),
     (lambda toda: closed_forms(gx.Toda(), 0.9), "sound"),

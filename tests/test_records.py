@@ -102,14 +102,6 @@ def test_every_measure_is_recordable_in_either_order(site):
     assert error["own"].shape == (2,) and abs(top["own"][0] - 1) < error["own"][0] < 1e-6
 
 
-@pytest.mark.parametrize("quantity", [
-    lambda t, y: y.u, lambda lattice, y, time: y.u, gx.measures.modal_amplitudes, lambda lattice: lattice.mass,
-])
-def test_what_takes_neither_order_is_refused(site, quantity):
-    with pytest.raises(ValueError, match=r"record\['x'\]: expected a function \(t, y, lattice\) or a measure"):
-        gx.simulate(*site, 1.0, step=0.1, record={"x": gx.Peak(quantity)})
-
-
 def test_a_name_of_an_error_is_not_a_name_of_a_record(site):
     record = {"x": gx.Peak(place), "x_error": gx.Peak(place)}
     with pytest.raises(ValueError, match="record: expected names other than"):

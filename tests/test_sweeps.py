@@ -7,7 +7,6 @@ import random
 import signal
 import subprocess
 import sys
-import time
 import warnings
 from collections import namedtuple
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
@@ -17,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import xarray
+import zarr
 
 import granjax as gx
 from granjax.sweeps.function import program
@@ -272,12 +272,12 @@ def test_another_sweep_is_refused_and_a_changed_source_warns(tmp_path):
         sweep(squared, {"x": [1.0, 2.0]}, store=store, chunk=1)
     with pytest.warns(UserWarning, match="source of the function has changed"):
         assert sweep(lambda x: {"z": 2 * x}, {"x": [1.0, 2.0]}, store=store).z.values.tolist() == [1.0, 4.0]
-    xarray.Dataset({"a": ("x", [1.0])}).to_zarr(tmp_path / "other.zarr", zarr_format=2)
+    zarr.open_group(tmp_path / "other.zarr", mode="w", zarr_format=2).create_array("a", shape=(2,), dtype=float)
     (tmp_path / "file").write_text("x")
     for other in ("other.zarr", "file"):
         with pytest.raises(ValueError, match="store: expected a new path"):
             sweep(squared, {"x": [1.0]}, store=tmp_path / other)
-    assert float(xarray.open_zarr(tmp_path / "other.zarr").a[0]) == 1.0
+    assert list(zarr.open_group(tmp_path / "other.zarr", mode="r")) == ["a"]
 
 
 def test_a_store_may_be_a_url():
@@ -289,8 +289,6 @@ def test_a_store_may_be_a_url():
 
 
 def test_an_unfinished_store_is_begun_again(tmp_path):
-    import zarr
-
     attributes = {"sweep": json.dumps({"chunk": [1], "parameters": {"x": [1.0]}, "design": "grid"}), "source": ""}
     group = zarr.open_group(tmp_path / "a.zarr", mode="w", zarr_format=2, attributes=attributes)
     group.create_array("z", shape=(3,), dtype=float)
@@ -300,40 +298,39 @@ def test_an_unfinished_store_is_begun_again(tmp_path):
 
 
 KILLED = """
-import sys, time
+import time
+import sys
 import numpy as np
 import granjax as gx
 import jax.numpy as jnp
 
 def slow(a, b):
+    print("begun", flush=True)
     time.sleep(0.05)
-    return {{"z": np.sin(float(a) * b), "w": np.cos(np.arange(3.0) * float(b))}}
+    return {"z": np.sin(float(a) * b), "w": np.cos(np.arange(3.0) * float(b))}
 
-gx.sweep(slow, {{"a": np.arange(1.0, 13.0), "b": [0.5, 1.0]}}, store=sys.argv[1], chunk=2, progress=False)
+gx.sweep(slow, {"a": np.arange(1.0, 25.0), "b": [0.5, 1.0]}, store=sys.argv[1], chunk=2, progress=False)
 """
 
 
 @pytest.mark.slow
 def test_killed_six_times_and_resumed_to_the_same_bits(tmp_path):
     script = tmp_path / "script.py"
-    script.write_text(KILLED.format())
+    script.write_text(KILLED)
     call = [sys.executable, str(script)]
-    subprocess.run([*call, str(tmp_path / "whole.zarr")], check=True)
-    store, draw, kills = tmp_path / "killed.zarr", random.Random(0), 0
-    while kills < 6:
-        process = subprocess.Popen([*call, str(store)])
-        begin = time.monotonic()
-        while process.poll() is None and not store.exists():
-            time.sleep(0.01)
-        if kills:
-            time.sleep(3.0 if time.monotonic() - begin < 0.5 else 0.0)
-        time.sleep(draw.uniform(0.0, 0.25))
-        process.kill()
-        assert process.wait() == -signal.SIGKILL
-        kills += 1
-        if store.exists() and (store / ".zmetadata").exists():
-            there = xarray.open_zarr(store).reason.values.astype(object)
-            assert kills == 6 or (there == "not computed yet").any()
+    subprocess.run([*call, str(tmp_path / "whole.zarr")], check=True, capture_output=True)
+    store, there = tmp_path / "killed.zarr", []
+    # the first ones before the store is whole
+    for count in (1, 3, 6, 8, 10, 12):
+        with subprocess.Popen([*call, str(store)], stdout=subprocess.PIPE) as process:
+            for _ in range(count):
+                process.stdout.readline()
+            process.kill()
+        assert process.returncode == -signal.SIGKILL
+        if (store / ".zmetadata").exists():
+            reasons = xarray.open_zarr(store).reason.values.astype(object)
+            there.append(int((reasons == "").sum()))
+    assert there == sorted(there) and 0 < there[-1] < 48
     subprocess.run([*call, str(store)], check=True)
     whole, resumed = (xarray.open_zarr(x).load() for x in (tmp_path / "whole.zarr", store))
     assert whole.drop_attrs().identical(resumed.drop_attrs()) and (resumed.reason.values.astype(object) == "").all()
@@ -353,9 +350,9 @@ assert float(data.y[count // 2, 2]) == 1.0
 print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
 """
     used = [int(subprocess.run([sys.executable, "-c", code, str(n), str(tmp_path / f"{n}.zarr")], check=True, text=True,
-                               capture_output=True).stdout) for n in (512, 8192)]
-    # kilobytes; all values of the long one are 268 MB
-    assert used[1] - used[0] < 100_000
+                               capture_output=True).stdout) for n in (256, 4096)]
+    # kilobytes; all values of the long one are 134 MB
+    assert used[1] - used[0] < 60_000
 
 
 # ------------------------------------------------------------------------------------------------ executors that die

@@ -304,8 +304,6 @@ def test_linear_shocks_broadcast_and_differentiate():
 @pytest.mark.parametrize("call, said", [
     (lambda: linear_shock.velocity_step(0.5, 1.0, 1.0), "^n: expected whole numbers"),
     (lambda: linear_shock.velocity_step(0, -1.0, 1.0), "^t: expected numbers not below zero"),
-    (lambda: linear_shock.strain_step(0, 1e30, 1.0), "^t: expected times of at most"),
-    (lambda: linear_shock.strain_step(np.arange(3), np.ones(2), 1.0), "broadcast"),
     (lambda: jax.jit(lambda t: linear_shock.strain_step(0, t, 1.0))(1.0), "^t: expected times that are known"),
 ])
 def test_what_no_linear_shock_has_is_refused(call, said):

@@ -33,7 +33,7 @@ def faces(package):
             yield from (x.__name__.removeprefix("granjax.") for x in named if inspect.ismodule(x))
 
 
-NAMES = list(dict.fromkeys([*faces(granjax), *faces(importlib.import_module("granjax.studies"))]))
+NAMES = list(dict.fromkeys(faces(granjax)))
 
 
 class Signature(NamedTuple):

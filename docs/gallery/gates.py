@@ -71,7 +71,7 @@ axes = plt.subplots(1, 2, figsize=(7.0, 3.2), layout="constrained")[1]
 for place, part, name in ((-0.2, AND, "in the gap"), (0.2, OR, "in the band")):
     y, e = 1e3 * output[part], 1e3 * error[part]
     axes[0].bar(np.arange(4) + place, y, 0.4, yerr=np.minimum(e, 0.99 * y), label=name)
-axes[0].set(xticks=range(4), xticklabels=["00", "01", "10", "11"], yscale="log", ylim=(1e-5, 10))
+axes[0].set(xticks=range(4), xticklabels=["00", "01", "10", "11"], yscale="log", ylim=(1e-5, 1e3))
 axes[0].set(xlabel="signals that are on", ylabel="output (mm/s)")
 for part, name in ((on, "signal and control"), (alone, "control alone")):
     axes[1].semilogy(1e9 * controls[1:], 1e3 * output[part][1:], "o-", label=name)

@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..checks import described, refuse
 from ..newton import CONVERGED, evaluated, newton
 from ..types import Numbers, Parameter, Pytree, Scalar
 
@@ -65,9 +64,6 @@ class Bordered(eqx.Module):
             jacobian, f = jax.jacfwd(twice, has_aux=True)(z)
             return f, jacobian
         found = self.slopes(x, p, inner)
-        if not isinstance(found, tuple) or len(found) not in (2, 3):
-            got = f"one that gives {described(found)}"
-            refuse("linearise", "a function that gives (F, dF/dx) or (F, dF/dx, dF/dp)", got)
         f, in_x, *in_p = found
         if not in_p:
             in_p = [jax.jvp(lambda p: self.function(x, p, inner), (p,), (jnp.ones_like(p),))[1]]

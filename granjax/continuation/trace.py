@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import described, one_of, parameter, positive, real, refuse, whole
+from ..checks import one_of, positive, refuse
 from ..types import Count, Parameter, Scalar
 from .curve import Curve
 from .locate import bound_met, located
@@ -55,20 +55,17 @@ def continuation(
     for kind in find:
         one_of("find", kind, ("fold", "branch point"))
     arclength = float(positive("arclength", arclength))
-    least_arclength, longest_arclength = (
-        float(positive(name, min(arclength * share, np.finfo(float).max) if x is None else x)) for name, x, share in (
-            ("least_arclength", least_arclength, 1e-4), ("longest_arclength", longest_arclength, 10)))
-    bounds = () if until is None else tuple(np.atleast_1d(np.asarray(parameter("until", until))))
-    if until is not None and np.shape(bounds) not in ((1,), (2,)):
-        refuse("until", "one number, or two", described(until))
-    points, x0 = whole("points", points, 1), np.atleast_1d(real("x0", x0))
-    if x0.ndim != 1 or not x0.size:
+    least_arclength = 1e-4 * arclength if least_arclength is None else least_arclength
+    longest_arclength = 10 * arclength if longest_arclength is None else longest_arclength
+    bounds = () if until is None else tuple(np.atleast_1d(np.asarray(until, float)))
+    x0 = np.atleast_1d(np.asarray(x0, float))
+    if x0.ndim != 1:
         refuse("x0", "a row of unknowns, shape (n,)", f"shape {x0.shape}")
-    direction = np.asarray(parameter("direction", direction))
+    direction = np.asarray(direction, float)
     if direction.shape not in ((), (x0.size + 1,)) or not direction.any():
         refuse("direction", f"1, -1 or a tangent of shape ({x0.size + 1},)", f"shape {direction.shape}")
     system = System(residual, linearise, args, tolerance)
-    here = system.first(x0, float(parameter("p0", p0)), direction, arclength)
+    here = system.first(x0, float(p0), direction, arclength)
     trace, special, outcome = [here], [], f"The {points} points that were asked for."
     iterations, reason = here.iterations, ""
     while len(trace) < points:

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import held_in_memory, non_negative, one_of, parameter, positive, refuse, whole, within
+from ..checks import non_negative, one_of, parameter, positive, refuse, whole, within
 from ..fractional import checked_order
 from ..lattice import State
 from ..laws import Law, Linear
@@ -142,8 +142,6 @@ class DNLS(Equation):
             self.laplacian = of_order(self.sites, checked_order(1.0 if order is None else order), boundary)
         else:
             weights = parameter("kernel", kernel)
-            if weights.ndim == 0 or not weights.size:
-                refuse("kernel", "weights of the offsets 1, ..., M, shape (M,)", f"shape {weights.shape}")
             self.laplacian = of_weights(self.sites, weights, boundary)
 
     def energy(self, psi):
@@ -303,9 +301,7 @@ def _power(x, q):
 
 def _sites(sites, boundary):
     least = 3 if boundary == "periodic" else 2
-    sites = whole("sites", sites, least, "A dimer is two sites with boundary='fixed'." if least == 3 else "")
-    held_in_memory("sites", sites)
-    return sites
+    return whole("sites", sites, least, "A dimer is two sites with boundary='fixed'." if least == 3 else "")
 
 
 def _per_site(name, x, sites):

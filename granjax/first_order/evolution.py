@@ -1,7 +1,6 @@
 """Runs of first-order lattices, each with its error."""
 
 import itertools
-import math
 from typing import ClassVar
 
 import diffrax
@@ -10,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import concrete, described, held_in_memory, positive, refuse, show, traced
+from ..checks import positive, refuse, show, traced
 from ..checks import tolerance as checked_tolerance
 from ..flow import Flow
 from ..programs import bar, compiled
@@ -118,7 +117,7 @@ def evolve(
 
     **Returns:** `Evolution`; its picture is `gx.plots.evolution`, and its `outcome` says how well it is known. It
     differentiates in both modes in the start and in the numbers of the equation: then the step must be given.
-    **Raises** ValueError for another shape, numbers not finite, times out of order, a step that is not above zero.
+    **Raises** ValueError for another shape, times out of order, a step that is not above zero.
 
     **Example:**
 
@@ -128,7 +127,7 @@ def evolve(
     0.223891
     """
     psi = _start(equation, psi)
-    times, first = _times(t0, t1, save_at, psi)
+    times, first = _times(t0, t1, save_at)
     checked_tolerance("tolerance", tolerance)
     solver = solver or (SplitStep() if equation.has_flows else diffrax.Dopri8())
     known = not traced((equation, psi))
@@ -158,33 +157,24 @@ def _start(equation, psi):
     psi = jnp.asarray(psi)
     psi = psi.astype(jnp.result_type(psi, jnp.complex64))
     check_shape(psi, equation)
-    value = concrete(psi)
-    if value is not None and not np.isfinite(value).all():
-        refuse("psi", "finite numbers", f"{np.count_nonzero(~np.isfinite(value))} that are not")
-    lanes = "Give the start the equation's lanes, last."
-    try:
-        found = jax.eval_shape(equation.gradient, psi)
-    except (TypeError, ValueError) as error:  # JAX's words for shapes that do not fit
-        refuse("psi", "a start that the equation takes", f"shape {psi.shape}: {error}", lanes)
+    found = jax.eval_shape(equation.gradient, psi)
     if found.shape != psi.shape:
-        refuse("psi", f"shape {found.shape}, with the lanes of the equation", f"shape {psi.shape}", lanes)
+        refuse("psi", f"shape {found.shape}, with the lanes of the equation", f"shape {psi.shape}",
+               "Give the start the equation's lanes, last.")
     return psi.astype(found.dtype)
 
 
-def _times(t0, t1, save_at, psi):
+def _times(t0, t1, save_at):
     """All times at which a span ends, the first included, and the index of the first that is kept."""
     t0, t1 = float(t0), float(t1)
-    if not (math.isfinite(t0) and math.isfinite(t1) and t1 > t0):
-        refuse("t1", f"a finite time after t0 = {t0}", f"{t1}")
+    if not t1 > t0:
+        refuse("t1", f"a time after t0 = {t0}", f"{t1}")
     if save_at is None:
         return np.array([t0, t1]), 1
     if np.ndim(save_at) == 0:
-        if not (isinstance(save_at, (int, np.integer)) and save_at >= 1):
-            refuse("save_at", "a number of frames, or times", described(save_at))
-        held_in_memory("save_at", int(save_at), 16 * psi.size, "frames of such a state")
         return (np.linspace(t0, t1, int(save_at)), 0) if save_at > 1 else (np.array([t0, t1]), 1)
     times = np.asarray(save_at, float)
-    if times.ndim != 1 or not times.size or not np.isfinite(times).all() or np.any(np.diff(times) <= 0):
+    if not np.all(np.diff(times) > 0):
         refuse("save_at", "increasing times", show(times))
     if times[0] < t0 or times[-1] > t1:
         refuse("save_at", f"times within [{t0}, {t1}]", f"{times[0]} ... {times[-1]}")

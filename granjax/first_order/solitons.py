@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import described, one_of, parameter, refuse, traced
+from ..checks import one_of, parameter, refuse, traced
 from ..newton import Root, newton
 from ..results import Held, Result
 from ..types import Count, Number, Numbers, Parameter, Scalar
@@ -109,7 +109,7 @@ def _raised(equation, omega, guess, centre):
     omega_ = _outside_the_band(equation, float(omega))
     last = equation.sites - (guess == "bond" and equation.laplacian.diagonal is not None)
     if not -equation.sites <= centre < equation.sites or not centre % equation.sites < last:
-        refuse("centre", f"one of the first {last} sites", described(centre))
+        refuse("centre", f"one of the first {last} sites", f"{centre}")
     sign = 1.0 if omega_ < 0 else -1.0
     places = [centre % equation.sites] + ([(centre + 1) % equation.sites] if guess == "bond" else [])
     phi = np.zeros(equation.sites)

@@ -7,11 +7,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import described, held_in_memory, positive, refuse, within
+from ..checks import positive, refuse, within
 from ..checks import tolerance as checked_tolerance
 from ..results import Held, Result
 from ..types import Count, Number, Numbers, Scalar
-from .equations import Equation
 from .evolution import evolve
 
 # nonlinearities that are run at once
@@ -73,10 +72,9 @@ def self_trapping(
         refuse("high", f"a nonlinearity above low = {low:g}", f"{high:g}")
     within("share", share, 0, 1, open_low=True, open_high=True)
     checked_tolerance("tolerance", tolerance)
-    equation = returned_equation(scene, low)
-    held_in_memory("frames", frames, 16 * LANES * equation.sites, "frames of such runs")
-    if not -equation.sites <= site < equation.sites:
-        refuse("site", f"a site of {equation.sites}", described(site))
+    equation = scene(low)
+    if not -equation.sites <= site < equation.sites:  # JAX clips an index
+        refuse("site", f"a site of {equation.sites}", f"{site}")
     tried, kept = {}, None
     for _ in range(ROUNDS):
         values = np.linspace(low, high, LANES)
@@ -95,14 +93,6 @@ def self_trapping(
     middle, error = (low + high) / 2, (high - low) / 2
     return SelfTrapping(middle, error, np.array(list(tried)), np.array(list(tried.values())), float(share), float(t1),
                         f"Trapped from {middle:.8g} +- {error:.1g} on, over a time of {float(t1):g}.")
-
-
-def returned_equation(scene: Callable, value: float) -> Equation:
-    """What a scene gives for a nonlinearity."""
-    equation = scene(value)
-    if not isinstance(equation, Equation):
-        refuse("scene", "a function that returns an Equation", f"one that returns {described(equation)}")
-    return equation
 
 
 def _kept(scene, values, sites, site, t1, frames):

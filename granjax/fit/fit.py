@@ -8,9 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from diffrax import AbstractSolver
 
-from ..checks import held_in_memory, one_of, positive, refuse, whole
+from ..checks import one_of, refuse
 from ..checks import tolerance as checked_tolerance
-from ..descent import checked_optimiser
 from ..flow import Reversible
 from ..parameters import Bounds
 from ..tuning import one_thread
@@ -78,15 +77,11 @@ def fit(
     """
     tolerance = checked_tolerance("tolerance", tolerance, MOST)
     problem = prepared(scene, start, traces, state=state, bounds=bounds, t0=t0, step=step, solver=solver)
-    windows, starts, spread = whole("windows", windows, 1), whole("starts", starts, 1), positive("spread", spread)
-    max_steps = whole("max_steps", max_steps, 1)
-    optimiser = checked_optimiser(optimiser)
     if one_of("method", method, METHODS) == METHODS[1] and windows > 1:
         refuse("method", f"{METHODS[0]!r} with windows", repr(method))
     count = problem.coordinates.size
-    held_in_memory("starts", starts, 64 * count, "starts")
     x0 = np.zeros((starts, count))
-    x0[1:] = np.random.default_rng(whole("seed", seed)).normal(size=x0[1:].shape) * float(spread)
+    x0[1:] = np.random.default_rng(seed).normal(size=x0[1:].shape) * spread
     if windows > 1:
         problem = cut(problem, windows)
         x0 = np.concatenate([x0, np.zeros((starts, problem.starts.size))], axis=1)

@@ -11,7 +11,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
-from ..checks import described, given_by_name, one_of, parameter, positive, refuse
+from ..checks import one_of, positive, refuse
 from ..flow import Run, frequency_bound, simulate
 from ..flow.dispatch import facts
 from ..flow.inputs import checked_state
@@ -182,14 +182,14 @@ def prepared(
     if len(traces) > 1 and any(trace.sigma is None for trace in traces):
         refuse("sigma", "one for each of several traces", "None", "It says how they weigh against each other.")
     given = None if callable(state) else checked_state(lattice, state)
-    begin = given if given is not None else checked_state(lattice, _made(state, parameters, lattice))
+    begin = given if given is not None else checked_state(lattice, as_state(state(parameters, lattice), lattice.dtype))
     _check_places(traces, lattice, begin, parameters)
     dtype = lattice.dtype
     if any(trace.data.dtype != dtype for trace in traces):
         refuse("scene", f"a lattice of {traces[0].data.dtype}, as the traces are", f"{dtype}")
     if solver is None:
         solver = SRKN11b() if facts(lattice).splits else diffrax.Dopri8()
-    t0, unknown = jnp.asarray(parameter("t0", t0), dtype), jnp.ones((), dtype)
+    t0, unknown = jnp.asarray(t0, dtype), jnp.ones((), dtype)
     make_state = state if given is None else None
     problem = Problem(scene, make_state, given, coordinates, traces, t0, unknown, unknown, solver)
     times = problem.times(parameters)
@@ -210,15 +210,6 @@ def _refuse_other_units(units, omega, span):
     refuse("traces", f"times in {unit}, of a record within {FAR_OFF:.0e} times the lattice's own, {1 / omega:.2g}",
            f"a record of {span:.3g}, {span * omega:.1e} times that",
            f"Its times may be in {others}; a scaled lattice wants times over units.time.")
-
-
-def _made(state, parameters, lattice):
-    """The state that a function of the user's gives."""
-    found = given_by_name("state", state, parameters, lattice)
-    if not isinstance(found, tuple) or len(found) != 2:
-        wanted = "a function (parameters, lattice) that gives State(u, v)"
-        refuse("state", wanted, f"one that gives {described(found)}")
-    return as_state(found, lattice.dtype)
 
 
 def as_state(state: State | tuple | list, dtype: object) -> State:
@@ -276,8 +267,7 @@ def _check_places(traces, lattice, state, parameters):
 
 def checked_scene(scene: Scene, parameters: dict[str, Parameter]) -> Lattice:
     """The lattice that a scene makes of the start."""
-    lattice = given_by_name("scene", scene, parameters)
-    if not isinstance(lattice, Lattice) or lattice.lanes:
-        refuse("scene", "a function that returns one Lattice", "lanes" if isinstance(lattice, Lattice) else
-               described(lattice))
+    lattice = scene(parameters)
+    if lattice.lanes:
+        refuse("scene", "a function that returns one Lattice", f"a batch with lanes {lattice.lanes}")
     return lattice

@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Float
 
 from .. import descent
-from ..checks import described, refuse
 from ..flow.march import seconds_a_step
 from ..types import AnyArray, Scalar
 from .problem import Problem, Signals, misfit
@@ -39,8 +38,6 @@ def linearised(
     problem: Problem | eqx.Module, x: Float[AnyArray, " n"],
 ) -> tuple[Float[AnyArray, " m"], Float[AnyArray, "m n"], Signals, Signals]:
     """(residuals, their Jacobian, signals, misfits per trace) at x: the one program of a fit by least squares."""
-    if not hasattr(problem, "linearise"):
-        refuse("problem", "what `prepared` returns", described(problem))
     value, matrix, signals = problem.linearise(x)
     return value, matrix, signals, tuple(misfit(*both) for both in zip(problem.traces, signals))
 

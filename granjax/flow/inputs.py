@@ -1,10 +1,8 @@
 """What `simulate` is given, checked before tracing."""
 
 import math
-from functools import lru_cache
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,7 +11,7 @@ from ..checks import concrete, held_in_memory, one_of, real, refuse, show, whole
 from ..lattice import Lattice, State
 from ..types import Scalar, StateLike
 from .dispatch import facts
-from .record import CLOSEST, EXTREMES, FORMS
+from .record import CLOSEST, EXTREMES
 
 RESERVED = ("time", "ts", "us", "vs", "u", "v", CLOSEST, EXTREMES)
 
@@ -35,10 +33,8 @@ def checked_state(lattice: Lattice, state: StateLike) -> State:
 
 
 def _checked_array(name, x, shape, dtype):
-    if 0 in shape:
-        refuse("lattice", "at least one lane", f"an empty batch, shape {shape}")
     if not isinstance(x, jax.Array):
-        x = real(name, x) if isinstance(x, np.ma.MaskedArray) else np.asarray(x)
+        x = np.asarray(x)
     if x.dtype.kind != "f":
         refuse(name, f"floating numbers ({dtype})", f"{x.dtype}", "Write 0.0 instead of 0, or .astype(float).")
     if x.shape != shape:
@@ -131,41 +127,12 @@ def _intervals(ts, t0, t1):
     return int(round((t1 - t0) / spacing)) if fits else 1
 
 
-def _try(record, lattice, state):
-    """Trace what a record carries at first, once for each structure; its errors are raised each time."""
-    leaves, structure = jax.tree.flatten((record, lattice, state))
-    shapes = tuple(jax.ShapeDtypeStruct(x.shape, x.dtype) if hasattr(x, "dtype") else x for x in leaves)
-    try:
-        hash((structure, shapes))
-    except TypeError:
-        _start.__wrapped__(structure, shapes)
-    else:
-        _start(structure, shapes)
-
-
-@lru_cache(maxsize=256)
-def _start(structure, shapes):
-    arrays, static = eqx.partition(shapes, lambda x: isinstance(x, jax.ShapeDtypeStruct))
-
-    def started(arrays):
-        record, lattice, y = jax.tree.unflatten(structure, eqx.combine(arrays, static))
-        t = jnp.zeros((), lattice.dtype)
-        # of as many samples as there may be
-        return jax.tree.map(lambda q: record.start(t, q, 2), record.value(t, y, lattice))
-
-    jax.eval_shape(started, arrays)
-
-
-def checked_records(record: Any, lattice: Lattice, state: State) -> dict:
+def checked_records(record: Any) -> dict:
     """The records as a dict, empty where there are none."""
     if record is None:
         return {}
-    for name, one in record.items():
+    for name in record:
         if name in RESERVED or name.startswith(("u_", "v_")) or name.removesuffix("_error") in {*record} - {name}:
             taken = f"Taken: {', '.join(RESERVED)}, and NAME_error."
             refuse("record", "names other than those of a run's own results", repr(name), taken)
-        try:
-            _try(one, lattice, state)
-        except (TypeError, AttributeError, KeyError, IndexError) as error:
-            refuse(f"record[{name!r}]", f"{FORMS} that works on the lattice", f"an error: {error}")
     return dict(record)

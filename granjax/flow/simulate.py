@@ -121,7 +121,7 @@ def simulate(
     if every and tolerance is not None and lattice.lanes:
         remedy = "Give times, or step= for steps that lanes share."
         refuse("save_at", "times, where each lane has steps of its own", "'steps'", remedy)
-    records = checked_records(record, lattice, state)
+    records = checked_records(record)
     if tolerance is None:
         dt, steps, choice, remark, watch = fixed_step(lattice, state, t0, t1, step, solver, frames)
     else:

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from ..checks import described, refuse, traced, whole
+from ..checks import refuse, traced, whole
 from ..lattice import Lattice, vector_field
 from ..lattice.model import check_shape
 from ..printing import told
@@ -92,10 +92,6 @@ def check_moved(argument: str, y: Any, flow: Flow, args: Any, whose: str = "the 
             refuse("solver", "one of a first-order equation for a state that is no pair (u, v)",
                    type(flow.solver).__name__, "Take diffrax.Dopri8(), or gx.first_order.SplitStep() for DNLS.")
         return
-    if not isinstance(args, Lattice):
-        refuse("args", "the Lattice that moves", described(args), "Another motion has a field: Flow(n, field=f).")
-    if not _is_pair(y):
-        refuse(argument, "a State(u, v)", described(y), "Another motion has a field: Flow(n, field=f).")
     for name, x in zip(("u", "v"), y):
         check_shape(args, f"{argument}.{name}", x, whose)
 

@@ -7,7 +7,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float, Integer
 
-from ..checks import described, positive, refuse
+from ..checks import one_of, positive
 from ..fit import Fit, Traces, fit
 from ..fit.problem import Start
 from ..fit.traces import checked_traces
@@ -136,13 +136,8 @@ def compare(
     ('linear', True)
     """
     options, level = options or {}, float(positive("level", level))
-    if not models:
-        refuse("models", "a dict from names to pairs (scene, start)", "an empty one")
-    for name, model in models.items():
-        if len(model) != 2:
-            refuse(f"models[{name!r}]", "a pair (scene, start)", described(model))
-    if set(options) - set(models):
-        refuse("options", f"names among {list(models)}", f"{sorted(set(options) - set(models))}")
+    for name in options:
+        one_of("options", name, models)
     traces = checked_traces(traces)
     fits = {name: fit(scene, start, traces, state=state, **{"throw": False, **common, **options.get(name, {})})
             for name, (scene, start) in models.items()}

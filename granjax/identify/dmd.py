@@ -7,7 +7,7 @@ import jax
 import numpy as np
 from jaxtyping import Complex, Float, Inexact
 
-from ..checks import parameter, positive, refuse, show, unmasked, whole
+from ..checks import one_of, positive, refuse, whole
 from ..flow import Run
 from ..results import Held, Result
 from ..types import AnyArray, Count, Parameter, Scalar
@@ -139,14 +139,11 @@ def snapshots(run: Run, velocities: bool = True) -> Float[np.ndarray, "T n"]:
 
 
 def _checked(snapshots):
-    y = np.asarray(unmasked("snapshots", snapshots))
-    if y.dtype.kind == "c":
-        if not np.isfinite(y).all():
-            refuse("snapshots", "finite numbers", show(y), "Look for NaN or infinity in what you pass.")
-    else:
-        y = np.asarray(parameter("snapshots", y))
-    if y.ndim != 2 or len(y) < 2 or not y.any():
-        refuse("snapshots", "an array (T, n) of two or more, not all zero", f"shape {y.shape}", "Times come first.")
+    y = np.asarray(snapshots)
+    y = y if y.dtype.kind == "c" else y.astype(float)
+    if y.ndim != 2 or len(y) < 2 or not y.any() or not np.isfinite(y).all():
+        refuse("snapshots", "finite numbers (T, n), not all zero, of two times or more", f"shape {y.shape}",
+               "Times come first.")
     return y
 
 
@@ -154,8 +151,7 @@ def _rank(rank, s, shape):
     if rank is None:
         r = int(np.count_nonzero(s > max(shape) * np.finfo(s.dtype).eps * s[0]))
     elif isinstance(rank, str):
-        if rank != "optimal":
-            refuse("rank", "None, a whole number or 'optimal'", repr(rank))
+        one_of("rank", rank, ("optimal",))
         r = int(np.count_nonzero(s > hard_threshold(shape) * np.median(s)))
     else:
         r = whole("rank", rank, 1)

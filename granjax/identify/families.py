@@ -41,8 +41,6 @@ class Series(Law):
 
     def __init__(self, coefficients: Parameter, strain: Scalar = 1.0, force: Scalar = 1.0):
         coefficients = parameter("coefficients", coefficients)
-        if coefficients.ndim == 0 or coefficients.shape[0] == 0:
-            refuse("coefficients", "one or more numbers, c_1 first", f"shape {coefficients.shape}")
         # a leaf for each: scalars, or arrays over the bonds, as the parameters of any law
         self._coefficients = tuple(coefficients)
         self.strain, self.scale = positive("strain", strain), positive("force", force)

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..checks import described, parameter, positive, refuse, whole
+from ..checks import parameter, positive, refuse, whole
 from ..fit import Fit, Traces, fit, prepared
 from ..fit.determined import along
 from ..fit.problem import Start
@@ -144,8 +144,6 @@ def law(
         reach = _linear_reach(scene, stiffness, traces, state, others, options) if reach is None else reach
         family, stays, strain = starting_law(family, stiffness, _checked_reach(reach))
         hold = (*hold, *stays)
-    elif not isinstance(family, Law):
-        refuse("family", "a family's name, or a Law to begin with", repr(family))
     of_law, start, own = law_scene(scene, family, others, hold, strain)
     acting = _acting(of_law, start)
     traces, bounds = checked_traces(traces), {**own, **(bounds or {})}
@@ -185,8 +183,6 @@ def _acting(of_law, parameters):
     """The terms of the scene that the law acts in, by index."""
     marked = of_law.law(parameters)
     lattice = of_law.lattice(marked, parameters)
-    if not isinstance(lattice, Lattice):
-        refuse("scene", "a function that returns a Lattice", f"one that returns {described(lattice)}")
     acting = tuple(i for i, term in enumerate(lattice.terms) if _holds(term, marked))
     if not acting:
         refuse("scene", "a scene in which the law acts on bonds or sites", f"{lattice}",

@@ -166,7 +166,7 @@ def _checked(lattice, times, velocity, sites):
         refuse("scene", "a chain with scalar displacements", f"a lattice of shape {lattice.shape}")
     N = lattice.shape[0]
     sites = np.arange(N) if sites is None else np.atleast_1d(sites)
-    if sites.dtype.kind not in "iu" or sites.ndim != 1 or not (np.abs(sites + 0.5) < N).all():
+    if not (np.abs(sites + 0.5) < N).all():
         refuse("sites", f"indices of the {N} sites", repr(sites.tolist()))
     if times.ndim != 1 or len(times) < 2 or not (np.diff(times) > 0).all() or times[0] < 0:
         refuse("times", "increasing times, from t >= 0 on", f"shape {times.shape}")

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from numpy.polynomial import polynomial
 from scipy.optimize import minimize_scalar
 
-from ..checks import real, refuse, whole
+from ..checks import parameter, refuse, whole
 from ..printing import told
 from ..results import Held, Result
 from ..types import Count, Numbers, Parameter, Scalar
@@ -273,18 +273,14 @@ def _trains(xi, strain):
         return any(np.ndim(part) for part in x)
 
     both = several(xi), several(strain)
-    if both[0] != both[1]:
-        refuse("xi and strain", "one train, or as many trains of both", "one of one, several of the other")
+    if both[0] != both[1] or both[0] and len(xi) != len(strain):
+        refuse("xi and strain", "one train, or as many trains of both", f"{len(xi)} and {len(strain)}")
     pairs = list(zip(xi, strain)) if both[0] else [(xi, strain)]
-    if both[0] and len(xi) != len(strain):
-        refuse("xi and strain", "as many trains of both", f"{len(xi)} and {len(strain)}")
     found = []
     for x, y in pairs:
-        x, y = real("xi", x), real("strain", y)
+        x, y = np.asarray(parameter("xi", x)), np.asarray(parameter("strain", y))
         if x.ndim != 1 or x.shape != y.shape or len(x) < 5:
             refuse("xi and strain", "as many places as strains, five or more", f"shapes {x.shape} and {y.shape}")
-        if not (np.isfinite(x).all() and np.isfinite(y).all()):
-            refuse("xi and strain", "finite numbers", "some that are not", "Leave out what is missing.")
         if not (np.diff(x) > 0).all():
             refuse("xi", "places that increase", "some that do not", "Sort them, with their strains.")
         found.append((x, y))

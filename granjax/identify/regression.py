@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..checks import non_negative, parameter, positive, refuse, whole, within
+from ..checks import non_negative, one_of, parameter, positive, refuse, whole, within
 from ..fit.judge import STRUCTURED, structure
 from ..lattice import Lattice
 from ..laws import Polynomial, PowerLaw, Scaled
@@ -108,11 +108,7 @@ def library(
     terms = {_named("e", p): bond(_monomial("powers", p)) for p in powers}
     for p in contacts:
         p = float(positive("contacts", p))
-        with np.errstate(over="ignore"):
-            load = float(np.power(overlap, p))
-        if not np.isfinite(load):
-            refuse("overlap", f"one whose power {p:g} is finite", f"{overlap:g}")
-        terms[f"[e]_+^{p:g}"] = bond(PowerLaw(1.0, p, load))
+        terms[f"[e]_+^{p:g}"] = bond(PowerLaw(1.0, p, float(np.power(overlap, p))))
     for p in on_site:
         terms[_named("u", p)] = lambda k, law=_monomial("on_site", p): OnSite(_scaled(law, k))
     kinds = {
@@ -122,9 +118,7 @@ def library(
         "v|v|": Drag,
     }
     for name in kinds if dissipation is None else dissipation:
-        if name not in kinds:
-            refuse("dissipation", "names among " + ", ".join(map(repr, kinds)), repr(name))
-        terms[name] = kinds[name]
+        terms[name] = kinds[one_of("dissipation", name, kinds)]
     return terms
 
 
@@ -182,8 +176,6 @@ def regression(
     >>> {name: round(c.value, 6) for name, c in found.coefficients.items()}
     {'e': 1.0, 'e^3': 0.5}
     """
-    if not candidates:
-        refuse("candidates", "a dict from names to functions of a coefficient", "an empty one", "See library().")
     threshold = float(within("threshold", threshold, 0, 1, open_high=True))
     ridge, max_steps = float(non_negative("ridge", ridge)), whole("max_steps", max_steps, 1)
     known = (known,) if isinstance(known, Term) else tuple(known)
@@ -242,9 +234,6 @@ def _differentiated(ts, vs, noise):
     t, inner = np.asarray(ts), slice(3, -3)
     deviation = float(non_negative("noise", noise))
     left = len(t) * deviation * deviation
-    if not np.isfinite(left):
-        refuse("noise", "one whose square is finite", f"{noise}")
-
     def derivative(v, every=1):
         sites = np.asarray(v).reshape(len(t), -1)[::every].T
         from scipy.interpolate import UnivariateSpline

@@ -8,7 +8,7 @@ from typing import ClassVar
 import jax
 import jax.numpy as jnp
 
-from ..checks import non_negative, plain_zero, refuse
+from ..checks import non_negative, plain_zero
 from ..types import Number, Numbers, Parameter
 from ..units import PART, Dimensional
 
@@ -126,8 +126,6 @@ class Sum(Law):
 
     def __init__(self, parts: Sequence[Law]):
         self._parts = tuple(parts)
-        if not self._parts:
-            refuse("parts", "at least one law", "none")
 
     def __repr__(self) -> str:
         return " + ".join(map(repr, self._parts))

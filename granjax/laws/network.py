@@ -4,7 +4,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ..checks import held_in_memory, parameter, positive, refuse, whole
+from ..checks import parameter, positive, refuse
 from ..types import Count, Parameter
 from .base import Law, checked_preload
 
@@ -29,7 +29,7 @@ class Network(Law):
     occur; `monotone`; `parameters`: the free numbers, (3 width + 1,) or (3 width + 1, bonds), in the order p, b, q, r,
     `None` for the start (`Network(...).parameters` reads them); `preload`: F0 >= 0 [N], the force at equilibrium.
 
-    Typical: 4 to 16 units. **Raises** ValueError for e_s, F_s <= 0, no unit, F0 < 0, or parameters of another length.
+    Typical: 4 to 16 units. **Raises** ValueError for e_s, F_s <= 0, F0 < 0, or parameters of another length.
     Source: G. Cybenko, Math. Control Signals Systems 2, 303 (1989).
 
     **Example:**
@@ -53,8 +53,6 @@ class Network(Law):
         self, width: Count = 8, strain: Parameter = 1.0, force: Parameter = 1.0, monotone: bool = True,
         parameters: Parameter | None = None, preload: Parameter = 0.0,
     ):
-        width = whole("width", width, 1)
-        held_in_memory("width", width, 1 << 10, "units")
         self.strain, self.scale = positive("strain", strain), positive("force", force)
         self.monotone = bool(monotone)
         parameters = _start(width, self.monotone) if parameters is None else parameter("parameters", parameters)

@@ -9,14 +9,12 @@ for p = 3/2); zero there is granjax's choice, so that an open or a touching cont
 stays NaN: a state that has gone wrong is not hidden.
 """
 
-import math
 from functools import partial
 
 import jax
 import jax.numpy as jnp
 from jax.custom_derivatives import SymbolicZero
 
-from ..checks import refuse
 from ..types import Number, Numbers
 from .real_power import logarithm, real_power, root
 
@@ -35,8 +33,6 @@ def plus_power(s: Number, p: Number) -> Numbers:
     Array([0., 8.], dtype=float64)
     """
     if isinstance(p, (int, float)):
-        if not math.isfinite(p):
-            refuse("p", "a finite exponent", repr(p))
         return _static_power(s, float(p))
     return _free_power(s, p if jnp.issubdtype(jnp.result_type(p), jnp.floating) else jnp.asarray(p, float), 0)
 

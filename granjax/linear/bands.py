@@ -52,9 +52,7 @@ class Bands(Result):
 
         **Raises** ValueError where the edges are traced, as their number is not known then.
         """
-        low, high = concrete(self.upper), concrete(self.lower)
-        if low is None or high is None:
-            refuse("gaps", "edges that are known", "traced ones", "Inside a transformation read .lower and .upper.")
+        low, high = np.asarray(self.upper), np.asarray(self.lower)
         if low.ndim != 1:
             refuse("gaps", "the bands of one lattice", f"edges of shape {low.shape}", "Read .lower and .upper.")
         least = TOUCHING * np.abs(low).max()

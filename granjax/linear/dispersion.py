@@ -98,8 +98,6 @@ def dispersion(
     axes = len(found.cell)
     k = parameter("k", k).astype(found.mass.dtype)
     given = k
-    if not k.size:
-        refuse("k", "at least one wave number", "none")
     if axes == 1:
         k = k[..., None]
     elif k.ndim == 0 or k.shape[-1] != axes:

@@ -6,7 +6,7 @@ import equinox as eqx
 import numpy as np
 from scipy.linalg import eig
 
-from ..checks import concrete, parameter, refuse
+from ..checks import parameter, refuse
 from ..lattice import Lattice
 from ..results import Held, Result
 from ..types import Cell, ComplexNumbers, Count, Number, Numbers, Parameter
@@ -76,13 +76,9 @@ def complex_bands(
     """
     found = unit_cell(lattice, cell)
     axes = len(found.cell)
-    if not 0 <= axis < axes:
-        refuse("axis", f"a number below {axes}", f"{axis}")
-    frequencies, given = concrete(parameter("omega", omega)), concrete(parameter("across", across))
-    coupling = concrete(found.coupling)
-    if frequencies is None or given is None or coupling is None:
-        refuse("omega", "numbers that are known", "traced ones", "Roots are sorted by their values.")
-    coupling = np.asarray(coupling)
+    frequencies, given = np.asarray(parameter("omega", omega)), np.asarray(parameter("across", across))
+    # roots are sorted by their values, so that nothing here is traced
+    coupling = np.asarray(found.coupling)
     if not np.any(coupling):
         refuse("lattice", "a lattice with linear waves", "a sonic vacuum", "Give it a precompression.")
     w = np.atleast_1d(np.asarray(frequencies, float))

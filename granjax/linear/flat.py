@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.linalg import null_space
 
-from ..checks import refuse, whole
+from ..checks import refuse
 from ..lattice import Lattice, State
 from ..results import Held, Result
 from ..types import AnyArray, Cell, Count, Numbers
@@ -66,10 +66,7 @@ class FlatBands(Result):
         the cell where it begins, `None` for the middle. **Raises** ValueError where it does not fit.
         """
         sizes = next(iter(lattice.sites.values())) if lattice.fields else lattice.sites
-        numbers = whole("number", number, 0)
-        if numbers >= len(self._states):
-            refuse("number", f"below {len(self._states)}, the number of flat frequencies", f"{number}")
-        found = self._states[numbers]
+        found = self._states[number]
         axes = len(self.cell)
         counts = found.shape[:axes]
         cells = [n // c for n, c in zip(sizes, self.cell)]

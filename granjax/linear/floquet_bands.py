@@ -183,8 +183,6 @@ def floquet_bands(
         refuse("period", "a number", "a traced one", "Only derivatives pass through it: forces are compared with it.")
     found = modulated_cell(lattice, cell, t0, period)
     axes = len(found.cell)
-    if not k.size:
-        refuse("k", "at least one wave number", "none")
     if axes > 1 and (k.ndim == 0 or k.shape[-1] != axes):
         refuse("k", f"a last axis of length {axes}, one phase per axis of the lattice", f"shape {k.shape}")
     shape = k.shape if axes == 1 else k.shape[:-1]

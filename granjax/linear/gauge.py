@@ -135,14 +135,10 @@ def smooth_gauge(vectors: Amplitudes | dict[str, Amplitudes], mass: Parameter | 
            for x in leaves):
         refuse("vectors", "arrays (K, cell..., bands) of at least four wave numbers",
                " and ".join(str(np.shape(x)) for x in leaves))
-    if isinstance(mass, dict) and not (isinstance(vectors, dict) and mass.keys() == vectors.keys()):
-        refuse("mass", "the fields of the vectors", f"{sorted(mass)}")
     given = mass if isinstance(mass, dict) else jax.tree.map(lambda _: mass, vectors)
 
     def fitted(x, m):
         m, shape = positive("mass", m), x.shape[1:-1]
-        if m.ndim and m.shape != shape[: m.ndim]:
-            refuse("mass", f"one number, or shape {shape}", f"shape {m.shape}")
         return jnp.broadcast_to(m.reshape(m.shape + (1,) * (len(shape) - m.ndim)), shape)
 
     vectors = jax.tree.map(lambda x: jnp.asarray(x) + 0j, vectors)

@@ -102,8 +102,6 @@ def ribbon(lattice: Lattice, k: Parameter | None = None, *, axis: Count | None =
         if rings[0] == rings[1]:
             refuse("axis", "0 or 1, along which the strip runs", "None", "One axis alone is to be periodic.")
         axis = 0 if rings[0] else 1
-    if axis not in (0, 1):
-        refuse("axis", "0 or 1", repr(axis))
     across = 1 - axis
     if rings[across]:
         refuse("lattice", f"ends along axis {across}, across the strip", "a ring", "boundary=('periodic', 'free')")

@@ -24,8 +24,6 @@ def undriven(lattice: Any) -> Lattice:
 
     **Raises** ValueError for what is no single lattice.
     """
-    if not isinstance(lattice, Lattice):
-        refuse("lattice", "a Lattice", f"a {type(lattice).__name__}", "Build one, or take one of granjax.scenes.")
     if lattice.lanes:
         refuse(
             "lattice", "one lattice", f"a batch with lanes {lattice.lanes}",

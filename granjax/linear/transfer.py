@@ -106,8 +106,6 @@ def localisation_length(lattice: Lattice, omega: Parameter) -> LocalisationLengt
     (0.005, True)
     """
     omega = positive("omega", omega, "It is an angular frequency.")
-    if not omega.size:
-        refuse("omega", "at least one frequency", "none")
     lattice = lanes_at_rest(lattice)
     if lattice.fields or lattice.dimension is not None or lattice.axes != 1:
         refuse("lattice", "a chain of scalar displacements", described(lattice.sites), _MODES)

@@ -32,9 +32,6 @@ def lattice_vectors(lattice: Lattice, cell: tuple) -> np.ndarray | None:
         positions = next(iter(positions.values()))
     if positions is None:
         return None
-    positions = concrete(positions)
-    if positions is None:
-        refuse("lattice", "positions that are known", "traced ones", "Take the path's phases outside of jit and vmap.")
     at = np.asarray(positions)
     if any(n < 2 for n in at.shape[:-1]):
         refuse("lattice", "two cells or more along each axis", f"{at.shape[:-1]}")
@@ -135,8 +132,6 @@ def path(
     # lengths in space: k = A q for phases k, lattice vectors A
     space = corners if vectors is None else corners @ np.linalg.pinv(vectors).T
     lengths = np.linalg.norm(np.diff(space, axis=0), axis=1)
-    if not np.all(lengths > 0):
-        refuse("points", "points that are not next to themselves", repr(points))
     shares = np.maximum(1, np.round(whole("count", count, 2) * lengths / lengths.sum()).astype(int))
     marks = np.concatenate([[0], np.cumsum(shares)])
     k = np.concatenate([a + (b - a) * np.arange(n)[:, None] / n for a, b, n in zip(corners, corners[1:], shares)]
@@ -172,8 +167,6 @@ def _letters(points, known):
         if name not in known:
             refuse("points", f"names among {sorted(known)}", repr(name),
                    "Others by named={'P': (k1, k2)}; positions tell the shape of the zone.")
-    if len(names) < 2:
-        refuse("points", "two points or more", repr(points))
     return tuple(names)
 
 

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import described, refuse
+from ..checks import refuse
 from ..lattice import Lattice
 from ..terms.tracing import reads
 from ..types import Displacements, Number, StateLike, Values
@@ -163,14 +163,10 @@ def species_energy(
     share = site_energy(lattice, y, t)
     axes = tuple(range(lattice.axes))
     if isinstance(share, dict):
-        if species is not None:
-            refuse("species", "None, as the cells' fields are the species", f"{type(species).__name__}")
         return {name: e.sum(axes) for name, e in share.items()}
     if isinstance(species, jax.core.Tracer) or np.shape(species) != lattice.sites:
         got = f"shape {np.shape(species)}"
         refuse("species", f"labels of shape {lattice.sites}, one per site", got, "Labels must be known before tracing.")
     labels = np.asarray(species)
     labels = labels.astype(str) if labels.dtype.kind == "O" else labels
-    if labels.dtype.kind not in "fiubUS":
-        refuse("species", "numbers or names", described(species))
     return {label.item(): share[labels == label].sum(0) for label in np.unique(labels)}

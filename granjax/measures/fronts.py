@@ -165,7 +165,7 @@ def _history(ts, q, least=2):
     ts, q = parameter("ts", ts), parameter("q", q)
     if ts.ndim != 1 or len(ts) < least:
         refuse("ts", f"at least {least} times in one row", f"shape {ts.shape}")
-    if q.ndim < 1 or q.shape[0] != len(ts):
+    if q.shape[:1] != ts.shape:
         refuse("q", f"{len(ts)} frames on the first axis, one per time", f"shape {q.shape}", "Time comes first.")
     value = concrete(ts)
     if value is not None and not np.all(np.diff(value) > 0):
@@ -175,10 +175,8 @@ def _history(ts, q, least=2):
 
 def _indices(sites, size):
     n = np.arange(size) if sites is None else np.asarray(sites)
-    if n.ndim != 1 or n.dtype.kind not in "iu" or len(n) < 2:
-        refuse("sites", "at least two site indices", repr(sites))
-    if n.min() < 0 or n.max() >= size:
-        refuse("sites", f"indices within 0 ... {size - 1}", show(n))
+    if len(n) < 2 or n.min() < 0 or n.max() >= size:
+        refuse("sites", f"two indices or more within 0 ... {size - 1}", show(n))
     return n
 
 

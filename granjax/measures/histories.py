@@ -7,7 +7,6 @@ import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
-from ..checks import described, refuse, returned
 from ..flow import RunWithMemory
 from ..flow.memory import recalled
 from ..lattice import Lattice, State
@@ -21,7 +20,7 @@ def along(measure: Callable, lattice: Lattice, run: Any, **options: Any) -> Pytr
     `us`, `vs`, such as the result of `simulate`; `options`: keywords of the measure, such as `bond=1`.
     Where forces remember, the lattice holds at each frame what the run had in memory then.
     **Returns:** what the measure returns, each array with T in front. All frames are held at once; to keep less, record
-    the quantity while simulating. **Raises** ValueError for a measure that cannot be called or a run without frames.
+    the quantity while simulating.
 
     **Example:**
 
@@ -30,12 +29,9 @@ def along(measure: Callable, lattice: Lattice, run: Any, **options: Any) -> Pytr
     >>> gx.measures.along(gx.measures.contact_force, chain, run).shape
     (51, 21)
     """
-    if not all(hasattr(run, name) for name in ("ts", "us", "vs")):
-        refuse("run", "a record with ts, us and vs", described(run), "Give the result of simulate.")
-
     def of_frame(t, u, v, memory):
         now = lattice if memory is None else recalled(lattice, memory)
-        return returned("measure", measure(now, State(u, v), t, **options))
+        return measure(now, State(u, v), t, **options)
 
     memory = run.by_term if isinstance(run, RunWithMemory) and run.memory else None
     return jax.vmap(of_frame)(run.ts, run.us, run.vs, memory)

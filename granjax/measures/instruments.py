@@ -4,7 +4,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from ..checks import MOST, held_in_memory, non_negative, parameter, positive, refuse, show, whole
+from ..checks import non_negative, parameter, positive, refuse, show, whole
 from ..results import Held, Result
 from ..types import Count, Numbers, Parameter, Scalar
 from ..units import SI, Units
@@ -68,17 +68,13 @@ def velocity_trace(
         refuse("ts", "at least four rising times", show(ts))
     if vs.ndim < 2 or len(vs) != len(ts):
         refuse("vs", f"shape ({len(ts)}, N), frames first", f"shape {vs.shape}")
-    count = vs.shape[1]
-    if not -count <= bead < count:
-        refuse("bead", f"an index within {-count} ... {count - 1}", repr(bead))
     units = Units() if units is None else units
     second, metre = float(units.time), float(units.length)
     time = ts * second
     interval = 1 / float(positive("sampling", sampling))
-    samples = int(min(np.floor((time[-1] - time[0]) / interval * (1 + 1e-12)), MOST - 1)) + 1
+    samples = int(np.floor((time[-1] - time[0]) / interval * (1 + 1e-12))) + 1
     if samples < 2:
         refuse("sampling", f"at least {1 / (time[-1] - time[0]):g} Hz, two samples in the record", f"{sampling}")
-    held_in_memory("sampling", samples, what="samples")
     at = np.minimum(time[0] + interval * np.arange(samples), time[-1])
     from scipy.interpolate import CubicSpline
 

@@ -3,7 +3,7 @@
 import jax
 import jax.numpy as jnp
 
-from ..checks import described, parameter, refuse
+from ..checks import parameter, refuse
 from ..lattice import Lattice
 from ..types import Number, Parameter, StateLike
 from .energies import site_energy
@@ -21,9 +21,6 @@ def participation(weights: Parameter, axis: int | tuple[int, ...] = 0) -> Number
     (4.0, 1.0)
     """
     weights = parameter("weights", weights)
-    axes, ndim = axis if isinstance(axis, tuple) else (axis,), weights.ndim
-    if not all(-ndim <= one < ndim for one in axes) or len({one % ndim for one in axes}) < len(axes):
-        refuse("axis", f"axes of the weights, shape {weights.shape}, each once", described(axis))
     return weights.sum(axis) ** 2 / (weights * weights).sum(axis)
 
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from ..checks import parameter, positive, refuse, traced
+from ..checks import parameter, positive, refuse
 from ..lattice import Lattice
 from ..printing import told
 from ..types import Displacements, Number, Numbers, Parameter, Scalar, StateLike
@@ -54,8 +54,6 @@ def force_network(lattice: Lattice, y: StateLike, t: Number = 0.0) -> ForceNetwo
     """
     places = placed(lattice, "a picture of its bonds")
     u, _ = parts(lattice, y, t)
-    if traced((u, t, places)):
-        refuse("y", "a state that is known", "a traced one", "Pictures are made of numbers: leave jit and vmap.")
     segments, forces = [], []
     for term in lattice.terms:
         for ends, contact in zip(term.ends(places, u), term.compressions(t, u)):
@@ -63,8 +61,6 @@ def force_network(lattice: Lattice, y: StateLike, t: Number = 0.0) -> ForceNetwo
                 d = ends[0].shape[-1]
                 segments.append(jnp.stack(ends, -2).reshape(-1, 2, d))
                 forces.append(jnp.broadcast_to(contact.force, ends[0].shape[:-1]).reshape(-1))
-    if not segments:
-        refuse("lattice", "bonds whose ends are known", "none")
     lines, force = jnp.concatenate(segments), jnp.concatenate(forces)
     length = jnp.linalg.norm(lines[:, 1] - lines[:, 0], axis=-1)
     # a bond between numbers, not vectors, that goes around a ring

@@ -111,12 +111,8 @@ def radial_profile(
     places = placed(lattice, "distances")
     fields = places if isinstance(places, dict) else {"": places}
     given = quantity if isinstance(quantity, dict) else {"": quantity}
-    if given.keys() != fields.keys():
-        refuse("quantity", f"numbers for each of {sorted(fields)}", f"{sorted(given)}")
     at = np.concatenate([np.asarray(x, float).reshape(-1, x.shape[-1]) for x in fields.values()])
     parts = [_history_of(name, given[name], x.shape[:-1]) for name, x in fields.items()]
-    if len({x.ndim for x in parts}) > 1:
-        refuse("quantity", "times for all fields, or for none", f"shapes {[x.shape for x in parts]}")
     q = jnp.concatenate(parts, -1)
     c = at.mean(0) if centre is None else np.asarray(concrete(_point("centre", centre, at.shape[-1])), float)
     distance = np.linalg.norm(at - c, axis=-1)
@@ -231,8 +227,6 @@ def front_decay(
         ring = np.round(distance / spacing).astype(int)
     else:
         along = np.asarray(parameter("direction", direction), float)
-        if along.shape != places.shape[-1:] or not np.any(along):
-            refuse("direction", f"a vector of {places.shape[-1]} numbers, not zero", f"{direction}")
         ahead = away @ (along / np.linalg.norm(along))
         kept &= (ahead > 0) & (np.sqrt(np.maximum(distance**2 - ahead**2, 0)) < 0.1 * spacing)
         ring = np.round(distance / (1e-6 * spacing)).astype(int)

@@ -10,8 +10,7 @@ import numpy as np
 from diffrax import AbstractSolver
 from jax.flatten_util import ravel_pytree
 
-from ..checks import parameter, positive, refuse, whole
-from ..checks import tolerance as checked_tolerance
+from ..checks import positive, refuse
 from ..continuation import continuation
 from ..flow import Flow
 from ..solvers import KahanLi8
@@ -23,7 +22,7 @@ from .confirm import LEFT_ON_BRANCH, newtons
 from .families import breathers_on, checked_lattice, enough_steps, half_steps
 from .guesses.sites import single_site
 from .localised import FEWEST, localisation
-from .problems import Family, Shooting, made
+from .problems import Family, Shooting
 from .repeats import largest
 
 # along the branch, in the amplitude of the limit and in the whole way of the coupling: first, longest and least step
@@ -86,12 +85,10 @@ def anticontinuous(
     [0.0005, -0.0239, 1.1182, -0.0239, 0.0005]
     """
     omega = float(positive("omega", omega))
-    end, tolerance = float(parameter("coupling", coupling)), checked_tolerance("tolerance", tolerance)
-    arclength, points = float(positive("arclength", arclength)), whole("points", points, 1)
-    if end == 0 or not np.isfinite(end):
+    end = float(coupling)
+    if end == 0:
         refuse("coupling", "a coupling to go to, not zero", repr(end), "At zero every site is by itself.")
     period = 2 * np.pi / omega
-    made(scene, period, end)
     scene = _Traced(scene)
     lattices = [checked_lattice(scene(jnp.asarray(c))) for c in (0.0, end)]
     limit = _limit(lattices[0], omega, sites, amplitudes, field)

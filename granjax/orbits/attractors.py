@@ -10,10 +10,9 @@ from diffrax import AbstractSolver
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
-from ..checks import held_in_memory, positive, refuse, traced, whole
+from ..checks import positive, traced, whole
 from ..checks import tolerance as checked_tolerance
 from ..flow import Flow
-from ..flow.inputs import held_frames
 from ..lattice import Lattice, State
 from ..measures import contacts
 from ..results import STATE, Held, Result
@@ -132,10 +131,7 @@ def settle(
     """
     state, period = checked_state(one_lattice(lattice), state), float(positive("period", period))
     tolerance = float(checked_tolerance("tolerance", tolerance))
-    periods = whole("periods", periods, 8)
-    held_in_memory("periods", periods, 64, "periods")
     steps = steps_per_period(lattice, period) if steps is None else whole("steps", steps, 1)
-    held_frames("steps", steps, state, "steps", KEPT)
     checked_period(lattice, state, 0.0, period)
     solver = fixed_step_solver(lattice, solver, SRKN11b())
     # arrays, whose values compile nothing anew
@@ -245,8 +241,6 @@ def largest(x: Numbers) -> Numbers:
     # NumPy compiles nothing for another number of steps
     xp = jnp if traced(x) else np
     x = xp.asarray(x)
-    if not x.ndim or not len(x):
-        refuse("x", "values over time on the first axis", "none" if x.ndim else "one number")
     i = xp.argmax(x, 0)[None]
     a, b, c = (xp.take_along_axis(x, (i + k) % len(x), 0)[0] for k in (-1, 0, 1))
     curve = 2 * b - a - c

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from ..checks import refuse, traced, whole
+from ..checks import refuse, traced
 from ..lattice import Lattice, State, spread_mass
 from ..linear import normal_modes
 from ..linear.stiffness import at_rest
@@ -111,10 +111,9 @@ def backbone(lattice: Lattice, mode: Count | StateLike) -> Backbone:
     mass, _ = ravel_pytree(spread_mass(lattice))
     squared = modes.omega_squared
     if isinstance(mode, (int, np.integer)):
-        number = whole("mode", mode, -flat.size)
-        if number >= flat.size:
+        if not -flat.size <= mode < flat.size:  # JAX clips an index
             refuse("mode", f"below {flat.size}, the number of modes", f"{mode}")
-        shape, own = phi[:, number], squared[number]
+        shape, own = phi[:, mode], squared[mode]
     else:
         shape, own = _given(lattice, mode, phi, mass, squared)
     shape = shape / jnp.take(shape, jnp.argmax(jnp.abs(shape)))

@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Inexact, Shaped
 
-from ..checks import refuse
 from ..continuation import Curve
 from ..flow import Flow
 from ..lattice import Lattice, State
@@ -164,8 +163,6 @@ class Branch(Result):
 
     def orbit(self, i: Count) -> Orbit:
         """The `Orbit` at point i; -1 is the last."""
-        if not -len(self) <= i < len(self):
-            refuse("i", f"an index of {len(self)} orbits", repr(i))
         x, q = jnp.asarray(self._curve.x[i]), jnp.asarray(self._curve.p[i])
         lattice, _ = self._family.scene(q)
         residual = _residual(self._family, x, q)

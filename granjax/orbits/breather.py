@@ -7,8 +7,7 @@ import numpy as np
 from diffrax import AbstractSolver
 from jaxtyping import Float
 
-from ..checks import one_of, positive, refuse, traced
-from ..checks import tolerance as checked_tolerance
+from ..checks import one_of, refuse, traced
 from ..flow import Flow
 from ..lattice import Lattice, State
 from ..linear import bands, normal_modes
@@ -85,7 +84,7 @@ def breather(
     >>> bool(found.converged), round(float(found.energy), 4)
     (True, 1.0427)
     """
-    first, tolerance = None, checked_tolerance("tolerance", tolerance)
+    first = None
     if isinstance(guess, Orbit):
         guess, first = guess.state, even_steps(guess)
     unknown = traced((lattice, omega, guess, energy))
@@ -103,8 +102,6 @@ def breather(
     if not unknown:
         if not omega > 0:
             refuse("omega", "a frequency above zero", repr(omega))
-        if energy is not None:
-            positive("energy", energy)
         if check:
             _check(lattice, float(omega), guess, kind)
     elif guess is None or isinstance(guess, str) or steps is None:

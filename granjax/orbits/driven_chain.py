@@ -3,9 +3,8 @@
 from collections.abc import Sequence
 
 import equinox as eqx
-import jax
 
-from ..checks import non_negative, one_of, parameter, per_lane, refuse
+from ..checks import one_of, per_lane, refuse
 from ..lattice import Lattice
 from ..terms import Damping, Harmonic, Wall
 from ..types import Parameter
@@ -34,7 +33,7 @@ def driven_chain(
 
     **Returns:** a `Lattice`; its bond is where it was, walls follow after all other terms, left then right.
     **Raises** ValueError for a lattice that is no chain with one bond to fixed walls, another term that reaches a
-    wall, an unknown or repeated end, or as many phases as do not fit.
+    wall, an unknown end, or as many phases as do not fit.
     Typical: a = 0.05 ... 0.5 d0, omega near a band edge, gamma = 0.01 ... 0.1 in scaled units (200/s for steel beads).
 
     **Example:**
@@ -43,8 +42,10 @@ def driven_chain(
     >>> gx.measures.strain(chain, gx.states.rest(chain), bond=1).tolist()
     [0.1]
     """
-    ends = _checked_ends(ends)
-    phases = _checked_phases(phase, ends)
+    ends = tuple(one_of("ends", end, SIDES) for end in ((ends,) if isinstance(ends, str) else ends))
+    phases = phase if isinstance(phase, (tuple, list)) else (phase,) * len(ends)
+    if len(phases) != len(ends):
+        refuse("phase", f"a number, or {len(ends)}, one for each of {ends}", repr(phase))
     if lattice.axes != 1 or lattice.dimension is not None:
         refuse("lattice", "a chain with scalar displacements", f"a lattice of shape {lattice.shape}")
     amplitude, omega = per_lane("amplitude", amplitude, lattice.lanes), per_lane("omega", omega, lattice.lanes)
@@ -65,7 +66,7 @@ def driven_chain(
     if laws is None:
         refuse("lattice", "a Bond(Shift(1, 'fixed'), law), which leads to walls", "none", "Use boundary='fixed'.")
     if damping is not None:
-        terms.append(Damping(_checked_damping(damping, lattice)))
+        terms.append(Damping(damping))
     for side, law in zip(SIDES, laws):
         motion = Harmonic(amplitude, omega, phases[ends.index(side)]) if side in ends else None
         terms.append(Wall(law, side, motion, field=field))
@@ -74,26 +75,3 @@ def driven_chain(
     return driven
 
 
-def _checked_ends(ends):
-    ends = (ends,) if isinstance(ends, str) else tuple(ends)
-    ends = tuple(one_of("ends", end, SIDES) for end in ends)
-    if not ends or len(set(ends)) != len(ends):
-        refuse("ends", "'left', 'right' or both", repr(ends))
-    return ends
-
-
-def _checked_damping(damping, lattice):
-    damping = non_negative("damping", damping, "A negative one would feed the lattice.")
-    for shape in (leaf.shape for leaf in jax.tree.leaves(lattice.template())):
-        given = damping.shape[::-1]
-        if len(given) > len(shape) or any(n not in (1, wanted) for n, wanted in zip(given, shape[::-1])):
-            refuse("damping", f"one number, or one per site, shape {shape}", f"shape {damping.shape}")
-    return damping
-
-
-def _checked_phases(phase, ends):
-    if not isinstance(phase, (tuple, list)):
-        return (parameter("phase", phase),) * len(ends)
-    if len(phase) != len(ends):
-        refuse("phase", f"a number, or {len(ends)}, one for each of {ends}", repr(phase))
-    return tuple(parameter("phase", p) for p in phase)

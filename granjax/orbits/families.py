@@ -9,8 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from diffrax import AbstractSolver
 
-from ..checks import positive, refuse, traced, whole
-from ..checks import tolerance as checked_tolerance
+from ..checks import refuse, traced
 from ..continuation import Curve, continuation
 from ..flow import Flow
 from ..lattice import Lattice, State
@@ -81,18 +80,12 @@ def family(
     [1.0356, 1.0356, 1.0357]
     """
     checked_lattice(lattice)
-    tolerance = checked_tolerance("tolerance", tolerance)
     if guess is not None and mode is not None:
         refuse("mode", "a mode or a guess", "both", "A guess says where the family begins.")
-    for name, x in (("until", until), ("amplitude", amplitude), ("longest_arclength", longest_arclength)):
-        if x is not None:
-            positive(name, x)
-    points = whole("points", points, 1)
     modes = normal_modes(lattice) if guess is None else None
     ways = [_from(guess)] if guess is not None else _modes(lattice, modes, until, mode)
-    arclength = ARCLENGTH if arclength is None else positive("arclength", arclength)
-    if longest_arclength is None:
-        longest_arclength = min(LONGEST * arclength, np.finfo(float).max)
+    arclength = ARCLENGTH if arclength is None else arclength
+    longest_arclength = LONGEST * arclength if longest_arclength is None else longest_arclength
 
     def follow(way, count, most):
         problem = over_frequency(lattice, count, solver, way.length, way.omega)
@@ -155,8 +148,6 @@ def _modes(lattice, modes, until, mode):
     omega = np.asarray(modes.omega)
     shapes = np.concatenate([np.asarray(x).reshape(-1, len(omega)) for x in jax.tree.leaves(modes.modes)])
     if mode is not None:
-        if not 0 <= mode < len(omega) or not omega[mode] > 0:
-            refuse("mode", f"a mode that oscillates, of {len(omega)}", repr(mode))
         chosen = [mode]
     elif until is None:
         chosen = [len(omega) - 1]
@@ -233,14 +224,10 @@ def checked_lattice(lattice: Lattice) -> Lattice:
     if lattice.lanes:
         remedy = "Use jax.vmap(function, in_axes=-1)(lattice) for gx.breathers.breather with a guess."
         refuse("lattice", "one lattice", f"a batch with lanes {lattice.lanes}", remedy)
-    if not lattice.conserves and any(term.dependence(lattice).time and term.stiffness_changes(lattice)
-                                     for term in lattice.terms):
-        refuse("lattice", "a stiffness that is constant in time", "one that is modulated",
-               "In a gap in the wave number waves grow, and no breather stays: gx.breathers.k_gap_breather finds those "
-               "that come and go. Orbits of the period of the modulation: gx.forced.forced_orbit.")
     if not lattice.conserves:
         names = ", ".join(lattice.unkept())
-        remedy = "Orbits of damped or driven chains: gx.forced.forced_orbit."
+        remedy = ("Orbits of damped, driven or modulated chains: gx.forced.forced_orbit. Breathers in a gap in the "
+                  "wave number, which come and go: gx.breathers.k_gap_breather.")
         refuse("lattice", "forces that depend on positions alone", names, remedy)
     return lattice
 
@@ -256,7 +243,7 @@ def half_steps(
     """Steps of half a period, from those of a whole one or by default; `guess`: as in `default_steps`."""
     if traced(steps):
         return steps // 2
-    steps = default_steps(lattice, period, 2, doubled=True, guess=guess) if steps is None else whole("steps", steps, 2)
+    steps = default_steps(lattice, period, 2, doubled=True, guess=guess) if steps is None else steps
     if steps % 2:
         refuse("steps", "an even number, of which half a period takes half", repr(steps))
     return steps // 2

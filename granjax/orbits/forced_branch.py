@@ -11,8 +11,7 @@ from diffrax import AbstractSolver
 from jax.flatten_util import ravel_pytree
 from scipy.optimize import brentq
 
-from ..checks import parameter, positive, refuse, whole
-from ..checks import tolerance as checked_tolerance
+from ..checks import positive, refuse
 from ..continuation import continuation
 from ..flow import Flow
 from ..lattice import State
@@ -94,15 +93,11 @@ def forced_branch(
     >>> round(float(branch.response[-1] / branch.response[0]), 3)
     2.0
     """
-    start, until = (float(parameter(name, x)) for name, x in (("start", start), ("until", until)))
-    tolerance = checked_tolerance("tolerance", tolerance)
+    start, until = float(start), float(until)
     if start == until:
         refuse("until", "another value than start", repr(until))
     period = period if callable(period) else positive("period", period)
-    arclength, points = float(positive("arclength", arclength)), whole("points", points, 1)
-    longest_arclength = min(5 * arclength, np.finfo(float).max) if longest_arclength is None else longest_arclength
-    longest_arclength = float(positive("longest_arclength", longest_arclength))
-    segments, transient = whole("segments", segments, 1), whole("transient", transient, 0)
+    longest_arclength = 5 * arclength if longest_arclength is None else longest_arclength
     scenes = [made(make, period, p) for p in (start, until)]
     solver = fixed_step_solver(scenes[0][0], solver, SRKN14a())
     lattice, T = scenes[0]

@@ -11,8 +11,8 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Complex, Float
 from scipy.sparse.linalg import ArpackError, ArpackNoConvergence, LinearOperator, eigs
 
-from ..checks import refuse, whole
 from ..checks import tolerance as checked_tolerance
+from ..checks import whole
 from ..flow import Flow
 from ..lattice import Lattice
 from ..printing import told
@@ -77,15 +77,13 @@ def leading(
     2.718282
     """
     tolerance = checked_tolerance("tolerance", tolerance)
-    count, period, state = whole("count", count, 1), one_period(lattice, period), checked_state(lattice, state)
+    period, state = one_period(lattice, period), checked_state(lattice, state)
     checked_period(lattice, state, t0, period)
     steps = default_steps(lattice, period) if steps is None else whole("steps", steps, 1)
     flow = Flow(jnp.asarray(steps), fixed_step_solver(lattice, solver, KahanLi8()))
     times = jnp.asarray(float(t0)), jnp.asarray(period)
     scale = weights(structure(lattice).mass, period)
     size = len(scale)
-    if count > size - 2:
-        refuse("count", f"at most {size - 2}, two below the size", repr(count), "gx.floquet.floquet gives them all.")
     fine, coarse = (
         scale * np.asarray(_end(eqx.tree_at(lambda f: f.steps, flow, jnp.asarray(n)), state, *times, lattice))
         for n in (steps, max(steps // 2, 1)))

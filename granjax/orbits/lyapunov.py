@@ -10,7 +10,7 @@ from diffrax import AbstractSolver
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Float
 
-from ..checks import held_in_memory, positive, refuse, whole
+from ..checks import positive, refuse, whole
 from ..flow import Flow
 from ..flow.stepping import columns, matrix
 from ..lattice import Lattice, State
@@ -96,14 +96,10 @@ def lyapunov(
     state, period = checked_state(one_lattice(lattice), state), float(positive("period", period))
     checked_period(lattice, state, 0.0, period)
     size = ravel_pytree(state)[0].size
-    number, windows = whole("number", number, 1), whole("windows", windows, 4)
     if number > size:
         refuse("number", f"at most {size}, twice the number of displacements", f"{number}")
-    periods, transient = whole("periods", periods, 1), whole("transient", transient, 0)
     if periods < windows:
         refuse("periods and windows", "a period in each window", f"{periods} and {windows}")
-    for name, count in (("periods", periods), ("transient", transient)):
-        held_in_memory(name, count, 32 * number, "periods")
     steps = steps_per_period(lattice, period) if steps is None else whole("steps", steps, 1)
     solver = fixed_step_solver(lattice, solver, SRKN11b())
     start = np.random.default_rng(seed).normal(size=(size, number))

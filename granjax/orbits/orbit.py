@@ -11,10 +11,8 @@ import numpy as np
 from diffrax import AbstractSolver
 from jax.flatten_util import ravel_pytree
 
-from ..checks import concrete, positive, refuse, traced, whole
-from ..checks import tolerance as checked_tolerance
+from ..checks import concrete, positive, refuse, traced
 from ..flow import Flow
-from ..flow.inputs import held_frames
 from ..lattice import Lattice, State, vector_field
 from ..newton import CONVERGED, Root
 from ..results import STATE, Held, Result
@@ -25,7 +23,7 @@ from ..variables import Layout
 from .confirm import TOLERANCE, OrbitError, confirmed, error_of
 from .floquet import Floquet, floquet
 from .problems import Shooting
-from .repeats import checked_state, checked_symmetry, largest, phases
+from .repeats import checked_state, checked_symmetry, largest, one_lattice, phases
 from .steps import fixed_step_solver, flow_over, history
 from .symmetry import Symmetry
 
@@ -150,7 +148,6 @@ class Orbit(Result):
 
     def run(self, frames: Count = FRAMES) -> OrbitRun:
         """The orbit in time, `OrbitRun`."""
-        held_frames("frames", whole("frames", frames, 2), self.state)
         _, ts, ys = _history(self.flow, self.lattice, self.state, self.t0, self.period, frames)
         return OrbitRun(ts, ys.u, ys.v, **self.lattice.origin)
 
@@ -161,7 +158,7 @@ class Orbit(Result):
         identity, as `amplitude` and `rms_velocity` do: u then repeats after T times the order of S alone.
         """
         self._refuse_symmetry()
-        if not whole("count", count, 0) < whole("frames", frames, 2) / 2:
+        if not count < frames / 2:
             refuse("count", f"fewer than half of the {frames} frames", repr(count))
         run = self.run(frames)
         k = jnp.arange(count + 1)
@@ -246,9 +243,8 @@ def orbit(
     >>> bool(found.converged), round(float(found.omega), 6)
     (True, 0.5)
     """
-    _refuse_batch(lattice)
-    period, segments = positive("period", period), whole("segments", segments, 1)
-    transient, tolerance = whole("transient", transient, 0), checked_tolerance("tolerance", tolerance)
+    one_lattice(lattice)
+    period = positive("period", period)
     guess = checked_state(lattice, guess, "guess")
     flow = flow_over(lattice, period, steps, fixed_step_solver(lattice, solver, SRKN14a()), segments, guess)
     checked_symmetry(lattice, symmetry, guess, t0, period)
@@ -280,7 +276,7 @@ def forced_orbit(lattice: Lattice, period: Scalar, guess: StateLike | None = Non
     >>> bool(found.converged), np.array(found.state.v).round(4).tolist()
     (True, [0.0021, 0.0028, 0.0021])
     """
-    _refuse_batch(lattice)
+    one_lattice(lattice)
     if guess is None:
         guess = State(lattice.zeros(), lattice.zeros())
         pushed = concrete(_pushed(lattice, keywords.get("t0", 0.0), period)) if lattice.reads_time else None
@@ -296,12 +292,6 @@ def _pushed(lattice, t0, period):
     """The largest acceleration of the lattice at rest over a period."""
     rest, ts = State(lattice.zeros(), lattice.zeros()), phases(t0, period, (np.arange(16) + 0.5) / 16)
     return largest(jax.vmap(lambda t: vector_field(t, rest, lattice)[1])(ts))
-
-
-def _refuse_batch(lattice):
-    if lattice.lanes:
-        refuse("lattice", "one Lattice", "a batch",
-               "For a batch use jax.vmap(lambda c: forced_orbit(c, T, throw=False), in_axes=-1).")
 
 
 def checked_free(lattice: Lattice) -> bool:

@@ -260,8 +260,6 @@ def period_at(period: Callable | Scalar, p: Scalar) -> Scalar:
 def made(make: Callable, period: Callable | Scalar, p: Scalar) -> tuple[Lattice, Scalar]:
     """The lattice and the period at a value of the parameter, as functions of the user's give them."""
     lattice, T = make(jnp.asarray(p)), period_at(period, p)
-    if not isinstance(lattice, Lattice):
-        refuse("make", "a function of a number that gives a Lattice", f"one that gives {described(lattice)}")
     if np.ndim(T) or not 0 < float(T) < np.inf:
         refuse("period", "a time above zero, or a function that gives one", described(T))
     return lattice, jnp.asarray(T)

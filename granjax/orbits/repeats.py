@@ -20,8 +20,6 @@ SIZES = 2.0 ** np.arange(-120, 121, 8)
 
 def checked_state(lattice: Lattice, state: StateLike, argument: str = "state") -> State:
     """A pair as a `State` of the lattice's shape and type."""
-    if not isinstance(state, (tuple, list)) or len(state) != 2:
-        refuse(argument, "a State", f"a {type(state).__name__}")
     template = lattice.template()
     wanted = [x.shape for x in jax.tree.leaves(template)]
     for name, part in zip("uv", state):
@@ -38,9 +36,9 @@ def checked_state(lattice: Lattice, state: StateLike, argument: str = "state") -
 
 def one_lattice(lattice: Lattice) -> Lattice:
     """Refuse a batch of lattices."""
-    if not isinstance(lattice, Lattice) or lattice.lanes:
-        got = f"a batch with lanes {lattice.lanes}" if isinstance(lattice, Lattice) else f"a {type(lattice).__name__}"
-        refuse("lattice", "one Lattice", got, "Ask for one lane at a time.")
+    if lattice.lanes:
+        refuse("lattice", "one Lattice", f"a batch with lanes {lattice.lanes}", "Ask for one lane at a time, "
+               "or use jax.vmap(..., in_axes=-1).")
     return lattice
 
 
@@ -49,8 +47,6 @@ def checked_symmetry(lattice: Lattice, symmetry: Symmetry, state: State, t0: Sca
 
     Of the identity: a period after which the forces do not repeat.
     """
-    if not isinstance(symmetry, Symmetry):
-        refuse("symmetry", "a Symmetry, such as Translation(1)", f"a {type(symmetry).__name__}")
     if symmetry.trivial:
         checked_period(lattice, state, t0, period)
         return symmetry

@@ -5,7 +5,6 @@ from jaxtyping import Float, Inexact
 from scipy.linalg import eig, eigh
 from scipy.optimize import linear_sum_assignment
 
-from ..checks import described, real, refuse
 from ..tuning import one_thread
 from ..types import Parameter, Scalar
 
@@ -35,7 +34,7 @@ def spectrum(
     >>> rho.real.round(6).tolist(), bool(error.max() < 1e-12)
     ([2.0, 0.5], True)
     """
-    fine, coarse, coarser = _squares({"fine": fine, "coarse": coarse, "coarser": coarser})
+    fine, coarse, coarser = (None if x is None else np.asarray(x) for x in (fine, coarse, coarser))
     return known_spectrum(fine, coarse, 0.0 if coarse is None else uncertain(fine, coarse, coarser), moved)
 
 
@@ -71,16 +70,6 @@ def matched(
     away = np.empty(len(values))
     away[rows] = distance[rows, columns]
     return away
-
-
-def _squares(matrices):
-    """Finite square matrices of one size, some of which may be `None`."""
-    found = [None if x is None else real(name, x) for name, x in matrices.items()]
-    size = len(found[0])
-    for name, x in zip(matrices, found):
-        if x is not None and (x.shape != (size, size) or not np.isfinite(x).all()):
-            refuse(name, f"a finite matrix of shape {(size, size)}", described(x))
-    return found
 
 
 def uncertain(fine: Map, coarse: Map, coarser: Map | None = None) -> float:
@@ -123,9 +112,7 @@ def product_multipliers(factors: Parameter) -> Inexact[np.ndarray, " n"]:
     >>> [f"{x:.3g}" for x in rho.real.tolist()]
     ['1e+20', '1e-20']
     """
-    if len(np.shape(factors)) != 3 or not len(factors):
-        refuse("factors", "square matrices, shape (m, N, N)", described(factors))
-    factors = _squares({f"factors[{i}]": factor for i, factor in enumerate(factors)})
+    factors = [np.asarray(factor) for factor in factors]
     roots = np.linalg.eigvals(_cyclic(factors))
     roots = roots[np.argsort(-np.abs(roots))]
     m = len(factors)
@@ -182,10 +169,8 @@ def reversible_multipliers(half: Map, coarse: Map | None = None, coarser: Map | 
     >>> np.angle(rho).round(6).tolist()
     [-2.0, 2.0]
     """
-    half, coarse, coarser = _squares({"half": half, "coarse": coarse, "coarser": coarser})
+    half, coarse, coarser = (None if x is None else np.asarray(x) for x in (half, coarse, coarser))
     n = len(half) // 2
-    if len(half) % 2:
-        refuse("half", "a matrix over (u, p), of even size", f"shape {half.shape}")
     stiff = lambda h: np.eye(n) + 2 * h[:n, n:].T @ h[n:, :n]
     mu, _, error = spectrum(stiff(half), *(None if h is None else stiff(h) for h in (coarse, coarser)))
     root = np.sqrt(mu.astype(complex) ** 2 - 1)

@@ -10,10 +10,9 @@ import numpy as np
 from diffrax import AbstractSolver
 from jaxtyping import Float, Integer
 
-from ..checks import concrete, held_in_memory, parameter, refuse, whole
+from ..checks import refuse, whole
 from ..checks import tolerance as checked_tolerance
 from ..flow import Flow
-from ..flow.inputs import held_frames
 from ..lattice import State
 from ..measures import rms_velocity
 from ..printing import told
@@ -174,27 +173,20 @@ def sweep(
     >>> (found.up.response / found.up.response[0]).round(2).tolist()
     [1.0, 2.0, 3.0]
     """
-    values = np.asarray(parameter("values", values), float)
+    values = np.asarray(values, float)
     if values.ndim != 1 or len(values) < 2 or not (np.diff(values) > 0).all():
         refuse("values", "at least two, ascending", f"shape {values.shape}", "The sweep itself goes down again.")
     jump = float(checked_tolerance("jump", jump, MOST_JUMP, 0.2))
     accuracy = float(checked_tolerance("accuracy", accuracy, 1, 1e-3))
-    tolerance, periods = float(checked_tolerance("tolerance", tolerance)), whole("periods", periods, 8)
-    watch = whole("watch", watch, 1)
-    for name, count in (("periods", periods), ("watch", watch)):
-        held_in_memory(name, count, 64, "periods")
+    tolerance = float(checked_tolerance("tolerance", tolerance))
     scenes = [(scene, float(T)) for scene, T in (made(make, period, w) for w in values[[0, -1]])]
     first = one_lattice(scenes[0][0])
     if steps is None:
         steps = shared_size(max(steps_per_period(*scene) for scene in scenes))
     flow = Flow(whole("steps", steps, 1), fixed_step_solver(first, solver, SRKN11b()))
     state = State(first.zeros(), first.zeros()) if state is None else checked_state(first, state)
-    held_frames("steps", steps, state, "steps")
-    held_frames("watch", watch, state, "periods", steps)
     for lattice, T in scenes:
         checked_period(lattice, state, 0.0, T)
-    if concrete(jax.tree.leaves(state)[0]) is None:
-        refuse("state", "numbers known before tracing", "a traced state", "A sweep runs outside of transformations.")
 
     period = period if callable(period) else jnp.asarray(float(period))
 

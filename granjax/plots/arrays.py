@@ -2,11 +2,10 @@
 
 from typing import Any, ClassVar, TypeAlias
 
-import jax
 import numpy as np
 from jaxtyping import Float
 
-from ..checks import described, parameter, real, refuse, show
+from ..checks import one_of, parameter, real, refuse, show
 from ..types import Parameter
 
 Samples: TypeAlias = Parameter | np.ma.MaskedArray
@@ -18,8 +17,6 @@ def numbers(argument: str, x: Any, ndim: int | None = None, finite: bool = True)
     if finite:
         array = np.asarray(parameter(argument, x))
     else:
-        if isinstance(x, jax.core.Tracer):
-            refuse(argument, "real numbers known before tracing", f"{type(x).__name__}")
         # what is masked is a gap, as NaN is
         array = real(argument, x.astype(float).filled(np.nan) if isinstance(x, np.ma.MaskedArray) else x)
     if ndim is not None and array.ndim != ndim:
@@ -28,20 +25,11 @@ def numbers(argument: str, x: Any, ndim: int | None = None, finite: bool = True)
     return array
 
 
-def having(argument: str, x: Any, expected: str, *names: str) -> None:
-    """Refuse what has not the attributes that are drawn."""
-    missing = [name for name in names if not hasattr(x, name)]
-    if missing or isinstance(x, type):
-        refuse(argument, f"{expected}, or anything with {', '.join(names)}", described(x))
-
-
 def rising(argument: str, x: Any, size: int) -> Float[np.ndarray, " size"]:
     """`size` numbers, each above the one before."""
     x = numbers(argument, x, 1)
-    if len(x) != size:
-        refuse(argument, f"{size} numbers, one per row or column of the data", f"shape {x.shape}")
-    if not np.all(np.diff(x) > 0):
-        refuse(argument, "rising numbers", show(x))
+    if len(x) != size or not np.all(np.diff(x) > 0):
+        refuse(argument, f"{size} rising numbers, as many as the data has", show(x))
     return x
 
 
@@ -93,20 +81,12 @@ def history(run_or_array: Any, quantity: Any, ts: Any) -> tuple[Any, Float[np.nd
                "Give simulate the number of frames, such as save_at=401.")
     ts = run.ts if ts is None else ts
     if isinstance(quantity, str):
-        if quantity not in ("u", "v"):
-            refuse("quantity", "'u', 'v', or an array (T, N)", repr(quantity))
-        having("run_or_array", run, f"a run with {quantity}", f"{quantity}s")
-        data = run.us if quantity == "u" else run.vs
+        data = run.us if one_of("quantity", quantity, ("u", "v")) == "u" else run.vs
         if isinstance(data, dict):
             names = ", ".join(map(repr, data))
             refuse("quantity", "an array where a cell holds several fields", repr(quantity),
                    f"Fields {names}: quantity=run.{quantity}s[...].")
     else:
         data = quantity
-    if np.ndim(data) != 2:
-        refuse("quantity", "frames of sites, shape (T, N)", f"shape {np.shape(data)}",
-               "Pick one lane or component: quantity=run.vs[:, :, 0].")
     data = numbers("quantity", data, 2, finite=False)
-    if len(data) != np.size(run.ts):
-        refuse("quantity", f"{np.size(run.ts)} frames, one per time of the run", f"shape {data.shape}")
     return ts, data

@@ -6,10 +6,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import CenteredNorm
 
-from ..checks import refuse
 from ..types import Count
 from ..units import UnitsOrWords
-from .arrays import having, numbers, rising
+from .arrays import numbers, rising
 from .quantities import Axis, drawn_in, scaled_by, units_of
 from .style import AxesOrNone, add_colour_bar, axes_or_new, colour
 
@@ -21,7 +20,6 @@ def cell_wave(wave: Any, ax: AxesOrNone = None, *, tail: bool = True, units: Uni
     `gx.travelling.cell_wave`. `tail`: whether the inset is drawn. `units`: `"um"`, as in `granjax.plots`.
 
     **Returns:** the Axes; `ax.lines` holds the contacts' curves, the inset is `ax.child_axes[0]`.
-    **Raises** ValueError for a record without these arrays.
 
     **Example:**
 
@@ -30,7 +28,6 @@ def cell_wave(wave: Any, ax: AxesOrNone = None, *, tail: bool = True, units: Uni
     >>> len(ax.lines)  # one for each contact of the cell
     2
     """
-    having("wave", wave, "a wave of a cell", "xi", "strains", "amplitude")
     strains = numbers("wave.strains", wave.strains, 2)
     xi = rising("wave.xi", wave.xi, strains.shape[1])
     (by,) = drawn_in(units, units_of(wave), Axis("strain", strains, "m"))
@@ -67,7 +64,7 @@ def resonance_map(
     `gx.resonance.resonance_map`. `marks`: so many of the lowest local minima are marked. `units`: none, since all axes
     are pure numbers.
 
-    **Returns:** the Axes; the map is `ax.collections[0]`. **Raises** ValueError for a record without these arrays.
+    **Returns:** the Axes; the map is `ax.collections[0]`.
 
     **Example:**
 
@@ -77,10 +74,7 @@ def resonance_map(
     >>> gx.plots.resonance_map(found, marks=1).get_xlabel()
     'mass ratio, odd bead over the others'
     """
-    having("record", record, "a map of resonances", "first", "second", "rate", "names")
     rate = numbers("record.rate", record.rate, 2, finite=False)
-    if min(rate.shape) < 2:
-        refuse("record.rate", "two values or more of either parameter", f"shape {rate.shape}")
     first = rising("record.first", record.first, len(rate))
     second = rising("record.second", record.second, rate.shape[1])
     drawn_in(units, None)

@@ -43,16 +43,12 @@ def profile(
     """
     inset = one_of("inset", "none" if inset is None else inset, INSETS)
     x, y = numbers("x", x, 1), numbers("y", y, finite=False)
-    if not x.size:
-        refuse("x", "at least one place", "none")
     if y.ndim not in (1, 2) or len(y) != len(x):
         refuse("x and y", "places, shape (X,), and values, (X,) or (X, curves), one value per place",
                f"shapes {x.shape} and {y.shape}")
     y = y.reshape(len(x), -1)
     if isinstance(labels, str):
         labels = [labels]
-    if labels is not None and len(labels) != y.shape[1]:
-        refuse("labels", f"{y.shape[1]} names, one per curve", f"{len(labels)}")
     floor = float(within("floor", floor, 0, 1, open_low=True, open_high=True))
     by_x, by_y = drawn_in(units, None, Axis(x_label, x, quantity(x_label) or ""), Axis(y_label, y))
     x, y = scaled_by(x, by_x.factor), scaled_by(y, by_y.factor)
@@ -80,11 +76,7 @@ def profile(
 
 
 def _points(points):
-    if not isinstance(points, (tuple, list)) or len(points) != 2:
-        refuse("points", "a pair (places, values)", repr(type(points).__name__))
     places, values = numbers("points[0]", points[0], 1), numbers("points[1]", points[1], 1, finite=False)
-    if places.shape != values.shape:
-        refuse("points", "as many values as places", f"shapes {places.shape} and {values.shape}")
     return places, values
 
 
@@ -118,12 +110,8 @@ def transmission(
     """
     ratios = np.asarray(within("mass_ratio", mass_ratio, 0, 1, open_low=True))
     values = numbers("transmission", transmission, finite=False)
-    if ratios.ndim != 1 or values.ndim not in (1, 2) or len(values) != len(ratios):
-        refuse("transmission", f"one value per mass ratio, shape {ratios.shape}", f"shape {values.shape}")
     values = values.reshape(len(ratios), -1)
     labels = [label] * values.shape[1] if label is None or isinstance(label, str) else list(label)
-    if len(labels) != values.shape[1]:
-        refuse("label", f"{values.shape[1]} names, one per curve", f"{len(labels)}")
     (by,) = drawn_in(units, None, Axis(y_label, values, quantity(y_label) or ""))
     values = scaled_by(values, by.factor)
     ax = axes_or_new(ax, 5.6, 3.6)
@@ -148,7 +136,5 @@ def _marks(ax, argument, places, name, tone, dash):
     if places is None:
         return
     places = np.atleast_1d(np.asarray(parameter(argument, places)))
-    if places.ndim != 1:
-        refuse(argument, "a row of mass ratios", f"shape {places.shape}")
     for i, place in enumerate(places):
         ax.axvline(place, color=tone, ls=dash, lw=1.2, zorder=1, label=name if i == 0 else None)

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 
 from ..checks import refuse
 from ..units import UnitsOrWords
-from .arrays import having, numbers, rising
+from .arrays import numbers, rising
 from .histories import space_time
 from .quantities import Axis, drawn_in, scaled_by, units_of
 from .style import COLOURS, AxesOrNone, add_colour_bar, axes_or_new, several_axes
@@ -30,7 +30,7 @@ def evolution(
     **Returns:** the two Axes, (2,) or as given: `axes[0].images[0]` is the map, `axes[1].lines` the changes of norm and
     energy since the start, relative as `norm_error` and `energy_error` are, and the error of psi over the root of the
     norm.
-    **Raises** ValueError for a record without these, lanes, or a single time.
+    **Raises** ValueError for lanes, or a single time.
 
     **Example:**
 
@@ -41,8 +41,6 @@ def evolution(
     >>> [ax.get_ylabel() for ax in gx.plots.evolution(found)]
     ['time', 'relative change, error']
     """
-    having("found", found, "the result of gx.first_order.evolve", "ts", "densities", "norm", "energy", "error",
-           "norm_error", "energy_error")
     density = numbers("found.densities", found.densities, finite=False)
     if density.ndim != 2 or len(density) < 2:
         refuse("found", "several times of one lattice: densities (T, N)", f"shape {density.shape}",
@@ -82,7 +80,7 @@ def gap_breather(found: Any, ax: AxesOrNone = None, *, units: UnitsOrWords = Non
     **Arguments:** `found`: a `GapBreather`, the result of `gx.breathers.k_gap_breather`, or anything with `ts`,
     `energy` (P,) and `growth`. `units`: `("ms", "uJ")`, as in `granjax.plots`.
 
-    **Returns:** the Axes; `ax.lines[0]` is the energy. **Raises** ValueError for a record without these.
+    **Returns:** the Axes; `ax.lines[0]` is the energy.
 
     **Example:**
 
@@ -92,7 +90,6 @@ def gap_breather(found: Any, ax: AxesOrNone = None, *, units: UnitsOrWords = Non
     >>> ax.get_yscale()
     'log'
     """
-    having("found", found, "the result of gx.breathers.k_gap_breather", "ts", "energy", "growth")
     energy = numbers("found.energy", found.energy, 1)
     ts, growth = rising("found.ts", found.ts, len(energy)), float(found.growth)
     by_t, by_e = drawn_in(units, units_of(found), Axis("time", ts, "s"), Axis("energy", energy, "J"))

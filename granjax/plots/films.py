@@ -8,7 +8,7 @@ from matplotlib.animation import FuncAnimation
 from ..checks import one_of, positive, refuse, whole
 from ..types import Count, Scalar
 from ..units import UnitsOrWords
-from .arrays import is_run, numbers, opened
+from .arrays import numbers, opened
 from .histories import LABELS, SIGNED, colours_of
 from .plane import circles_of, flat, frame, half_spacing
 from .quantities import Axis, drawn_in, scaled_by, units_of, units_of_both
@@ -43,11 +43,7 @@ def film(
     >>> gx.plots.save(gx.plots.film(run, frames=2), "impact.gif").name
     'impact.gif'
     """
-    if not is_run(run):
-        refuse("run", "a run, with ts, us and vs", f"a {type(run).__name__}")
     run = opened(run)
-    if not (hasattr(run, "us") and hasattr(run, "vs")):
-        refuse("run", "a run that holds u and v", "a dataset of one of them")
     ts = np.asarray(run.ts, float)
     if ts.ndim != 1 or len(ts) < 2:
         refuse("run", "a run of one scene that saved several times", f"{ts.size} of shape {ts.shape}",
@@ -113,8 +109,6 @@ def _plane_film(run, ts, chosen, places, quantity, limit, label, rate, move, rad
     shift = 0.0
     if move:
         moves = [np.asarray(run.us if name is None else run.us[name], float) for name in names]
-        if any(m.ndim < 3 or m.shape[-1] < 2 for m in moves):
-            refuse("move", "0 for displacements out of the plane", f"{move}")
         shift = float(move) * np.concatenate([m[..., :2].reshape(len(ts), -1, 2) for m in moves], 1)
     top = _top(data, limit)
     said = units_of_both(run, None if units_of(places) is None else places, "places", "run")

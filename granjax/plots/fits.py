@@ -9,10 +9,10 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Ellipse
 from matplotlib.ticker import MaxNLocator
 
-from ..checks import refuse, show, whole
+from ..checks import one_of, refuse, show
 from ..types import Count, Parameter, Scalar
 from ..units import UnitsOrWords
-from .arrays import having, numbers, rising
+from .arrays import numbers, rising
 from .quantities import Axis, drawn_in, quantity, scaled_by, units_of
 from .style import COLOURS, FAINT, AxesOrNone, style
 
@@ -35,8 +35,7 @@ def fit(
     - `units`: `("ms", "mm/s")`, as in `granjax.plots`. `x_label`, `y_label`: of the axes; `None` is the kind, first
       word of a sensor's name.
 
-    **Returns:** an array of Axes (2, columns). **Raises** ValueError for sensors that are not there or Axes of another
-    shape.
+    **Returns:** an array of Axes (2, columns).
 
     **Example:**
 
@@ -47,19 +46,15 @@ def fit(
     >>> gx.plots.fit(found)[0, 0].get_ylabel()
     'velocity'
     """
-    having("result", result, "a Fit", "traces", "signals", "residuals")
     columns = [(trace, k, trace.sensors[k], signal, residual)
                for trace, signal, residual in zip(result.traces, result.signals, result.residuals)
                for k in range(np.shape(signal)[1])]
     if sensors is not None:
-        chosen = [whole("sensors", k) for k in sensors]
-        if not chosen or max(chosen) >= len(columns):
-            refuse("sensors", f"indices below {len(columns)}", repr(sensors))
-        columns = [columns[k] for k in chosen]
+        columns = [columns[k] for k in sensors]
     size = 2.9 * len(columns) + 0.7, 3.6
     drawn = _counted(units, units_of(result), x_label, y_label, columns)
     one = len({quantity.label for *_, quantity in drawn}) == 1
-    axes = _grid("ax", ax, 2, len(columns), size, height_ratios=(3, 1), sharex="col", sharey="row" if one else "none")
+    axes = _grid(ax, 2, len(columns), size, height_ratios=(3, 1), sharex="col", sharey="row" if one else "none")
     for k, ((upper, lower), (_, sensor, name, _, residual)) in enumerate(zip(axes.T, columns)):
         times, data, fitted, by_time, by_quantity = drawn[k]
         left = numbers("residuals", residual, 2, finite=False)[:, sensor]
@@ -115,7 +110,7 @@ def corner(
     `granjax.plots`, for labels that end with a known word, such as "damping_time"; by default none is assumed.
 
     **Returns:** the Axes (P, P), hidden above the diagonal. **Raises** ValueError for a covariance that is not finite
-    (parameters that are not determined) or Axes or labels that do not fit.
+    (parameters that are not determined).
 
     **Example:**
 
@@ -125,7 +120,6 @@ def corner(
     >>> gx.plots.corner(found, truths={"stiffness": 1.01, "damping": 0.02}).shape
     (2, 2)
     """
-    having("result", result, "a Fit", "parameters", "names", "covariance")
     # a tree of parameters may have been sorted on the way: their places are those of their names
     order = sorted(result.parameters, key=lambda k: next(
         i for i, name in enumerate(result.names) if name == k or name.startswith(f"{k}[")))
@@ -136,19 +130,16 @@ def corner(
         unknown = ", ".join(name for name, d in zip(names, deviations) if not np.isfinite(d))
         refuse("result", "parameters that the data determine", f"an infinite deviation of {unknown}", "Leave it out.")
     labels = names if labels is None else list(labels)
-    if len(labels) != len(names):
-        refuse("labels", f"{len(names)} names, one per parameter", f"{len(labels)}")
     kinds = ["" if units is None else quantity(label.replace("_", " ")) or "" for label in labels]
     by = drawn_in(units, units_of(result), *map(Axis, labels, values, kinds))
     sizes = np.array([way.factor for way in by])
     labels, values, deviations = [x.label for x in by], values * sizes, deviations * sizes
     matrix = matrix * np.outer(sizes, sizes)
     for name in truths or {}:
-        if name not in names:
-            refuse("truths", f"names among {names}", repr(name))
+        one_of("truths", name, names)
     marks = [None if (truths or {}).get(name) is None else truths[name] * x for name, x in zip(names, sizes)]
     count = len(names)
-    axes = _grid("axes", axes, count, count, (1.7 * count + 0.8, 1.7 * count + 0.5))
+    axes = _grid(axes, count, count, (1.7 * count + 0.8, 1.7 * count + 0.5))
     powers = [_power(value) for value in values]
     shown = [label if power == 0 else rf"{label} ($10^{{{power}}}$)" for label, power in zip(labels, powers)]
     size = 10.0 ** -np.array(powers)
@@ -204,20 +195,15 @@ def law(
     ('compression', 'force')
     """
     force = numbers("force", force, 1)
-    if np.shape(strain) != force.shape:
-        refuse("strain and force", "one force for each strain", f"shapes {np.shape(strain)} and {force.shape}")
     strain = rising("strain", strain, len(force))
     low, high = numbers("low", low, 1), numbers("high", high, 1)
     truth = None if truth is None else numbers("truth", truth, 1)
-    for name, x in (("low", low), ("high", high), ("truth", truth)):
-        if x is not None and x.shape != force.shape:
-            refuse(name, f"shape {force.shape}, as force", f"shape {x.shape}")
     if (low > high).any():
         refuse("low", "numbers not above high", show(low), "Swap low and high.")
     by_x, by_y = drawn_in(units, None, Axis(x_label, strain), Axis(y_label, force))
     strain = scaled_by(strain, by_x.factor)
     force, low, high, truth = (None if x is None else scaled_by(x, by_y.factor) for x in (force, low, high, truth))
-    ax = _grid("ax", ax, 1, 1, (5.0, 3.6))[0, 0]
+    ax = _grid(ax, 1, 1, (5.0, 3.6))[0, 0]
     ax.fill_between(strain, low, high, color=COLOURS[4], alpha=0.4, lw=0, label=band)
     ax.plot(strain, force, color=COLOURS[0], label=label)
     if truth is not None:
@@ -231,7 +217,7 @@ def law(
     return ax
 
 
-def _grid(argument, axes, rows, columns, size, **how):
+def _grid(axes, rows, columns, size, **how):
     """The Axes that were given, as an array, or those of a new pyplot figure in the house style."""
     if axes is None:
         import matplotlib.pyplot as plt
@@ -239,8 +225,6 @@ def _grid(argument, axes, rows, columns, size, **how):
         with style():
             axes = plt.figure(figsize=size, layout="constrained").subplots(rows, columns, squeeze=False, **how)
     axes = np.asarray(axes, dtype=object)
-    if axes.size != rows * columns:
-        refuse(argument, f"Axes of shape ({rows}, {columns})", f"shape {axes.shape}")
     return axes.reshape(rows, columns)
 
 
@@ -279,7 +263,6 @@ def planar(record: Any, ax: AxesOrNone = None, *, units: UnitsOrWords = None) ->
     `periodic()`, such as the result of `gx.identify.planar_ode`. `units`: `"um"`, as in `granjax.plots`.
 
     **Returns:** the Axes; `ax.lines`: the orbits that there are, the windows of the data, saddles and centres.
-    **Raises** ValueError for a record without these.
 
     **Example:**
 
@@ -292,7 +275,6 @@ def planar(record: Any, ax: AxesOrNone = None, *, units: UnitsOrWords = None) ->
     >>> gx.plots.planar(found).lines[0].get_label()
     'homoclinic orbit'
     """
-    having("record", record, "a planar equation", "strains", "slopes", "window", "equilibria", "homoclinic", "periodic")
     y, slope = numbers("record.strains", record.strains, 1), numbers("record.slopes", record.slopes, 1)
     by_x, by_y = drawn_in(units, units_of(record), Axis("strain", y), Axis("slope of the strain", slope, "m"))
     if ax is None:

@@ -10,7 +10,7 @@ from scipy.interpolate import Akima1DInterpolator
 from ..checks import one_of, refuse
 from ..types import Count
 from ..units import UnitsOrWords
-from .arrays import having, history, numbers, rising
+from .arrays import history, numbers, rising
 from .histories import space_time
 from .quantities import Axis, drawn_in, scaled_by, units_of, units_of_both
 from .style import COLOURS, FAINT, AxesOrNone, add_colour_bar, axes_or_new, several_axes
@@ -54,7 +54,6 @@ def floquet_circle(fl: Any, ax: AxesOrNone = None, *, legend: bool = True, units
     >>> gx.plots.floquet_circle(fl).lines[-1].get_label()
     'unstable'
     """
-    having("fl", fl, "a Floquet", "multipliers", "krein", "error", "expected", "rate", "period")
     drawn_in(units, units_of(fl))
     rho, signature = np.asarray(fl.multipliers), np.nan_to_num(np.asarray(fl.krein))
     ax = axes_or_new(ax, 4.2, 4.0)
@@ -108,7 +107,7 @@ def breather(
     - `units`: `("um", "us", "mm/s")`, as in `granjax.plots`.
 
     **Returns:** the Axes, (2, 2) or as given. **Raises** ValueError for several fields without a name of one, lanes,
-    other than four Axes, a mode that is not there.
+    a mode that is not there.
 
     **Example:**
 
@@ -119,9 +118,7 @@ def breather(
     >>> axes.shape
     (2, 2)
     """
-    having("breather", breather, "an Orbit", "state", *(["floquet"] if fl is None else []))
     fl = breather.floquet() if fl is None else fl
-    having("fl", fl, "a Floquet", "multipliers", "vectors", "krein", "error", "expected", "rate", "period")
     axes = several_axes(axes, 2, 2, 8.4, 6.4)
     a, b, c, d = axes.ravel()
     if field is None and isinstance(breather.state[0], dict) and "bead" in breather.state[0]:
@@ -166,8 +163,6 @@ def breather(
 def _field_of(u, field):
     """One field of displacements or velocities, those of the plain array where there is one."""
     if not isinstance(u, dict):
-        if field is not None:
-            refuse("field", "None, as a cell holds one", repr(field))
         return u
     return u[one_of("field", field, tuple(u))]
 
@@ -239,7 +234,7 @@ def branch(
     - `units`: `("kHz", "uJ", "um")`, as in `granjax.plots`. `omega_label`: of the frequencies' axis; `p_label`: of the
       parameter's, where all have one frequency.
 
-    **Returns:** the two Axes. **Raises** ValueError for shapes that do not fit, or other than two Axes.
+    **Returns:** the two Axes. **Raises** ValueError for shapes that do not fit.
 
     **Example:**
 
@@ -250,13 +245,10 @@ def branch(
     >>> axes[0].get_ylabel()
     'energy'
     """
-    having("br", br, "a Branch", "omega", "energy", "amplitude", "verdict")
     omega = numbers("br.omega", br.omega, 1)
     heights = [numbers(f"br.{name}", getattr(br, name), 1) for name in ("energy", "amplitude")]
     bands = np.zeros((0, 2)) if bands is None else numbers("bands", bands, 2)
     marks = [] if marks is None else list(np.atleast_1d(np.asarray(marks, object)))
-    if bands.shape[1:] != (2,):
-        refuse("bands", "intervals, shape (B, 2)", f"shape {bands.shape}")
     over = Axis(omega_label, omega, "rad/s")
     if hasattr(br, "p") and len(omega) > 1 and np.ptp(omega) <= SAME * np.abs(omega).max():
         omega = numbers("br.p", br.p, 1)
@@ -289,8 +281,6 @@ def _line(ax, x, y, br, looks, marks=()):
     orbits between have: dotted.
     """
     verdict, p = np.asarray(br.verdict), np.asarray(getattr(br, "p", x), float)
-    if len(x) != len(verdict):
-        refuse("verdict", f"{len(x)} words, one a point", f"{len(verdict)}")
     curve = np.column_stack([x, y, p])
     step = np.linalg.norm(np.diff(curve[:, :2], axis=0) / (np.ptp(curve[:, :2], axis=0) + np.finfo(float).tiny), axis=1)
     s = np.concatenate([[0.0], np.cumsum(np.maximum(step, COINCIDING * (step.sum() or 1.0)))])
@@ -355,7 +345,6 @@ def hysteresis(
     for low, high in scaled_by(np.reshape(intervals, (-1, 2)), by_x.factor):
         ax.axvspan(low, high, color=FAINT, alpha=0.2, lw=0, zorder=0)
     if orbits is not None:
-        having("orbits", orbits, "a Branch", "p", "response", "verdict")
         p, response = numbers("orbits.p", orbits.p, 1), numbers("orbits.response", orbits.response, 1)
         _line(ax, by_x.factor * p, by_y.factor * response, orbits, _ORBITS)
     ax.plot(values, up, ">-", color=COLOURS[0], ms=5, lw=1.2, mec="white", mew=0.3, label="up")
@@ -371,15 +360,11 @@ def _ways(sweep):
     if all(hasattr(sweep, name) for name in ("values", "up", "down")):
         values, up, intervals = sweep.values, sweep.up.response, sweep.hysteresis
         down = None if sweep.down is None else sweep.down.response
-    elif isinstance(sweep, (tuple, list)) and len(sweep) == 3:
-        (values, up, down), intervals = sweep, []
     else:
-        refuse("sweep", "a Sweep, or arrays (values, up, down)", f"a {type(sweep).__name__}")
+        (values, up, down), intervals = sweep, []
     up = numbers("up", up, 1)
     values = rising("values", values, len(up))
     down = None if down is None else numbers("down", down, 1)
-    if down is not None and len(down) != len(up):
-        refuse("down", f"{len(up)} numbers, as many as up", f"{len(down)}")
     return values, up, down, intervals
 
 

@@ -12,7 +12,7 @@ from matplotlib.patches import Polygon
 from ..checks import positive, refuse, whole
 from ..types import Count, Scalar
 from ..units import UnitsOrWords
-from .arrays import having, numbers
+from .arrays import numbers
 from .histories import colours_of
 from .quantities import OMEGA, Axis, Shown, drawn_in, scaled_by, units_of
 from .style import COLOURS, FAINT, AxesOrNone, add_colour_bar, axes_or_new
@@ -78,8 +78,6 @@ def flat(places: Any, values: Any) -> tuple[Float[np.ndarray, "N 2"], Float[np.n
         refuse("places", "a lattice with positions, or an array (..., 2)", "a lattice without positions")
     fields = places if isinstance(places, dict) else {"": places}
     held = values if isinstance(values, dict) else {"": values}
-    if values is not None and held.keys() != fields.keys():
-        refuse("values", f"numbers for each of {sorted(fields)}", f"{sorted(held)}")
     at, data = [], []
     for name, x in fields.items():
         x = numbers("places", x)
@@ -112,7 +110,6 @@ def circles_of(ax: Axes, at: Float[np.ndarray, "N 2"], radius: Scalar) -> Ellips
 
 
 def _lines(ax, network, factor, radius):
-    having("network", network, "a network of forces", "segments", "force")
     lines, force = numbers("network.segments", network.segments, 3, finite=False), np.asarray(network.force, float)
     drawn = np.isfinite(lines).all((1, 2))
     lines, force = lines[drawn] * factor, force[drawn]
@@ -142,7 +139,6 @@ def bands(record: Any, ax: AxesOrNone = None, *, units: UnitsOrWords = None, col
     as in `granjax.plots`.
 
     **Returns:** the Axes; of a path `ax.lines` begins with the bands, of a strip `ax.collections[0]` are its waves.
-    **Raises** ValueError for a record without these arrays.
 
     **Example:**
 
@@ -152,8 +148,6 @@ def bands(record: Any, ax: AxesOrNone = None, *, units: UnitsOrWords = None, col
     'wave number $k$ (rad/cell)'
     """
     strip = hasattr(record, "edge")
-    having("record", record, "bands along a path or of a strip", "omega",
-           *(("k", "edge") if strip else ("distance", "names", "marks")))
     omega = numbers("record.omega", record.omega, 2)
     (by,) = drawn_in(units, units_of(record), Axis(OMEGA, omega, "rad/s"))
     omega = scaled_by(omega, by.factor)
@@ -190,8 +184,7 @@ def zone(
     `corners` (c, 2), such as the result of `gx.linear.zone_map`. `band`: counted from the lowest. `levels`: how many
     contours. `velocity`: whether arrows show the group velocity. `units`: `"kHz"`, as in `granjax.plots`.
 
-    **Returns:** the Axes; the frequencies are `ax.collections[0]`. **Raises** ValueError for a record without these
-    arrays, or a band that is not there.
+    **Returns:** the Axes; the frequencies are `ax.collections[0]`.
 
     **Example:**
 
@@ -203,10 +196,7 @@ def zone(
     >>> len(ax.collections) > 1  # colours and contours
     True
     """
-    having("record", record, "frequencies over a zone", "q", "omega", "velocity", "corners")
     q, omega = numbers("record.q", record.q, 3), numbers("record.omega", record.omega, 3)
-    if not 0 <= whole("band", band) < omega.shape[-1]:
-        refuse("band", f"a number below {omega.shape[-1]}", f"{band}")
     by, place = drawn_in(units, units_of(record), Axis(OMEGA, omega, "rad/s"), Axis("wave number", q, "1/m"))
     w = scaled_by(omega[..., band], by.factor)
     x = scaled_by(q, place.factor)
@@ -236,7 +226,7 @@ def radial_profile(
     the result of `gx.measures.radial_profile`. `label`: of the quantity; one that ends with a known word, "energy", has
     units. `units`: `("mm", "uJ")`, as in `granjax.plots`.
 
-    **Returns:** the Axes; the means are `ax.lines`. **Raises** ValueError for a record without these arrays.
+    **Returns:** the Axes; the means are `ax.lines`.
 
     **Example:**
 
@@ -247,7 +237,6 @@ def radial_profile(
     >>> ax.get_ylabel()
     'energy'
     """
-    having("record", record, "the result of gx.measures.radial_profile", "distance", "mean", "lowest", "highest")
     x = numbers("record.distance", record.distance, 1)
     mean, low, high = (np.atleast_2d(numbers(f"record.{name}", getattr(record, name)))
                        for name in ("mean", "lowest", "highest"))

@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 
 from ..checks import one_of, refuse
 from ..units import SI, UnitsOrWords
-from .arrays import having, numbers
+from .arrays import numbers
 from .quantities import Axis, drawn_in, scaled_by
 from .style import FAINT, AxesOrNone, axes_or_new, colour
 
@@ -41,7 +41,6 @@ def work_precision(wp: Any, ax: AxesOrNone = None, *, against: str = "time", uni
     >>> len(gx.plots.work_precision(table).lines)
     1
     """
-    having("wp", wp, "a WorkPrecision", "method", "error", "seconds", "evaluations", "drawn", "methods", "floor")
     column, label, unit = AGAINST[one_of("against", against, tuple(AGAINST))]
     work, error = numbers(f"wp.{column}", getattr(wp, column), 1, finite=False), numbers("wp.error", wp.error, 1, False)
     method = np.array(wp.method, dtype=object)

@@ -10,7 +10,7 @@ from scipy.interpolate import CubicSpline
 from ..checks import one_of, positive, refuse
 from ..types import Parameter, Scalar
 from ..units import UnitsOrWords
-from .arrays import having, numbers, rising
+from .arrays import numbers, rising
 from .histories import space_time
 from .quantities import Axis, drawn_in, scaled_by, units_of, units_of_both
 from .style import COLOURS, DASHES, AxesOrNone, axes_or_new, colour
@@ -44,7 +44,7 @@ def shock(
     - `places` (B,), rising: of strains, from the step; `time`: theirs, needed where edges are drawn or `over="speed"`.
     - `over`: "place" or "speed". `units`: `"um"`, as in `granjax.plots`; a speed counts bonds per time.
 
-    **Returns:** the Axes; the strain is `ax.lines[0]`. **Raises** ValueError for what is none of these, a batch.
+    **Returns:** the Axes; the strain is `ax.lines[0]`. **Raises** ValueError for a batch.
 
     **Example:**
 
@@ -57,7 +57,6 @@ def shock(
     one_of("over", over, OVER)
     places, strain, time, said = _profile(run_or_strain, problem, places, time)
     if shock is not None:
-        having("shock", shock, "a Shock", *EDGES, "mean", "amplitude")
         said = units_of_both(run_or_strain, shock, "shock", "run") or said
     if time is None and (shock is not None or over == "speed"):
         refuse("time", "that of the strains", "None", "Edges are n/t.")
@@ -132,7 +131,7 @@ def shock_core(
     13
     """
     places, strain, _, said = _profile(run_or_strain, problem, places, None)
-    low, high = _pair("window", window, "the first and the last place")
+    low, high = _pair("window", window)
     inside = (places >= low) & (places <= high)
     if inside.sum() < LEAST:
         refuse("window", f"{LEAST} bonds or more of those from {places[0]:g} to {places[-1]:g}", f"{low:g} to {high:g}")
@@ -141,7 +140,7 @@ def shock_core(
         fine = np.linspace(*places[inside][[0, -1]], FINE * (inside.sum() - 1) + 1)
         curves["spline"] = fine, CubicSpline(places, strain)(fine)
     for name, given in (beside or {}).items():
-        x, y = _pair(f"beside[{name!r}]", given, "places and strains", 1)
+        x, y = _pair(f"beside[{name!r}]", given, 1)
         x = rising(f"beside[{name!r}]", x, y.size)
         cut = (x >= low) & (x <= high)
         curves[name] = x[cut], y[cut]
@@ -174,7 +173,7 @@ def shock_map(
     - `limit`: strain of the full colour; `units`: `("us", "nm")`, as in `granjax.plots`.
 
     **Returns:** the Axes; the image is `ax.images[0]` (`ax.collections[0]` where places are uneven), the lines
-    `ax.lines`. **Raises** ValueError for a batch, shapes that do not fit, edges without speeds.
+    `ax.lines`. **Raises** ValueError for a batch, or shapes that do not fit.
 
     **Example:**
 
@@ -185,7 +184,6 @@ def shock_map(
     2
     """
     if ts is None and places is None:
-        having("record", record, "a SpaceTime", "strain", "ts", "places")
         strain, ts, places = record.strain, record.ts, record.places
     else:
         strain = record
@@ -193,7 +191,6 @@ def shock_map(
     ts, places = rising("ts", ts, strain.shape[0]), rising("places", places, strain.shape[1])
     lines, said = {}, units_of(record)
     for name, one in (edges or {}).items():
-        having(f"edges[{name!r}]", one, "edges of a shock", *EDGES)
         lines[name] = [_number(f"edges[{name!r}].{end}", getattr(one, end)) for end in EDGES]
         said = units_of_both(record, one, f"edges[{name!r}]", "map") or said
     by_time, _ = drawn_in(units, said, Axis("time", ts), Axis("strain", strain))
@@ -236,7 +233,7 @@ def modulation(
       `gx.theory.toda.modulation(m, c)`; or to a pair (speeds, values).
     - `units`: `("1/ms", "nm")`, as in `granjax.plots`.
 
-    **Returns:** the Axes; what was measured is `ax.lines[0]`. **Raises** ValueError for records without these.
+    **Returns:** the Axes; what was measured is `ax.lines[0]`.
 
     **Example:**
 
@@ -248,7 +245,6 @@ def modulation(
     'strain, crest less trough'
     """
     measured, field, label, unit = QUANTITIES[one_of("quantity", quantity, tuple(QUANTITIES))]
-    having("shock", shock, "a Shock", "s", measured)
     s = numbers("shock.s", shock.s, 1)
     values = numbers(f"shock.{measured}", getattr(shock, measured), 1, finite=False)
     curves = {}
@@ -257,12 +253,9 @@ def modulation(
         curves[name] = numbers("shock.speeds_of_m", shock.speeds_of_m, 1, finite=False), values
     for name, one in (beside or {}).items():
         if not isinstance(one, (tuple, list)) or hasattr(one, "_fields"):
-            having(f"beside[{name!r}]", one, "a theory's waves", "speed", field)
             one = one.speed, getattr(one, field)
         # where m = 1 a wavelength is infinite
-        curves[name] = _pair(f"beside[{name!r}]", one, "speeds and values", 1, finite=False)
-    if any(np.shape(x) != np.shape(y) for x, y in ((s, values), *curves.values())):
-        refuse("shock" if s.shape != values.shape else "beside", "as many values as speeds", "others")
+        curves[name] = _pair(f"beside[{name!r}]", one, 1, finite=False)
     by_x, by_y = drawn_in(units, units_of(shock), Axis(SPEED, s, "1/s"), Axis(label, values, unit))
     ax = axes_or_new(ax, 5.2, 3.6)
     ax.plot(scaled_by(s, by_x.factor), scaled_by(values, by_y.factor), "o", color=COLOURS[0], ms=5, label="measured",
@@ -282,11 +275,10 @@ def _number(argument, x):
     return float(numbers(argument, x, 0, finite=False))
 
 
-def _pair(argument, given, what, ndim=0, finite=True):
+def _pair(argument, given, ndim=0, finite=True):
     """Two arrays of a pair."""
-    if not (isinstance(given, (tuple, list, np.ndarray)) and len(given) == 2):
-        refuse(argument, f"a pair, {what}", repr(given)[:60])
-    return [numbers(argument, x, ndim, finite) for x in given]
+    first, second = given
+    return numbers(argument, first, ndim, finite), numbers(argument, second, ndim, finite)
 
 
 def _profile(given, problem, places, time):
@@ -295,7 +287,6 @@ def _profile(given, problem, places, time):
         problem = getattr(given, "_problem", None) if problem is None else problem
         if problem is None:
             refuse("problem", "what was run, as gx.shocks.velocity_shock returns it", "None, and the run does not know")
-        having("problem", problem, "what was run", "strain", "centre")
         strain = problem.strain(given.final.u)
         places, time = np.arange(len(strain)) - np.asarray(problem.centre, float), np.asarray(given.ts)[-1]
     elif hasattr(given, "strain") and hasattr(given, "places") and hasattr(given, "ts"):
@@ -303,7 +294,5 @@ def _profile(given, problem, places, time):
     else:
         strain = given
     strain = numbers("run_or_strain", strain, 1)
-    if strain.size < LEAST:
-        refuse("run_or_strain", f"{LEAST} bonds or more", f"{strain.size}")
     places = rising("places", np.arange(strain.size) if places is None else places, strain.size)
     return places, strain, None if time is None else float(positive("time", time)), units_of(given)

@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from ..checks import described, one_of, positive, refuse
+from ..checks import one_of, positive, refuse
 from ..files import target, write
 from ..types import Count, Scalar
 
@@ -26,7 +26,6 @@ AxesOrNone: TypeAlias = Axes | None
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#E69F00", "#56B4E9", "#CC79A7", "#000000")
 DASHES = ("-", "--", "-.", ":")
 FAINT = "0.55"
-MOST_DOTS = 2**16
 
 _STYLE = {
     "font.size": 10.0,
@@ -90,8 +89,8 @@ def save(made: Any, path: str | Path, *, dpi: Scalar = 200) -> Path:
 
     **Arguments:** `made`: a figure, Axes, or several Axes of one figure in an array, a list or a dict: the whole figure
     is written. Or an animation of matplotlib's; mp4 needs ffmpeg. `dpi`: dots per inch.
-    **Returns:** the path. The file is there whole or not at all. **Raises** ValueError for what is no picture, Axes of
-    several figures, another ending, or where nothing can be written there; OSError where writing fails (a full disk).
+    **Returns:** the path. The file is there whole or not at all. **Raises** ValueError for Axes of several figures,
+    another ending, or where nothing can be written there; OSError where writing fails (a full disk).
 
     **Example:**
 
@@ -121,7 +120,6 @@ def _drawn(argument, made, ending, dpi):
     picture = _figure(made)
     known = [f".{name}" for name in picture.canvas.get_supported_filetypes()]
     kind, buffer = one_of(argument, ending.lower(), known)[1:], io.BytesIO()
-    _small(picture, dpi)
     with style():
         picture.savefig(buffer, format=kind, dpi=dpi, facecolor="white")
     return buffer.getvalue()
@@ -131,18 +129,11 @@ def _moving(argument, made, ending, dpi):
     """An animation's file. Its writers know files alone, so that one is made elsewhere."""
     writers = {".gif": "pillow"} | {end: "ffmpeg" for end in (".mp4", ".webm") if FFMpegWriter.isAvailable()}
     ending = one_of(argument, ending.lower(), list(writers))
-    _small(made._fig, dpi)
     with tempfile.TemporaryDirectory(prefix="granjax-") as folder:
         place = Path(folder) / f"animation{ending}"
         with style():
             made.save(str(place), writer=writers[ending], dpi=dpi)
         return place.read_bytes()
-
-
-def _small(picture, dpi):
-    size = float(max(picture.get_size_inches())) * dpi
-    if size >= MOST_DOTS:
-        refuse("dpi", f"a picture of fewer than {MOST_DOTS} dots a side", f"{size:.3g}", "200 an inch do for print.")
 
 
 def _figure(made):
@@ -156,8 +147,6 @@ def _figure(made):
         picture = part
         while isinstance(picture, Artist) and not isinstance(picture, Figure):
             picture = picture.figure
-        if not isinstance(picture, Figure):
-            refuse("made", "a figure, Axes, several Axes of one figure, or an animation", described(part))
         found += [picture] if picture not in found else []
     if len(found) != 1:
         refuse("made", "Axes of one figure", f"of {len(found)} figures", "Save them one by one.")
@@ -184,8 +173,6 @@ def several_axes(
         with style():
             return plt.subplots(rows, columns, figsize=(width, height), layout="constrained")[1]
     axes = np.asarray(axes, dtype=object)
-    if axes.size != rows * columns:
-        refuse("axes", f"{rows * columns} Axes", f"{axes.size}")
     return axes
 
 

@@ -45,15 +45,9 @@ def field_of(data: Any, name: str | None, units: UnitsOrWords = None) -> Field:
     parameters, grid, dims = _parameters(data)
     known = [key for key, x in data.data_vars.items() if key != REASON and x.dims[: len(dims)] == dims
              or key != REASON and set(dims) <= set(x.dims)]
-    if not known:
-        refuse("data", "a variable with a value per lane", ", ".join(map(str, data.data_vars)) or "none")
     if name is None:
         scalar = [key for key in known if data[key].ndim == len(dims)] or known
         name = next((key for key in scalar if data[key].dtype.kind in "fiuc"), scalar[0])
-    for key, x in parameters.items():
-        if not len(x) or x.dtype.kind in "fiu" and not np.isfinite(x).all():
-            got = "none" if not len(x) else f"{np.count_nonzero(~np.isfinite(x))} that are not"
-            refuse("data", f"one finite value of {key!r} or more", got)
     x = data[one_of("name", name, known)].transpose(*dims, ...)
     values = np.asarray(x.values)
     if values.dtype.kind in "OS":

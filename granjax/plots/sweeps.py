@@ -9,7 +9,6 @@ from matplotlib.colors import BoundaryNorm, CenteredNorm, ListedColormap, LogNor
 from ..checks import one_of, refuse
 from ..types import AnyArray
 from ..units import UnitsOrWords
-from .arrays import having
 from .quantities import scaled_by
 from .style import COLOURS, AxesOrNone, add_colour_bar, axes_or_new, colour, style
 from .sweep_fields import edges_of, field_of, name_axis, places, with_lines
@@ -57,13 +56,10 @@ def sweep(
     ('ratio', 'cutoff')
     """
     one_of("scale", scale, SCALES)
-    having("data", data, "a sweep, or an xarray.Dataset of its form", "data_vars", "coords", "attrs", "dims")
     field = field_of(data, name, units)
     count = len(field.parameters)
     if lines is not None:
         field = with_lines(field, lines)
-    if bands is not None and (count != 1 or not field.grid):
-        refuse("bands", "None, but for a line over one parameter of a grid", repr(bands))
     if field.values.ndim > field.failed.ndim and count > 1:
         refuse("name", "a variable with one value per lane, where several parameters vary", repr(field.name),
                f"Pick one: data.isel({field.name}_0=0).")
@@ -106,9 +102,6 @@ def _lines(field, ax, bands, scale):
 
 def _drawn_lines(ax, field, x, order, factor, names):
     values = field.values.reshape(len(x), -1)
-    if values.shape[1] > LINES and len(names) == 1:
-        refuse("name", f"a variable with at most {LINES} values per lane", f"{field.name!r}, with {values.shape[1]}",
-               f"Pick some: data.isel({field.name}_0=[0, 1]).")
     said = [None] if values.shape[1] == 1 else [str(i) for i in range(values.shape[1])]
     if len(names) == 2:
         said = _each(field, names[1])

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import concrete, described, positive, refuse, traced
+from ..checks import concrete, positive, refuse, traced
 from ..lattice import Lattice
 from ..laws import Law
 from ..printing import told
@@ -77,9 +77,7 @@ def medium_of(law: Law | Lattice, mass: Scalar = 1.0) -> Medium:
         law, origin = law_between(lattice, wanted), lattice.origin
         mass = single("law", "masses", lattice.mass)
     else:
-        origin, mass = {}, positive("mass", mass)
-        if mass.shape:
-            refuse("mass", "one number", f"shape {mass.shape}", "All sites are alike.")
+        origin, mass = {}, single("mass", "masses", positive("mass", mass))
     law = jax.tree.map(lambda x: single("law", "parameters", x) if eqx.is_inexact_array(x) else x, law)
     return Medium(law, mass, origin)
 
@@ -154,6 +152,4 @@ def one_number(argument: str, x: Any) -> float | None:
     value = concrete(jax.lax.stop_gradient(jnp.asarray(x, float)))
     if value is None:
         refuse(argument, "a number that is known", "one that jax.jit or jax.vmap traces", "Keep it out of them.")
-    if not np.isfinite(value):
-        refuse(argument, "a finite number", described(x))
     return float(value)

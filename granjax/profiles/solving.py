@@ -120,8 +120,6 @@ def _problem(medium, found: Bounds, c, a, E):
             _refuse_fast(medium, found, mass, c)
         return _Problem(medium, unit, level, found.linear / level, None, 0.0)
     if a is not None:
-        if a == 0:
-            refuse("amplitude", "a peak strain that is not zero", "0", "That is the chain at rest.")
         level = float(twice_energy(medium.law, np.array([a]))[0])
         if not np.isfinite(level) or not level > found.linear:
             refuse("amplitude", "a strain at which the law has stiffened", f"{a:g}",

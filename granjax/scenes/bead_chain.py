@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import concrete, described, held_in_memory, one_of, positive, refuse, show, whole
+from ..checks import one_of, positive, refuse, whole
 from ..lattice import Lattice
 from ..laws import Hertz
 from ..materials import Material, bead_mass, hertz_coefficient, named, stack
@@ -14,6 +14,7 @@ from ..strains import BOUNDARIES, Shift
 from ..terms import Bond, Damping, Wall
 from ..types import Count, Parameter, Scalar
 from ..units import SI
+from .chains import check_contacts
 
 
 def beads(
@@ -61,17 +62,10 @@ def beads(
     sites = count * cells
     if sites < 2:
         refuse("cells", "at least two beads in all", repr(sites), "Give cells=N, or one material or radius per bead.")
-    held_in_memory("cells", sites, what="beads")
     mass = bead_mass(bodies, R)
-    known = concrete(mass)
-    if known is not None and not (np.isfinite(known) & (known > 0)).all():
-        refuse("radii", "radii of beads whose mass is a number", f"{show(R)} m, masses {show(known)} kg")
     if R.ndim:
         bodies, R, mass = jax.tree.map(lambda x: jnp.tile(x, cells), (bodies, R, mass))
-    contacts = sites + {"fixed": 1, "free": -1}.get(boundary, 0)
-    if np.shape(precompression)[:1] not in ((), (1,), (contacts,)):
-        refuse("precompression", f"one number, or one per contact, shape ({contacts},)",
-               f"shape {np.shape(precompression)}")
+    check_contacts(sites, boundary, {"precompression": precompression})
     stiffness = _contacts(bodies, R, sites, boundary, wall)
     terms = (Bond(Shift(1, boundary), Hertz(stiffness, precompression)),)
     if damping_time is not None:
@@ -117,19 +111,12 @@ def struck(
 def _cell(materials, radii):
     """Material and radii of the beads of one cell: numbers where all are alike, else arrays of one length."""
     if isinstance(radii, (tuple, list)) and radii:
-        each = [positive(f"radii[{i}]", r, "A radius is in metres, above zero.") for i, r in enumerate(radii)]
-        if any(r.ndim for r in each):
-            refuse("radii", "one number per bead", repr(radii))
-        R = jnp.stack(each)
-    else:
-        R = positive("radii", radii, "A radius is in metres, above zero.")
+        radii = jnp.stack([jnp.asarray(r, float) for r in radii])
+    R = positive("radii", radii, "A radius is in metres, above zero.")
     if isinstance(materials, (str, Material)):
         bodies = named("materials", materials)
     else:
-        kinds = tuple(materials)
-        if not kinds:
-            refuse("materials", "a material, or a sequence of them, one per bead", repr(materials))
-        bodies = stack(kinds)
+        bodies = stack(tuple(materials))
     shapes = {x.shape for x in (R, bodies.young, bodies.poisson, bodies.density)} - {()}
     if len(shapes) > 1 or any(len(shape) > 1 or not shape[0] for shape in shapes):
         got = f"{bodies.young.shape[:1] or 'one'} and {R.shape[:1] or 'one'}"
@@ -156,9 +143,7 @@ def _contacts(bodies, R, sites, boundary, wall):
         pairs = hertz_coefficient(*pick(slice(None, -1)), *pick(slice(1, None)))
         if boundary == "free":
             return pairs
-    walls = (wall, wall) if wall is None or isinstance(wall, (str, Material)) else tuple(wall)
-    if len(walls) != 2:
-        refuse("wall", "a material, or a pair (left, right)", described(wall))
+    walls = (wall, wall) if wall is None or isinstance(wall, (str, Material)) else wall
     left, right = (None if w is None else named("wall", w) for w in walls)
     ends = [hertz_coefficient(*bead, w, jnp.inf) for bead, w in ((first, left), (last, right))]
     return jnp.concatenate([ends[0][None], pairs, ends[1][None]])

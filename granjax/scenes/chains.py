@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import concrete, held_in_memory, one_of, parameter, positive, refuse, show, whole, within
+from ..checks import one_of, parameter, positive, refuse, whole, within
 from ..lattice import Lattice
 from ..laws import Hertz, Polynomial, PowerLaw, Toda
 from ..strains import BOUNDARIES, Shift
@@ -43,8 +43,13 @@ def check_contacts(sites: int, boundary: str, parameters: dict) -> None:
     """Refuse what is neither one number nor one per contact."""
     contacts = sites + {"fixed": 1, "free": -1}.get(boundary, 0)
     for name, x in parameters.items():
-        if np.shape(x)[:1] not in ((), (1,), (contacts,)):
-            refuse(name, f"one number, or one per contact, shape ({contacts},)", f"shape {np.shape(x)}")
+        check_each(name, x, contacts, "contact")
+
+
+def check_each(name: str, x: Parameter, count: int, what: str) -> None:
+    """Refuse what is neither one number nor one for each of `count` contacts or sites."""
+    if np.shape(x)[:1] not in ((), (1,), (count,)):
+        refuse(name, f"one number, or one per {what}, shape ({count},)", f"shape {np.shape(x)}")
 
 
 def _power_chain(sites, mass, stiffness, exponent, precompression, boundary):
@@ -53,9 +58,7 @@ def _power_chain(sites, mass, stiffness, exponent, precompression, boundary):
 
 
 def _sites(sites):
-    sites = whole("sites", sites, 2, "A chain has at least two beads.")
-    held_in_memory("sites", sites)
-    return sites
+    return whole("sites", sites, 2, "A chain has at least two beads.")
 
 
 def monomer(
@@ -105,13 +108,7 @@ def pattern(
     [1.0, 2.96, 1.0, 2.96, 1.0]
     """
     sites = _sites(sites)
-    if not isinstance(masses, (tuple, list)):
-        masses = parameter("masses", masses)
-        if masses.ndim != 1:
-            refuse("masses", "a sequence, the masses of one cell", f"shape {masses.shape}")
     cell = [positive(f"masses[{i}]", _number(f"masses[{i}]", m), "A bead needs a mass.") for i, m in enumerate(masses)]
-    if not cell:
-        refuse("masses", "at least one mass", "none")
     if boundary == "periodic" and sites % len(cell):
         refuse("sites", f"a multiple of {len(cell)}, whole cells on a ring", repr(sites))
     mass = jnp.tile(jnp.stack(cell), -(-sites // len(cell)))[:sites]
@@ -159,12 +156,8 @@ def trimer(
     >>> gx.scenes.trimer(6).mass.tolist()
     [1.0, 0.5, 0.25, 1.0, 0.5, 0.25]
     """
-    if not isinstance(ratios, (tuple, list)):
-        ratios = parameter("ratios", ratios)
-    if not isinstance(ratios, (tuple, list)) and ratios.ndim != 1 or len(ratios) != 2:
-        refuse("ratios", "two numbers, the second and third mass over the first", repr(ratios))
-    light = tuple(_ratio(f"ratios[{i}]", _number(f"ratios[{i}]", r)) for i, r in enumerate(ratios))
-    return pattern(sites, (1.0, *light), stiffness=stiffness, exponent=exponent, precompression=precompression,
+    second, third = (_ratio(f"ratios[{i}]", _number(f"ratios[{i}]", r)) for i, r in enumerate(ratios))
+    return pattern(sites, (1.0, second, third), stiffness=stiffness, exponent=exponent, precompression=precompression,
                    boundary=boundary)
 
 
@@ -215,14 +208,10 @@ def defects(
     """
     sites = _sites(sites)
     m = jnp.full(sites, positive("mass", mass, "A bead needs a mass."))
-    seen = set()
     for site, other in masses.items():
         name = f"masses[{site!r}]"
         if not -sites <= site < sites:
             refuse(name, f"a site from 0 to {sites - 1}, or negative from the end", repr(site))
-        if site % sites in seen:
-            refuse(name, "each site once", f"site {site % sites} twice")
-        seen.add(site % sites)
         m = m.at[site].set(positive(name, other, "A bead needs a mass."))
     return _power_chain(sites, m, stiffness, exponent, precompression, boundary)
 
@@ -252,9 +241,6 @@ def taper(
     q = within("q", q, -1, 1, open_low=True, open_high=True, remedy="Radii shrink by the factor 1 - q.")
     A = positive("stiffness", stiffness, "It is the coefficient of the first pair.")
     R = (1 - q) ** jnp.arange(sites)
-    mass = concrete(R**3)
-    if mass is not None and not (np.isfinite(mass) & (mass > 0)).all():
-        refuse("q", "radii whose cubes are numbers", show(q), f"{sites} beads are too many for it.")
     # R*_n/R*_0 = R_n/R_0 between beads
     share = R[:-1]
     if boundary == "fixed":

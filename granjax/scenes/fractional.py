@@ -10,7 +10,7 @@ from ..strains import BOUNDARIES, Shift
 from ..terms import Bond, LongRange, OnSite
 from ..types import Count, Parameter
 from ..units import PART
-from .chains import _number, _sites
+from .chains import _number, _sites, check_each
 
 _COUPLED = "Sites without coupling are coupling=0."
 
@@ -34,9 +34,7 @@ class _BothSides(Law):
 
 def _weighted(sites, order, law, boundary):
     """Terms of bonds with fractional weights, to all sites of the chain and, of fixed ends, to all beyond."""
-    order = checked_order(order)
-    if order.ndim:
-        refuse("order", "one order", f"shape {order.shape}", "A batch is jax.vmap(scene, out_axes=-1)(orders).")
+    order = checked_order(_number("order", order))
     if boundary == "periodic":
         return (LongRange(_around(sites, order, law), law, boundary),)
     weights = kernel(order, sites - 1)
@@ -151,8 +149,7 @@ def fractional_sine_gordon(
     stiffness = positive("stiffness", stiffness)
     wavenumber = positive("wavenumber", wavenumber, "The period is 2 pi/q.")
     for name, x in {"stiffness": stiffness, "wavenumber": wavenumber}.items():
-        if x.shape[:1] not in ((), (1,), (sites,)):
-            refuse(name, f"one number, or one per site, shape ({sites},)", f"shape {x.shape}")
+        check_each(name, x, sites, "site")
     on_site = Sine(stiffness, wavenumber)
     terms = _weighted(sites, order, Linear(non_negative("coupling", _number("coupling", coupling), _COUPLED)), boundary)
     return Lattice(mass, (*terms, OnSite(on_site)), sites=sites)

@@ -10,7 +10,7 @@ from ..laws import Law, Linear
 from ..strains import BOUNDARIES, Shift
 from ..terms import Bond, Damping, Harmonic, Modulated, OnSite, Square
 from ..types import Count, Parameter
-from .chains import _number, _sites
+from .chains import _number, _sites, check_each
 
 _SHAPES = {"cosine": Harmonic, "square": Square}
 _TURNS = 1e-9
@@ -97,10 +97,8 @@ def _places(sites: Count, on: str, boundary: str) -> tuple:
 
 
 def _wave(shape: str, amplitude: Parameter, omega: Parameter, phase: Parameter, places: np.ndarray) -> Callable:
-    for name, x in (("amplitude", amplitude), ("phase", phase)):
-        if np.shape(x)[:1] not in ((), (1,), (len(places),)):
-            refuse(name, f"one number, or one for each that is modulated, shape ({len(places)},)",
-                   f"shape {np.shape(x)}")
+    check_each("amplitude", amplitude, len(places), "modulated bond or site")
+    check_each("phase", phase, len(places), "modulated bond or site")
     omega = positive("omega", _number("omega", omega), "The modulation has a period.")
     return _SHAPES[one_of("shape", shape, tuple(_SHAPES))](amplitude, omega, phase, 1.0)
 
@@ -111,9 +109,8 @@ def _chain(
 ) -> Lattice:
     bond = Bond(Shift(1, boundary), Linear() if law is None else law)
     grounding, damping = non_negative("grounding", grounding), non_negative("damping", damping)
-    for name, x in (("grounding", grounding), ("damping", damping)):
-        if x.shape not in ((), (sites,)):
-            refuse(name, f"one number, or one per site, shape ({sites},)", f"shape {x.shape}")
+    check_each("grounding", grounding, sites, "site")
+    check_each("damping", damping, sites, "site")
     value, still = concrete(grounding), concrete(damping)
     grounded = value is None or bool(np.any(value))
     if on == "sites" and not grounded:

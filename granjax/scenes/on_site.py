@@ -6,7 +6,7 @@ from ..laws import Law, Linear, Polynomial, Sine
 from ..strains import BOUNDARIES, Shift
 from ..terms import Bond, OnSite
 from ..types import Count, Parameter
-from .chains import _contact, _sites, check_contacts
+from .chains import _contact, _sites, check_contacts, check_each
 
 # what couples weakly is what these chains are about
 _COUPLED = "Sites without coupling are coupling=0."
@@ -18,8 +18,7 @@ def _on_sites(sites, mass, law, on_site, boundary, parameters, per_site):
     one_of("boundary", boundary, BOUNDARIES)
     check_contacts(sites, boundary, parameters)
     for name, x in per_site.items():
-        if parameter(name, x).shape[:1] not in ((), (1,), (sites,)):
-            refuse(name, f"one number, or one per site, shape ({sites},)", f"shape {parameter(name, x).shape}")
+        check_each(name, x, sites, "site")
     return Lattice(mass, (Bond(Shift(1, boundary), law), OnSite(on_site)), sites=sites)
 
 

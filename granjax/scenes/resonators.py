@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 
 import jax.numpy as jnp
-import numpy as np
 
 from ..checks import non_negative, one_of, positive, refuse
 from ..lattice import Lattice
@@ -12,7 +11,7 @@ from ..strains import BOUNDARIES, Pairs, Shift
 from ..terms import Bond
 from ..types import Count, Numbers, Parameter
 from ..units import SCALED
-from .chains import _contact, _sites
+from .chains import _contact, _sites, check_each
 
 _TIE = "A resonator without stiffness is let go: 0 leaves the chain of beads."
 
@@ -89,15 +88,13 @@ def mass_with_mass(
                          precompression, boundary, law, units)
     sites = _sites(sites)
     places = [int(site) for site in at]
-    if not places or any(not -sites <= site < sites for site in places):
-        refuse("at", f"sites from 0 to {sites - 1}, or negative from the end", repr(list(at)))
+    if any(not -sites <= site < sites for site in places) or len({site % sites for site in places}) < len(places):
+        refuse("at", f"sites from 0 to {sites - 1}, or negative from the end, each once", repr(list(at)))
     places = [site % sites for site in places]
-    if len(set(places)) < len(places):
-        refuse("at", "each bead once", repr(list(at)))
     count = len(places)
     mu, kappa = positive("mass", mass, "A resonator needs a mass."), non_negative("stiffness", stiffness, _TIE)
-    _fits("mass", mu, count, "resonator")
-    _fits("stiffness", kappa, count, "resonator")
+    check_each("mass", mu, count, "resonator")
+    check_each("stiffness", kappa, count, "resonator")
     bead = positive("bead_mass", bead_mass, "A bead needs a mass.")
     masses = {"bead": jnp.broadcast_to(bead, (sites,)), "resonator": jnp.broadcast_to(mu, (count,))}
     tie = Bond(Pairs(places, range(count), sites=(sites, count), fields=("bead", "resonator")), Linear(kappa))
@@ -133,21 +130,12 @@ def woodpile(
     >>> len(gx.linear.bands(chain).gaps)  # three branches
     2
     """
-    masses, stiffnesses = _listed("masses", masses), _listed("stiffnesses", stiffnesses)
+    masses, stiffnesses = tuple(masses), tuple(stiffnesses)
     if len(masses) != len(stiffnesses):
         refuse("stiffnesses", f"{len(masses)}, as many as masses", f"{len(stiffnesses)}", "Each resonator has both.")
     names = tuple(f"resonator_{j + 1}" for j in range(len(masses)))
     return _resonant(sites, masses, stiffnesses, names, bead_mass, contact_stiffness, exponent, precompression,
                      boundary, law, units)
-
-
-def _listed(name, values):
-    """One parameter per resonator."""
-    values = tuple(values) if isinstance(values, (tuple, list)) or np.ndim(values) else ()
-    if not values:
-        refuse(name, "a sequence, one entry per resonator of a rod", "one number or none",
-               "One resonator: masses=[mu], stiffnesses=[kappa].")
-    return values
 
 
 def _resonant(sites, masses, stiffnesses, names, bead_mass, contact_stiffness, exponent, precompression, boundary, law,
@@ -160,10 +148,10 @@ def _resonant(sites, masses, stiffnesses, names, bead_mass, contact_stiffness, e
         said = ("mass", "stiffness") if alone and name == "resonator" else (f"masses[{j}]", f"stiffnesses[{j}]")
         mass[name] = positive(said[0], mu, "A resonator needs a mass.")
         kappa = non_negative(said[1], kappa, _TIE)
-        _fits(said[1], kappa, sites, "bead")
+        check_each(said[1], kappa, sites, "bead")
         terms.append(Bond(Shift(0, "free", ("bead", name)), Linear(kappa)))
-        _fits(said[0], mass[name], sites, "bead")
-    _fits("bead_mass", mass["bead"], sites, "bead")
+        check_each(said[0], mass[name], sites, "bead")
+    check_each("bead_mass", mass["bead"], sites, "bead")
     return Lattice(mass, tuple(terms), sites=sites, units=units)
 
 
@@ -174,10 +162,5 @@ def _contacts(sites, stiffness, exponent, precompression, boundary, law):
         law = _contact(stiffness, exponent, precompression)
         count = sites + {"fixed": 1, "free": -1}.get(boundary, 0)
         for name, x in (("contact_stiffness", stiffness), ("exponent", exponent), ("precompression", precompression)):
-            _fits(name, x, count, "contact")
+            check_each(name, x, count, "contact")
     return Bond(Shift(1, boundary, "bead"), law)
-
-
-def _fits(name, x, count, what):
-    if np.shape(x)[:1] not in ((), (1,), (count,)):
-        refuse(name, f"one number, or one per {what}, shape ({count},)", f"shape {np.shape(x)}")

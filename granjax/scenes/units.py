@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ..checks import concrete, positive, refuse, show
+from ..checks import concrete, positive, refuse
 from ..lattice import Lattice
 from ..printing import told
 from ..types import Scalar
@@ -80,9 +80,6 @@ def _natural_units(lattice, velocity):
     if velocity is not None:
         v = positive("velocity", velocity, "It is the speed of the impact in m/s.")
         length = (m * v * v / A) ** (1 / (p + 1))
-        value = concrete(length)
-        if value is not None and not 0 < value < jnp.inf:
-            refuse("velocity", "an impact's speed whose overlap is a number", f"{show(v)} m/s, overlap {value:g} m")
     else:
         F0 = jnp.mean(jnp.asarray(law.preload))
         value = concrete(F0)

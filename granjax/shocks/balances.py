@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import is_whole, refuse
+from ..checks import refuse
 from ..flow import Integral
 from ..flow.method import GATHERED, STEP_FRACTION
 from ..flow.stiffness import frequency_bound
@@ -134,7 +134,7 @@ def _box(problem, box, size):
     if box is None:
         low = max(min(int(np.asarray(problem.centre).max()) + 2, size - 3), 1)
         box = low, low + max((size - 2 - low) // 4, 1)
-    if len(box) != 2 or not all(map(is_whole, box)) or not 1 <= box[0] < box[1] <= size - 2:
+    if len(box) != 2 or not 1 <= box[0] < box[1] <= size - 2:
         refuse("box", f"its first and its last site, rising, from 1 to {size - 2}", repr(tuple(box)))
     return int(box[0]), int(box[1])
 

@@ -5,7 +5,6 @@ from typing import ClassVar
 import equinox as eqx
 import numpy as np
 
-from ..checks import whole
 from ..lattice import State
 from ..laws import Law
 from ..profiles.front import FrontShape
@@ -93,7 +92,6 @@ class DissipativeFront(Result):
         `None` is the middle, (sites - 2)/2. What holds the far states at the ends is the chain's: forces F(behind) on
         the first bead and -F(ahead) on the last one of free ends, say, or ends too far away to be felt.
         """
-        sites = whole("sites", sites, 2)
         middle = (sites - 2) / 2 if centre is None else centre
         xi = np.arange(sites) - middle
         return State(self.displacement(xi) - self.ahead * xi, self.velocity(xi))

@@ -1,12 +1,13 @@
 """Where a shock is when: a strided map of the strain, made without keeping the trajectory."""
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from diffrax import AbstractSolver
 
-from ..checks import held_in_memory, is_whole, real, refuse, show, traced, whole
+from ..checks import refuse, show
 from ..flow import simulate
 from ..flow.method import PASSED, STEP_FRACTION, checked_method, fixed_step
 from ..flow.stiffness import compressions, reached_frequency
@@ -57,7 +58,8 @@ class SpaceTime(Result):
 
 
 def space_time(
-    problem: Riemann, t1: Scalar | None = None, frames: Count = 400, sites: Count | Values = 400, **keywords: Any,
+    problem: Riemann, t1: Scalar | None = None, frames: Count = 400, sites: Count | Values = 400, *,
+    step: Scalar | None = None, tolerance: Scalar | None = None, solver: AbstractSolver | None = None,
 ) -> SpaceTime:
     """Run a shock and keep a strided map of its strain: the memory is that of the map and of one state.
 
@@ -68,9 +70,9 @@ def space_time(
     `sites`: how many bonds at most, evenly over the chain, or their indices. Where the stride is longer than half a
     wave the map shows another wave than there is (the waves behind a shock are about 3 ... 10 bonds long), though each
     of its numbers is true.
-    `keywords`: `step`, `tolerance`, `solver` of `gx.simulate`.
-    **Returns:** `SpaceTime`. **Raises** ValueError for fewer than two frames, bonds that are not there, a map beyond
-    the memory, other keywords; RuntimeError where the run does not complete.
+    `step`, `tolerance`, `solver`: as in `gx.simulate`.
+    **Returns:** `SpaceTime`. **Raises** ValueError for bonds that are not there; RuntimeError where the run does not
+    complete.
 
     **Example:**
 
@@ -79,17 +81,11 @@ def space_time(
     >>> record.ts.tolist(), round(float(record.strain[-1].max()), 2)
     ([0.0, 1.0, 2.0, 3.0, 4.0, 5.0], 0.23)
     """
-    frames = whole("frames", frames, 2)
     bonds = _bonds(sites, problem.lattice.shape[0] - 1)
-    others = keywords.keys() - {"step", "tolerance", "solver"}
-    if others:
-        refuse("keyword", "one of 'step', 'tolerance', 'solver'", ", ".join(map(repr, sorted(others))))
     lattice, state = problem
-    if traced((problem, t1)):
-        refuse("problem", "numbers that are known", "traced ones", "A map is made frame by frame; use problem.run.")
-    held_in_memory("frames", frames * len(bonds) * max(int(np.prod(lattice.lanes)), 1), 8, "numbers of a map")
     t1 = problem.horizon() if t1 is None else t1
-    solver, step, tolerance = checked_method(lattice, *(keywords.get(x) for x in ("solver", "step", "tolerance")))
+    by_default = step is None
+    solver, step, tolerance = checked_method(lattice, solver, step, tolerance)
     if tolerance is None:
         step = float(fixed_step(lattice, state, 0.0, float(t1), step, solver, frames - 1)[0])
     ts, rows = np.linspace(0.0, float(t1), frames), []
@@ -104,7 +100,7 @@ def space_time(
     rows.append(_row(problem, state.u, bonds))
     lost = lost if lattice.conserves else jnp.full_like(lost, jnp.nan)
     told = f"{frames} frames of {len(bonds)} bonds, at time steps of {step or float(run.stats['step']):.4g}."
-    if tolerance is None and "step" not in keywords:
+    if tolerance is None and by_default:
         told += _doubt(lattice, seen, float(t1), state, step)
     return SpaceTime(ts, bonds, np.stack(rows), problem.centre, problem.c, state,
                      np.asarray(step if tolerance is None else run.stats["step"]), lost, told, problem.kind,
@@ -113,13 +109,12 @@ def space_time(
 
 def _bonds(sites, count):
     """The indices of the bonds that the map shows."""
-    if is_whole(sites):
-        return np.arange(0, count, -(-count // whole("sites", sites, 1)))
-    wanted = f"how many bonds, or their indices from 0 to {count - 1}"
-    bonds = real("sites", sites, wanted)
-    if bonds.ndim != 1 or not bonds.size or np.any((bonds != np.round(bonds)) | (bonds < 0) | (bonds >= count)):
-        refuse("sites", wanted, show(bonds))
-    return bonds.astype(int)
+    if np.ndim(sites) == 0:
+        return np.arange(0, count, -(-count // sites))
+    bonds = np.asarray(sites, int)
+    if np.any((bonds < 0) | (bonds >= count)):
+        refuse("sites", f"how many bonds, or their indices from 0 to {count - 1}", show(bonds))
+    return bonds
 
 
 def _row(problem, u, bonds):

@@ -6,7 +6,7 @@ import jax
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from ..checks import one_of, refuse, traced, whole
+from ..checks import one_of, refuse, whole
 from ..flow import Run
 from ..measures import peak_times
 from ..profiles.medium import values
@@ -81,8 +81,6 @@ def measure(
     >>> round(float(edges.leading_speed), 5), round(float(edges.mean), 5)
     (1.31519, 0.81093)
     """
-    if traced((run, problem)):
-        refuse("run", "numbers that are known", "traced ones", "Fits have no derivative; differentiate gx.simulate.")
     one_of("side", side, ("right", "left"))
     one_of("theory", theory, tuple(THEORIES))
     points = whole("points", points, 3, "The trailing edge follows from the waves before it.")

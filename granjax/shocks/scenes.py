@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import concrete, per_lane, positive, refuse, show, traced, whole
+from ..checks import concrete, per_lane, positive, refuse, show, traced
 from ..lattice import Lattice, State
 from ..laws import Strained
 from ..printing import told
@@ -166,9 +166,6 @@ def piston(lattice: Lattice, speed: Parameter) -> Riemann:
     """
     chain_only(lattice, "piston")
     speed = per_lane("speed", speed, lattice.lanes)
-    known = concrete(speed)
-    if known is not None and not np.all(known):
-        refuse("speed", "a speed other than zero", show(known))
     # the law of the bond to a wall on the left where there is one, else of the first bond
     contact, free = _over(_law(lattice), lattice, lambda x: x[0]), _opened(lattice)
     chain = _with(free, (*free.terms, Wall(contact, "left", Uniform(speed.astype(lattice.dtype)))))
@@ -208,12 +205,10 @@ def impacts(
     for name, x in (("interval", interval), ("duration", duration)):
         if x.ndim:
             refuse(name, "one number", f"shape {x.shape}", "Lanes share their time steps.")
-    over, none = concrete(duration > interval), concrete(impulse == 0)
+    over = concrete(duration > interval)
     if over is not None and over:
         refuse("duration", f"at most the interval, {show(interval)}", show(duration))
-    if none is not None and np.any(none):
-        refuse("impulse", "an impulse other than zero", show(concrete(impulse)))
-    count = math.inf if count is None else whole("count", count, 1)
+    count = math.inf if count is None else count
     free = _opened(lattice)
     pulses = Pulses(*(x.astype(lattice.dtype) for x in (impulse, interval, duration)),
                     jnp.asarray(count, lattice.dtype))

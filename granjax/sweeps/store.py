@@ -16,7 +16,6 @@ from .function import ODD, Chunk
 from .points import Points
 
 NOT_YET = "not computed yet"
-ZARR = "pip install 'granjax[store]'"
 
 
 class Target:
@@ -149,10 +148,8 @@ def _spelt(data):
 
 def opened(root: str):
     """The group of a store, `None` where there is nothing. **Raises** ValueError for what is no store of a sweep."""
-    try:
-        import zarr
-    except ImportError:
-        raise ImportError(f"A store needs zarr: {ZARR}.") from None
+    import zarr
+
     try:
         group = zarr.open_group(root, mode="r+", use_consolidated=False)
     except FileNotFoundError:

@@ -7,7 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ..checks import parameter, positive, refuse, within
+from ..checks import parameter, positive, within
 from ..printing import told
 from ..types import Number, Numbers, Parameter, Waveform
 from ..units import Dimensional, Signal
@@ -84,8 +84,6 @@ class Breaks(Dimensional):
 
     def __init__(self, times: Parameter, period: Parameter | None = None):
         self.times = jnp.atleast_1d(parameter("times of breaks", times))
-        if self.times.size == 0:
-            refuse("times of breaks", "times at which the function jumps", "none", "Leave breaks out.")
         self.period = None if period is None else positive("period", period)
 
     def _wrapped(self, units):

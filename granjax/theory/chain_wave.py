@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import broadcast, concrete, one_of, parameter, positive, refuse, show
+from ..checks import concrete, one_of, parameter, positive, refuse, show
 from ..printing import told
 
 
@@ -30,10 +30,8 @@ class ChainWave(NamedTuple):
 
 
 def _numbers(**given):
-    """Finite arrays whose shapes broadcast."""
-    arrays = {name: parameter(name, x) for name, x in given.items()}
-    broadcast(**arrays)
-    return list(arrays.values())
+    """Finite arrays."""
+    return [parameter(name, x) for name, x in given.items()]
 
 
 def _one_given(given, above, sound):
@@ -57,13 +55,12 @@ def _direction_of(direction):
 
 
 def _stiffnesses(K2, K3, mass, remedy):
-    """K2 > 0, K3 other than zero, mass > 0, as arrays that broadcast."""
+    """K2 > 0, K3 other than zero, mass > 0, as arrays."""
     K2, K3, mass = positive("K2", K2, "A chain without linear stiffness has no sound."), parameter("K3", K3), positive(
         "mass", mass)
     value = concrete(K3)
     if value is not None and np.any(value == 0):
         refuse("K3", "numbers other than zero", show(value), remedy)
-    broadcast(K2=K2, K3=K3, mass=mass)
     return K2, K3, mass
 
 

@@ -21,7 +21,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import broadcast, concrete, parameter, refuse, show, within
+from ..checks import concrete, parameter, refuse, show, within
 from ..printing import told
 from ..types import Numbers, Parameter
 from .elliptic_functions import _jacobi, _zeta
@@ -169,9 +169,7 @@ def _arguments(m, m1, **others):
         refuse("m, m1", "one of the two", "both" if m1 is not None else "none", "m1 is 1 - m.")
     name, given = ("m", m) if m1 is None else ("m1", m1)
     given = within(name, given, 0, 1, remedy="The parameter is m = k^2; real solutions have it in [0, 1].")
-    others = {key: parameter(key, x) for key, x in others.items()}
-    broadcast(**others, **{name: given})
-    return list(others.values()), 1 - given if m1 is None else given
+    return [parameter(key, x) for key, x in others.items()], 1 - given if m1 is None else given
 
 
 def _resolved(u, m1):

@@ -87,7 +87,7 @@ def modulation(m: Parameter, c: Parameter, K2: Parameter, K3: Parameter, mass: P
     (0.988526, 0.1)
     """
     C, sound, unit = _scaled(c, K2, K3, mass)
-    return Modulation(*_modulation(1 - _modulus_of(m, c=C), C, sound, unit))
+    return Modulation(*_modulation(1 - _modulus_of(m), C, sound, unit))
 
 
 def modulus(speed: Parameter, c: Parameter, K2: Parameter, K3: Parameter, mass: Parameter = 1.0) -> Numbers:

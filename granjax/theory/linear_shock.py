@@ -22,7 +22,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import broadcast, concrete, held_in_memory, non_negative, parameter, positive, refuse, show
+from ..checks import concrete, non_negative, parameter, positive, refuse, show
 from ..types import Numbers, Parameter
 
 __all__ = ["strain_step", "velocity_step"]
@@ -30,8 +30,6 @@ __all__ = ["strain_step", "velocity_step"]
 # sites beyond the front, of its widths w t^{1/3} and alone, where J_{2n}(2wt) is below rounding
 WIDTHS, MORE = 8.0, 24
 LEAST = 64
-# arrays of a transform, for the memory that it takes
-ARRAYS = 64
 
 
 def velocity_step(n: Parameter, t: Parameter, c: Parameter, K2: Parameter = 1.0, mass: Parameter = 1.0) -> Numbers:
@@ -72,7 +70,6 @@ def _given(n, t, c, K2, mass):
     """The numbers as arrays, n of whole numbers, and (K2/m)^{1/2}."""
     n, t, c = parameter("n", n), non_negative("t", t, "Before t = 0 the chain is at rest."), parameter("c", c)
     K2, mass = positive("K2", K2), positive("mass", mass)
-    broadcast(n=n, t=t, c=c, K2=K2, mass=mass)
     whole = concrete(n)
     if whole is None or not np.array_equal(whole, np.round(whole)):
         refuse("n", "whole numbers, those of bonds, that are known", "traced ones" if whole is None else show(whole))
@@ -87,10 +84,7 @@ def _at(n, x, kind):
                "jax.grad and jax.jvp may go through it.")
     most = known.max(initial=0.0)
     reach = most + WIDTHS * most ** (1 / 3) + MORE
-    if not reach < 2**40:
-        refuse("t", "times of at most 1e12/(K2/mass)^{1/2}", show(known))
     points = max(LEAST, 1 << int(np.ceil(np.log2(2 * reach))))
-    held_in_memory("t", points, ARRAYS, "points of a transform")
     shape = jnp.broadcast_shapes(n.shape, x.shape)
     # axes along which x varies lead
     x = x.reshape((1,) * (len(shape) - x.ndim) + x.shape)

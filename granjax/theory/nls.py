@@ -32,7 +32,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Complex, Float
 
-from ..checks import broadcast, concrete, held_in_memory, parameter, refuse, show, whole
+from ..checks import concrete, parameter, refuse, show
 from ..results import Held, Result
 from ..types import Count, Number, Parameter, Scalar
 from .nls_coefficients import B, Coefficients, band_edges, coefficients
@@ -57,7 +57,6 @@ def bright(
     >>> complex(gx.theory.nls.bright(0.0, 0.0, 0.02, nu2=1.0, nu3=1.0))
     (0.2+0j)
     """
-    broadcast(X=X, T=T, kappa=kappa, nu2=nu2, nu3=nu3, X0=X0)
     amplitude, width = _bright(kappa, nu2, nu3)
     return amplitude * _sech(width * (X - X0)) * jnp.exp(1j * kappa * T)
 
@@ -83,7 +82,6 @@ def dark(
     0.141421
     """
     nu3_force = nu3 if nu3_force is None else nu3_force
-    broadcast(X=X, T=T, kappa=kappa, nu2=nu2, nu3=nu3, X0=X0, nu3_force=nu3_force)
     amplitude, width = _dark(kappa, nu2, nu3, nu3_force)
     return amplitude * jnp.tanh(width * (X - X0)) * jnp.exp(1j * kappa * T)
 
@@ -103,7 +101,6 @@ def growth_rate(Q: Parameter, amplitude: Parameter, nu2: Number, nu3: Number) ->
     [0.01 0.  ]
     """
     Q, amplitude, nu2, nu3 = map(parameter, ("Q", "amplitude", "nu2", "nu3"), (Q, amplitude, nu2, nu3))
-    broadcast(Q=Q, amplitude=amplitude, nu2=nu2, nu3=nu3)
     square = nu2 * Q**2 * (2 * nu3 * amplitude**2 - nu2 * Q**2)
     # what is not a number, such as a traced one, stays so
     stable = square <= 0
@@ -260,8 +257,6 @@ def _kappa(coefficients, omega):
 
 
 def _places(coefficients, cells, centre):
-    cells = whole("cells", cells, 1)
-    held_in_memory("cells", cells, 64, "cells")
     return cells, parameter("centre", (len(coefficients.mode) * cells - 1) / 2 if centre is None else centre)
 
 

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Complex, Float, Integer
 
-from ..checks import broadcast, concrete, one_of, parameter, per_lane, positive, refuse, show, whole
+from ..checks import concrete, one_of, parameter, per_lane, positive, refuse, show
 from ..results import Held, Result
 from ..types import Count, Parameter, Scalar
 
@@ -112,7 +112,7 @@ def coefficients(
     mass, K2, K3, K4 = _cell(mass, K2, K3, K4)
     k = per_lane("k", k, ())
     sites = mass.size
-    if whole("branch", branch) >= sites:
+    if not 0 <= branch < sites:
         refuse("branch", f"a branch below {sites}, as the cell has {sites} sites", repr(branch))
     length = one_of("constraint", constraint, ("force", "length")) == "length"
     found, touches = _coefficients(mass, K2, K3, K4, k, np.asarray(branch), np.asarray(length))
@@ -238,7 +238,6 @@ def B(K2: Parameter, K3: Parameter, K4: Parameter, mass: Parameter = 1.0) -> Flo
     -0.459279
     """
     K2, mass, K3, K4 = positive("K2", K2), positive("mass", mass), parameter("K3", K3), parameter("K4", K4)
-    broadcast(K2=K2, K3=K3, K4=K4, mass=mass)
     return (3 * K2 * K4 - 4 * K3**2) / (K2 * jnp.sqrt(K2 * mass))
 
 

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import broadcast, positive, within
+from ..checks import positive, within
 from ..printing import told
 from .chain_wave import _numbers
 from .elliptic_integrals import _K, _sloped
@@ -66,18 +66,16 @@ class ShockWave(NamedTuple):
 
 
 def _places(n, t, phase, **others):
-    """Places, times above zero and phases where they are given, as arrays that broadcast with all else."""
+    """Places, times above zero and phases where they are given, as arrays."""
     t = positive("t", t, "Before that nothing has moved: a shock is spread over n/t.")
     given = {} if phase is None else {"phase": phase}
     n, t, *rest = _numbers(n=n, t=t, **given, **others)
     return n, t, rest[0] if given else None
 
 
-def _modulus_of(m, **others):
-    """m in [0, 1], which broadcasts with all else."""
-    m = within("m", m, 0, 1, remedy="It is 0 at the trailing edge and 1 at the leading edge.")
-    broadcast(m=m, **others)
-    return m
+def _modulus_of(m):
+    """m in [0, 1]."""
+    return within("m", m, 0, 1, remedy="It is 0 at the trailing edge and 1 at the leading edge.")
 
 
 def _turn(phase, m1, c):

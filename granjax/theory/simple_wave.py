@@ -22,7 +22,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import broadcast, concrete, non_negative, parameter, positive, refuse, show, traced
+from ..checks import concrete, non_negative, parameter, positive, refuse, show, traced
 from ..lattice import Lattice
 from ..laws import Law
 from ..profiles import medium_of
@@ -127,7 +127,6 @@ def power_law_mean(
     """
     c, A, p = parameter("c", c), positive("stiffness", stiffness), positive("exponent", exponent)
     d0, m = non_negative("rest", rest), positive("mass", mass)
-    broadcast(c=c, stiffness=A, exponent=p, rest=d0, mass=m)
     r, more = (p + 1) / 2, 2 * c * jnp.sqrt(m / (p * A))
     squeezed = d0 > 0
     base = jnp.where(squeezed, d0, 1.0)

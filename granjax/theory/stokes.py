@@ -24,7 +24,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from ..checks import broadcast, one_of, parameter, positive, within
+from ..checks import one_of, parameter, positive, within
 from ..printing import told
 from ..types import Numbers, Parameter
 
@@ -61,8 +61,7 @@ class StokesWave(NamedTuple):
 
     def strain(self, theta: Parameter) -> Numbers:
         """y at phases theta = k n - omega t, which broadcast with the wave's numbers [m]."""
-        theta = parameter("theta", theta)
-        broadcast(theta=theta, wave=self.omega)
+        theta = jnp.asarray(theta, float)
         waves = self.first * jnp.cos(theta) + self.second * jnp.cos(2 * theta) + self.third * jnp.cos(3 * theta)
         return self.mean_strain + waves
 
@@ -94,7 +93,6 @@ def wave(
     a, K2, K3, K4, m = (check(name, x) for check, name, x in (
         (parameter, "amplitude", amplitude), (positive, "K2", K2), (parameter, "K3", K3), (parameter, "K4", K4),
         (positive, "mass", mass)))
-    broadcast(k=k, amplitude=a, K2=K2, K3=K3, K4=K4, mass=m)
     return _wave(k, a, K2, K3, K4, m, jnp.asarray(length))
 
 

@@ -34,7 +34,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import broadcast, concrete, parameter, positive, refuse, show
+from ..checks import concrete, parameter, positive, refuse, show
 from ..printing import told
 from ..types import Numbers, Parameter
 from .chain_wave import ChainWave, _direction_of, _numbers, _one_given, _sinh_less, _stiffnesses, _toda_constants
@@ -259,7 +259,6 @@ def _wave_number(name, k):
 
 def _pair(k1, k2, head_on):
     k1, k2 = _wave_number("k1", k1), _wave_number("k2", k2)
-    broadcast(k1=k1, k2=k2)
     values = concrete(k1), concrete(k2)
     if not head_on and all(x is not None for x in values) and np.any(values[0] == values[1]):
         refuse("k1, k2", "two that differ", show(values[0]), "Two solitons of one speed never meet.")

@@ -109,7 +109,7 @@ def modulation(
     0.803701
     """
     c, rate, b = _scaled(c, strength, rate, mass)
-    m = _modulus_of(m, c=c)
+    m = _modulus_of(m)
     values = concrete(m), concrete(c)
     if all(x is not None for x in values) and np.any(1 - values[0] > (1 + ROUNDING) * np.asarray(_last(values[1]))):
         refuse("m", f"numbers from 1 - 1/C^2 on, where C = {SCALED} > 1", show(values[0]),

@@ -4,7 +4,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from ..checks import parameter, refuse
+from ..checks import refuse
 from ..lattice import Lattice
 from ..laws import Law, taylor
 from ..profiles import medium_of
@@ -68,9 +68,7 @@ def closed_forms(law: Law | Lattice, speed: Parameter, *, mass: Scalar = 1.0) ->
     >>> round(float(found.kdv_error[0]), 3)  # Toda's own soliton is exact
     0.124
     """
-    speeds = np.atleast_1d(np.asarray(parameter("speed", speed)))
-    if speeds.ndim != 1 or not speeds.size:
-        refuse("speed", "one speed or a list of them", f"shape {speeds.shape}")
+    speeds = np.atleast_1d(np.asarray(speed, float))
     medium = medium_of(law, mass)
     K2, K3, *_ = taylor(medium.law)
     if not np.asarray(K2) > 0:

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..checks import described, held_in_memory, positive, refuse, within
+from ..checks import refuse, within
 from ..flow import Run, simulate
 from ..lattice import Lattice, State
 from ..laws import taylor
@@ -19,7 +19,7 @@ from ..strains import Shift
 from ..terms import Bond
 from ..theory import toda
 from ..types import Number, Parameter, Scalar
-from .tracking import MISFIT, known, number_of, of_own_speed, reach_of, tracked
+from .tracking import MISFIT, number_of, of_own_speed, reach_of, tracked
 from .wave import Wave
 
 # frames of the time before and as long after, how much longer it is than the least, contacts beyond, h omega, and how
@@ -164,17 +164,14 @@ def collide(
     >>> [round(float(shift), 4) for shift in gx.theory.toda.phase_shifts(k1, k2, head_on=True)]
     [0.6427, -0.7046]
     """
-    waves = known("first", first), known("second", second)
+    waves = first, second
     tolerance = float(within("tolerance", tolerance, 0, 0.1, open_low=True, open_high=True))
-    given = None if step is None else float(positive("step", step))
     _of_one_chain(*waves)
     phases = np.asarray(phase, float)
-    if phases.ndim > 1 or not phases.size or not np.isfinite(phases).all():
-        refuse("phase", "a number, or numbers of shape (P,)", described(phase))
     parted = max(reach_of(wave, max(TAIL * tolerance, ROUNDING)) for wave in waves)
     for longer in LONGER:
         courses = [_course(waves, parted, longer, x) for x in np.ravel(phases)]
-        runs = _runs(waves, courses, phases.shape, given, progress)
+        runs = _runs(waves, courses, phases.shape, step, progress)
         both = [-np.diff(np.reshape(run.us, (*run.us.shape[:2], -1)), axis=1) for run in runs]
         found = [_measured(waves, course, parted, runs[0], [x[..., k] for x in both])
                  for k, course in enumerate(courses)]
@@ -236,9 +233,7 @@ def _course(waves, parted, longer, phase):
     margin = parted + BEYOND
     sites = shared_size(int(np.ceil(np.ptp(ends) + 2 * margin)) + 4)
     place = np.ceil(margin - ends.min()) + phase % 1
-    course = Course(place - speeds * meeting, speeds, meeting, (1 + longer) * meeting, sites, longer, phase, sound)
-    held_in_memory("first and second", sites, 32 * course.frames, "sites, at speeds so close")
-    return course
+    return Course(place - speeds * meeting, speeds, meeting, (1 + longer) * meeting, sites, longer, phase, sound)
 
 
 def _measured(waves, course, parted, run, both):

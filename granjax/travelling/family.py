@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..checks import one_of, parameter, refuse, traced
+from ..checks import one_of, refuse
 from ..lattice import Lattice
 from ..laws import Law
 from ..profiles import medium_of, wave_of
@@ -76,13 +76,8 @@ def family(
     if side is not None:
         one_of("side", side, ("compression", "tension"))
     ((name, numbers),) = given.items()
-    if traced((law, numbers, mass)):
-        refuse(name, "numbers that are known", "traced ones", "gx.travelling.solitary_wave has derivatives.")
-    numbers = np.asarray(parameter(name, numbers))
-    if numbers.ndim != 1 or not numbers.size:
-        refuse(name, "numbers (P,), one for each wave", f"shape {numbers.shape}")
     medium, rows = medium_of(law, mass), []
-    for x in _shown(numbers):
+    for x in _shown(np.atleast_1d(np.asarray(numbers, float))):
         found = {}
 
         def numbers_of(x):

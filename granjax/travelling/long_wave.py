@@ -173,9 +173,7 @@ def _rate(y, rate, speed, spacing):
         return -parameter("speed", speed) * jnp.fft.irfft(1j * k / spacing * jnp.fft.rfft(y), len(y))
     if rate is None:
         return jnp.zeros_like(y)
-    rate = parameter("rate", rate)
-    if rate.shape != y.shape:
-        refuse("rate", f"shape {y.shape}, that of the strain", f"shape {rate.shape}")
+    rate = jnp.broadcast_to(jnp.asarray(rate, float), y.shape)
     value = concrete(rate)
     if value is not None and abs(value.mean()) > STILL * np.abs(value).max():
         refuse("rate", "one of mean zero", show(value.mean()), "A periodic box keeps its length. Take off the mean.")

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import positive, refuse, traced, whole
+from ..checks import positive, refuse, traced
 from ..lattice import Lattice, State
 from ..laws import Law
 from ..profiles import Shape, medium_of
@@ -78,7 +78,7 @@ class PeriodicWave(Result):
         On a ring, whose sites are a multiple of the wavelength, the mean strain belongs to the law:
         `gx.laws.Strained(wave.law, wave.mean)`, and `u + wave.mean n` to the displacements.
         """
-        xi = np.arange(whole("sites", sites, 2)) - centre
+        xi = np.arange(sites) - centre
         return State(self.displacement(xi), self.velocity(xi))
 
     def averages(self) -> Averages:

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import held_in_memory, positive, refuse, whole
+from ..checks import refuse
 from ..flow import Run, frequency_bound, simulate
 from ..lattice import Lattice, State
 from ..laws import Law, taylor
@@ -16,7 +16,7 @@ from ..results import Held, Result
 from ..strains import Shift
 from ..terms import Bond, Wall
 from ..types import Count, Numbers, Scalar
-from .tracking import MISFIT, known, number_of, of_own_speed, reach_of, tracked
+from .tracking import MISFIT, number_of, of_own_speed, reach_of, tracked
 from .wave import Wave
 
 # frames of a run, contacts beyond, h omega, share of its peak at which a wave ends, and the least frames for a line
@@ -108,19 +108,15 @@ def reflect(
     >>> round(float(-jnp.log(jnp.cosh(k)) / jnp.sinh(k)), 6)  # what Toda's soliton does at a rigid wall
     -0.343757
     """
-    known("wave", wave)
-    known("wall", wall)
     if not float(wave.speed) > 0:
         refuse("wave", "one to the right, where the wall is", f"speed {float(wave.speed):g}")
     reach = reach_of(wave, TAIL)
     # what runs at the speed of sound is to fall behind
     sound = float(jnp.sqrt(jnp.maximum(taylor(wave.law).K2, 0.0) / wave.mass)) / float(wave.speed)
-    distance = max(30, int(reach * max(2, 1 / (1 - sound)))) if distance is None else whole(
-        "distance", distance, 4)
-    given = None if step is None else float(positive("step", step))
+    distance = max(30, int(reach * max(2, 1 / (1 - sound)))) if distance is None else distance
     scene = _Scene(wave, wall, reach, distance)
     for i in range(AGAIN):
-        runs = scene.runs(scene.time * 2**i, given, progress)
+        runs = scene.runs(scene.time * 2**i, step, progress)
         found, lost = zip(*(_returned(scene, runs, lane) for lane in range(scene.count)))
         if not any(why == LATE for why in lost):
             break
@@ -150,7 +146,6 @@ class _Scene:
         self.start, speed = self.mirror - reach - more, float(wave.speed)
         self.arrival, self.before = (reach + more) / speed, more / speed
         self.time = self.arrival + 1.25 * (1.5 * distance + reach) / speed
-        held_in_memory("distance", self.sites * self.count, 64 * FRAMES, "sites and lanes")
 
     def runs(self, time: float, step: float | None, progress: bool) -> list[Run]:
         """With a step, and with twice as much."""
@@ -177,10 +172,7 @@ class _Scene:
 
 
 def _lanes(wall: Any) -> tuple[int, ...]:
-    shape = jax.eval_shape(lambda e: wall.force(e), jax.ShapeDtypeStruct((), float)).shape
-    if len(shape) > 1:
-        refuse("wall", "parameters that are numbers, or one row of lanes (B,)", f"shape {shape}")
-    return shape
+    return jax.eval_shape(lambda e: wall.force(e), jax.ShapeDtypeStruct((), float)).shape
 
 
 def _returned(scene, runs, lane):

@@ -1,10 +1,10 @@
 """Where a wave is and how fast it runs, from the strains of a run: a fit of the wave's own shape, frame by frame."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from ..checks import refuse, traced
+from ..checks import refuse
 from .solitary import solitary_wave
 from .wave import Wave
 
@@ -53,14 +53,6 @@ class Track(NamedTuple):
         half = (len(self.times) + 1) // 2
         parts = slice(half), slice(len(self.times) - half, None)
         return [*((self.times[part], self.places[part]) for part in parts), (self.times, self.coarse)]
-
-
-def known(argument: str, wave: Any) -> Any:
-    """A wave or a law whose numbers are there."""
-    if traced(wave):
-        refuse(argument, "numbers that are known", "traced ones",
-               "A fit in frames of a run has no derivative; differentiate gx.simulate itself, or take differences.")
-    return wave
 
 
 def reach_of(wave: Wave, share: float) -> float:

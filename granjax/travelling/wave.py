@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import traced, whole
+from ..checks import traced
 from ..lattice import State
 from ..laws import Law
 from ..orbits.floquet import Floquet
@@ -88,7 +88,6 @@ class Wave(Result):
         `None` is the middle of the chain, (sites - 2)/2. Meant for a long chain with free ends: the beads ahead are at
         rest in place, those behind have moved by `compression`, which a wall there would feel.
         """
-        sites = whole("sites", sites, 2)
         middle = (sites - 2) / 2 if centre is None else centre
         xi = np.arange(sites) - middle
         return State(self.displacement(xi), self.velocity(xi))

@@ -124,7 +124,7 @@ def mark_of(units: str | None) -> float:
 
 
 def counted_in(mark: Any) -> str | None:
-    """"SI" or "scaled", from a mark; `None` where it was not said or is not known while traced."""
+    """Give "SI" or "scaled", from a mark; `None` where it was not said or is not known while traced."""
     value = concrete(mark)
     if value is None or not value.size or math.isnan(value.flat[0]):
         return None

@@ -59,9 +59,8 @@ class Advice(Result):
         cost = f"{seconds_in_words(self.seconds)} (error {number(self.error)})"
         sentence = f"For {number(self.asked)}: {what}, {cost}"
         if not by_default and math.isfinite(self.default_error):
-            sentence += (
-                f"; the default would give {number(self.default_error)} in {seconds_in_words(self.default_seconds)}"
-            )
+            seconds = seconds_in_words(self.default_seconds)
+            sentence += f"; the default would give {number(self.default_error)} in {seconds}"
         return sentence + "."
 
     def __repr__(self) -> str:

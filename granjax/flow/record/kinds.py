@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ...checks import concrete, described, refuse
+from ...checks import refuse
 from ...lattice import Lattice
 from ...printing import told
 from ...types import AnyArray, Count, Number, Numbers, Parameter, Pytree, Scalar, StateLike
@@ -83,11 +83,7 @@ class Record(eqx.Module):
 
 
 def _array(x: Parameter) -> AnyArray:
-    x = x if isinstance(x, jax.Array) else np.asarray(x, float)
-    value = concrete(x)
-    if value is not None and np.isnan(value).any():
-        refuse("threshold", "numbers", described(x), "Look for NaN in what you pass.")
-    return x
+    return x if isinstance(x, jax.Array) else np.asarray(x, float)
 
 
 def _called(quantity, t, y, lattice):

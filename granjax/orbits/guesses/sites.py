@@ -131,14 +131,7 @@ def _places(lattice, sites, field):
     index = ravel_pytree(lattice.zeros())[1](np.arange(_mass(lattice).size))
     name = field_of(lattice, field)
     index = index if name is None else index[name]
-    axes = np.ndim(index)
-    try:
-        places = np.asarray(index)[tuple(np.reshape(sites, (-1, axes)).T)]
-    except (IndexError, ValueError):
-        refuse("sites", f"indices of sites of shape {np.shape(index)}", repr(sites))
-    if len(set(places.tolist())) < len(places):
-        refuse("sites", "each site once", repr(sites))
-    return places.astype(int)
+    return np.asarray(index)[tuple(np.reshape(sites, (-1, np.ndim(index))).T)].astype(int)
 
 
 def _mass(lattice):

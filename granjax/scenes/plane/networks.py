@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ...checks import concrete, held_in_memory, one_of, parameter, refuse, whole
+from ...checks import concrete, one_of, parameter, refuse, whole
 from ...lattice import Lattice
 from ...laws import Law
 from ...strains import WALL, Pairs
@@ -91,8 +91,6 @@ def junction(
     """
     stem = whole("stem", stem, 2)
     counts = [whole(f"branches[{i}]", n, 1) for i, n in enumerate(branches)]
-    if not counts:
-        refuse("branches", "the beads of at least one branch", "none")
     turned = [0.0] * len(counts) if angles is None else list(angles)
     if len(turned) != len(counts):
         refuse("angles", f"{len(counts)}, one per branch", f"{len(turned)}")
@@ -163,7 +161,7 @@ def network(
     ((24,), (24, 3))
     """
     names = list(nodes) if isinstance(nodes, dict) else None
-    at = jnp.stack([_place(f"nodes[{n!r}]", nodes[n]) for n in names]) if names else parameter("nodes", nodes)
+    at = parameter("nodes", jnp.stack([jnp.asarray(x, float) for x in nodes.values()]) if names else nodes)
     if at.ndim != 2 or at.shape[-1] not in (2, 3) or not len(at):
         refuse("nodes", "positions (nodes, 2) or (nodes, 3)", f"shape {at.shape}")
     known = concrete(jax.lax.stop_gradient(at))
@@ -171,13 +169,10 @@ def network(
         refuse("nodes", "positions that are known", "traced ones", "Which guides touch follows from them: leave jit "
                "and vmap; jax.grad may stay.")
     ends = [_ends(f"edges[{i}]", edge, names, len(at)) for i, edge in enumerate(edges)]
-    if not ends:
-        refuse("edges", "at least one guide (tail, head)", "none")
     several = not isinstance(beads, (int, np.integer))
     counts = [whole("beads", n, 1) for n in (beads if several else [beads] * len(ends))]
     if len(counts) != len(ends):
         refuse("beads", f"one number, or {len(ends)}, one per guide", f"{len(counts)}")
-    held_in_memory("beads", sum(counts))
     tail, head = np.array(ends).T
     if not np.all(np.linalg.norm(known[head] - known[tail], axis=-1) > 0):
         refuse("edges", "guides between different places", "one without length")
@@ -204,29 +199,10 @@ def network(
     return guides.lattice(mass, laws, places, units)
 
 
-def _place(name, x):
-    x = parameter(name, x)
-    if x.shape not in ((2,), (3,)):
-        refuse(name, "a place, two or three numbers", f"shape {x.shape}")
-    return x
-
-
 def _ends(name, edge, names, count):
     """The numbers of the nodes at a guide's ends."""
-    if isinstance(edge, str) or np.size(np.asarray(edge, object)) != 2:
-        refuse(name, "a pair (tail, head) of nodes", repr(edge))
-    found = []
-    for node in edge:
-        if names is not None:
-            if node not in names:
-                refuse(name, f"nodes among {names}", repr(node))
-            found.append(names.index(node))
-        else:
-            number = whole(name, node)
-            if number >= count:
-                refuse(name, f"nodes from 0 to {count - 1}", repr(node))
-            found.append(number)
-    return found
+    tail, head = (one_of(name, node, range(count) if names is None else names) for node in edge)
+    return (tail, head) if names is None else (names.index(tail), names.index(head))
 
 
 def _meet(counts, tail, head, direction, fixed):

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ...checks import refuse, traced
+from ...checks import refuse
 from ...lattice import Lattice
 from ...laws import Law
 from ...profiles.medium import law_between
@@ -22,8 +22,6 @@ def repeated_in(lattice: Lattice) -> tuple[Law, np.ndarray, dict]:
     masses and bonds repeat at least twice.
     """
     wanted = "a chain of bonds between neighbours that repeats"
-    if traced(lattice):
-        refuse("law", "known numbers", "traced ones", "The box of a wave follows its ripple: it has no derivative.")
     if lattice.fields is not None or lattice.axes != 1 or lattice.dimension is not None or lattice.lanes:
         refuse("law", wanted, f"a lattice of shape {lattice.shape}, lanes {lattice.lanes}", "One chain at a time.")
     law, (sites,) = law_between(lattice, wanted), lattice.sites

@@ -4,7 +4,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from ...checks import positive, whole
+from ...checks import positive
 from ...printing import told
 from ...types import Count, Number, Parameter, Scalar
 
@@ -34,7 +34,6 @@ class Resonator(eqx.Module):
 
     def tail_free(self, speed: Scalar, mass: Scalar = 1.0) -> Number:
         """The stiffness [N/m] nearest to its own at which a wave of this speed leaves no resonator swinging."""
-        speed = positive("speed", speed)
         n = np.maximum(np.round(self.swing(mass) / (2 * np.pi * speed)), 1)
         return tail_free_stiffness(speed, self.mass, mass, int(n))
 
@@ -54,5 +53,5 @@ def tail_free_stiffness(speed: Number, resonator_mass: Number, mass: Number = 1.
     3.588947
     """
     speed, heavy = positive("speed", speed), positive("mass", mass)
-    inner, count = positive("resonator_mass", resonator_mass), whole("count", count, 1)
+    inner, count = positive("resonator_mass", resonator_mass), count
     return (2 * np.pi * count * speed) ** 2 * inner * heavy / (inner + heavy)

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ...checks import positive, refuse, show, traced
+from ...checks import positive, refuse, show
 from ...laws import Law
 from ...profiles.start import ASTRAY, petviashvili
 from .guess import from_struck, peak, pulse, struck
@@ -61,12 +61,8 @@ class Given(NamedTuple):
 
 def chain_of(law: Law, masses, speed: float, resonator=None) -> Given:
     """The chain of a law and the masses of a cell; its smallest period and its mirror are found here."""
-    if traced((law, masses, speed, resonator)):
-        refuse("law, masses, speed", "known numbers", "traced ones",
-               "The box of a wave follows its ripple, so the wave has no derivative; take differences, whose error "
-               "the result's `error` says.")
     masses = np.atleast_1d(np.asarray(positive("masses", masses), float))
-    if masses.ndim != 1 or not masses.size:
+    if masses.ndim != 1:
         refuse("masses", "one row of masses, those of a cell", f"shape {masses.shape}", "One wave at a time.")
     P, mass = len(masses), masses.mean()
     wrong = [np.shape(x) for x in jax.tree.leaves(law) if np.shape(x) not in ((), (1,), (P,))]

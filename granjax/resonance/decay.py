@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from ...checks import held_in_memory, refuse, whole, within
-from ...types import Parameter, Scalar
+from ..checks import held_in_memory, refuse, whole, within
+from ..types import Parameter, Scalar
 from .lanes import LANES, checked_ratios, peak_forces
 
 # beads behind the last contact that is read, so that the free end is not felt there

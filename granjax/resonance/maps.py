@@ -9,17 +9,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ...checks import described, held_in_memory, one_of, positive, refuse, whole
-from ...flow import Peak, simulate
-from ...lattice import Lattice
-from ...laws import Hertz
-from ...measures import contact_force
-from ...results import Held, Result
-from ...states import impact
-from ...strains import Shift
-from ...sweeps import paired, sweep
-from ...terms import Bond
-from ...types import Parameter
+from ..checks import described, held_in_memory, one_of, positive, refuse, whole
+from ..flow import Peak, simulate
+from ..lattice import Lattice
+from ..laws import Hertz
+from ..measures import contact_force
+from ..results import Held, Result
+from ..states import impact
+from ..strains import Shift
+from ..sweeps import paired, sweep
+from ..terms import Bond
+from ..types import Parameter
 from .lanes import LANES
 
 # beads behind the last cell that is read; time that a pulse takes a bead, at most, and to rise and fall

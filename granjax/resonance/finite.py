@@ -6,9 +6,9 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from ...checks import held_in_memory, positive, refuse, tolerance, whole
-from ...results import Held, Result
-from ...types import Count, Parameter, Scalar
+from ..checks import held_in_memory, positive, refuse, tolerance, whole
+from ..results import Held, Result
+from ..types import Count, Parameter, Scalar
 from .decay import decay_rate
 from .lanes import LANES, checked_ratios, peak_forces
 

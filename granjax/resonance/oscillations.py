@@ -9,13 +9,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ...checks import held_in_memory, refuse, whole
-from ...flow import simulate
-from ...programs import wait
-from ...results import Held, Result
-from ...scenes import dimer
-from ...states import impact
-from ...types import Count, Parameter
+from ..checks import held_in_memory, refuse, whole
+from ..flow import simulate
+from ..programs import wait
+from ..results import Held, Result
+from ..scenes import dimer
+from ..states import impact
+from ..types import Count, Parameter
 from .decay import MARGIN
 from .lanes import LANES, checked_ratios
 
