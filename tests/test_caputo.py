@@ -129,9 +129,7 @@ def test_what_cannot_be_meant_is_refused():
     for call, said in (
         (lambda: gx.caputo(relax, 1.0, 1.0, order=1.0), "order"),
         (lambda: gx.caputo(relax, 1.0, 1.0, order=0.5, steps=7), "steps"),
-        (lambda: gx.caputo(relax, 1.0, -1.0, order=0.5), "t1"), (lambda: gx.caputo(relax, 1j, 1.0, order=0.5), "y"),
-        (lambda: gx.caputo(relax, np.array([np.nan]), 1.0, order=0.5), "y"),
-        (lambda: gx.CaputoDamping(-1.0, 0.5), "coefficient"), (lambda: gx.CaputoDamping(1.0, 1.0), "order"),
+        (lambda: gx.caputo(relax, 1.0, -1.0, order=0.5), "t1"),
         (lambda: gx.Lattice(1.0, gx.CaputoDamping(1.0, np.array([0.2, 0.3])), sites=2), "one order"),
         (lambda: gx.simulate(lattice, START, 1.0, tolerance=1e-6), "tolerance"),
         (lambda: gx.simulate(lattice, START, 9.0, step=3.0), "step"),

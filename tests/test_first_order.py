@@ -240,7 +240,6 @@ def test_refusals():
         (lambda: evolve(ring, np.ones(4), 1.0), r"psi: expected shape \(9,\)"),
         (lambda: evolve(lanes, np.ones(N), 1.0), "psi: .*lanes"),
         (lambda: evolve(ring, np.ones(N), 0.0), "t1"),
-        (lambda: evolve(ring, PSI, 1.0, step=0.0), "step"), (lambda: evolve(ring, PSI, 1.0, save_at=[2.0]), "save_at"),
         (lambda: evolve(DpS(N), PSI, 1.0, solver=SplitStep()), "solver: .*DpS"),
         (lambda: gx.Flow(5, field=field)(PSI, 0.0, 1.0, ring), "solver: .*SplitStep"),
         (lambda: gx.Flow(5, SplitStep(), field).derivative(PSI, 0.0, 1.0, ring), "complex"),

@@ -242,6 +242,7 @@ BAD = {
     "solver of two terms": (dict(solver=diffrax.SemiImplicitEuler(), step=0.1), "solver: expected one for a single"),
     "record of a taken name": (dict(record={"u": PEAK}), "record: expected names other than"),
     "adjoint backwards": (dict(adjoint=diffrax.BacksolveAdjoint()), "adjoint: expected one of Reversible"),
+    "state complex": (dict(state=(AT_REST, AT_REST * 1j)), "state.v: expected floating numbers"),
     "state not finite": (dict(state=(AT_REST * np.nan, AT_REST)), "state.u: expected finite numbers"),
     "state float32": (dict(state=(np.zeros(6, np.float32), AT_REST)), "state.u: expected float64"),
     "state shape": (dict(state=(np.zeros(5), AT_REST)), "state.u: expected shape"),

@@ -339,7 +339,6 @@ def test_agrees_with_pysindy(hertz):
 
 @pytest.mark.parametrize("bad, word", [
     (dict(threshold=0.999), "Lower it"), (dict(threshold=-1.0), "threshold"),
-        (dict(threshold=1.0), "threshold"),
     (dict(accelerations=np.zeros((5, N))), "accelerations"), (dict(accelerations=None), "twelve times"),
     (dict(candidates={"v": LIBRARY["v"]}, vs=np.zeros((5, N))), "Leave it out"),
 ])

@@ -157,7 +157,6 @@ def _refused(**changes):
 
 @pytest.mark.parametrize("bad, word", [
     (dict(family="splines"), "Did you mean 'spline'"), (dict(stiffness=None), "stiffness"),
-    (dict(reach=(0.1, 1.0)), "reach"), (dict(hold=("exponents",)), "hold"), (dict(stages=0), "stages"),
     (dict(family=gx.Linear(1.0), others={"stiffness": 1.0}), "others"),
     (dict(scene=lambda law: gx.Lattice(1.0, (gx.Bond(CONTACTS, gx.Hertz(1.0, 1.0)),), sites=N), reach=None), "acts on"),
 ])

@@ -238,6 +238,7 @@ def test_orbits_lie_behind_with_unstable_parts_dashed(ax, sweep):
     assert max(line.get_zorder() for line in parts) <= min(line.get_zorder() for line in ax.lines[-2:])
 
 
+    (([1.0, 2.0, 3.0], [1.0, 2.0], None), "values.*2 rising numbers"),
 # --------------------------------------------------------------------------------------------------------------- strain
 
 

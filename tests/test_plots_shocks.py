@@ -148,6 +148,7 @@ def test_modulation_beside_a_theory(quantity):
     (lambda y, n: plots.shock(y, over="time"), "over: expected one of"),
     (lambda y, n: plots.shock(y, over="speed"), "time: expected that of the strains"),
     (lambda y, n: plots.shock(y, toda.velocity_shock(C)), "time: expected"),
+    (lambda y, n: plots.shock(y, places=n[:5]), "places: expected 100 rising numbers"),
     (lambda y, n: plots.shock(Map(y[None], [1.0], n, "scaled"), Seen()), "shock: expected one in scaled numbers"),
     (lambda y, n: plots.shock_core(y, (3.0, 5.0)), "window: expected 4 bonds or more"),
     (lambda y, n: plots.shock_map(y[None], ts=[1.0, 2.0], places=n), "ts: expected 1 rising numbers"),
