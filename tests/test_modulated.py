@@ -215,8 +215,8 @@ def test_derivatives():
     (lambda s: gx.breathers.k_gap_breather(s, PERIOD, 1.5 * np.pi / 6), "k: expected a multiple of 2 pi/12"),
     (lambda s: gx.breathers.k_gap_breather(s, PERIOD, np.pi / 6), "k: expected a wave number in a k-gap, got 0.5"),
     (lambda s: gx.breathers.k_gap_breather(s, PERIOD), "a force that is nonlinear for this wave"),
-    (lambda s: gx.breathers.breather(s, 1.0), "lattice: expected a stiffness that is constant in time"),
-    (lambda s: gx.breathers.family(s, until=1.0), "no breather stays: gx.breathers.k_gap_breather"),
+    (lambda s: gx.breathers.breather(s, 1.0), "lattice: expected forces that depend on positions alone"),
+    (lambda s: gx.breathers.family(s, until=1.0), "come and go: gx.breathers.k_gap_breather"),
 ])
 def test_refusals(layers, call, sentence):
     with pytest.raises(ValueError, match=sentence.replace("(", r"\(").replace(")", r"\)")):

@@ -319,6 +319,7 @@ def loaded():
     (lambda: scenes.dimer(9, ratio=[0.2, 0.3]), "expected one number, .* jax.vmap"),
     (lambda: scenes.dimer(7, boundary="periodic"), "sites: expected a multiple of 2"),
     (lambda: scenes.trimer(9, (0.5, 2.0)), r"ratios\[1\]: expected numbers in \(0, 1\]"),
+    (lambda: scenes.defects(9, {0: 0.5, -9: 0.7}), "masses: expected each site once"),
     (lambda: scenes.defects(9, {9: 1.0}), r"masses\[9\]: expected a site from 0 to 8"),
     (lambda: scenes.taper(9, 1.0), r"q: expected numbers in \(-1, 1\)"),
     (lambda: scenes.taper(9, boundary="periodic"), "boundary: expected 'fixed' or 'free' for a taper"),

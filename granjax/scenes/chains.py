@@ -208,6 +208,8 @@ def defects(
     """
     sites = _sites(sites)
     m = jnp.full(sites, positive("mass", mass, "A bead needs a mass."))
+    if len({site % sites for site in masses}) < len(masses):
+        refuse("masses", "each site once", ", ".join(map(str, masses)))
     for site, other in masses.items():
         name = f"masses[{site!r}]"
         if not -sites <= site < sites:
